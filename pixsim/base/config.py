@@ -321,8 +321,6 @@ def settings_text(record: Record, command: str, **changes: Any) -> str:
 
     Values stand in it, not files; a technology or a scene with a file of its own is named by its whole path.
     """
-    import tomli_w  # takes 10 ms
-
     table = record.model_dump(mode="json", exclude_none=True, exclude={"quick"}) | changes
     if "technologies" in table:
         table["technologies"] = [whole_path(name) for name in table["technologies"]]
@@ -332,6 +330,13 @@ def settings_text(record: Record, command: str, **changes: Any) -> str:
     for pixel in (table.get("pixel", {}), *table.get("sensors", {}).values()):
         if "technology" in pixel:
             pixel["technology"] = whole_path(pixel["technology"])
+    return settings_table_text(table, command)
+
+
+def settings_table_text(table: Mapping[str, Any], command: str) -> str:
+    """TOML file of the tables of `settings_text`, without those that are empty."""
+    import tomli_w  # takes 10 ms
+
     used = {name: value for name, value in table.items() if value not in (None, {}, "")}
     return f"# The settings of this folder. The same numbers again, bit for bit:\n# {command}\n\n{tomli_w.dumps(used)}"
 

@@ -376,7 +376,19 @@ def compare(
             metavar="SENSOR",
         ),
     ],
-    scene: Annotated[str, Parameter(help=SCENE_HELP, metavar="NAME|FILE", completer=common.complete_scene)] = "csf",
+    scene: Annotated[
+        str | None,
+        Parameter(help=f"{SCENE_HELP} [default: that of --study, or csf]", metavar="NAME|FILE", completer=common.complete_scene),
+    ] = None,
+    study: Annotated[
+        str | None,
+        Parameter(
+            help="A TOML file, or the name of a packaged study, without axes: its scene, display, exposure and conditions hold for "
+            "all sensors, its lens for files that state none. Under conditions, their weighted mean is the answer.",
+            metavar="NAME|FILE",
+            completer=common.complete_study,
+        ),
+    ] = None,
     match: Annotated[
         Literal["view", "lens", "own"],
         Parameter(
@@ -405,6 +417,8 @@ def compare(
 
     Example: pixsim compare 0.35um 4t-bsi --pixel.pitch-um 5 -D luminance_cd_per_m2=10
 
+    Example: pixsim compare a.toml b.toml --study day_and_night.toml
+
     Options of cameras, pixels, exposures and displays, and --config, hold for all sensors. Writes compare.json, pictures,
     settings.toml, the settings of each sensor, and report.html.
     """
@@ -415,7 +429,7 @@ def compare(
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
     given_options: dict[str, Any] = {"config": options.config or [], "options": tables, "sensor": sensor, "variant": variant}
     with collected_notes() as notes:
-        prepared = prepare(sensors, scene, match=match, repeats=repeats, **given_options)
+        prepared = prepare(sensors, scene, study=study, match=match, repeats=repeats, **given_options)
         folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared.sensors)
         if dry_run:
             shown = outline(prepared)

@@ -7,20 +7,22 @@ import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text, whole_path
+from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
 from pixsim.base.machine import processors
-from pixsim.base.parameters import NO_TECHNOLOGY, CameraOptions, Record
+from pixsim.base.parameters import NO_TECHNOLOGY, CameraOptions, Condition, Record, Run, paths_of
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.settings import LightLevel, record_rows, scene_rows
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.technology import label_of
-from pixsim.show.pages import write_page
+from pixsim.show.pages import shown_value, write_page
 from pixsim.show.pictures import (
     Picture,
     factor_for,
@@ -32,7 +34,8 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
-from pixsim.studies.compare import Compared, Comparison, Prepared
+from pixsim.studies.circumstances import SHARED, Circumstances
+from pixsim.studies.compare import OF_A_SENSOR, Compared, Comparison, Prepared
 from pixsim.studies.preparation import PAGE_S, Cost, frame_cost, render_cost
 from pixsim.studies.result import NO_VISIBLE_DELTA_E
 
@@ -114,7 +117,30 @@ def exposure_words(prepared: Prepared) -> str:
 
 
 def conditions_line(prepared: Prepared) -> str:
-    """Return what all sensors of a comparison have in common, in one line."""
+    """Return what all sensors of a comparison have in common, in one line; what differs between conditions is that of one."""
+    parts = [_common_words(part) for part in prepared.parts]
+    own = _common_words(prepared)
+    words = [
+        text if all(part[place] == text for part in parts) else f"{text} in {prepared.condition}" for place, text in enumerate(own)
+    ]
+    return "; ".join([*_study_words(prepared), *words, "± is the 95 % interval and the film's error"])
+
+
+def _study_words(prepared: Prepared) -> list[str]:
+    """Return the study and its conditions in words, if there are any."""
+    of_study = prepared.circumstances
+    if of_study is None:
+        return []
+    unused = f", whose {', '.join(of_study.not_used)} are not used" if of_study.not_used else ""
+    words = [f"the study {of_study.name}{unused}"]
+    if prepared.conditions:
+        weights = ", ".join(f"{part.condition} ({part.weight:.3g})" for part in prepared.conditions)
+        words.append(f"ΔE is the mean over its conditions with the weights {weights}")
+    return words
+
+
+def _common_words(prepared: Prepared) -> list[str]:
+    """Return what all sensors of a comparison have in common under one condition, in parts."""
     camera, display = prepared.sensors[0].camera, prepared.settings.display
     first, v_mm = prepared.sensors[0].name, camera.image_distance_mm
     across, down = (math.degrees(2 * math.atan(side / (2 * v_mm))) for side in (camera.die_mm, camera.height_mm))
@@ -124,22 +150,16 @@ def conditions_line(prepared: Prepared) -> str:
         "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
         "own": f"each file's own lens, and {field}, which all have",
     }[prepared.match]
-    words = [lens]
     highest = prepared.sensors[0].scene.parameters.get(MAX_LP_PER_MM)
+    chart = "one scene"
     if highest is not None:
-        cycles = float(highest) * camera.die_mm
         limit = prepared.view.limited_by
         of = f", {limit.replace('the sensor', prepared.finest)}" if limit else ""
-        words.append(f"one chart, to {cycles:.4g} cycles across{of}")
-    else:
-        words.append("one scene")
+        chart = f"one chart, to {float(highest) * camera.die_mm:.4g} cycles across{of}"
     rows, columns = prepared.scored_dots
-    words.append(
-        f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree; {columns} × {rows} are scored"
-    )
-    words += ["the same light", exposure_words(prepared), f"{prepared.repeats} pairs of frames with the same seeds"]
-    words.append("± is the 95 % interval and the film's error")
-    return "; ".join(words)
+    shown = f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree; {columns} × {rows} are scored"
+    light = "the same light in each condition" if prepared.condition else "the same light"
+    return [lens, chart, shown, light, exposure_words(prepared), f"{prepared.repeats} pairs of frames with the same seeds"]
 
 
 def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> list[str]:
@@ -149,32 +169,42 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
     """
     lines = [verdict(result, other) for other in result.names[1:]]
     width = max(map(len, result.names))
+    where = f" in {result.shown.prepared.condition}" if result.conditions else ""
     for number, compared in enumerate(result.sensors):
-        low, mean, high = result.scores[compared.name]
         time_ms = 1e3 * compared.score.frame.integration_s
-        delta_e = f"mean {shown_delta_e(mean, (high - low) / 2, compared.film_delta_e)}"
-        lines.append(f"  {compared.name:{width}}  {delta_e}  {sensor_words(result.prepared, number)}, exposed for {time_ms:.3g} ms")
+        words = f"{sensor_words(result.prepared, number)}, exposed for {time_ms:.3g} ms{where}"
+        lines.append(f"  {compared.name:{width}}  mean {_shown_mean(result, compared.name)}  {words}")
+    for part in result.conditions:
+        name = f"{part.prepared.condition} (weight {part.prepared.weight:.3g})"
+        lines += [f"  {name}: {verdict(part, other)}" for other in part.names[1:]]
     lines.append(conditions_line(result.prepared))
     return lines + [f"note: {note}" for note in (result.notes if notes is None else notes)]
 
 
+def _shown_mean(result: Comparison, name: str) -> str:
+    """Return a sensor's mean ΔE and its uncertainty as text."""
+    low, mean, high = result.scores[name]
+    return shown_delta_e(mean, (high - low) / 2, result.film_of_sensors[name])
+
+
 def outline(prepared: Prepared) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
-    first, width = prepared.sensors[0], prepared.film_width
-    seconds, largest = PAGE_S, 0.0
-    for sensor in prepared.sensors:
-        scene = sensor.scene.with_resolution(width)
-        height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
-        render = render_cost(prepared.plan(sensor, scene), height * width, processors().usable)
-        frame = frame_cost(sensor.camera, sensor.pixel.pitch_um, prepared.settings.display)
-        seconds += render.seconds + prepared.repeats * frame.seconds / processors().usable
-        largest = max(largest, render.memory_bytes + frame.memory_bytes)
-    return {
+    first = prepared.sensors[0]
+    costs = [_cost_of(part) for part in prepared.parts]
+    cost = Cost(PAGE_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
+    scene = first.scene.with_resolution(prepared.film_width)
+    more: dict[str, Any] = {}
+    if (of_study := prepared.circumstances) is not None:
+        more["study"] = {"name": of_study.name, "not_used": list(of_study.not_used)}
+    if prepared.conditions:
+        more["shown_condition"] = prepared.condition
+        more["conditions"] = {part.condition: {"weight": part.weight} for part in prepared.conditions}
+    return more | {
         "scene": prepared.scene,
         "match": prepared.match,
         "repeats": prepared.repeats,
         "fov_deg": first.camera.fov_deg,
-        "film": {"samples": [height, width]},
+        "film": {"samples": list(scene.film_shape(first.camera, scene.for_camera(first.camera)))},
         "scored_dots": list(prepared.scored_dots),
         "chosen": prepared.view.as_dict() | {"finest": prepared.finest},
         "display": prepared.settings.display.model_dump(),
@@ -187,8 +217,22 @@ def outline(prepared: Prepared) -> dict[str, Any]:
             }
             for sensor in prepared.sensors
         },
-        "estimate": asdict(Cost(seconds, largest, 1)),
+        "estimate": asdict(cost),
     }
+
+
+def _cost_of(prepared: Prepared) -> Cost:
+    """Estimate the renders and frames of a comparison under one condition."""
+    width = prepared.film_width
+    seconds, largest = 0.0, 0.0
+    for sensor in prepared.sensors:
+        scene = sensor.scene.with_resolution(width)
+        height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
+        render = render_cost(prepared.plan(sensor, scene), height * width, processors().usable)
+        frame = frame_cost(sensor.camera, sensor.pixel.pitch_um, prepared.settings.display)
+        seconds += render.seconds + prepared.repeats * frame.seconds / processors().usable
+        largest = max(largest, render.memory_bytes + frame.memory_bytes)
+    return Cost(seconds, largest, 1)
 
 
 def outline_lines(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[str]:
@@ -199,7 +243,8 @@ def outline_lines(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[
     width = max(len(sensor.name) for sensor in prepared.sensors)
     lines = [f"{sensor.name:{width}}  {sensor_words(prepared, number)}" for number, sensor in enumerate(prepared.sensors)]
     height, across = shown["film"]["samples"]
-    lines += [conditions_line(prepared), f"film of {across} × {height} samples for all"]
+    where = f", in {prepared.condition}" if prepared.conditions else ""
+    lines += [conditions_line(prepared), f"film of {across} × {height} samples for all{where}"]
     return [*lines, f"{out}: nothing is written now", f"cost: {Cost(**shown['estimate'])}"]
 
 
@@ -262,20 +307,60 @@ def _write_pictures(compared: Compared, folder: Path, end: float) -> None:
 def settings_files(prepared: Prepared) -> dict[str, str]:
     """Return settings.toml and a file for each sensor, as name -> text; their command makes the same numbers again."""
     files = [f"sensors/{sensor.name}.toml" for sensor in prepared.sensors]
-    words = ["pixsim", "compare", *files, "--scene", whole_path(prepared.scene), "--match", "own"]
-    words += ["--repeats", str(prepared.repeats), "--config", SETTINGS_FILE]
+    words = ["pixsim", "compare", *files]
+    if prepared.conditions:
+        words += ["--study", SETTINGS_FILE, "--match", prepared.match, "--repeats", str(prepared.repeats)]
+    else:  # with cameras that are matched already
+        words += ["--scene", whole_path(prepared.scene), "--match", "own"]
+        words += ["--repeats", str(prepared.repeats), "--config", SETTINGS_FILE]
     for option, value in (("--sensor", prepared.sensor_id), ("--variant", prepared.variant)):
         words += [option, value] if value else []
     command = shlex.join(words)
+    if prepared.conditions and prepared.circumstances is not None:
+        texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.circumstances), command)}
+        owns = zip(files, prepared.base, strict=True)
+        return texts | {file: settings_text(own, f"(in the folder above) {command}", **_all_but_sensor(own)) for file, own in owns}
     scene = scene_table(prepared.sensors[0].scene.path.parent, prepared.settings.scene)
     shared = prepared.settings.model_copy(update={"scene": scene, "window_mm": None})
     texts = {SETTINGS_FILE: settings_text(shared, command, camera={}, pixel={}, exposure={})}
     for file, sensor in zip(files, prepared.sensors, strict=True):
         camera = CameraOptions.model_validate(sensor.camera.model_dump())
         own = prepared.settings.model_copy(update={"camera": camera, "pixel": sensor.pixel, "exposure": sensor.exposure})
-        others: dict[str, Any] = {name: {} for name in type(own).model_fields if name not in ("camera", "pixel", "exposure")}
-        texts[file] = settings_text(own, f"(in the folder above) {command}", **others)
+        texts[file] = settings_text(own, f"(in the folder above) {command}", **_all_but_sensor(own))
     return texts
+
+
+def _all_but_sensor(own: Run) -> dict[str, Any]:
+    """Return empty tables in place of all that is not a sensor's own."""
+    return {name: {} for name in type(own).model_fields if name not in OF_A_SENSOR}
+
+
+def _study_table(prepared: Prepared, of_study: Circumstances) -> dict[str, Any]:
+    """Return the tables of a study that makes the same conditions: what all sensors share, and the conditions."""
+    first = prepared.base[0]
+    shared = first.model_dump(mode="json", exclude_unset=True, include=set(SHARED) - set(OF_A_SENSOR))
+    scenes = [part.sensors[0].scene.path.parent for part in prepared.conditions]
+    scene = {"file": whole_path(of_study.scene), "parameters": scene_table(scenes[0], first.scene)}
+    conditions = [
+        condition.model_dump(mode="json") | {"set": _whole_settings(condition, folder)}
+        for condition, folder in zip(of_study.conditions, scenes, strict=True)
+    ]
+    return {"name": of_study.name} | shared | {"scene": scene, "condition": conditions}
+
+
+def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
+    """Return the settings of a condition with the whole paths of their files.
+
+    folder : of its scene
+    """
+    table = dict(condition.set)
+    if scene := table.get("scene"):
+        given = {"parameters": scene_table(folder, scene["parameters"])} if "parameters" in scene else {}
+        table["scene"] = given | ({"file": whole_path(scene["file"])} if "file" in scene else {})
+    pixel = table.get("pixel", {})
+    if isinstance(curve := pixel.get("quantum_efficiency"), str):
+        table["pixel"] = pixel | {"quantum_efficiency": whole_path(curve)}
+    return table
 
 
 # --- the page ---------------------------------------------------------------------------------------------------------------------
@@ -286,7 +371,8 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
 
     end : of the colour scale of the ΔE maps
     """
-    prepared, first = result.prepared, result.sensors[0]
+    prepared, shown = result.prepared, result.shown
+    first = shown.sensors[0]
     maps = [compared.score.delta_e for compared in result.sensors]
     window = worst_window([np.abs(other - maps[0]) for other in maps[1:]])
     pictures = [_picture(compared.score.image, compared.name) for compared in result.sensors]
@@ -297,7 +383,9 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
         "names": result.names,
         "verdicts": [verdict(result, other) for other in result.names[1:]],
         "conditions": conditions_line(prepared),
-        "rows": [_row(result, number) for number in range(len(result.sensors))],
+        "shown": shown.prepared.condition,
+        "compared": _condition_rows(result),
+        "rows": [_row(shown, number) for number in range(len(result.sensors))],
         "pairs": [_pair(result, other) for other in result.names[1:]],
         "repeats": prepared.repeats,
         "notes": result.notes,
@@ -308,7 +396,7 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
         "crops": [(c.name, crops(c.score, window, f"the picture of {c.name}", end)) for c in result.sensors],
         "scale_bar": scale(end),
         "maps": {c.name: (folder / f"pictures/delta_e_{c.name}.png").read_bytes() for c in result.sensors},
-        "settings": [("scene", common), *_records(result)],
+        "settings": [("scene", common), *_records(result), *_condition_settings(prepared)],
         "seed": prepared.settings.seed,
         "files": comparison_files(prepared) | {"provenance.json": "versions and wall times"},
     }
@@ -323,11 +411,10 @@ def _row(result: Comparison, number: int) -> dict[str, Any]:
     """Return a sensor's row of the page's table of numbers."""
     compared = result.sensors[number]
     statistics = compared.score.statistics()
-    low, mean, high = result.scores[compared.name]
     rows, columns = compared.sensor.pixels
     return {
         "name": compared.name,
-        "delta_e": shown_delta_e(mean, (high - low) / 2, compared.film_delta_e),
+        "delta_e": _shown_mean(result, compared.name),
         "p99": f"{statistics['p99_delta_e']:.3g}",
         "pixels": f"{columns} × {rows}",
         "pitch_um": f"{compared.sensor.pixel.pitch_um:g}",
@@ -351,6 +438,27 @@ def _pair(result: Comparison, other: str) -> dict[str, str]:
         "probability": shown_probability(result.probability_a_better[other]),
         "film": "unknown" if film is None else f"{film:.2g}",
     }
+
+
+def _condition_rows(result: Comparison) -> list[tuple[str, str, list[str], list[dict[str, str]]]]:
+    """Return name, weight, mean ΔE of each sensor and differences of each condition, then of the weighted mean; none without."""
+    named = [(part.prepared.condition, f"{part.prepared.weight:.3g}", part) for part in result.conditions]
+    named += [("weighted mean", "", result)] if named else []
+    return [
+        (name, weight, [_shown_mean(part, sensor) for sensor in part.names], [_pair(part, other) for other in part.names[1:]])
+        for name, weight, part in named
+    ]
+
+
+def _condition_settings(prepared: Prepared) -> list[tuple[str, list[Any]]]:
+    """Return the tables of what each condition sets."""
+    if prepared.circumstances is None:
+        return []
+    tables = []
+    for each in prepared.circumstances.conditions:
+        values = [(path, reduce(getitem, path, each.set)) for path in paths_of(each.set)]
+        tables.append((f"condition {each.name}", [(".".join(path), shown_value(value), "", "set") for path, value in values]))
+    return tables
 
 
 def _records(result: Comparison) -> list[tuple[str, list[Any]]]:

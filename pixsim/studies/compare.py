@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,7 +24,7 @@ from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Exposure, Layer, Pixel, Run
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Exposure, Layer, Pixel, Run, Study
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.charts import MAX_LP_PER_MM
@@ -33,6 +33,7 @@ from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.pixel import derive, warn_of_disagreements
 from pixsim.sensor.technology import file_label, labels_of
 from pixsim.studies.budget import without_warnings
+from pixsim.studies.circumstances import Circumstances, circumstances_of
 from pixsim.studies.engine import results_of, workers_here
 from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
 from pixsim.studies.preparation import View, choose_view, frame_cost, jobs_in_memory
@@ -196,6 +197,10 @@ class Prepared:
     view : display and chart that pixsim chose for data sheets, from the sensor with the most pixels
     finest : name of that sensor
     border : width of the border that is not scored, as a fraction of the width of the field
+    circumstances : the study under whose conditions the sensors are compared, if any
+    condition, weight : name and share of the condition; an empty name without conditions
+    conditions : the comparison under each condition of the study; the other fields are those of the first one of weight above 0
+    base : settings of each sensor without a condition; empty without conditions
     """
 
     scene: str
@@ -208,6 +213,16 @@ class Prepared:
     border: float
     sensor_id: str | None = None
     variant: str | None = None
+    circumstances: Circumstances | None = None
+    condition: str = ""
+    weight: float = 1.0
+    conditions: tuple[Prepared, ...] = ()
+    base: tuple[Run, ...] = ()
+
+    @property
+    def parts(self) -> tuple[Prepared, ...]:
+        """The comparison under each condition; one without conditions is its own only part."""
+        return self.conditions or (self,)
 
     def plan(self, sensor: Contestant, scene: Scene) -> Plan:
         """Return the plan of a sensor's render on the film of `scene`."""
@@ -254,19 +269,21 @@ def sensor_layer(file: str) -> Layer:
     return Layer({"pixel": {"technology": file}}, file)
 
 
-def read_sensors(files: Sequence[str], config: Sequence[Path], options: dict[str, Any]) -> list[Run]:
+def read_sensors(
+    files: Sequence[str], lens: Layer, config: Sequence[Layer], options: dict[str, Any], condition: Layer | None = None
+) -> list[Run]:
     """Return the settings of each file, with those of all sensors over them.
 
-    config, options : for all sensors; they take precedence over a sensor's own file
+    lens : [camera] for files that state none of it
+    config, options, condition : for all sensors; each takes precedence over the one before it, and over a sensor's own file
 
     Raises PixsimError that lists every problem of a file.
     """
-    shared = [*map(settings_layer, config), Layer(options)]
     runs: list[Run] = []
     for file in files:
         own = sensor_layer(file)
-        warn_of_mixed_sensors([own, *shared[:-1]])
-        run: Run = checked(Run, [own, *shared])
+        warn_of_mixed_sensors([own, *config])
+        run: Run = checked(Run, [lens, own, *config, Layer(options), *([condition] if condition else [])])
         for name, reason in NOT_COMPARED.items():
             if getattr(run, name) is not None:
                 raise invalid(name, f"{getattr(run, name):g}", f"no value for a comparison: {reason}")
@@ -293,18 +310,19 @@ def check_files(files: Sequence[str]) -> None:
 
 
 @contextmanager
-def named(sensor: str) -> Iterator[None]:
-    """Name the sensor in an error about its settings."""
+def named(part: str) -> Iterator[None]:
+    """Name the sensor, or the condition if there is one, in an error about its settings."""
     try:
         yield
     except PixsimError as error:
-        raise PixsimError(f"{sensor}: {error}") from None
+        raise PixsimError(f"{part}: {error}" if part else str(error)) from None
 
 
 def prepare(
     files: Sequence[str | os.PathLike[str]],
-    scene: str | os.PathLike[str],
+    scene: str | os.PathLike[str] | None = None,
     *,
+    study: Study | str | os.PathLike[str] | None = None,
     match: Match,
     repeats: int,
     config: Sequence[Path] = (),
@@ -314,17 +332,56 @@ def prepare(
 ) -> Prepared:
     """Choose what a comparison leaves open, and check everything that can be checked before a render.
 
-    config, options : settings for all sensors, as tables
+    config, options : settings for all sensors, as tables; they take precedence over those of the study, but not of its conditions
 
     Raises PixsimError for invalid input.
     """
-    from pixsim.scene.scene import load_scene
-
     sources = [str(file) for file in files]
     check_files(sources)
     if not REPEATS[0] <= repeats <= REPEATS[1]:
         raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
-    runs = read_sensors(sources, config, options or {})
+    layers, options = [settings_layer(path) for path in config], options or {}
+    found: dict[str, Any] = {"match": match, "repeats": repeats, "sensor": sensor, "variant": variant}
+    if study is None:
+        runs = read_sensors(sources, Layer({}), layers, options)
+        return _prepare(sources, runs, "csf" if scene is None else scene, None, **found)
+    of_study = circumstances_of(study, scene)
+    layers = [of_study.shared, *layers]
+    base = read_sensors(sources, of_study.lens, layers, options)
+    if not of_study.conditions:
+        return replace(_prepare(sources, base, of_study.scene, None, **found), circumstances=of_study)
+    total = sum(condition.weight for condition in of_study.conditions)
+    shown = next(place for place, condition in enumerate(of_study.conditions) if condition.weight)
+    parts: dict[int, Prepared] = {}
+    for place in (shown, *(other for other in range(len(of_study.conditions)) if other != shown)):
+        condition = of_study.conditions[place]
+        runs = read_sensors(sources, of_study.lens, layers, options, of_study.layer_of(condition))
+        with named(f"condition {condition.name}"):
+            view = parts[shown].view if parts else None
+            part = _prepare(sources, runs, of_study.scene_of(condition), view, **found)
+        weight = condition.weight / total
+        parts[place] = replace(part, circumstances=of_study, condition=condition.name, weight=weight, base=tuple(base))
+    return replace(parts[shown], conditions=tuple(part for _, part in sorted(parts.items())))
+
+
+def _prepare(
+    sources: Sequence[str],
+    runs: Sequence[Run],
+    scene: str | os.PathLike[str],
+    common: View | None,
+    *,
+    match: Match,
+    repeats: int,
+    sensor: str | None,
+    variant: str | None,
+) -> Prepared:
+    """Return `prepare` of one condition.
+
+    runs : settings of each sensor
+    common : display and chart of another condition, which this one takes where it leaves them open, so that both can be averaged
+    """
+    from pixsim.scene.scene import load_scene
+
     names = labels_of([file_label(source) for source in sources])
     settings = runs[0]
     if settings.display.raster != "fixed_size":
@@ -347,6 +404,8 @@ def prepare(
     view = View()
     if any(run.pixel.technology == NO_TECHNOLOGY for run in runs):
         view = choose_view(runs[finest].pixel.pitch_um, cameras[finest], settings.display, loaded)
+    if common is not None:
+        view = view.as_chosen(common)
     parameters = dict(settings.scene)
     if view.max_lp_per_mm is not None:
         parameters[MAX_LP_PER_MM] = on_other_die(view.max_lp_per_mm, cameras[finest], cameras[0])
@@ -423,11 +482,14 @@ class Comparison:
     prepared : what was compared: scene, cameras, display and seeds
     sensors : of each file, in their order
     notes : warnings, and black levels that clip dark noise
+    conditions : the comparison under each condition of a study; then `delta_e`, and all that follows from it, are the weighted mean
+        over them, and the sensors are those of the first condition of weight above 0
     """
 
     prepared: Prepared = field(repr=False)
     sensors: tuple[Compared, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
+    conditions: tuple[Comparison, ...] = field(default=(), repr=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -435,15 +497,38 @@ class Comparison:
         return tuple(sensor.name for sensor in self.sensors)
 
     @property
+    def shown(self) -> Comparison:
+        """The comparison whose pictures are shown: this one, or that under the first condition of weight above 0."""
+        return next((part for part in self.conditions if part.prepared.weight), self)
+
+    @property
+    def counted(self) -> list[tuple[float, Comparison]]:
+        """The weight and the comparison of each condition of weight above 0."""
+        return [(part.prepared.weight, part) for part in self.conditions if part.prepared.weight]
+
+    @property
+    def delta_e(self) -> dict[str, Array]:
+        """Mean ΔE of each frame of each sensor, (repeats,).
+
+        With conditions, that of frame k is the weighted mean over the frames k of all conditions. They have the same seeds, so that
+        the scatter of these means holds what the conditions' frames have in common.
+        """
+        if not self.conditions:
+            return {sensor.name: sensor.delta_e for sensor in self.sensors}
+        weighted = [(weight, part.delta_e) for weight, part in self.counted]
+        return {name: np.sum([weight * own[name] for weight, own in weighted], axis=0) for name in self.names}
+
+    @property
     def scores(self) -> dict[str, tuple[float, float, float]]:
         """Mean ΔE of each sensor between the ends of its 95 % interval: (low, mean, high)."""
-        return {sensor.name: mean_interval(sensor.delta_e) for sensor in self.sensors}
+        return {name: mean_interval(values) for name, values in self.delta_e.items()}
 
     @property
     def differences(self) -> dict[str, Array]:
         """ΔE(b) - ΔE(a) of each pair of frames, (repeats,), of each later sensor."""
-        first, *others = self.sensors
-        return {other.name: other.delta_e - first.delta_e for other in others}
+        delta_e = self.delta_e
+        first, *others = self.names
+        return {other: delta_e[other] - delta_e[first] for other in others}
 
     @property
     def difference(self) -> dict[str, float]:
@@ -464,23 +549,50 @@ class Comparison:
     def film_delta_e(self) -> dict[str, float | None]:
         """Largest error of each difference that the film may cause; None if it is unknown.
 
-        Both sensors see the same film, so that it is less than the errors of both together.
+        Both sensors see the same film, so that it is less than the errors of both together. Those of conditions add up, by weight.
         """
+        if self.conditions:
+            parts = [(weight, part.film_delta_e) for weight, part in self.counted]
+            return {name: sum_if_known([(weight, own[name]) for weight, own in parts]) for name in self.names[1:]}
         first, *others = self.sensors
         errors = {other.name: first.steps.error_of_difference(other.steps) for other in others}
         return {name: None if math.isnan(error) else error for name, error in errors.items()}
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return compare.json."""
-        prepared, first = self.prepared, self.sensors[0]
-        settings = prepared.settings
+    @property
+    def film_of_sensors(self) -> dict[str, float | None]:
+        """Largest error of each sensor's mean ΔE that the film may cause; None if it is unknown."""
+        parts = self.counted or [(1.0, self)]
+        own = [(weight, {sensor.name: sensor.film_delta_e for sensor in part.sensors}) for weight, part in parts]
+        return {name: sum_if_known([(weight, errors[name]) for weight, errors in own]) for name in self.names}
+
+    def answers(self) -> dict[str, Any]:
+        """Return the numbers that answer the question, as in compare.json."""
         return {
-            "names": list(self.names),
             "scores": {name: list(score) for name, score in self.scores.items()},
             "difference": self.difference,
             "interval_delta_e": {name: list(ends) for name, ends in self.interval_delta_e.items()},
             "probability_a_better": self.probability_a_better,
             "film_delta_e": self.film_delta_e,
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return compare.json. With conditions the answers are those of the weighted mean, and the rest is `shown`."""
+        prepared, first = self.prepared, self.sensors[0]
+        settings = prepared.settings
+        more: dict[str, Any] = {}
+        if (of_study := prepared.circumstances) is not None:
+            more["study"] = {"name": of_study.name, "not_used": list(of_study.not_used)}
+        if self.conditions:
+            more["shown_condition"] = self.shown.prepared.condition
+            more["conditions"] = {
+                part.prepared.condition: {"weight": part.prepared.weight}
+                | part.answers()
+                | {"delta_e": {name: values.tolist() for name, values in part.delta_e.items()}}
+                for part in self.conditions
+            }
+        return more | {
+            "names": list(self.names),
+            **self.answers(),
             "match": prepared.match,
             "repeats": prepared.repeats,
             "scene": prepared.scene,
@@ -490,12 +602,21 @@ class Comparison:
             "display": settings.display.model_dump(),
             "seed": settings.seed,
             "notes": list(self.notes),
-            "sensors": {sensor.name: _summary_of(sensor) for sensor in self.sensors},
+            "sensors": {
+                sensor.name: _summary_of(sensor) | {"delta_e": self.delta_e[sensor.name].tolist()} for sensor in self.sensors
+            },
         }
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name} {mean:.3f}" for name, (_, mean, _) in self.scores.items())
-        return f"<Comparison mean ΔE {shown}, {self.prepared.repeats} pairs>"
+        conditions = f" under {len(self.conditions)} conditions" if self.conditions else ""
+        return f"<Comparison mean ΔE {shown}, {self.prepared.repeats} pairs{conditions}>"
+
+
+def sum_if_known(parts: Sequence[tuple[float, float | None]]) -> float | None:
+    """Return the sum of weights × numbers; None if one of them is."""
+    known = [weight * value for weight, value in parts if value is not None]
+    return sum(known) if len(known) == len(parts) else None
 
 
 def _summary_of(compared: Compared) -> dict[str, Any]:
@@ -503,7 +624,6 @@ def _summary_of(compared: Compared) -> dict[str, Any]:
     sensor, score = compared.sensor, compared.score
     return {
         "file": sensor.source,
-        "delta_e": compared.delta_e.tolist(),
         "pixels": list(sensor.pixels),
         "statistics": score.statistics(),
         "camera": sensor.camera.model_dump(),
@@ -525,8 +645,9 @@ def _summary_of(compared: Compared) -> dict[str, Any]:
 @checks_arguments
 def compare(
     files: Sequence[str | os.PathLike[str]],
-    scene: str | os.PathLike[str] = "csf",
+    scene: str | os.PathLike[str] | None = None,
     *,
+    study: Study | str | os.PathLike[str] | None = None,
     match: Match = "view",
     repeats: int = 8,
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
@@ -541,7 +662,10 @@ def compare(
 
     files : of the sensors: TOML files with a table [pixel], such as data sheets; files of technologies, or names of packaged ones.
         The first is the reference
-    scene : XML file or name of a packaged scene
+    scene : XML file or name of a packaged scene; None means that of the study, or csf
+    study : a Study without axes, the name of a packaged one, or a TOML file. Its scene, display, exposure and conditions hold for
+        all sensors, and its lens for files that state none. Under conditions, the result is that of the weighted mean over them,
+        and has `conditions`. Its pixels, technologies and pixel sizes are not used
     match : 'view': the same field of view, f-number and object distance, those of the first file's camera; 'lens': the same focal
         length; 'own': each file's own camera. Only the central field that all have in common is compared
     repeats : pairs of frames; frames of one number have the same seeds
@@ -551,7 +675,8 @@ def compare(
     variant : Mitsuba variant; None means the fastest that works
     jobs : processes; None means one per core, where they are worth it. The results do not depend on it
     progress : returns a callback for each named stage
-    settings : tables and fields of `Run` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3
+    settings : tables and fields of `Run` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3. They take
+        precedence over the study, but not over its conditions
 
     Raises PixsimError for invalid input, before anything is rendered.
 
@@ -565,7 +690,7 @@ def compare(
     options |= {"scene": dict(parameters)} if parameters else {}
     given: dict[str, Any] = {"config": [Path(path) for path in paths], "options": options}
     with collected_notes():  # also of what is found before the comparison begins
-        prepared = prepare(files, scene, match=match, repeats=repeats, sensor=sensor, variant=variant, **given)
+        prepared = prepare(files, scene, study=study, match=match, repeats=repeats, sensor=sensor, variant=variant, **given)
         return run_prepared(prepared, jobs=jobs, progress=progress)
 
 
@@ -575,11 +700,35 @@ def run_prepared(prepared: Prepared, *, jobs: int | None = None, progress: Stage
         raise invalid("--jobs", jobs, "1 or more processes")
     stage = progress or (lambda _: lambda *_: None)
     with collected_notes() as notes:
-        made, chains = render_all(prepared, stage)
-        frames = stage("sense and score")
-        scores = [chain.simulate(*stream_key(prepared, 0)) for chain in chains]
-        delta_e = simulate_all(prepared, chains, scores, jobs, frames)
-        steps = [steps_of(prepared, sensor, light) for sensor, light in zip(prepared.sensors, made, strict=True)]
+        if not prepared.conditions:
+            result = _run(prepared, jobs, stage)
+        else:
+            parts = []
+            for part in prepared.conditions:
+                with named(f"condition {part.condition}"):
+                    parts.append(_run(part, jobs, partial(_stage_of, stage, part.condition)))
+            shown = next(part for part in parts if part.prepared.weight)
+            result = replace(shown, prepared=prepared, conditions=tuple(parts), notes=_notes_of(parts))
+    return replace(result, notes=(*notes, *result.notes))
+
+
+def _stage_of(stage: Stage, condition: str, name: str) -> Progress:
+    return stage(f"{condition}: {name}")
+
+
+def _notes_of(parts: Sequence[Comparison]) -> tuple[str, ...]:
+    """Return the notes of all conditions; those that not all have name theirs."""
+    of_all = [note for note in parts[0].notes if all(note in part.notes for part in parts)]
+    return *of_all, *(f"{part.prepared.condition}: {note}" for part in parts for note in part.notes if note not in of_all)
+
+
+def _run(prepared: Prepared, jobs: int | None, stage: Stage) -> Comparison:
+    """Run the comparison under one condition; its notes are those on black levels and assumptions."""
+    made, chains = render_all(prepared, stage)
+    frames = stage("sense and score")
+    scores = [chain.simulate(*stream_key(prepared, 0)) for chain in chains]
+    delta_e = simulate_all(prepared, chains, scores, jobs, frames)
+    steps = [steps_of(prepared, sensor, light) for sensor, light in zip(prepared.sensors, made, strict=True)]
     compared, clips = [], []
     for sensor, light, chain, score, values, step in zip(prepared.sensors, made, chains, scores, delta_e, steps, strict=True):
         time_s = score.frame.integration_s
@@ -587,7 +736,7 @@ def run_prepared(prepared: Prepared, *, jobs: int | None = None, progress: Stage
         clips += [f"{sensor.name}: {clip_words(dark, sensor.pixel.model_dump())}"] if clips_dark(dark) else []
         clips += [f"{sensor.name}: {sensor.pixel.assumption}"] if sensor.pixel.assumption else []
         compared.append(Compared(sensor, light.image, light.noise, light.film, score, values, dark, step))
-    return Comparison(prepared, tuple(compared), (*notes, *clips))
+    return Comparison(prepared, tuple(compared), tuple(clips))
 
 
 def stream_key(prepared: Prepared, repeat: int) -> tuple[object, ...]:

@@ -56,6 +56,11 @@ class View:
         """Return the scene with the chosen chart."""
         return scene if self.max_lp_per_mm is None else scene.with_parameters(**{MAX_LP_PER_MM: repr(self.max_lp_per_mm)})
 
+    def as_chosen(self, other: View) -> View:
+        """Return the view with what another one chose too, so that scores under both are comparable."""
+        chart = self if self.max_lp_per_mm is None or other.max_lp_per_mm is None else other
+        return View(self.dots and (other.dots or self.dots), chart.max_lp_per_mm, chart.limited_by)
+
     def as_dict(self) -> dict[str, Any]:
         """Return what was chosen, as in score.json and summary.json."""
         return {name: value for name, value in asdict(self).items() if value is not None}

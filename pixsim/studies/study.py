@@ -134,16 +134,38 @@ def uncertainty_of(name: str | os.PathLike[str], config: Sequence[str | os.PathL
 
 
 def _resolve_files(table: dict[str, Any], path: Path) -> None:
-    """Replace file names in a study's table by their paths, for files that lie next to the study's file."""
+    """Replace file names in a study's table by their paths, for files that lie next to the study's file.
+
+    Also in the settings of its axes and conditions.
+    """
     if isinstance(names := table.get("technologies"), list):
         table["technologies"] = [resolve_file(path, name) for name in names]
     if isinstance(processes := table.get("process"), dict):
         table["process"] = {resolve_file(path, name): numbers for name, numbers in processes.items()}
-    for group, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
-        if isinstance(values := table.get(group), dict) and key in values:
-            values[key] = resolve_file(path, values[key])
-    if isinstance(scene := table.get("scene"), dict) and isinstance(given := scene.get("parameters"), dict) and "chart" in given:
-        given["chart"] = resolve_file(path, given["chart"])
+    axes, conditions = (table.get(name) if isinstance(table.get(name), list) else [] for name in ("axis", "condition"))
+    values = [value for axis in axes if isinstance(axis, dict) for value in _resolved_values(axis, path)]
+    settings = [each.get("set") for each in (*values, *conditions) if isinstance(each, dict)]
+    for part in (table, *(each for each in settings if isinstance(each, dict))):
+        for names in FILES:
+            *above, name = names
+            node: Any = part
+            for key in above:
+                node = node.get(key) if isinstance(node, dict) else None
+            if isinstance(node, dict) and name in node:
+                node[name] = resolve_file(path, node[name])
+
+
+FILES = ("scene", "file"), ("scene", "parameters", "chart"), ("pixel", "quantum_efficiency"), ("pixel", "technology")
+
+
+def _resolved_values(axis: dict[str, Any], path: Path) -> list[Any]:
+    """Return the values of an axis, after replacing the file names among them, if its setting is a file."""
+    values, dotted = axis.get("values"), axis.get("set")
+    if not isinstance(values, list):
+        return []
+    if isinstance(dotted, str) and tuple(dotted.split(".")) in FILES:
+        values[:] = [resolve_file(path, value) for value in values]
+    return values
 
 
 def load_study(

@@ -128,6 +128,8 @@ def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
         ("compare {0} {1} -D colour=1", ["colour"]),
         ("compare {0} {1} --pixel.full-well-e -5", ["full_well_e", "-5"]),
         ("compare {0} {1} --max-seconds 3", ["max-seconds"]),
+        ("compare {0} {1} --study cheng2000", ["'cheng2000'", "chen2000"]),
+        ("compare {0} {1} --study chen2000-sensitivity", ["varies another study"]),
     ],
 )
 def test_compare_invalid_input_raises(line: str, texts: list[str], tmp_path: Path) -> None:
@@ -143,6 +145,100 @@ def test_compare_other_file_of_the_same_name_raises(tmp_path: Path) -> None:
     done = command(f"compare {SMALL}", *write_sheets(tmp_path), "--out", tmp_path / "out")
     assert_refused(*done, ["image_quiet.png", "not written by pixsim", "--out"])
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["pictures"]
+
+
+# --- under the conditions of a study ---------------------------------------------------------------------------------------
+
+STUDY = """\
+name = "both"
+technologies = ["4t-bsi"]
+resolution = 128
+[display]
+dots = 64
+[[condition]]
+name = "never"
+weight = 0
+set.exposure.max_integration_s = 0.01
+[[condition]]
+name = "day"
+weight = 3
+set.exposure.max_integration_s = 0.02
+[[condition]]
+name = "night"
+set.scene.parameters.luminance_cd_per_m2 = 1.0
+set.display.white_cd_per_m2 = 1.0
+set.pixel.temperature_k = 310.0
+"""
+
+
+@pytest.fixture(scope="module")
+def under_study(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of a comparison under three conditions, and what it printed."""
+    folder = tmp_path_factory.mktemp("study")
+    (folder / "both.toml").write_text(STUDY, encoding="utf-8")
+    options = f"--repeats 2 --jobs 1 --study '{folder / 'both.toml'}'"
+    code, out, err = command(f"compare {options} --variant scalar_spectral", *write_sheets(folder), "--out", folder / "out")
+    assert (code, err) == (0, "")
+    return folder / "out", out
+
+
+def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, str]) -> None:
+    folder, out = under_study
+    found = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+    a, b = found["names"]
+    own = found["conditions"]
+    assert {name: each["weight"] for name, each in own.items()} == {"never": 0.0, "day": 0.75, "night": 0.25}
+    for name in (a, b):
+        assert found["scores"][name][1] == pytest.approx(
+            0.75 * own["day"]["scores"][name][1] + 0.25 * own["night"]["scores"][name][1]
+        )
+        assert np.mean(found["sensors"][name]["delta_e"]) == pytest.approx(found["scores"][name][1], rel=1e-12)
+    assert found["difference"][b] == pytest.approx(0.75 * own["day"]["difference"][b] + 0.25 * own["night"]["difference"][b])
+    assert set(own["day"]) == {
+        *("weight", "scores", "difference", "interval_delta_e", "probability_a_better", "film_delta_e", "delta_e"),
+    }  # fmt: skip
+    assert found["shown_condition"] == "day"
+    assert found["study"] == {"name": "both", "not_used": ["technologies"]}
+    lines = out.splitlines()
+    assert lines[0].startswith("quiet ")
+    assert [line.split(":")[0] for line in lines[3:6]] == ["  never (weight 0)", "  day (weight 0.75)", "  night (weight 0.25)"]
+    assert lines[6].startswith(
+        "the study both, whose technologies are not used; ΔE is the mean over its conditions with the weights never (0), "
+        "day (0.75), night (0.25); the same field of 18.8° × 14.1°"
+    )
+    for words in ("the same light in each condition", "at most 20 ms in day", "2 pairs of frames with the same seeds"):
+        assert words in lines[6]
+
+
+def test_compare_study_page_has_each_condition(under_study: tuple[Path, str]) -> None:
+    folder, out = under_study
+    page = " ".join(text_of(folder).split())
+    found = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+    for each in (found, *found["conditions"].values()):
+        assert f"<td>{each['difference']['noisy_one']:+.4f}</td>" in page
+    assert "maps below are those of the condition <b>day</b>" in page
+    assert "<caption>condition night</caption>" in page
+    for line in out.splitlines()[6].split("; "):
+        assert line.replace("'", "&#39;") in page
+
+
+def test_compare_study_settings_make_the_same_numbers(under_study: tuple[Path, str], tmp_path: Path, monkeypatch: Any) -> None:
+    folder = under_study[0]
+    line = (folder / "settings.toml").read_text(encoding="utf-8").splitlines()[1]
+    files = "sensors/quiet.toml sensors/noisy_one.toml"
+    assert line == f"# pixsim compare {files} --study settings.toml --match view --repeats 2 --variant scalar_spectral"
+    monkeypatch.chdir(folder)
+    code, out, err = command(line.removeprefix("# pixsim "), "--json", "--out", tmp_path / "again")
+    assert code == 0, err
+    again, before = json.loads(out), json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+    for name in ("scores", "interval_delta_e", "conditions", "film_delta_e", "scored_dots", "display"):
+        assert again[name] == before[name], name
+    assert (tmp_path / "again/settings.toml").read_bytes() == (folder / "settings.toml").read_bytes()
+
+
+@needs_browser
+def test_compare_study_page_fits_screens(under_study: tuple[Path, str], tmp_path: Path) -> None:
+    assert_fits(under_study[0] / "report.html", tmp_path)
 
 
 # --- the words of an answer ------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.sheets import sheet
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
@@ -30,19 +31,9 @@ from pixsim.studies.compare import (
     stream_key,
 )
 
-SHEETS = Path(__file__).parents[1] / "data/sheets"
 # A chart without samples, few pixels and dots: a comparison takes 0.2 s.
 SMALL: dict[str, Any] = {"display": {"dots": 48}, "resolution": 128}
 DIM = {"luminance_cd_per_m2": 1.0}
-
-
-def sheet(path: Path, read_noise_e: float = 3.0, pitch_um: float = 20.0, pixels: str = "[64, 64]", more: str = "") -> Path:
-    path.write_text(
-        f"[camera]\npixels = {pixels}\n{more}[pixel]\npitch_um = {pitch_um}\nfull_well_e = 10000\nread_noise_e = {read_noise_e}\n"
-        "dark_current_e_per_s = 5\nquantum_efficiency = 0.6\nprnu = 0.01\nbits = 12\nblack_level_dn = 100\n",
-        encoding="utf-8",
-    )
-    return path
 
 
 @pytest.fixture(scope="module")

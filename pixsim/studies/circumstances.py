@@ -1,0 +1,92 @@
+"""What a study says to a comparison of sensors: the scene, the display and the exposure of all, and its conditions.
+
+The sensors are those of the comparison: a study's own pixels, technologies and pixel sizes are not used.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pixsim.base.errors import invalid
+from pixsim.base.parameters import Condition, Layer, Study
+from pixsim.studies.study import checked_study, read_study
+
+SHARED = ("exposure", "display", "seed", "tolerance_e", "render_noise", "resolution", "window_mm")  # as `Run` has them
+DIE = ("die_mm", "die_height_mm", "pixels")  # of the camera: each sensor has its own
+LABELS = ("name", "title", "sources", "condition", "quick")  # of a study, that say nothing of a sensor
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """A study as a comparison takes it.
+
+    name, source : of the study; the source is its file, or empty
+    scene : file, or name of a packaged scene
+    lens : [camera] without its die, for files that state none of it
+    shared : settings that take precedence over the sensors' files
+    conditions : of the study
+    not_used : its settings that are not used, by their dotted names
+    """
+
+    name: str
+    source: str
+    scene: str
+    lens: Layer
+    shared: Layer
+    conditions: tuple[Condition, ...]
+    not_used: tuple[str, ...]
+
+    def layer_of(self, condition: Condition) -> Layer:
+        """Return a condition's settings as tables of `Run`. Raises PixsimError for a setting that a comparison does not have."""
+        source = f"{self.source}: condition {condition.name}" if self.source else f"condition {condition.name}"
+        table = dict(condition.set)
+        allowed = ("scene", "camera", "pixel", *(name for name in SHARED if name != "seed"))
+        if others := [name for name in table if name not in allowed]:
+            hint = "The sensors of a comparison have their numbers from their own files."
+            raise invalid(source, f"set.{others[0]}", ", ".join(f"set.{name}" for name in allowed), hint)
+        camera = table.get("camera")
+        if isinstance(camera, Mapping) and (die := [name for name in DIE if name in camera]):
+            raise invalid(source, f"set.camera.{die[0]}", "settings of the lens: each sensor has its own die")
+        scene = table.pop("scene", None)
+        if isinstance(scene, Mapping):
+            if unknown := [name for name in scene if name not in ("file", "parameters")]:
+                raise invalid(source, f"set.scene.{unknown[0]}", "set.scene.file, set.scene.parameters.<name>")
+            table |= {"scene": scene["parameters"]} if "parameters" in scene else {}
+        return Layer(table, source)
+
+    def scene_of(self, condition: Condition) -> str:
+        """Return the scene's file in a condition."""
+        scene = condition.set.get("scene")
+        return str(scene.get("file", self.scene)) if isinstance(scene, Mapping) else self.scene
+
+
+def circumstances_of(study: Study | str | os.PathLike[str], scene: str | os.PathLike[str] | None = None) -> Circumstances:
+    """Return what a study says to a comparison.
+
+    study : name of a packaged study, a TOML file, or a Study
+    scene : in place of the study's, whose parameters are not used then
+
+    Raises PixsimError for an invalid study, for axes, and for a study that varies another one.
+    """
+    layer = Layer(study.model_dump(mode="json", exclude_unset=True)) if isinstance(study, Study) else read_study(study)
+    name = study.name if isinstance(study, Study) else str(study)
+    if "vary" in layer.table:
+        raise invalid("study", f"'{name}', which varies another study", "a study of pixel sizes, with or without conditions")
+    plan = checked_study([layer])
+    if plan.axis:
+        hint = "Write each value as a [[condition]], or leave the axis out."
+        got = f"'{name}' with the axis {', '.join(axis.name for axis in plan.axis)}"
+        raise invalid("study", got, "a study without axes: sensors are compared under its conditions", hint)
+    table = layer.table
+    lens = {key: value for key, value in table.get("camera", {}).items() if key not in DIE}
+    shared = {key: table[key] for key in SHARED if key in table}
+    if scene is None and plan.scene.parameters:
+        shared["scene"] = table["scene"]["parameters"]
+    not_used = [key for key in table if key not in (*SHARED, *LABELS, "scene", "camera")]
+    not_used += [f"camera.{key}" for key in DIE if key in table.get("camera", {})]
+    not_used += ["scene"] if scene is not None and "scene" in table else []
+    file = plan.scene.file if scene is None else str(scene)
+    parts = Layer({"camera": lens} if lens else {}, layer.source), Layer(shared, layer.source)
+    return Circumstances(plan.name, layer.source, file, *parts, plan.condition, tuple(not_used))

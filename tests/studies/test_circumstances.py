@@ -1,0 +1,227 @@
+"""Comparisons of sensors under the conditions of a study: each condition, and their weighted mean."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.sheets import sheet
+from scipy import stats
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Study
+from pixsim.studies.circumstances import circumstances_of
+from pixsim.studies.compare import Comparison, prepare
+
+DAY = {"scene": {"parameters": {"luminance_cd_per_m2": 300.0}}, "exposure": {"max_integration_s": 0.02}}
+NIGHT = {"scene": {"parameters": {"luminance_cd_per_m2": 1.0}}, "display": {"white_cd_per_m2": 1.0}, "camera": {"f_number": 2.0}}
+BOTH = [{"name": "day", "weight": 3.0, "set": DAY}, {"name": "night", "set": NIGHT}]
+PLAN: dict[str, Any] = {"name": "both", "display": {"dots": 48}, "resolution": 128, "exposure": {"max_integration_s": 0.05}}
+
+
+def plan(**over: Any) -> Study:
+    return Study.model_validate(PLAN | over)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("sheets")
+    return [sheet(folder / "a.toml"), sheet(folder / "b.toml", 12.0, 15.0, "[64, 48]")]
+
+
+@pytest.fixture(scope="module")
+def both(files: list[Path]) -> Comparison:
+    return pixsim.compare(files, study=plan(condition=[*BOTH, {"name": "never", "weight": 0.0, "set": DAY}]), repeats=3, jobs=1)
+
+
+@pytest.fixture(scope="module")
+def alone(files: list[Path]) -> list[Comparison]:
+    return [in_condition(files, DAY), in_condition(files, NIGHT)]
+
+
+def in_condition(files: list[Path], table: dict[str, Any]) -> Comparison:
+    """The comparison without a study under the settings of a condition."""
+    options = {"exposure": PLAN["exposure"]} | {name: value for name, value in table.items() if name != "scene"}
+    options["display"] = PLAN["display"] | table.get("display", {})
+    parameters = table["scene"]["parameters"]
+    return pixsim.compare(files, parameters=parameters, resolution=128, repeats=3, jobs=1, **options)
+
+
+def test_weighted_mean_is_that_of_the_conditions_alone(both: Comparison, alone: list[Comparison]) -> None:
+    """Σ w ΔE of each pair of frames, from two comparisons without a study; its interval is Student's t of these sums."""
+    day, night = alone
+    for name in ("a", "b"):
+        expected = 0.75 * day.delta_e[name] + 0.25 * night.delta_e[name]
+        np.testing.assert_allclose(both.delta_e[name], expected, rtol=1e-13)
+    pairs = 0.75 * day.differences["b"] + 0.25 * night.differences["b"]
+    assert both.difference["b"] == pytest.approx(pairs.mean(), rel=1e-12)
+    interval = stats.t.interval(0.95, 2, pairs.mean(), stats.sem(pairs))
+    assert both.interval_delta_e["b"] == pytest.approx(interval, rel=1e-9)
+    above = 1 - stats.ttest_1samp(pairs, 0, alternative="greater").pvalue
+    assert both.probability_a_better["b"] == pytest.approx(above, rel=1e-9)
+    film = 0.75 * (day.film_delta_e["b"] or np.nan) + 0.25 * (night.film_delta_e["b"] or np.nan)
+    assert both.film_delta_e["b"] == pytest.approx(film, rel=1e-12)
+
+
+def test_conditions_are_those_comparisons_bit_for_bit(both: Comparison, alone: list[Comparison]) -> None:
+    day, night = (result.answers() for result in alone)
+    assert [part.answers() for part in both.conditions] == [day, night, day]
+    assert [part.prepared.weight for part in both.conditions] == [0.75, 0.25, 0.0]
+    assert both.shown.prepared.condition == "day"
+    assert [sensor.score for sensor in both.sensors] == [sensor.score for sensor in both.conditions[0].sensors]
+
+
+def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison], files: list[Path]) -> None:
+    one = pixsim.compare(files, study=plan(condition=[{"name": "night", "weight": 7.0, "set": NIGHT}]), repeats=3, jobs=1)
+    assert one.answers() == alone[1].answers()
+    of_night = {"scene": {"file": "csf"} | NIGHT["scene"], "camera": NIGHT["camera"], "display": PLAN["display"] | NIGHT["display"]}
+    without = pixsim.compare(files, study=plan(**of_night), repeats=3, jobs=1)
+    assert without.answers() == alone[1].answers()
+    assert without.as_dict()["study"] == {"name": "both", "not_used": []}
+    assert "conditions" not in without.as_dict()
+
+
+def test_shown_condition_is_the_first_of_weight_above_0(files: list[Path]) -> None:
+    never = {"name": "never", "weight": 0.0, "set": DAY}
+    made = prepare(files, study=plan(condition=[never, *BOTH[::-1]]), match="view", repeats=2)
+    assert made.condition == "night"
+    assert [part.condition for part in made.conditions] == ["never", "night", "day"]
+
+
+def test_view_of_all_conditions_is_that_of_the_shown_one(files: list[Path]) -> None:
+    """A faster lens has a higher cut-off, and another display other dots: the chart and the dots stay."""
+    slow = {"name": "slow", "set": {"camera": {"f_number": 90.0}}}
+    fast = {"name": "fast", "set": {"camera": {"f_number": 2.0}}}
+    for order, limit in (([slow, fast], "the lens's cut-off"), ([fast, slow], "the sensor's Nyquist frequency")):
+        study = Study.model_validate({"name": "lenses", "condition": order})
+        made = prepare(files, study=study, match="view", repeats=2)
+        assert {part.view for part in made.conditions} == {made.view}
+        assert made.view.limited_by == limit
+        own = {part.sensors[0].scene.parameters["max_lp_per_mm"] for part in made.conditions}
+        assert len(own) == 1
+    fewer = {"name": "fewer", "set": {"display": {"dots": 30}}}
+    made = prepare(files, study=Study.model_validate({"name": "dots", "condition": [fast, fewer]}), match="view", repeats=2)
+    assert [part.settings.display.dots for part in made.conditions] == [64, 30]
+
+
+def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: Path) -> None:
+    a = sheet(tmp_path / "a.toml", more="f_number = 8.0\n[exposure]\nmax_integration_s = 0.5\n[camera.x]\n")
+    a.write_text(a.read_text().replace("[camera.x]\n", ""), encoding="utf-8")
+    b = sheet(tmp_path / "b.toml")
+    study = plan(camera={"f_number": 2.0, "die_mm": 9.0}, technologies=["4t-bsi"], condition=BOTH)
+    made = prepare([b, a], study=study, match="own", repeats=2, options={"exposure": {"well_target": 0.5}})
+    day, night = made.conditions
+    assert [each.camera.f_number for each in day.sensors] == [2.0, 8.0], "the study's lens is for files that state none"
+    assert [each.camera.f_number for each in night.sensors] == [2.0, 2.0], "a condition's is for all"
+    assert [each.exposure.max_integration_s for each in day.sensors] == [0.02, 0.02]
+    assert [each.exposure.max_integration_s for each in night.sensors] == [0.05, 0.05], "the study's takes precedence over a file's"
+    assert {each.exposure.well_target for part in made.conditions for each in part.sensors} == {0.5}
+    assert made.sensors[0].camera.die_mm == 1.28
+    assert made.circumstances is not None
+    assert set(made.circumstances.not_used) == {"technologies", "camera.die_mm"}
+
+
+def test_scene_of_option_is_without_the_parameters_of_the_study(files: list[Path]) -> None:
+    study = plan(scene={"file": "csf", "parameters": {"max_lp_per_mm": 12.0}})
+    made = prepare(files, "flat", study=study, match="view", repeats=2)
+    assert made.scene == "flat"
+    assert made.circumstances is not None
+    assert made.circumstances.not_used == ("scene",)
+    assert prepare(files, study=study, match="view", repeats=2).sensors[0].scene.parameters["max_lp_per_mm"] == "12.0"
+
+
+def test_condition_with_a_scene_of_its_own(files: list[Path]) -> None:
+    flat = {"name": "flat", "set": {"scene": {"file": "flat"}}}
+    made = prepare(files, study=plan(condition=[*BOTH, flat]), match="view", repeats=2)
+    assert [part.scene for part in made.conditions] == ["csf", "csf", "flat"]
+
+
+# --- synthetic scores -------------------------------------------------------------------------------------------------
+
+
+def weighted_of(day: np.ndarray, night: np.ndarray) -> Comparison:
+    """A comparison of these ΔE, each (2 sensors, repeats), with weights 3 to 1."""
+
+    def of(values: np.ndarray, weight: float) -> Comparison:
+        sensors = tuple(SimpleNamespace(name=name, delta_e=own) for name, own in zip("ab", values, strict=True))
+        return Comparison(SimpleNamespace(weight=weight), sensors)  # type: ignore[arg-type]
+
+    parts = of(day, 0.75), of(night, 0.25)
+    return Comparison(parts[0].prepared, parts[0].sensors, conditions=parts)
+
+
+def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:
+    """Conditions share their sensors' fixed patterns: their frames are correlated, here by 0.8 for the difference.
+
+    95 % of the intervals hold the weighted difference, so that 5 % of them call equal sensors different. Of 2000 sets the share
+    has a standard deviation of 0.0049; four of them fail once in 16 000 seeds, and the seed is fixed. Intervals of independent
+    conditions would hold it in 91 %, eight standard deviations off.
+    """
+    rng, repeats = np.random.default_rng(21), 8
+    inside, above = [], []
+    for _ in range(2000):
+        shared, own = rng.normal(size=(2, repeats)), rng.normal(size=(2, 2, repeats))
+        day, night = (2 * shared + each for each in own)
+        day[1] += 0.2
+        night[1] += 1.0
+        result = weighted_of(day, night)
+        low, high = result.interval_delta_e["b"]
+        inside.append(low <= 0.75 * 0.2 + 0.25 * 1.0 <= high)
+        day[1] -= 0.2
+        night[1] -= 1.0
+        above.append(weighted_of(day, night).probability_a_better["b"])
+    assert np.mean(inside) == pytest.approx(0.95, abs=4 * 0.0049)
+    false_alarms = np.mean([probability > 0.975 or probability < 0.025 for probability in above])
+    assert false_alarms == pytest.approx(0.05, abs=4 * 0.0049)
+
+
+# --- invalid input ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("table", "texts"),
+    [
+        ({"axis": [{"name": "N", "set": "camera.f_number", "values": [2, 4]}]}, ["the axis N", "without axes", "[[condition]]"]),
+        ({"condition": [{"name": "x", "set": {"camera": {"f_nmber": 2}}}]}, ["condition x", "camera.f_nmber", "f_number"]),
+        ({"condition": [{"name": "x", "set": {"camera": {"f_number": -2}}}]}, ["condition x", "camera.f_number", "-2"]),
+        ({"condition": [{"name": "x", "set": {"camera": {"die_mm": 2}}}]}, ["condition x", "set.camera.die_mm", "own die"]),
+        ({"condition": [{"name": "x", "set": {"process": {"0.35um": {"prnu": 0}}}}]}, ["condition x", "set.process", "set.pixel"]),
+        ({"condition": [{"name": "x", "set": {"scene": {"xml": 1}}}]}, ["condition x", "set.scene.xml", "set.scene.file"]),
+        ({"condition": [{"name": "x", "set": {"scene": {"parameters": {"lumi": 1}}}}]}, ["condition x", "lumi"]),
+        ({"condition": [{"name": "x", "set": {"scene": {"file": "cfs"}}}]}, ["condition x", "cfs", "csf"]),
+        ({"condition": [{"name": "x", "set": {"display": {"raster": "one_to_one"}}}]}, ["condition x", "display.raster"]),
+        ({"condition": [{"name": "x", "set": {"max_seconds": 3.0}}]}, ["condition x", "set.max_seconds"]),
+        ({"condition": [{"name": "x", "set": {"window_mm": 50.0}}]}, ["condition x", "window_mm", "at most"]),
+    ],
+)
+def test_compare_invalid_study_raises(
+    table: dict[str, Any], texts: list[str], files: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pixsim.studies.compare.render_and_measure", lambda *_, **__: pytest.fail("rendered"))
+    with pytest.raises(PixsimError) as error:
+        pixsim.compare(files, study=plan(**table))
+    assert not [text for text in texts if text not in str(error.value)], str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("study", "texts"),
+    [
+        ("chen2000-sensitivity", ["varies another study"]),
+        ("pixel-siz", ["'pixel-siz'", "Did you mean 'pixel-size'?"]),
+        ("none.toml", ["none.toml", "does not exist"]),
+        (".", ["study", "'.'", "a TOML file"]),
+    ],
+)
+def test_circumstances_of_other_files_raise(study: str, texts: list[str]) -> None:
+    with pytest.raises(PixsimError) as error:
+        circumstances_of(study)
+    assert not [text for text in texts if text not in str(error.value)], str(error.value)
+
+
+def test_compare_study_of_another_kind_raises(files: list[Path]) -> None:
+    with pytest.raises(PixsimError, match="study: got 3"):
+        pixsim.compare(files, study=3)  # type: ignore[arg-type]
