@@ -10,6 +10,8 @@ import hashlib
 import inspect
 import json
 import math
+import re
+import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,8 +25,10 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Discriminator,
     Field,
     SerializerFunctionWrapHandler,
+    Tag,
     ValidationError,
     ValidationInfo,
     WithJsonSchema,
@@ -69,6 +73,7 @@ class Layer:
 
 
 MAX_VALUE = 80  # characters of a value in a message
+BRANCHES = ("table", "number")  # of a field that may be either, in the place of an error: no name of a user
 
 
 def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
@@ -79,7 +84,7 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
 
 
 def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
-    path = [str(part) for part in problem["loc"]]
+    path = [str(part) for part in problem["loc"] if part not in BRANCHES]
     where = _where(title, problem, layers)
     if problem["type"] == "extra_forbidden":
         *above, name = path
@@ -96,7 +101,9 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
         message = f"{message.rpartition(' ')[0]} {bound if isinstance(bound, int) else format(bound, 'g')}"
     message = message[0].lower() + message[1:].replace("valid tuple", "list").partition(", unable to parse")[0]
     if problem["type"] == "value_error":
-        return f"{where}: {message.removesuffix('.')}."
+        return f"{where}: {message}" + "." * (message[-1:] not in (".", "?"))
+    if problem["type"] == "model_type":
+        message = f"a table of {', '.join(_names(title, path))}" if _names(title, path) else "a table"
     value = repr(problem["input"])
     value = value if len(value) <= MAX_VALUE else value[:MAX_VALUE] + "…"
     return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}."
@@ -104,7 +111,7 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
 
 def _where(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
     """`FILE: dotted.path`, or the dotted path alone if the value comes from no file."""
-    loc = problem["loc"]
+    loc = [part for part in problem["loc"] if part not in BRANCHES]
     dotted = ".".join(str(part) for part in loc) or title
     # A missing value, or a conflict between values, has no layer: the last layer with the enclosing table is named.
     for length in range(len(loc), -1, -1):
@@ -121,15 +128,19 @@ def _names(title: str, path: list[str]) -> list[str]:
         kinds += kind.__subclasses__()
     record: Any = next((kind for kind in kinds if kind.__name__ == title), None)
     for part in path:
-        field = record.model_fields.get(part) if record else None
-        record = (
-            next((kind for kind in (get_args(field.annotation) or (field.annotation,)) if inspect.isclass(kind)), None)
-            if field
-            else None
-        )
+        if not part.isdecimal():  # the place in a list
+            field = record.model_fields.get(part) if record else None
+            record = _record_in(field.annotation) if field else None
     if not (isinstance(record, type) and issubclass(record, BaseModel)):
         return []
     return [field.alias or name for name, field in record.model_fields.items()]
+
+
+def _record_in(annotation: Any) -> Any:
+    """The first class of a record in an annotation, such as that of a list of records; None if there is none."""
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for inner in get_args(annotation) if (found := _record_in(inner))), None)
 
 
 class RecordType(ModelMetaclass):
@@ -867,7 +878,16 @@ class PitchRange(Record):
 AXIS_COUNT = 1000
 NOT_NAMES = {"pitch", "technology", "pitch_um", "repeat", "key", "condition"}  # columns of a study's rows
 PITCH_TABLE = "pitch"
-NOT_SETTINGS = ("name", "title", "axis", "condition", "quick", "sources", "sensors", "paper", "technologies", PITCH_TABLE)
+# Settings of the study as a whole, with a hint.
+NOT_SETTINGS = {
+    **dict.fromkeys(("name", "title", "axis", "condition", "quick", "sources", "sensors", "paper"), ""),
+    PITCH_TABLE: "pixel sizes are an axis of every study, set by [pitch]",
+    "technologies": "name technologies in the study, or vary pixel.technology by an axis",
+    "seed": "all cases have the same seeds, so that they differ by their settings alone",
+    **dict.fromkeys(("repeats", "target_ci_um", "max_repeats", "max_evaluations"), "the sensors of all cases are counted alike"),
+    **dict.fromkeys(("tolerance_delta_e", "max_seconds"), "vary resolution or render_noise to see their errors"),
+    **dict.fromkeys(("iso_delta_e", "detail"), "it changes the report, not its numbers"),
+}
 
 
 def setting_path(dotted: str) -> tuple[str, ...]:
@@ -889,10 +909,25 @@ def setting_table(path: Sequence[str], value: Any) -> dict[str, Any]:
     """Nested tables that set one value. The technology of the pixel is a study's only technology."""
     if tuple(path) == ("pixel", "technology"):
         return {"technologies": [value]}
+    return nested(path, value)
+
+
+def nested(path: Sequence[str], value: Any) -> dict[str, Any]:
+    """Nested tables with one value."""
     table: Any = value
     for part in reversed(path):
         table = {part: table}
     return dict(table)
+
+
+def _with_technology(table: dict[str, Any]) -> dict[str, Any]:
+    """The settings of an axis' value, with the technology as `setting_table` has it."""
+    pixel = table.get("pixel")
+    if not isinstance(pixel, dict) or "technology" not in pixel:
+        return table
+    left = {name: value for name, value in pixel.items() if name != "technology"}
+    others = {name: value for name, value in table.items() if name != "pixel"} | ({"pixel": left} if left else {})
+    return others | {"technologies": [pixel["technology"]]}
 
 
 def paths_of(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -910,9 +945,17 @@ def _settings(table: Any) -> Any:
         raise ValueError("got no settings; allowed: set.<dotted name> = value, as set.camera.f_number = 2.8")
     for path in paths_of(table):
         if path[0] in NOT_SETTINGS:
-            hint = "; pixel sizes are an axis of every study, set by [pitch]" if path[0] == PITCH_TABLE else ""
-            hint = "; name technologies in the study, or set pixel.technology" if path[0] == "technologies" else hint
-            raise ValueError(f"{'.'.join(path)} cannot be changed by an axis or a condition{hint}")
+            hint = NOT_SETTINGS[path[0]]
+            raise ValueError(f"{'.'.join(path)} cannot be changed by an axis or a condition{hint and '; '}{hint}")
+        if path[0] == "process" and len(path) != 3:
+            raise ValueError(f"got {'.'.join(path)}; allowed: a technology in quotes and its number, as process.'0.35um'.prnu")
+    return table
+
+
+def _of_condition(table: Any) -> Any:
+    """As `_settings`. A technology is what a condition leaves as it is."""
+    if isinstance(pixel := _settings(table).get("pixel"), dict) and "technology" in pixel:
+        raise ValueError("pixel.technology cannot be changed by a condition; name technologies in the study, or vary it by an axis")
     return table
 
 
@@ -921,13 +964,33 @@ def _as_paths(value: Any) -> Any:
 
 
 def _is_path(dotted: str) -> str:
-    _settings(dict.fromkeys([setting_path(dotted)[0]], 0))
+    _settings(nested(setting_path(dotted), 0))
     return dotted
 
 
+def _case_name(value: str) -> str:
+    if not re.fullmatch(r"[^\s=+,](?:[^=+,\x00-\x1f]*[^\s=+,])?", value):
+        raise ValueError(f"got {value!r}; allowed: a name without = + and commas, and without spaces at its ends")
+    return value
+
+
+def _axis_number(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, float | int | str) or value == "":
+        raise ValueError(f"got {value!r}; allowed: a number, a name, or a table of label and set")
+    if not isinstance(value, str) and not abs(value) <= MAX_FLOAT:
+        raise ValueError(f"got {value}; allowed: a finite number, or a name")
+    return value
+
+
+def _is_table(value: Any) -> str:
+    return BRANCHES[0] if isinstance(value, dict | AxisValue) else BRANCHES[1]
+
+
+MAX_FLOAT = sys.float_info.max
 Settings = Annotated[dict[str, Any], AfterValidator(_settings)]
+ConditionSettings = Annotated[dict[str, Any], AfterValidator(_of_condition)]
 DottedSetting = Annotated[str, AfterValidator(_is_path)]
-CaseName = Annotated[str, Field(pattern=r"^[^\s=+,](?:[^=+,\x00-\x1f]*[^\s=+,])?$", max_length=60)]
+CaseName = Annotated[str, Field(max_length=60), AfterValidator(_case_name)]
 AxisNumber = float | int | str
 
 
@@ -936,6 +999,13 @@ class AxisValue(Record):
 
     label: CaseName = Field(description="name of the value, in columns and results")
     set: Settings = Field(description="settings, as set.camera.f_number = 2.8")
+
+
+# One branch for each kind, so that a message is about the kind that was meant.
+OneOfAxis = Annotated[
+    Annotated[AxisValue, Tag(BRANCHES[0])] | Annotated[AxisNumber, BeforeValidator(_axis_number), Tag(BRANCHES[1])],
+    Discriminator(_is_table),
+]
 
 
 @dataclass(frozen=True)
@@ -954,6 +1024,9 @@ class AxisPoint:
         return self.value if isinstance(self.value, str) else f"{self.value:.4g}"
 
 
+QUICK_OF_AXIS = ("values", "from", "to", "count", "spacing", "alone")
+
+
 class Axis(Record):
     """Something that a study varies beside the pixel size: settings and their values.
 
@@ -965,7 +1038,7 @@ class Axis(Record):
     set: Annotated[tuple[DottedSetting, ...], BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...])] = Field(
         (), description="dotted settings that take each value together"
     )
-    values: tuple[AxisValue | AxisNumber, ...] | None = Field(None, description="numbers or names, or tables of label and set")
+    values: tuple[OneOfAxis, ...] | None = Field(None, description="numbers or names, or tables of label and set")
     first: float | None = Field(None, alias="from", description="first value")
     to: float | None = Field(None, description="last value")
     count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(None, description="number of values from first to last")
@@ -1010,6 +1083,14 @@ class Axis(Record):
         if not tables and not self.set:
             raise ValueError("set: missing; allowed: a dotted setting, as set = 'camera.f_number', or values with label and set")
         labels = [point.label for point in self.points]
+        if unknown := [name for name in self.quick if name not in QUICK_OF_AXIS]:
+            hint = did_you_mean(unknown[0], QUICK_OF_AXIS)
+            raise ValueError(f"quick.{unknown[0]}: unknown name; allowed: {', '.join(QUICK_OF_AXIS)}.{hint and ' '}{hint}")
+        if self.quick:
+            try:
+                _ = self.quickened
+            except ValidationError as error:
+                raise ValueError(f"quick: {explain(error).partition(': ')[2].removesuffix('.')}") from None
         if twice := [label for place, label in enumerate(labels) if label in labels[:place]]:
             raise ValueError(f"values: {twice[0]} stands there twice; allowed: each value once")
         return self
@@ -1031,18 +1112,32 @@ class Axis(Record):
         points = []
         for value in values:
             if isinstance(value, AxisValue):
-                points.append(AxisPoint(value.label, value.set))
+                points.append(AxisPoint(value.label, _with_technology(value.set)))
             else:
                 points.append(AxisPoint(value, reduce(merge, (setting_table(path, value) for path in paths), {})))
         return tuple(points)
 
     @property
+    def paths(self) -> tuple[tuple[str, ...], ...]:
+        """The settings that it changes."""
+        return tuple(dict.fromkeys(path for point in self.points for path in paths_of(point.table)))
+
+    @property
     def quickened(self) -> Axis:
         """This axis with its `quick` table applied; `values` there replace from, to, count and spacing."""
         table = self.model_dump(mode="json", exclude={"quick"})
-        if "values" in self.quick:
-            table = {name: value for name, value in table.items() if name not in ("from", "to", "count", "spacing")}
+        ends = ("from", "to", "count", "spacing")
+        void = ends if "values" in self.quick else ("values",) if {"from", "to", "count"} <= self.quick.keys() else ()
+        table = {name: value for name, value in table.items() if name not in void}
         return Axis.model_validate(table | self.quick)
+
+
+def _that_sets(path: tuple[str, ...], settings: Mapping[tuple[str, ...], str]) -> str:
+    """The value at a setting, or at one that takes its place in [pixel] by another word; empty if there is none."""
+    if path in settings:
+        return settings[path]
+    words = excluded_by(path[1:2]) if path[0] == "pixel" else ()
+    return next((settings[other] for other in settings if other[0] == "pixel" and other[1] in words), "")
 
 
 AXIS_DIGITS = 6
@@ -1063,7 +1158,7 @@ class Condition(Record):
 
     name: CaseName = Field(description="name in columns and results")
     weight: Annotated[float, Field(ge=0, le=1e9)] = Field(1.0, description="share of this condition; all are normalised to 1")
-    set: Settings = Field(description="settings, as set.exposure.max_integration_s = 0.033")
+    set: ConditionSettings = Field(description="settings, as set.exposure.max_integration_s = 0.033")
 
 
 class StudyScene(Record):
@@ -1146,23 +1241,40 @@ class Study(Effort):
                 raise ValueError(f"{kind}: '{twice[0]}' stands there twice; allowed: each name once")
         if self.condition and not any(condition.weight for condition in self.condition):
             raise ValueError("condition: all weights are 0; allowed: one of them above 0")
-        of_axes: dict[tuple[str, ...], str] = {}
+        together: dict[tuple[str, ...], str] = {}
         for axis in self.axis:
-            for path in dict.fromkeys(path for point in axis.points for path in paths_of(point.table)):
-                if path in of_axes and not axis.alone:
-                    raise ValueError(
-                        f"axis: {'.'.join(path)} is varied by '{of_axes[path]}' and by '{axis.name}'; give it to one axis"
-                    )
-                if not axis.alone:
-                    of_axes[path] = axis.name
+            for path in () if axis.alone else axis.paths:
+                if other := _that_sets(path, together):
+                    raise ValueError(f"axis: {'.'.join(path)} is varied by '{other}' and by '{axis.name}'; give it to one axis")
+            together |= {} if axis.alone else dict.fromkeys(axis.paths, axis.name)
+        of_axes = {path: axis.name for axis in self.axis for path in axis.paths}
         for condition in self.condition:
             for path in paths_of(condition.set):
-                if path in of_axes:
+                if other := _that_sets(path, of_axes):
                     name = ".".join(path)
                     raise ValueError(
-                        f"condition '{condition.name}': {name} is varied by the axis '{of_axes[path]}'; give it to one of them"
+                        f"condition '{condition.name}': {name} is varied by the axis '{other}'; give it to one of them"
                     )
+        for path in paths_of(self.quick):
+            if path[0] not in ("axis", "condition") and (
+                owner := self.owner_of(path, "axis" in self.quick, "condition" in self.quick)
+            ):
+                raise ValueError(f"quick: {'.'.join(path)} is set by {owner}; give it to one of them")
         return self
+
+    def owner_of(self, path: tuple[str, ...], without_axes: bool = False, without_conditions: bool = False) -> str:
+        """What sets a setting in every case, so that its own value is not used: an axis, or all conditions; empty for none.
+
+        without_axes, without_conditions : leave these out
+        """
+        if not without_axes:
+            together = {own: axis.name for axis in self.axis if not axis.alone for own in axis.paths}
+            if (axis_name := _that_sets(path, together)) and not any(axis.alone for axis in self.axis):
+                return f"the axis '{axis_name}'"
+        of_conditions = [dict.fromkeys(paths_of(each.set), each.name) for each in self.condition]
+        if self.condition and not without_conditions and all(_that_sets(path, settings) for settings in of_conditions):
+            return "every condition"
+        return ""
 
     @model_validator(mode="after")
     def _technologies_are_varied_once(self) -> Self:

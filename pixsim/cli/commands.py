@@ -294,7 +294,7 @@ def study(
         seconds: dict[str, float] = {}
         suffix = "-quick" if quick else ""
         run_options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
-        plan = sweep.checked_study(layers)
+        plan = sweep.checked_study(layers, tables)
         folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
         prepared = sweep.prepare(plan, variant, quick)
         outline = study_outline(prepared, jobs, plan.quickened if quick else plan)

@@ -16,7 +16,7 @@ from cyclopts import App, Parameter
 
 from pixsim.base import progress
 from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_sensors
-from pixsim.base.errors import PixsimError, invalid, printable
+from pixsim.base.errors import PixsimError, did_you_mean, invalid, printable
 from pixsim.base.files import cache_folder
 from pixsim.base.parameters import (
     DATA_SHEET,
@@ -309,8 +309,10 @@ def axes_of(texts: Sequence[str], known: Sequence[Any]) -> list[Any]:
     NAME is an axis of the file or a dotted setting; settings joined by + take each value together. VALUES are v1,v2,… or
     from:to:count, with :log for equal ratios. Raises PixsimError for a text that is neither.
     """
+    if not isinstance(known, list):
+        raise invalid("axis", repr(known), "a list of tables [[axis]]")
     axes = [dict(axis) if isinstance(axis, dict) else axis for axis in known]
-    by_name = {axis.get("name"): axis for axis in axes if isinstance(axis, dict)}
+    by_name = {axis["name"]: axis for axis in axes if isinstance(axis, dict) and isinstance(axis.get("name"), str)}
     given: set[str] = set()
     for text in texts:
         name, equals, values = (part.strip() for part in text.partition("="))
@@ -321,6 +323,7 @@ def axes_of(texts: Sequence[str], known: Sequence[Any]) -> list[Any]:
         given.add(name)
         table = _values_of(text, values)
         if name in by_name:
+            table = _of_labels(text, table, by_name[name].get("values"))
             for old in ("values", "from", "to", "count", "spacing", "quick"):
                 by_name[name].pop(old, None)
             by_name[name].update(table)
@@ -340,7 +343,23 @@ def _values_of(text: str, values: str) -> dict[str, Any]:
         if ends[3:] and ends[3] not in ("log", "linear"):
             raise invalid("--axis", f"'{text}'", "log or linear after from:to:count")
         return table | ({"spacing": ends[3]} if ends[3:] else {})
-    return {"values": [_value(part.strip()) for part in values.split(",")]}
+    parts = [part.strip() for part in values.split(",")]
+    if "" in parts:
+        raise invalid("--axis", f"'{text}'", "a value between any two commas, as in --axis camera.f_number=2,2.8,4")
+    return {"values": [_value(part) for part in parts]}
+
+
+def _of_labels(text: str, table: dict[str, Any], known: Any) -> dict[str, Any]:
+    """The values of a known axis that the text of an --axis names by their labels, if they have some."""
+    tables = [value for value in known if isinstance(value, dict)] if isinstance(known, list) else []
+    if not tables:
+        return table
+    by_label = {str(value.get("label")): value for value in tables}
+    names = [str(name) for name in table.get("values", ["a range"])]
+    if unknown := [name for name in names if name not in by_label]:
+        hint = did_you_mean(unknown[0], by_label)
+        raise invalid("--axis", f"{unknown[0]} in '{text}'", f"labels of its values: {', '.join(by_label)}", hint)
+    return {"values": [by_label[name] for name in names]}
 
 
 def _value(text: str) -> float | int | str:

@@ -80,13 +80,13 @@ def cases_of(study: Study) -> tuple[Case, ...]:
     for chosen, alone in combinations(study.axis):
         table = base
         for point in chosen.values():
-            table = merge(table, point.table)
+            table = _with_settings(table, point.table)
         at = {axis.name: chosen[axis.name].value if axis.name in chosen else BASE for axis in study.axis}
         where = [f"axis {name}, value {point.label}" for name, point in chosen.items()]
         if not study.condition:
             cases.append(Case(_study(table, where), at, "", alone))
         for condition in study.condition:
-            own = _study(merge(table, condition.set), [*where, f"condition {condition.name}"])
+            own = _study(_with_settings(table, condition.set), [*where, f"condition {condition.name}"])
             cases.append(Case(own, at, condition.name, alone))
     return tuple(cases)
 
@@ -149,6 +149,15 @@ def combinations(axes: Sequence[Axis]) -> Iterator[tuple[dict[str, AxisPoint], s
     for axis in alone:
         for point in axis.points:
             yield {axis.name: point}, axis.name
+
+
+def _with_settings(table: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any]:
+    """Return a study's tables with settings in place of theirs; those of [pixel] hold for its data sheets too."""
+    merged = merge(table, settings)
+    if isinstance(pixel := settings.get("pixel"), dict) and "sensors" in merged:
+        sheets = {name: merge({"pixel": sheet}, {"pixel": pixel})["pixel"] for name, sheet in merged["sensors"].items()}
+        merged["sensors"] = sheets
+    return merged
 
 
 def _study(table: dict[str, Any], where: list[str]) -> Study:

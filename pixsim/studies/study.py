@@ -26,7 +26,7 @@ from pixsim.base.config import (
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing, output_folder
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, merge, pixel_of
+from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, merge, paths_of, pixel_of
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.scene import packaged_scenes
@@ -36,6 +36,7 @@ from pixsim.studies.allocation import next_sensors
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import (
+    COLUMNS,
     Counts,
     Evaluations,
     Part,
@@ -142,17 +143,20 @@ def _resolve_files(table: dict[str, Any], path: Path) -> None:
         table["technologies"] = [resolve_file(path, name) for name in names]
     if isinstance(processes := table.get("process"), dict):
         table["process"] = {resolve_file(path, name): numbers for name, numbers in processes.items()}
-    axes, conditions = (table.get(name) if isinstance(table.get(name), list) else [] for name in ("axis", "condition"))
-    values = [value for axis in axes if isinstance(axis, dict) for value in _resolved_values(axis, path)]
-    settings = [each.get("set") for each in (*values, *conditions) if isinstance(each, dict)]
-    for part in (table, *(each for each in settings if isinstance(each, dict))):
-        for names in FILES:
-            *above, name = names
+    values = [value for axis in _tables(table.get("axis")) for value in _resolved_values(axis, path)]
+    settings = [each.get("set") for each in (*_tables(values), *_tables(table.get("condition")))]
+    for part in (table, *_tables(settings)):
+        for *above, name in FILES:
             node: Any = part
             for key in above:
                 node = node.get(key) if isinstance(node, dict) else None
             if isinstance(node, dict) and name in node:
                 node[name] = resolve_file(path, node[name])
+
+
+def _tables(value: Any) -> list[dict[str, Any]]:
+    """Return the tables of a list; none of anything else, which is refused later."""
+    return [each for each in value if isinstance(each, dict)] if isinstance(value, list) else []
 
 
 FILES = ("scene", "file"), ("scene", "parameters", "chart"), ("pixel", "quantum_efficiency"), ("pixel", "technology")
@@ -191,12 +195,19 @@ def load_study(
     of_scene = {"file": None if scene is None else str(scene), "parameters": dict(parameters) if parameters else None}
     options |= {"scene": {name: value for name, value in of_scene.items() if value is not None}} if scene or parameters else {}
     options |= {"pixel": dict(pixel)} if pixel else {}
-    return checked_study(study_layers(read_study(name), [Path(path) for path in paths], options))
+    return checked_study(study_layers(read_study(name), [Path(path) for path in paths], options), options)
 
 
-def checked_study(layers: Sequence[Layer]) -> Study:
-    """Return a study from its table and overriding options; its `quick` table is checked too, even if unused."""
+def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = None) -> Study:
+    """Return a study from its table and overriding options; its `quick` table is checked too, even if unused.
+
+    options : among the layers; a warning names those that an axis or the conditions override
+    """
     study: Study = checked(Study, layers)
+    given = {name: value for name, value in (options or {}).items() if name not in ("axis", "condition")}
+    for path in paths_of(given):
+        if owner := study.owner_of(path):
+            warn(f"{'.'.join(path)} is not used: {owner} sets it")
     if study.quick:
         full = [Layer({key: value for key, value in layer.table.items() if key != "quick"}, layer.source) for layer in layers]
         quick = [Layer(layer.table["quick"], f"{layer.source} [quick]") for layer in layers if "quick" in layer.table]
@@ -343,6 +354,8 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
         raise invalid("tolerance_delta_e", study.tolerance_delta_e, "no tolerance in a study with axes or conditions", hint)
+    if taken := [axis.name for axis in study.axis if axis.name in COLUMNS]:
+        raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
     scenes: dict[str, Scene] = {}
     own = _without_axes(study)
     scene, camera = scene_for(own, variant)
@@ -508,6 +521,25 @@ def evaluate_cases(
     return found, evaluations.counts
 
 
+def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:
+    """Warn of each axis whose values all give the same mean ΔE, bit for bit: something else decides on its setting.
+
+    All cases have the same random numbers, so that equal settings give equal numbers.
+    """
+    curves = [curve for result in found for curve in result.curves]
+    for axis in study.axis:
+        groups: dict[tuple[object, ...], list[bytes]] = {}
+        for curve in curves:
+            is_base = axis.alone and not curve.alone
+            if curve.alone == (axis.name if axis.alone else "") or is_base:
+                others = () if axis.alone else [(name, value) for name, value in curve.at.items() if name != axis.name]
+                content = curve.pitch_um.tobytes() + curve.delta_e.tobytes()
+                groups.setdefault((curve.technology, curve.condition, *others), []).append(content)
+        if any(len(group) > 1 for group in groups.values()) and all(len(set(group)) == 1 for group in groups.values()):
+            settings = ", ".join(dict.fromkeys(".".join(path) for path in axis.paths))
+            warn(f"the axis {axis.name} changes nothing: other settings or a data sheet decide in place of {settings}")
+
+
 @checks_arguments
 def study(
     plan: Study | str | os.PathLike[str],
@@ -621,6 +653,7 @@ def run_prepared(
         ]
         results = folder / "results.csv"
         found, counts = evaluate_cases(cases, lights, prepared.view, results, workers, lambda: stage("evaluate"))
+        warn_of_idle_axes(chosen, found)
         findings: tuple[tuple[Any, ...], ...] = ()
         if prepared.cases and chosen.paper:
             from pixsim.studies.claims import findings_of_cases

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, needs_browser
-from helpers.commands import command
+from helpers.commands import assert_refused, command
 from helpers.tiny import TINY, keys, rows, tiny, toml_of
 from pydantic import ValidationError
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Axis, Study, merge
+from pixsim.base.parameters import Axis, Study, merge, nested, pixel_of
 from pixsim.cli.options import axes_of
 from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number, combinations
 from pixsim.studies.result import StudyResult
+from pixsim.studies.study import load_study, prepare, warn_of_idle_axes
 
 LIGHT = "scene.parameters.luminance_cd_per_m2"
 LENS = {
@@ -71,12 +73,27 @@ def test_axis_linear_spacing_moves_settings_together() -> None:
         ({"set": "camera.f_number", "values": [2], "to": 3.0}, "values and to both state the values"),
         ({"set": "camera.f_number", "from": 0.0, "to": 3.0, "count": 3, "spacing": "log"}, "allowed: numbers above 0"),
         ({"set": "pitch.min_um", "values": [2]}, "pixel sizes are an axis of every study"),
-        ({"set": "technologies", "values": ["a"]}, "set pixel.technology"),
+        ({"set": "technologies", "values": ["a"]}, "vary pixel.technology by an axis"),
         ({"set": "camera..f", "values": [2]}, "a dotted setting, as camera.f_number"),
         ({"values": [2, 3]}, "set: missing"),
-        ({"set": "camera.f_number", "values": [{"label": "a", "set": {"seed": 1}}]}, "do not go with set"),
+        ({"set": "camera.f_number", "values": [{"label": "a", "set": {"resolution": 9}}]}, "do not go with set"),
         ({"name": "pitch_um", "set": "camera.f_number", "values": [2]}, "is a column of every study"),
-        ({"name": "a=b", "set": "camera.f_number", "values": [2]}, "name"),
+        ({"name": "a=b", "set": "camera.f_number", "values": [2]}, "a name without = "),
+        ({"name": "", "set": "camera.f_number", "values": [2]}, "a name without = "),
+        ({"set": "camera.f_number", "values": [math.nan]}, "got nan; allowed: a finite number, or a name"),
+        ({"set": "camera.f_number", "values": [-math.inf]}, "got -inf; allowed: a finite number, or a name"),
+        ({"set": "camera.f_number", "values": [True]}, "got True; allowed: a number, a name, or a table of label and set"),
+        ({"set": "camera.f_number", "values": [[1, 2]]}, "a number, a name, or a table of label and set"),
+        ({"set": "camera.f_number", "values": [""]}, "a number, a name, or a table of label and set"),
+        ({"set": "camera.f_number", "from": math.nan, "to": 3.0, "count": 3}, "finite number"),
+        ({"set": "camera.f_number", "from": 3.0, "to": 3.0, "count": 3}, "values: 3 stands there twice"),
+        ({"set": "camera.f_number", "from": 2.0, "to": 3.0, "count": 1}, "greater than or equal to 2"),
+        ({"set": "camera.f_number", "values": [2], "spacing": "log"}, "values and spacing both state the values"),
+        ({"values": [{"label": "b", "set": {"camera": {"f_number": n}}} for n in (2, 3)]}, "values: b stands there twice"),
+        ({"set": "process.0.35um.prnu", "values": [0.1]}, "process.'0.35um'.prnu"),
+        ({"set": "camera.f_number", "values": [2], "quick": {"count": 2}}, "quick: values and count both state the values"),
+        ({"set": "camera.f_number", "values": [2], "quick": {"cuont": 2}}, "quick.cuont: unknown name; .* Did you mean 'count'"),
+        ({"set": "camera.f_number", "values": [2], "quick": {"set": "pixel.prnu"}}, "quick.set: unknown name"),
     ],
 )
 def test_axis_invalid_values_raise(axis: dict[str, object], message: str) -> None:
@@ -100,6 +117,25 @@ def test_axis_invalid_values_raise(axis: dict[str, object], message: str) -> Non
         ({"condition": [DAY | {"weight": -1.0}]}, "condition.0.weight"),
         ({"condition": [DAY, DAY]}, "'day' stands there twice"),
         (
+            {"axis": [PRNU], "condition": [{"name": "n", "set": {"pixel": {"prnu": 0.0}}}]},
+            "pixel.prnu is varied by the axis 'PRNU'",
+        ),
+        (
+            {"axis": [PRNU], "condition": [{"name": "n", "set": {"pixel": {"prnu_percent": 1.0}}}]},
+            "pixel.prnu_percent is varied by",
+        ),
+        ({"axis": [LENS], "quick": {"camera": {"f_number": 3.0}}}, "quick: camera.f_number is set by the axis 'lens'"),
+        (
+            {"condition": [DAY], "quick": {"scene": {"parameters": {"luminance_cd_per_m2": 1}}}},
+            "quick: .* is set by every condition",
+        ),
+        ({"condition": [DAY | {"weight": math.nan}]}, "condition.0.weight"),
+        ({"condition": [DAY | {"wieght": 2}]}, "condition.0.wieght"),
+        (
+            {"condition": [{"name": "n", "set": {"pixel": {"technology": "0.5um"}}}]},
+            "cannot be changed by a condition; .* by an axis",
+        ),
+        (
             {"technologies": ["0.35um"], "axis": [{"name": "t", "set": "pixel.technology", "values": ["0.5um"]}]},
             "leave technologies out",
         ),
@@ -108,6 +144,30 @@ def test_axis_invalid_values_raise(axis: dict[str, object], message: str) -> Non
 def test_study_contradictory_axes_raise(more: dict[str, object], message: str) -> None:
     with pytest.raises((ValidationError, PixsimError), match=message):
         tiny(**more)
+
+
+def test_study_quick_may_set_what_not_all_cases_do() -> None:
+    """The base of an axis that is moved alone, or a setting of one of two conditions."""
+    assert tiny(axis=[PRNU], quick={"pixel": {"prnu": 0.02}}).quickened.pixel.prnu == 0.02
+    tiny(condition=[DAY, {"name": "n", "set": {"camera": {"f_number": 2.0}}}], quick={"camera": {"f_number": 3.0}})
+    other = LENS | {"name": "other", "values": [{"label": "b", "set": {"pixel": {"prnu": 0.0}}}]}
+    tiny(axis=[LENS], quick={"axis": [other], "camera": {"f_number": 3.0}})
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("axis", "condition", "name", "title", "quick", "sources", "sensors", "paper", "technologies", "pitch.min_um", "seed"),
+        *("repeats", "target_ci_um", "max_repeats", "max_evaluations", "iso_delta_e", "detail", "tolerance_delta_e", "max_seconds"),
+    ],
+)
+def test_setting_of_the_whole_study_cannot_be_varied(name: str) -> None:
+    """By the settings of an axis, by those of its values, or by a condition."""
+    table = nested(name.split("."), 2)
+    axes = {"name": "a", "set": name, "values": [2]}, {"name": "a", "values": [{"label": "b", "set": table}]}
+    for more in ({"axis": [axes[0]]}, {"axis": [axes[1]]}, {"condition": [{"name": "n", "set": table}]}):
+        with pytest.raises(ValidationError, match=f"{name} cannot be changed by an axis or a condition"):
+            tiny(**more)
 
 
 def test_study_axes_survive_a_round_trip() -> None:
@@ -156,6 +216,35 @@ def test_cases_of_technology_axis_sets_the_technology() -> None:
     assert [case.study.technologies for case in cases_of(Study.model_validate(table))] == [("0.5um",), ("0.25um",)]
 
 
+def test_cases_of_labelled_values_may_set_the_technology() -> None:
+    values = [{"label": name, "set": {"pixel": {"technology": name, "prnu": 0.02}}} for name in ("0.5um", "0.25um")]
+    table = {name: value for name, value in TINY.items() if name != "technologies"} | {
+        "axis": [{"name": "process", "values": values}]
+    }
+    studies = [case.study for case in cases_of(Study.model_validate(table))]
+    assert [(study.technologies, study.pixel.prnu) for study in studies] == [(("0.5um",), 0.02), (("0.25um",), 0.02)]
+    with pytest.raises(ValidationError, match="leave technologies out"):
+        Study.model_validate(table | {"technologies": ["0.35um"]})
+
+
+SHEET = {"pitch_um": 6.0, "full_well_e": 1e4, "read_noise_e": 20.0, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.6}
+
+
+def test_cases_of_settings_of_the_pixel_hold_for_data_sheets(tmp_path: Path) -> None:
+    """Under the word that the sheet has, or another one; what is not varied stays that of the sheet."""
+    sheet = tmp_path / "sheet.toml"
+    sheet.write_text(f"pixel = {toml_of(SHEET)}\n", encoding="utf-8")
+    axis = {"name": "noise", "set": "pixel.temporal_dark_noise_e", "values": [1.0, 2.0]}
+    condition = {"name": "hot", "set": {"pixel": {"dark_current_e_per_s": 50.0}}}
+    (tmp_path / "s.toml").write_text('name = "s"\ntechnologies = ["sheet.toml", "4t-bsi"]\n', encoding="utf-8")
+    study = load_study(tmp_path / "s.toml", axis=[axis], condition=[condition])
+    for case, noise_e in zip(cases_of(study), (1.0, 2.0), strict=True):
+        for technology in study.technologies:
+            pixel = pixel_of(case.study, technology, 6.0)
+            assert (pixel.temporal_dark_noise_e, pixel.read_noise_e, pixel.dark_current_e_per_s) == (noise_e, None, 50.0)
+        assert pixel_of(case.study, str(sheet), 6.0).full_well_e == 1e4
+
+
 @pytest.mark.parametrize(
     ("axis", "message"),
     [
@@ -164,6 +253,14 @@ def test_cases_of_technology_axis_sets_the_technology() -> None:
             "axis a, value 2: camera.f_nmber: unknown name.*Did you mean 'f_number'",
         ),
         ({"name": "a", "set": "camera.f_number", "values": [2.0, -2.0]}, "axis a, value -2: camera.f_number: got -2"),
+        ({"name": "a", "set": "camera.f_number", "values": ["abc"]}, "axis a, value abc: camera.f_number: got 'abc'"),
+        ({"name": "a", "set": "camra.f_number", "values": [2.0]}, "axis a, value 2: camra: unknown name.*Did you mean 'camera'"),
+        ({"name": "a", "set": "f_number", "values": [2.0]}, r"f_number: unknown name.*It belongs in \[camera\]"),
+        ({"name": "a", "set": "camera", "values": [2.0]}, "camera: got 2.0; allowed: a table of focal_length_mm, f_number"),
+        (
+            {"name": "a", "values": [{"label": "b", "set": {"camera": {"f_number": -3}}}]},
+            "axis a, value b: camera.f_number: got -3",
+        ),
     ],
 )
 def test_cases_of_bad_value_is_named(axis: dict[str, object], message: str) -> None:
@@ -265,6 +362,60 @@ def test_result_to_csv_has_columns_of_axes(done: tuple[StudyResult, Path]) -> No
     assert first.startswith("0.35um,5.3,0,f/2.8,base,day,")
 
 
+@pytest.mark.parametrize("name", ["mean_delta_e", "fill_factor", "integration_s"])
+def test_prepare_axis_named_as_a_column_raises(name: str) -> None:
+    with pytest.raises(PixsimError, match=f"axis: got name = '{name}', a column of every study"):
+        prepare(small(axis=[PRNU | {"name": name}]))
+
+
+def test_study_axis_without_effect_is_named(tmp_path: Path) -> None:
+    """The study's own QE takes the place of the technology's: all values give the same frames."""
+    known = {"name": "peak", "set": "process.'0.35um'.peak_quantum_efficiency", "values": [0.2, 0.4]}
+    with pytest.warns(UserWarning, match="axis peak changes nothing: .* in place of process.0.35um.peak_quantum_efficiency"):
+        result = pixsim.study(small(axis=[known], pixel={"quantum_efficiency": 0.3}), tmp_path, jobs=1)
+    assert any("axis peak" in note for note in result.notes)
+
+
+def test_warn_of_idle_axes_is_silent_for_axes_that_count(done: tuple[StudyResult, Path], recwarn: pytest.WarningsRecorder) -> None:
+    result, _ = done
+    warn_of_idle_axes(result.study, result.parts)
+    assert not recwarn.list
+
+
+def test_load_study_names_options_that_are_not_used(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    (tmp_path / "s.toml").write_text(small_toml(), encoding="utf-8")
+    for more, words in (
+        ({"axis": [LENS]}, "camera.f_number is not used: the axis 'lens' sets it"),
+        ({"axis": [LENS, PRNU]}, ""),  # PRNU is moved alone about it
+        (
+            {"condition": [{"name": "n", "set": {"camera": {"f_number": 2.0}}}]},
+            "camera.f_number is not used: every condition sets it",
+        ),
+        ({"condition": [DAY, {"name": "n", "set": {"camera": {"f_number": 2.0}}}]}, ""),
+    ):
+        load_study(tmp_path / "s.toml", camera={"f_number": 3.0}, **more)
+        assert [str(warning.message) for warning in recwarn.list] == ([words] if words else [])
+        recwarn.clear()
+
+
+def test_load_study_files_of_axes_and_conditions_lie_next_to_it(tmp_path: Path) -> None:
+    for name in ("own.xml", "qe.csv", "star.exr", "mine.toml"):
+        (tmp_path / name).write_text("", encoding="utf-8")
+    axes = [
+        {"name": "scene", "set": "scene.file", "values": ["own.xml", "csf"]},
+        {"name": "process", "set": "pixel.technology", "values": ["mine.toml", "0.5um"]},
+        {"name": "QE", "values": [{"label": "a", "set": {"pixel": {"quantum_efficiency": "qe.csv"}}}]},
+    ]
+    condition = {"name": "n", "set": {"scene": {"parameters": {"chart": "star.exr"}}}}
+    text = f'name = "s"\naxis = {toml_of(axes)}\ncondition = {toml_of([condition])}\n'
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    study = load_study(tmp_path / "s.toml")
+    assert study.axis[0].values == (str(tmp_path / "own.xml"), "csf")
+    assert study.axis[1].values == (str(tmp_path / "mine.toml"), "0.5um")
+    assert study.axis[2].points[0].table == {"pixel": {"quantum_efficiency": str(tmp_path / "qe.csv")}}
+    assert study.condition[0].set == {"scene": {"parameters": {"chart": str(tmp_path / "star.exr")}}}
+
+
 def test_study_tolerance_with_axes_raises(tmp_path: Path) -> None:
     with pytest.raises(PixsimError, match=r"tolerance_delta_e: got 0.1; allowed: no tolerance in a study with axes"):
         pixsim.study(small(axis=[PRNU], tolerance_delta_e=0.1), tmp_path)
@@ -288,12 +439,49 @@ def test_axes_of_texts() -> None:
     ("texts", "message"),
     [
         (["light"], "NAME=v1,v2"), (["=1"], "NAME=v1,v2"), (["a="], "NAME=v1,v2"), (["a=1", "a=2"], "'a' twice"),
+        (["a=1,,2"], "a value between"), (["a=1,"], "a value between"), (["a=1:2:2.5"], "numbers in"),
         (["a=1:x:3"], "numbers in from:to:count"), (["a=1:2:3:cubic"], "log or linear"),
     ],
 )  # fmt: skip
 def test_axes_of_bad_text_raises(texts: list[str], message: str) -> None:
     with pytest.raises(PixsimError, match=message):
         axes_of(texts, [])
+
+
+def test_axes_of_labels_picks_values() -> None:
+    (axis,) = axes_of(["lens=f/8"], [LENS])
+    assert axis == LENS | {"values": LENS["values"][1:]}
+    for text, message in (
+        ("lens=f/9", "got f/9 in 'lens=f/9'; allowed: labels of its values: f/2.8, f/8"),
+        ("lens=1:2:3", "labels"),
+    ):
+        with pytest.raises(PixsimError, match=message):
+            axes_of([text], [LENS])
+
+
+@pytest.mark.parametrize(
+    ("known", "message"), [(3, r"axis: got 3; allowed: a list of tables \[\[axis\]\]"), ({"name": "a"}, "a list")]
+)
+def test_axes_of_file_without_a_list_raises(known: Any, message: str) -> None:
+    with pytest.raises(PixsimError, match=message):
+        axes_of(["a=1"], known)
+
+
+def test_axes_of_file_with_other_entries_leaves_them_to_the_record() -> None:
+    assert axes_of(["a=1"], [1, {"name": ["x"]}])[:2] == [1, {"name": ["x"]}]
+
+
+def test_study_command_dry_run_states_number_time_and_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of more evaluations than are run unasked."""
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(small_toml(repeats=10_000), encoding="utf-8")
+    line = "study s.toml --axis pixel.prnu=0,0.01,0.02 --out out"
+    code, out, _ = command(f"{line} --dry-run")
+    assert code == 0
+    assert "3, 150000 evaluations" in out
+    assert re.search(r"^cost +about [\d.]+ (s|min|h).*, [\d.]+ GB of memory$", out, re.MULTILINE)
+    assert_refused(*command(line), ["150000 evaluations in 3 cases", "up to 100000", "--yes", "--dry-run"])
+    assert not Path("out").exists()
 
 
 def test_study_command_with_axis_writes_page_maps_and_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -194,7 +194,6 @@ def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:
         ({"condition": [{"name": "x", "set": {"scene": {"parameters": {"lumi": 1}}}}]}, ["condition x", "lumi"]),
         ({"condition": [{"name": "x", "set": {"scene": {"file": "cfs"}}}]}, ["condition x", "cfs", "csf"]),
         ({"condition": [{"name": "x", "set": {"display": {"raster": "one_to_one"}}}]}, ["condition x", "display.raster"]),
-        ({"condition": [{"name": "x", "set": {"max_seconds": 3.0}}]}, ["condition x", "set.max_seconds"]),
         ({"condition": [{"name": "x", "set": {"window_mm": 50.0}}]}, ["condition x", "window_mm", "at most"]),
     ],
 )
