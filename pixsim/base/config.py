@@ -135,6 +135,22 @@ def sheet_uncertainty(path: Path) -> dict[str, Spread]:
     return without_uncertainty(pixel, str(path))[1] if isinstance(pixel, dict) else {}
 
 
+Uncertainty = Mapping[str, Mapping[str, Spread]]  # sensor of a study, '' for its own [pixel] -> number -> spread
+
+
+def spreads_of_study(study: Study, uncertainty: Uncertainty) -> dict[str, dict[str, Spread]]:
+    """Return how far the numbers of a study's [pixel] and of its data sheets may be wrong.
+
+    uncertainty : as the study's files state it; that of a data sheet which is not in it stands in the sheet's own file
+    """
+    spreads = {"": dict(uncertainty.get("", {}))}
+    for name in study.technologies:
+        if name in study.sensors:
+            of_file = sheet_uncertainty(Path(name)) if name not in uncertainty and Path(name).is_file() else {}
+            spreads[name] = dict(uncertainty.get(name, of_file))
+    return spreads
+
+
 def without_uncertainty(pixel: dict[str, Any], source: str) -> tuple[dict[str, Any], dict[str, Spread]]:
     """Return a table [pixel] without its table `uncertainty`, and that table. Raises PixsimError as `sheet_uncertainty` does.
 
@@ -313,15 +329,21 @@ def _without(table: dict[str, Any], removed: dict[str, Any]) -> dict[str, Any]:
 SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`
 
 
-def settings_text(record: Record, command: str, **changes: Any) -> str:
+def settings_text(record: Record, command: str, uncertainty: Uncertainty | None = None, **changes: Any) -> str:
     """TOML file of all settings of a result, from which a command makes the same numbers again, bit for bit.
 
     command : that makes them, in the file's folder
+    uncertainty : of `spreads_of_study`
     changes : tables and fields in place of the record's
 
     Values stand in it, not files; a technology or a scene with a file of its own is named by its whole path.
     """
     table = record.model_dump(mode="json", exclude_none=True, exclude={"quick"}) | changes
+    for name, spreads in (uncertainty or {}).items():
+        pixel = table.get("sensors", {}).get(name) if name else table.get("pixel")
+        kept = {number: spread.model_dump(exclude_none=True) for number, spread in spreads.items() if spread.holds(pixel, number)}
+        if isinstance(pixel, dict) and kept:
+            pixel["uncertainty"] = kept
     if "technologies" in table:
         table["technologies"] = [whole_path(name) for name in table["technologies"]]
     for by_name in ("process", "sensors"):

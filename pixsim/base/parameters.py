@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import pairwise
+from operator import getitem
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
@@ -38,7 +39,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import brief, checks_arguments
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import read_text
 
@@ -376,6 +377,14 @@ class Spread(Record):
         if self.kind == "lognormal" and self.range and self.range[0] <= 0:
             raise ValueError(f"range = [{self.range[0]:g}, {self.range[1]:g}] of a lognormal distribution; allowed: low > 0")
         return self
+
+    def holds(self, pixel: Mapping[str, Any] | None, number: str) -> bool:
+        """Whether this can be the spread of a number of a pixel: it is given, and within the range."""
+        value = None if pixel is None else pixel.get(number)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return False
+        low, high = self.range or (value, value)
+        return low <= value <= high
 
     @property
     def kind(self) -> Distribution:
@@ -880,7 +889,7 @@ NOT_NAMES = {"pitch", "technology", "pitch_um", "repeat", "key", "condition"}  #
 PITCH_TABLE = "pitch"
 # Settings of the study as a whole, with a hint.
 NOT_SETTINGS = {
-    **dict.fromkeys(("name", "title", "axis", "condition", "quick", "sources", "sensors", "paper"), ""),
+    **dict.fromkeys(("name", "streams", "title", "axis", "condition", "quick", "sources", "sensors", "paper"), ""),
     PITCH_TABLE: "pixel sizes are an axis of every study, set by [pitch]",
     "technologies": "name technologies in the study, or vary pixel.technology by an axis",
     "seed": "all cases have the same seeds, so that they differ by their settings alone",
@@ -944,6 +953,9 @@ def _settings(table: Any) -> Any:
     if not isinstance(table, dict) or not table:
         raise ValueError("got no settings; allowed: set.<dotted name> = value, as set.camera.f_number = 2.8")
     for path in paths_of(table):
+        value = reduce(getitem, path, table)
+        if not isinstance(value, str | int | float | list | tuple | dict):
+            raise ValueError(f"{'.'.join(path)} = {brief(value)}; allowed: a number, a text or a list")
         if path[0] in NOT_SETTINGS:
             hint = NOT_SETTINGS[path[0]]
             raise ValueError(f"{'.'.join(path)} cannot be changed by an axis or a condition{hint and '; '}{hint}")
@@ -976,9 +988,9 @@ def _case_name(value: str) -> str:
 
 def _axis_number(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, float | int | str) or value == "":
-        raise ValueError(f"got {value!r}; allowed: a number, a name, or a table of label and set")
+        raise ValueError(f"got {brief(value)}; allowed: a number, a name, or a table of label and set")
     if not isinstance(value, str) and not abs(value) <= MAX_FLOAT:
-        raise ValueError(f"got {value}; allowed: a finite number, or a name")
+        raise ValueError(f"got {brief(value)}; allowed: a finite number, or a name")
     return value
 
 
@@ -1091,8 +1103,12 @@ class Axis(Record):
                 _ = self.quickened
             except ValidationError as error:
                 raise ValueError(f"quick: {explain(error).partition(': ')[2].removesuffix('.')}") from None
-        if twice := [label for place, label in enumerate(labels) if label in labels[:place]]:
-            raise ValueError(f"values: {twice[0]} stands there twice; allowed: each value once")
+        if twice := [place for place, label in enumerate(labels) if label in labels[:place]]:
+            values = [self.points[place].value for place in (labels.index(labels[twice[0]]), twice[0])]
+            if values[0] != values[1]:
+                words = f"{values[0]!r} and {values[1]!r} are both {labels[twice[0]]} to 4 digits"
+                raise ValueError(f"values: {words}; allowed: values that differ in them, or labels")
+            raise ValueError(f"values: {labels[twice[0]]} stands there twice; allowed: each value once")
         return self
 
     @model_serializer(mode="wrap")

@@ -10,7 +10,7 @@ import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
@@ -296,7 +296,8 @@ def study(
         run_options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
         plan = sweep.checked_study(layers, tables)
         folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
-        prepared = sweep.prepare(plan, variant, quick)
+        spreads = sweep.uncertainty_of(study, options.config or [])
+        prepared = replace(sweep.prepare(plan, variant, quick), uncertainty=spreads)
         outline = study_outline(prepared, jobs, plan.quickened if quick else plan)
         if dry_run:
             show(outline, json, "\n".join(outline_lines(outline, folder)))
@@ -307,7 +308,6 @@ def study(
         if uncertainty is not None or sobol is not None:
             if uncertainty is not None and sobol is not None:
                 raise invalid("--uncertainty", "with --sobol", "one of the two")
-            spreads = sweep.uncertainty_of(study, options.config or [])
             asked = Asked(uncertainty or sobol or 0, sobol is not None, tuple(smaller_than or ()), spreads)
             types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes)
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")

@@ -15,7 +15,7 @@ from pixsim.studies.study import checked_study, read_study
 
 SHARED = ("exposure", "display", "seed", "tolerance_e", "render_noise", "resolution", "window_mm")  # as `Run` has them
 DIE = ("die_mm", "die_height_mm", "pixels")  # of the camera: each sensor has its own
-LABELS = ("name", "title", "sources", "condition", "quick")  # of a study, that say nothing of a sensor
+LABELS = ("name", "streams", "title", "sources", "condition", "quick")  # of a study, that say nothing of a sensor
 
 
 @dataclass(frozen=True)
@@ -68,12 +68,10 @@ def circumstances_of(study: Study | str | os.PathLike[str], scene: str | os.Path
     study : name of a packaged study, a TOML file, or a Study
     scene : in place of the study's, whose parameters are not used then
 
-    Raises PixsimError for an invalid study, for axes, and for a study that varies another one.
+    Raises PixsimError for an invalid study, and for one with axes.
     """
     layer = Layer(study.model_dump(mode="json", exclude_unset=True)) if isinstance(study, Study) else read_study(study)
     name = study.name if isinstance(study, Study) else str(study)
-    if "vary" in layer.table:
-        raise invalid("study", f"'{name}', which varies another study", "a study of pixel sizes, with or without conditions")
     plan = checked_study([layer])
     if plan.axis:
         hint = "Write each value as a [[condition]], or leave the axis out."

@@ -5,15 +5,16 @@ Each type is a case of the study, with numbers of its own, evaluated at a few pi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pixsim.base.config import Uncertainty
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Spread, Study, merge
+from pixsim.base.parameters import Study, merge
 from pixsim.base.progress import Progress
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.claims import scaling_rows
@@ -49,13 +50,13 @@ class Asked:
     draws : sensor types; rounded up to a power of two
     total : whether the draws are those of total indices, draws × (inputs + 2)
     smaller_than_um : pixel sizes; the probability that the optimum is smaller is reported
-    uncertainty : of the study's own [pixel]
+    uncertainty : of the study's own [pixel] and data sheets, as its files state it
     """
 
     draws: int
     total: bool = False
     smaller_than_um: tuple[float, ...] = ()
-    uncertainty: Mapping[str, Spread] = field(default_factory=dict)
+    uncertainty: Uncertainty = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not LEAST_DRAWS <= self.draws <= MOST_DRAWS:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import (
     SETTINGS_FILE,
+    Uncertainty,
     checked,
     packaged,
     read_toml,
@@ -20,6 +21,7 @@ from pixsim.base.config import (
     scene_table,
     settings_text,
     sheet_uncertainty,
+    spreads_of_study,
     study_layers,
     without_uncertainty,
 )
@@ -116,6 +118,8 @@ def _study_table(path: Path) -> dict[str, Any]:
             _resolve_files(part, path)
     if isinstance(pixel := table.get("pixel"), dict):
         table["pixel"], _ = without_uncertainty(pixel, str(path))
+    if isinstance(sensors := table.get("sensors"), dict):
+        table["sensors"] = sensors | {name: pixel for name, (pixel, _) in _sheets_of(sensors, path).items()}
     return table
 
 
@@ -128,10 +132,22 @@ def new_spelling(table: Mapping[str, Any]) -> str:
     return f'Write [[axis]] name = "{name}", range_of = "{number}", alone = true.'
 
 
-def uncertainty_of(name: str | os.PathLike[str], config: Sequence[str | os.PathLike[str]] = ()) -> dict[str, Spread]:
-    """Return [pixel.uncertainty] of a study's file and of sensor files, of which later ones take precedence."""
-    paths = [*with_bases(study_path(name)), *map(Path, config)]
-    return {number: spread for path in paths for number, spread in sheet_uncertainty(path).items()}
+def _sheets_of(sensors: dict[str, Any], path: Path) -> dict[str, tuple[dict[str, Any], dict[str, Spread]]]:
+    """Return the data sheets of a study's file, each without its table `uncertainty`, and that table."""
+    tables = {name: pixel for name, pixel in sensors.items() if isinstance(pixel, dict)}
+    return {name: without_uncertainty(pixel, f"{path}: sensors.{name}") for name, pixel in tables.items()}
+
+
+def uncertainty_of(name: str | os.PathLike[str], config: Sequence[str | os.PathLike[str]] = ()) -> dict[str, dict[str, Spread]]:
+    """Return [pixel.uncertainty] of a study's file and of sensor files, of which later ones take precedence, for `''`.
+
+    And that of each data sheet whose numbers stand in the study's file, by its name.
+    """
+    files = with_bases(study_path(name))
+    own = {number: spread for path in (*files, *map(Path, config)) for number, spread in sheet_uncertainty(path).items()}
+    tables = [(file, read_toml(file).get("sensors")) for file in files]
+    sheets = {name: found for file, sensors in tables if isinstance(sensors, dict) for name, found in _sheets_of(sensors, file).items()}
+    return {"": own} | {name: spreads for name, (_, spreads) in sheets.items()}
 
 
 def _resolve_files(table: dict[str, Any], path: Path) -> None:
@@ -215,11 +231,12 @@ def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = N
     return study
 
 
-def repeated_settings(prepared: Prepared, chosen: Study, image: SpectralImage) -> str:
+def repeated_settings(prepared: Prepared, chosen: Study, image: SpectralImage, asked: Asked | None = None) -> str:
     """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
 
     chosen : the study as it was run, with the settings for its tolerance
     image : its render
+    asked : about its unknown numbers
     """
     from pixsim.scene.convergence import without_clock
 
@@ -230,12 +247,17 @@ def repeated_settings(prepared: Prepared, chosen: Study, image: SpectralImage) -
         "parameters": scene_table(scene.path.parent, kept.scene.parameters),
     }
     camera = scene.camera(kept.camera).model_dump(exclude_none=True)
-    return settings_text(kept, repeating_command(prepared.variant), scene=of_scene, camera=camera)
+    spreads = spreads_of_study(kept, prepared.uncertainty)
+    return settings_text(kept, repeating_command(prepared.variant, asked), spreads, scene=of_scene, camera=camera)
 
 
-def repeating_command(variant: str | None) -> str:
+def repeating_command(variant: str | None, asked: Asked | None = None) -> str:
     """Return the command that repeats a study in the folder of its settings.toml."""
-    return f"pixsim study {SETTINGS_FILE}" + (f" --variant {variant}" if variant else "")
+    words = f"pixsim study {SETTINGS_FILE}" + (f" --variant {variant}" if variant else "")
+    if asked is None:
+        return words
+    sizes = "".join(f" --smaller-than {size!r}" for size in asked.smaller_than_um)
+    return f"{words} --{'sobol' if asked.total else 'uncertainty'} {asked.draws}{sizes}"
 
 
 def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sampling:
@@ -316,6 +338,7 @@ class Prepared:
     scene, camera : of the study; the camera is that of the window
     view : display and chart that pixsim chose for the sensor of a data sheet
     variant : of Mitsuba; None means the fastest that works
+    uncertainty : of the study's [pixel] and data sheets, as its files state it
     cases : the cases of a study with axes or conditions, and what each of them leaves open; empty for another study
     """
 
@@ -325,6 +348,7 @@ class Prepared:
     view: View
     variant: str | None = None
     cases: tuple[tuple[Case, Prepared], ...] = ()
+    uncertainty: Uncertainty = field(default_factory=dict)
 
     @property
     def parts(self) -> tuple[tuple[Case, Prepared], ...]:
@@ -599,13 +623,13 @@ def study(
     with collected_notes():  # also of what is found before the study begins
         chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
         asked = None
+        files = [config] if isinstance(config, str | os.PathLike) else config
+        spreads = uncertainty_of(plan, files) if isinstance(plan, str | os.PathLike) else {}
         if uncertainty is not None:
             from pixsim.studies.sensor_types import Asked
 
-            files = [config] if isinstance(config, str | os.PathLike) else config
-            spreads = uncertainty_of(plan, files) if isinstance(plan, str | os.PathLike) else {}
             asked = Asked(uncertainty, smaller_than_um=tuple(smaller_than_um), uncertainty=spreads)
-        prepared = prepare(chosen, variant, quick=quick)
+        prepared = replace(prepare(chosen, variant, quick=quick), uncertainty=spreads)
         options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "progress": progress, "agreed": agreed}
         return run_prepared(prepared, out, asked=asked, **options)
 
@@ -667,7 +691,7 @@ def run_prepared(
         curves = tuple(curve for name in names for part in found for curve in part.curves if curve.technology == name)
         changes |= {"study": chosen, "curves": curves, "parts": tuple(found), "counts": counts, "findings": findings}
     kept = _with_view(chosen, prepared.view) if prepared.cases else result.study
-    changes["settings_toml"] = repeated_settings(prepared, kept, irradiance)
+    changes["settings_toml"] = repeated_settings(prepared, kept, irradiance, asked)
     if settled is not None:
         sensors = int(result.curves[0].sensors.min())
         changes["budget"] = settled.budget(RenderNoise(**noise), irradiance.header["bound_e"], sensors)

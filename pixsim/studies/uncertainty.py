@@ -13,7 +13,6 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from scipy.special import betaincinv, ndtr, ndtri
 
 from pixsim.base.arguments import brief, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
-from pixsim.base.config import sheet_uncertainty
+from pixsim.base.config import spreads_of_study
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.parameters import MIN_FRACTION, STANDS_FOR, PixelOptions, Record, Spread, Study
 from pixsim.sensor.technology import Junction, Technology, label_of, technology_of
@@ -59,6 +58,7 @@ class Unknown:
     spread : its distribution
     technology : that has the number, as a study names it; empty for one of a data sheet
     allowed : bounds of the quantity, at which the distribution is cut off; None for no bound
+    of_sheet : whether a data sheet states it; then it shares its draw with no other sensor
 
     Raises PixsimError if more than half of the distribution is out of bounds.
     """
@@ -68,6 +68,7 @@ class Unknown:
     spread: Spread
     technology: str = ""
     allowed: tuple[float | None, float | None] = (None, None)
+    of_sheet: bool = False
 
     def __post_init__(self) -> None:
         if self.spread.kind == "lognormal" and self.value <= 0:
@@ -204,7 +205,11 @@ def unknowns_of_sheet(pixel: PixelOptions, uncertainty: Mapping[str, Spread], te
         if isinstance(value, bool) or not isinstance(value, int | float):
             given = sorted(field for field in pixel.model_fields_set if isinstance(getattr(pixel, field), float))
             raise invalid(f"pixel.uncertainty.{name}", "no such number", ", ".join(given) or "none", did_you_mean(name, given))
-        unknowns.append(Unknown(name, float(value), spread, technology, bounds_of(pixel, name)))
+        if not spread.holds({name: value}, name):
+            low, high = spread.range or (value, value)
+            hint = "Give the uncertainty of that number."
+            raise invalid(f"pixel.uncertainty.{name}", f"range = [{low:g}, {high:g}]", f"a range that holds {value:g}", hint)
+        unknowns.append(Unknown(name, float(value), spread, technology, bounds_of(pixel, name), of_sheet=True))
     return unknowns
 
 
@@ -219,20 +224,20 @@ def bounds_of(record: Technology | PixelOptions, number: str) -> tuple[float | N
 
 
 @checks_arguments
-def unknowns_of_study(study: Study, uncertainty: Mapping[str, Spread] | None = None) -> list[Unknown]:
+def unknowns_of_study(study: Study, uncertainty: Mapping[str, Mapping[str, Spread]] | None = None) -> list[Unknown]:
     """Return all numbers of a study's sensors that are not known: of [pixel], its data sheets, and its technologies.
 
-    uncertainty : of the study's own [pixel]; that of its data sheets stands in their files
+    uncertainty : of the study's own [pixel] by the name '', and of data sheets; that of others stands in their files
 
     Numbers that the study or a data sheet gives in place of a technology's are known, unless their own uncertainty is given.
 
     Raises PixsimError for a file that is damaged, and as `unknowns_of_sheet`.
     """
-    unknowns = unknowns_of_sheet(study.pixel, uncertainty or {})
+    spreads = spreads_of_study(study, uncertainty or {})
+    unknowns = unknowns_of_sheet(study.pixel, spreads[""])
     for name in study.technologies:
         if name in study.sensors:
-            spreads = sheet_uncertainty(Path(name)) if Path(name).is_file() else {}
-            unknowns += unknowns_of_sheet(study.sensors[name], spreads, name)
+            unknowns += unknowns_of_sheet(study.sensors[name], spreads[name], name)
         pixel = study.options_of(name)
         given = {field for field in type(pixel).model_fields if getattr(pixel, field) is not None}
         given = given.union(study.process.get(name, {}), *(STANDS_FOR[word] for word in given & STANDS_FOR.keys()))
@@ -287,7 +292,9 @@ class Sample:
 
 
 def inputs_of(unknowns: Sequence[Unknown], shared: Sequence[str] = SHARED) -> dict[str, tuple[Unknown, ...]]:
-    """Return the independent inputs: unknowns of a shared quantity together, each other one alone.
+    """Return the independent inputs: technologies' unknowns of a shared quantity together, each other one alone.
+
+    The numbers of data sheets were measured apart.
 
     Raises PixsimError for no unknowns, and for two of one name.
     """
@@ -301,10 +308,11 @@ def inputs_of(unknowns: Sequence[Unknown], shared: Sequence[str] = SHARED) -> di
     names = [unknown.name for unknown in unknowns]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise invalid("unknowns", f"{', '.join(twice)} twice", "each number once")
-    groups: dict[str, list[Unknown]] = {}
+    groups: dict[tuple[bool, str], list[Unknown]] = {}
     for unknown in unknowns:
-        groups.setdefault(unknown.quantity if unknown.quantity in shared else unknown.name, []).append(unknown)
-    return {members[0].name if len(members) == 1 else quantity: tuple(members) for quantity, members in groups.items()}
+        together = unknown.quantity in shared and not unknown.of_sheet
+        groups.setdefault((together, unknown.quantity if together else unknown.name), []).append(unknown)
+    return {members[0].name if len(members) == 1 else name: tuple(members) for (_, name), members in groups.items()}
 
 
 def sobol(n: int, dimensions: int, seed: int) -> Array:

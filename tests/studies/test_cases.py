@@ -88,6 +88,12 @@ def test_axis_linear_spacing_moves_settings_together() -> None:
         ({"set": "camera.f_number", "from": math.nan, "to": 3.0, "count": 3}, "finite number"),
         ({"set": "camera.f_number", "from": 3.0, "to": 3.0, "count": 3}, "values: 3 stands there twice"),
         ({"set": "camera.f_number", "from": 2.0, "to": 3.0, "count": 1}, "greater than or equal to 2"),
+        (
+            {"set": "camera.f_number", "from": 2.0, "to": 2.1, "count": 900},
+            "both 2 to 4 digits; allowed: values that differ in them",
+        ),
+        ({"set": "camera.f_number", "values": [10**400]}, r"got 1\d*\.\.\.\d+; allowed: a finite number, or a name"),
+        ({"values": [{"label": "b", "set": {"pixel": {"prnu": None}}}]}, "pixel.prnu = None; allowed: a number, a text or a list"),
         ({"set": "camera.f_number", "values": [2], "spacing": "log"}, "values and spacing both state the values"),
         ({"values": [{"label": "b", "set": {"camera": {"f_number": n}}} for n in (2, 3)]}, "values: b stands there twice"),
         ({"set": "process.0.35um.prnu", "values": [0.1]}, "process.'0.35um'.prnu"),
@@ -157,7 +163,7 @@ def test_study_quick_may_set_what_not_all_cases_do() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        *("axis", "condition", "name", "title", "quick", "sources", "sensors", "paper", "technologies", "pitch.min_um", "seed"),
+        *("axis", "condition", "name", "streams", "title", "quick", "sources", "sensors", "paper", "technologies", "pitch.min_um", "seed"),
         *("repeats", "target_ci_um", "max_repeats", "max_evaluations", "iso_delta_e", "detail", "tolerance_delta_e", "max_seconds"),
     ],
 )

@@ -209,7 +209,7 @@ def test_compare_invalid_study_raises(
 @pytest.mark.parametrize(
     ("study", "texts"),
     [
-        ("chen2000-sensitivity", ["varies another study"]),
+        ("chen2000-sensitivity", ["with the axis", "without axes", "[[condition]]"]),
         ("pixel-siz", ["'pixel-siz'", "Did you mean 'pixel-size'?"]),
         ("none.toml", ["none.toml", "does not exist"]),
         (".", ["study", "'.'", "a TOML file"]),

@@ -15,10 +15,11 @@ from helpers.tiny import TINY, toml_of
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Study, merge
+from pixsim.base.parameters import Spread, Study, merge
 from pixsim.studies.engine import Workers
 from pixsim.studies.sensor_types import MOST_EVALUATIONS, TYPES_FILE, Asked, check_axes, draw_types, sample_of
-from pixsim.studies.uncertainty import settings_of
+from pixsim.studies.study import load_study, uncertainty_of
+from pixsim.studies.uncertainty import settings_of, unknowns_of_study
 
 SMALL = {name: value for name, value in TINY.items() if name not in ("scene", "pitch", "resolution")}
 SMALL |= {
@@ -121,6 +122,76 @@ def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: 
     assert json.loads(Path("out/uncertainty.json").read_text(encoding="utf-8"))["results"][0]["draws"] == 8
     assert "The study itself" in Path("out/uncertainty.html").read_text(encoding="utf-8")
     assert Path("out/sensor_types_1.csv").read_text(encoding="utf-8").startswith("draw,read_noise_e,optimum_um,")
+    # The command in settings.toml draws the same types, without the sheet.
+    line = Path("out/settings.toml").read_text(encoding="utf-8").splitlines()[1]
+    assert line == "# pixsim study settings.toml --uncertainty 8 --smaller-than 6.0"
+    draws = []
+    for name, config in (("s.toml", ["sheet.toml"]), ("out/settings.toml", [])):
+        draws.append(Asked(8, uncertainty=uncertainty_of(name, config)).sample(load_study(name, config)).draws)
+    assert draws[0] == draws[1]
+
+
+@pytest.mark.slow
+def test_study_settings_repeat_the_uncertainty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
+    sheet = SHEET | {"uncertainty": {"read_noise_e": {"sd": 5.0}, "prnu": {"range": [0.0, 0.02]}}, "prnu": 0.01}
+    Path("sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
+    assert command("study s.toml --config sheet.toml --uncertainty 8 --smaller-than 6 --jobs 1 --out out")[0] == 0
+    monkeypatch.chdir("out")
+    line = Path("settings.toml").read_text(encoding="utf-8").splitlines()[1]
+    code, _, err = command(f"{line.removeprefix('# pixsim ')} --jobs 1 --out again")
+    assert code == 0, err
+    for name in ("uncertainty.json", "settings.toml", "sensor_types_1.csv"):
+        assert Path("again", name).read_bytes() == Path(name).read_bytes()
+
+
+def test_settings_keep_the_uncertainty_of_sheets_that_change(tmp_path: Path) -> None:
+    """Of the study's own [pixel] and of data sheets among the technologies, whose files state something else by then."""
+    sheets = [tmp_path / "a.toml", tmp_path / "b.toml"]
+    for sheet, more in zip(sheets, ({"uncertainty": {"read_noise_e": {"range": [15.0, 25.0]}}}, {"bits": 8}), strict=True):
+        sheet.write_text(f"pixel = {toml_of(SHEET | more)}\n", encoding="utf-8")
+    text = written(technologies=["a.toml", "b.toml", "4t-bsi"], pitch={"values_um": [4, 5, 6, 7, 8]}, resolution=64)
+    text += "pixel = { prnu = 0.01, uncertainty = { prnu = { sd = 0.001 } } }\n"
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    result = pixsim.study(tmp_path / "s.toml", tmp_path / "out", jobs=1)
+    (tmp_path / "settings.toml").write_text(result.settings_toml, encoding="utf-8")
+    for sheet in sheets:
+        sheet.write_text(f"pixel = {toml_of(SHEET | {'uncertainty': {'full_well_e': {'sd': 3.0}}})}\n", encoding="utf-8")
+    spreads = uncertainty_of(tmp_path / "settings.toml")
+    own, of_sheet = {"prnu": Spread(sd=0.001)}, {"read_noise_e": Spread(range=(15.0, 25.0))}
+    assert spreads == {"": own, str(sheets[0]): of_sheet, str(sheets[1]): {}}
+    found = unknowns_of_study(load_study(tmp_path / "settings.toml"), spreads)
+    assert [unknown.name for unknown in found if unknown.of_sheet] == ["prnu", f"{sheets[0]} read_noise_e"]
+
+
+def test_sheets_have_separate_draws(tmp_path: Path) -> None:
+    """Also of quantities with one draw in all technologies: each sensor was measured on its own."""
+    for name, noise_e in (("a", 2.0), ("b", 3.0)):
+        more = {"dsnu": 0.2, "read_noise_e": noise_e, "uncertainty": {"dsnu": {"sd": 0.02}, "read_noise_e": {"sd": 0.2}}}
+        (tmp_path / f"{name}.toml").write_text(f"pixel = {toml_of(SHEET | more)}\n", encoding="utf-8")
+    (tmp_path / "s.toml").write_text(written(technologies=["a.toml", "b.toml", "0.35um", "0.25um"]), encoding="utf-8")
+    study = load_study(tmp_path / "s.toml")
+    sample = Asked(512).sample(study)
+    names = [f"{tmp_path / name}.toml {number}" for name in "ab" for number in ("dsnu", "read_noise_e")]
+    assert names == list(sample.inputs)[:4]
+    assert len(sample.inputs["dsnu"]) == 2, "of both technologies"
+    drawn = np.array([[draw[name] for name in names] for draw in sample.draws])
+    # Independent normals correlate by 1/√512; Sobol' points by less.
+    assert np.abs(np.corrcoef(drawn.T) - np.eye(4)).max() < 3 / np.sqrt(512)
+    assert [each.technology for unknowns in sample_of(sample, str(tmp_path / "b.toml")).inputs.values() for each in unknowns] == [
+        str(tmp_path / "b.toml")
+    ] * 2
+
+
+def test_uncertainty_beside_an_option_out_of_its_range_raises(tmp_path: Path) -> None:
+    sheet = SHEET | {"uncertainty": {"read_noise_e": {"range": [15.0, 25.0]}}}
+    (tmp_path / "sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
+    spreads = uncertainty_of("pixel-size", [tmp_path / "sheet.toml"])
+    unknowns_of_study(load_study("pixel-size", tmp_path / "sheet.toml", pixel={"read_noise_e": 16.0}), spreads)
+    other = load_study("pixel-size", tmp_path / "sheet.toml", pixel={"read_noise_e": 3.0})
+    with pytest.raises(PixsimError, match=r"pixel.uncertainty.read_noise_e: got range = \[15, 25\]; allowed: a range that holds 3"):
+        unknowns_of_study(other, spreads)
 
 
 @pytest.mark.slow

@@ -385,7 +385,7 @@ def test_study_of_a_draw_has_its_numbers(tmp_path) -> None:
     names = ["0.35um", str(sheet), str(mixed)]
     table = {"name": "a", "technologies": names, "process": {"0.35um": {"dsnu": 0.25}}, "pixel": {"read_noise_e": 3.0}}
     study = checked(Study, with_data_sheets([Layer(table)], {}))
-    unknowns = unknowns_of_study(study, {"read_noise_e": Spread(sd=0.3)})
+    unknowns = unknowns_of_study(study, {"": {"read_noise_e": Spread(sd=0.3)}})
     quantities = {name: {unknown.quantity for unknown in unknowns if unknown.technology == name} for name in ["", *names]}
     assert quantities[""] == {"read_noise_e"}
     assert quantities["0.35um"] == set(load_technology("0.35um").ranges) - {"dsnu"}, "the study sets it"
