@@ -35,6 +35,7 @@ LINES = {
     "study": "study tiny.toml --jobs 2 --out out",
     "datasheet": "datasheet 0.35um --out out",
     "accuracy": "accuracy csf --quick -D resolution=32 --out out",
+    "compare": f"compare 0.35um 4t-bsi {SMALL} --pixel.pitch-um 40 --jobs 2 --repeats 300 --out out",
 }
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "the terminal was closed"}
 GONE_S = 5.0  # for processes to notice that their parent has ended
@@ -431,6 +432,31 @@ def test_study_full_disk_at_the_report_names_file_and_what_is_kept(tmp_path: Pat
     assert "The files that the folder held before are unchanged." in err
     assert "12 finished evaluations are kept in 'out', and the same command continues from them." in err
     assert [path.name for path in (tmp_path / "out").rglob("*")] == ["results.csv"]
+
+
+@pytest.mark.parametrize(
+    "max_bytes", [500, pytest.param(6000, marks=pytest.mark.slow), pytest.param(100_000, marks=pytest.mark.slow)]
+)
+def test_compare_full_disk_names_file_and_leaves_the_folder_as_it_was(
+    max_bytes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the first picture, at a later one, and at the page; a comparison of before stays whole."""
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    line = f"compare 0.35um 4t-bsi {SMALL} --pixel.pitch-um 40 --jobs 1 --repeats 2 --out out"
+    with output_folder(tmp_path / "out") as out_folder, publishing(out_folder, "compare") as folder:
+        (folder / "compare.json").write_text("before")
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*")}
+    process = started(line, tmp_path, preexec_fn=limited(max_bytes))
+    out, err = process.communicate(timeout=HANG_S)
+    assert (process.returncode, out) == (2, "")
+    notes = notes_of(err)
+    assert len(notes) == 1, err
+    assert re.match(
+        r"pixsim: output file: 'out/(pictures/\w+_0\.35um\.png|report\.html)' cannot be written \(File too large\)\.", notes[0]
+    )
+    assert "The files that the folder held before are unchanged." in notes[0]
+    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before
+    assert not list((tmp_path / "tmp").iterdir())
 
 
 def test_said_what_is_kept_counts_evaluations(tmp_path: Path) -> None:

@@ -437,7 +437,7 @@ def compare(
             return
         check_output(prepared, folder)
         seconds: dict[str, float] = {}
-        with stages(seconds) as stage:
+        with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the renders
             result = run_prepared(prepared, jobs=jobs, progress=stage)
             stage("report")
             report = write_comparison(result, folder, seconds)
