@@ -1273,24 +1273,10 @@ class Study(Effort):
                     )
         for path in paths_of(self.quick):
             if path[0] not in ("axis", "condition") and (
-                owner := self.owner_of(path, "axis" in self.quick, "condition" in self.quick)
+                owner := owner_of(self, path, "axis" in self.quick, "condition" in self.quick)
             ):
                 raise ValueError(f"quick: {'.'.join(path)} is set by {owner}; give it to one of them")
         return self
-
-    def owner_of(self, path: tuple[str, ...], without_axes: bool = False, without_conditions: bool = False) -> str:
-        """What sets a setting in every case, so that its own value is not used: an axis, or all conditions; empty for none.
-
-        without_axes, without_conditions : leave these out
-        """
-        if not without_axes:
-            together = {own: axis.name for axis in self.axis if not axis.alone for own in axis.paths}
-            if (axis_name := _that_sets(path, together)) and not any(axis.alone for axis in self.axis):
-                return f"the axis '{axis_name}'"
-        of_conditions = [dict.fromkeys(paths_of(each.set), each.name) for each in self.condition]
-        if self.condition and not without_conditions and all(_that_sets(path, settings) for settings in of_conditions):
-            return "every condition"
-        return ""
 
     @model_validator(mode="after")
     def _technologies_are_varied_once(self) -> Self:
@@ -1365,6 +1351,21 @@ class Study(Effort):
         for part in ("process", "sensors"):
             table[part] = {name: values for name, values in table.get(part, {}).items() if name in technologies}
         return Study(**table)
+
+
+def owner_of(study: Study, path: tuple[str, ...], without_axes: bool = False, without_conditions: bool = False) -> str:
+    """What sets a study's setting in every case, so that its own value is not used: an axis, or all conditions; empty for none.
+
+    path : of the setting
+    without_axes, without_conditions : leave these out
+    """
+    together = {own: axis.name for axis in study.axis if not (axis.alone or without_axes) for own in axis.paths}
+    if (axis_name := _that_sets(path, together)) and not any(axis.alone for axis in study.axis):
+        return f"the axis '{axis_name}'"
+    of_conditions = [dict.fromkeys(paths_of(each.set), each.name) for each in study.condition]
+    if study.condition and not without_conditions and all(_that_sets(path, settings) for settings in of_conditions):
+        return "every condition"
+    return ""
 
 
 class Run(Effort):

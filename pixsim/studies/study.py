@@ -28,7 +28,7 @@ from pixsim.base.config import (
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing, output_folder
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, merge, paths_of, pixel_of
+from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, merge, owner_of, paths_of, pixel_of
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.scene import packaged_scenes
@@ -146,7 +146,9 @@ def uncertainty_of(name: str | os.PathLike[str], config: Sequence[str | os.PathL
     files = with_bases(study_path(name))
     own = {number: spread for path in (*files, *map(Path, config)) for number, spread in sheet_uncertainty(path).items()}
     tables = [(file, read_toml(file).get("sensors")) for file in files]
-    sheets = {name: found for file, sensors in tables if isinstance(sensors, dict) for name, found in _sheets_of(sensors, file).items()}
+    sheets = {
+        name: found for file, sensors in tables if isinstance(sensors, dict) for name, found in _sheets_of(sensors, file).items()
+    }
     return {"": own} | {name: spreads for name, (_, spreads) in sheets.items()}
 
 
@@ -222,7 +224,7 @@ def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = N
     study: Study = checked(Study, layers)
     given = {name: value for name, value in (options or {}).items() if name not in ("axis", "condition")}
     for path in paths_of(given):
-        if owner := study.owner_of(path):
+        if owner := owner_of(study, path):
             warn(f"{'.'.join(path)} is not used: {owner} sets it")
     if study.quick:
         full = [Layer({key: value for key, value in layer.table.items() if key != "quick"}, layer.source) for layer in layers]
@@ -561,7 +563,8 @@ def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:
                 groups.setdefault((curve.technology, curve.condition, *others), []).append(content)
         if any(len(group) > 1 for group in groups.values()) and all(len(set(group)) == 1 for group in groups.values()):
             settings = ", ".join(dict.fromkeys(".".join(path) for path in axis.paths))
-            warn(f"the axis {axis.name} changes nothing: other settings or a data sheet decide in place of {settings}")
+            why = f"its values are the study's own, or other settings or a data sheet decide in place of {settings}"
+            warn(f"the axis {axis.name} changes nothing: {why}")
 
 
 @checks_arguments
