@@ -8,9 +8,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Condition, Layer, Study
+from pixsim.base.notes import warn
+from pixsim.base.parameters import Condition, Layer, Study, owner_of, paths_of
 from pixsim.studies.study import checked_study, read_study
 
 SHARED = ("exposure", "display", "seed", "tolerance_e", "render_noise", "resolution", "window_mm")  # as `Run` has them
@@ -22,21 +24,37 @@ LABELS = ("name", "streams", "title", "sources", "condition", "quick")  # of a s
 class Circumstances:
     """A study as a comparison takes it.
 
-    name, source : of the study; the source is its file, or empty
+    plan : the study
+    source : its file, or empty
     scene : file, or name of a packaged scene
     lens : [camera] without its die, for files that state none of it
     shared : settings that take precedence over the sensors' files
-    conditions : of the study
     not_used : its settings that are not used, by their dotted names
     """
 
-    name: str
+    plan: Study
     source: str
     scene: str
     lens: Layer
     shared: Layer
-    conditions: tuple[Condition, ...]
     not_used: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the study."""
+        return self.plan.name
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The conditions of the study."""
+        return self.plan.condition
+
+    def warn_of_unused(self, options: Mapping[str, Any]) -> None:
+        """Warn of options, as tables of `Run`, that every condition overrides."""
+        for path in paths_of(options):
+            in_study = ("scene", "parameters", *path[1:]) if path[0] == "scene" else path
+            if owner := owner_of(self.plan, in_study):
+                warn(f"{'.'.join(path)} is not used: {owner} sets it")
 
     def layer_of(self, condition: Condition) -> Layer:
         """Return a condition's settings as tables of `Run`. Raises PixsimError for a setting that a comparison does not have."""
@@ -87,4 +105,4 @@ def circumstances_of(study: Study | str | os.PathLike[str], scene: str | os.Path
     not_used += ["scene"] if scene is not None and "scene" in table else []
     file = plan.scene.file if scene is None else str(scene)
     parts = Layer({"camera": lens} if lens else {}, layer.source), Layer(shared, layer.source)
-    return Circumstances(plan.name, layer.source, file, *parts, plan.condition, tuple(not_used))
+    return Circumstances(plan, layer.source, file, *parts, tuple(not_used))

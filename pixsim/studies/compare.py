@@ -346,6 +346,7 @@ def prepare(
         runs = read_sensors(sources, Layer({}), layers, options)
         return _prepare(sources, runs, "csf" if scene is None else scene, None, **found)
     of_study = circumstances_of(study, scene)
+    of_study.warn_of_unused(options)
     layers = [of_study.shared, *layers]
     base = read_sensors(sources, of_study.lens, layers, options)
     if not of_study.conditions:

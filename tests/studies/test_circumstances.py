@@ -125,6 +125,13 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     assert set(made.circumstances.not_used) == {"technologies", "camera.die_mm"}
 
 
+def test_options_that_every_condition_sets_are_named(files: list[Path], recwarn: pytest.WarningsRecorder) -> None:
+    options = {"scene": {"luminance_cd_per_m2": 5.0}, "exposure": {"max_integration_s": 0.2}}
+    prepare(files, study=plan(condition=BOTH), match="view", repeats=2, options=options)
+    said = [str(warning.message) for warning in recwarn.list]
+    assert said == ["scene.luminance_cd_per_m2 is not used: every condition sets it"]  # one of them sets the exposure
+
+
 def test_scene_of_option_is_without_the_parameters_of_the_study(files: list[Path]) -> None:
     study = plan(scene={"file": "csf", "parameters": {"max_lp_per_mm": 12.0}})
     made = prepare(files, "flat", study=study, match="view", repeats=2)
