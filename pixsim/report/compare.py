@@ -131,7 +131,7 @@ def _study_words(prepared: Prepared) -> list[str]:
     of_study = prepared.circumstances
     if of_study is None:
         return []
-    unused = f", whose {', '.join(of_study.not_used)} are not used" if of_study.not_used else ""
+    unused = f" (not used: {', '.join(of_study.not_used)})" if of_study.not_used else ""
     words = [f"the study {of_study.name}{unused}"]
     if prepared.conditions:
         weights = ", ".join(f"{part.condition} ({part.weight:.3g})" for part in prepared.conditions)

@@ -17,7 +17,8 @@ from pixsim.studies.study import checked_study, read_study
 
 SHARED = ("exposure", "display", "seed", "tolerance_e", "render_noise", "resolution", "window_mm")  # as `Run` has them
 DIE = ("die_mm", "die_height_mm", "pixels")  # of the camera: each sensor has its own
-LABELS = ("name", "streams", "title", "sources", "condition", "quick")  # of a study, that say nothing of a sensor
+SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel, likewise
+LABELS = ("name", "streams", "title", "sources", "paper", "condition", "quick")  # of a study, that say nothing of a sensor
 
 
 @dataclass(frozen=True)
@@ -67,12 +68,15 @@ class Circumstances:
         camera = table.get("camera")
         if isinstance(camera, Mapping) and (die := [name for name in DIE if name in camera]):
             raise invalid(source, f"set.camera.{die[0]}", "settings of the lens: each sensor has its own die")
-        scene = table.pop("scene", None)
-        if isinstance(scene, Mapping):
-            if unknown := [name for name in scene if name not in ("file", "parameters")]:
-                raise invalid(source, f"set.scene.{unknown[0]}", "set.scene.file, set.scene.parameters.<name>")
-            table |= {"scene": scene["parameters"]} if "parameters" in scene else {}
-        return Layer(table, source)
+        pixel = table.get("pixel")
+        if isinstance(pixel, Mapping) and (own := [name for name in SIZE if name in pixel]):
+            raise invalid(source, f"set.pixel.{own[0]}", "settings that leave each sensor its own pixel size")
+        scene = table.pop("scene", {})
+        if not isinstance(scene, Mapping):
+            raise invalid(source, f"set.scene = {scene!r}", "set.scene.file, set.scene.parameters.<name>")
+        if unknown := [name for name in scene if name not in ("file", "parameters")]:
+            raise invalid(source, f"set.scene.{unknown[0]}", "set.scene.file, set.scene.parameters.<name>")
+        return Layer(table | ({"scene": scene["parameters"]} if "parameters" in scene else {}), source)
 
     def scene_of(self, condition: Condition) -> str:
         """Return the scene's file in a condition."""

@@ -203,7 +203,7 @@ def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, s
     assert lines[0].startswith("quiet ")
     assert [line.split(":")[0] for line in lines[3:6]] == ["  never (weight 0)", "  day (weight 0.75)", "  night (weight 0.25)"]
     assert lines[6].startswith(
-        "the study both, whose technologies are not used; ΔE is the mean over its conditions with the weights never (0), "
+        "the study both (not used: technologies); ΔE is the mean over its conditions with the weights never (0), "
         "day (0.75), night (0.25); the same field of 18.8° × 14.1°"
     )
     for words in ("the same light in each condition", "at most 20 ms in day", "2 pairs of frames with the same seeds"):

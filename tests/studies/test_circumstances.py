@@ -198,6 +198,11 @@ def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:
         ({"condition": [{"name": "x", "set": {"camera": {"die_mm": 2}}}]}, ["condition x", "set.camera.die_mm", "own die"]),
         ({"condition": [{"name": "x", "set": {"process": {"0.35um": {"prnu": 0}}}}]}, ["condition x", "set.process", "set.pixel"]),
         ({"condition": [{"name": "x", "set": {"scene": {"xml": 1}}}]}, ["condition x", "set.scene.xml", "set.scene.file"]),
+        ({"condition": [{"name": "x", "set": {"scene": 3}}]}, ["condition x", "set.scene = 3", "set.scene.file"]),
+        (
+            {"condition": [{"name": "x", "set": {"pixel": {"pitch_um": 3.0}}}]},
+            ["condition x", "set.pixel.pitch_um", "own pixel size"],
+        ),
         ({"condition": [{"name": "x", "set": {"scene": {"parameters": {"lumi": 1}}}}]}, ["condition x", "lumi"]),
         ({"condition": [{"name": "x", "set": {"scene": {"file": "cfs"}}}]}, ["condition x", "cfs", "csf"]),
         ({"condition": [{"name": "x", "set": {"display": {"raster": "one_to_one"}}}]}, ["condition x", "display.raster"]),
