@@ -233,7 +233,8 @@ def study(
         list[str] | None,
         Parameter(
             help="Vary a setting beside the pixel size: NAME=v1,v2,… or NAME=from:to:count[:log]. NAME is an axis of the study or "
-            "a dotted setting, as camera.f_number; settings joined by + take each value together. Repeatable.",
+            "a dotted setting, as camera.f_number; settings joined by + take each value together. Values with labels are picked by "
+            "them. Repeatable.",
             metavar="NAME=VALUES",
         ),
     ] = None,
