@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pixsim.base import cache
 from pixsim.base.arguments import brief, checks_arguments
 from pixsim.base.arrays import Array
-from pixsim.base.errors import invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.locks import temporary_folder_of_process
 from pixsim.base.parameters import content_hash
 from pixsim.light.exr import write_channels
@@ -193,6 +193,8 @@ def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> No
 def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Path:
     """Return the file of a texture that pixsim makes, in the cache; it is written if it is missing.
 
+    In a temporary folder, where the cache cannot be written.
+
     content : everything that the texels depend on, as JSON; the name of the file is its hash
     make : returns the texels, (H, W) relative luminance
 
@@ -211,7 +213,12 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
         with suppress(OSError):  # a read-only cache works too
             os.utime(path)
     else:
-        write_chart(path, make())
+        texels = make()
+        try:
+            write_chart(path, texels)
+        except PixsimError:  # the disk of the cache is full
+            path = temporary_folder_of_process() / name
+            write_chart(path, texels)
     return path
 
 

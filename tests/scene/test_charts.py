@@ -201,3 +201,22 @@ def test_csf_frequency_on_sensor_other_scenes_have_none():
 def test_csf_file_below_its_lowest_frequency_raises():
     with pytest.raises(PixsimError, match=r"max_lp_per_mm: got 0\.3; allowed: at least 0\.373 on a die of 8 mm"):
         charts.csf_file(0.3, 8.0)
+
+
+def test_texture_file_on_full_disk_is_temporary(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The disk of the cache is full, that of temporary files is not; where both are, the error names the file."""
+    monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
+    write, full = charts.write_chart, [tmp_path]
+
+    def write_if_room(path: Path, texels: np.ndarray) -> None:
+        if any(path.is_relative_to(folder) for folder in full):
+            raise PixsimError(f"output file: got '{path}' (No space left on device)")
+        write(path, texels)
+
+    monkeypatch.setattr(charts, "write_chart", write_if_room)
+    path = charts.texture_file(["full"], lambda: np.ones((2, 2), np.float32))
+    assert path.is_file()
+    assert not path.is_relative_to(tmp_path)
+    full.append(path.parent)
+    with pytest.raises(PixsimError, match=r"\.exr' \(No space left"):
+        charts.texture_file(["other"], lambda: np.ones((2, 2), np.float32))
