@@ -254,6 +254,11 @@ def settings_of(study: Study, unknowns: Sequence[Unknown], draw: Mapping[str, fl
     """
     table: dict[str, Any] = {}
     for unknown in unknowns:
+        if not unknown.technology:  # also of the data sheets that have the number from [pixel]
+            for name, sheet in study.sensors.items():
+                apart = any((each.technology, each.quantity) == (name, unknown.quantity) for each in unknowns)
+                if getattr(sheet, unknown.quantity, None) == unknown.value and not apart:
+                    table.setdefault("sensors", {}).setdefault(name, {})[unknown.quantity] = draw[unknown.name]
         sensor = study.sensors.get(unknown.technology)
         own = sensor is not None and getattr(sensor, unknown.quantity, None) is not None
         place = ("sensors" if own else "process", unknown.technology) if unknown.technology else ("pixel",)

@@ -184,6 +184,16 @@ def test_sheets_have_separate_draws(tmp_path: Path) -> None:
     ] * 2
 
 
+def test_settings_of_own_pixel_are_those_of_sheets_that_take_them_over(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(f"pixel = {toml_of(SHEET)}\n", encoding="utf-8")
+    (tmp_path / "b.toml").write_text(f"pixel = {toml_of(SHEET | {'prnu': 0.02})}\n", encoding="utf-8")
+    text = written(technologies=["a.toml", "b.toml"]) + "pixel = { prnu = 0.01, uncertainty = { prnu = { sd = 0.001 } } }\n"
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    study, spreads = load_study(tmp_path / "s.toml"), uncertainty_of(tmp_path / "s.toml")
+    table = settings_of(study, unknowns_of_study(study, spreads), {"prnu": 0.012})
+    assert table == {"pixel": {"prnu": 0.012}, "sensors": {str(tmp_path / "a.toml"): {"prnu": 0.012}}}
+
+
 def test_uncertainty_beside_an_option_out_of_its_range_raises(tmp_path: Path) -> None:
     sheet = SHEET | {"uncertainty": {"read_noise_e": {"range": [15.0, 25.0]}}}
     (tmp_path / "sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
