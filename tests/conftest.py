@@ -1,5 +1,6 @@
 """Shared fixtures: a temporary cache, a small study, and a record of captured frames."""
 
+import gc
 import os
 import signal
 from collections.abc import Iterator
@@ -13,10 +14,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import pytest
-from helpers.tiny import tiny
+from helpers.tiny import WHOLE_CHART, tiny
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.parameters import merge
 from pixsim.sensor.readout import Frame
 from pixsim.studies import oversampling
 from pixsim.studies.result import StudyResult
@@ -27,6 +29,11 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run of pytest, which its workers share."""
     base = tmp_path_factory.getbasetemp()
     return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
+def pytest_collection_finish() -> None:
+    """Tests that are collected stay until the end: the garbage collector need not look at a million objects again and again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -46,7 +53,7 @@ def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="session")
 def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     """A study of one technology with the comparison to the paper, on a display slightly larger than a detail."""
-    return pixsim.study(tiny(paper=True, display={"dots": 120}), tmp_path_factory.mktemp("tiny"), jobs=1)
+    return pixsim.study(tiny(**merge(WHOLE_CHART, {"display": {"dots": 120}}), paper=True), tmp_path_factory.mktemp("tiny"), jobs=1)
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ import stat
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
@@ -267,6 +268,7 @@ def write_new(path: Path, text: str) -> None:
         raise PixsimError(f"output file: '{path}' cannot be written ({error.strerror}). Choose another name.") from None
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of Python, pixsim and the main dependencies."""
     from importlib import metadata  # imported here: it takes 20 ms

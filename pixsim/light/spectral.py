@@ -337,7 +337,7 @@ class Spectrum:
     def at(self, wavelength_nm: Array) -> Array:
         return np.interp(wavelength_nm, self.nodes_nm, self.values, left=0.0, right=0.0)
 
-    @property
+    @cached_property
     def step_nm(self) -> float:
         """Step of the coarsest grid that resolves the spectrum: 1 nm for tables at whole nanometres, else finer."""
         if np.all(self.nodes_nm == np.rint(self.nodes_nm)):
@@ -361,8 +361,15 @@ class Spectrum:
 
     def on_grid(self, step_nm: float) -> Array:
         """Return the means over cells around the nodes of `grid_nm`; their trapezoidal sum is the integral."""
-        nodes = grid_nm(step_nm)
-        return self.cell_means(np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]]))
+        if step_nm not in self._on_grids:  # each band of a lamp asks for it
+            nodes = grid_nm(step_nm)
+            self._on_grids[step_nm] = self.cell_means(np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]]))
+            self._on_grids[step_nm].flags.writeable = False
+        return self._on_grids[step_nm]
+
+    @cached_property
+    def _on_grids(self) -> dict[float, Array]:
+        return {}
 
     def __mul__(self, factor: float) -> Spectrum:
         return Spectrum(self.nodes_nm, self.values * factor)

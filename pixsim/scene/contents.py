@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, first_where
 from pixsim.base.errors import invalid
+from pixsim.base.files import digest_of
 from pixsim.base.parameters import Camera
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
@@ -450,6 +452,21 @@ def _file_of(node: Any) -> Path:
     return Path(str(node.props["filename"]))
 
 
+KEPT_PICTURES, MAX_KEPT_BYTES = 4, 1 << 24
+_kept: dict[str, dict[str, NDArray[np.float32]]] = {}
+
+
+def _channels_of(path: Path) -> dict[str, NDArray[np.float32]]:
+    """Return the channels of an EXR, not to be changed. The last small ones are kept by their bytes: a render asks several times."""
+    digest = digest_of(path)
+    channels = _kept.pop(digest, None) or read_channels(path)[0]
+    if sum(texels.nbytes for texels in channels.values()) <= MAX_KEPT_BYTES:
+        _kept[digest] = channels
+        while len(_kept) > KEPT_PICTURES:
+            del _kept[next(iter(_kept))]
+    return channels
+
+
 def check_textures(state: Any) -> None:
     """Raise PixsimError for NaN, infinite and negative texels, which Mitsuba would interpolate into their neighbours."""
     maps_or_weights: set[int] = set()  # textures of normals, bumps, opacity, weights, roughness
@@ -468,7 +485,7 @@ def check_textures(state: Any) -> None:
         if path in raw and path.suffix.lower() in EIGHT_BIT:
             raise invalid(what, f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as written by pixsim chart")
         if path.suffix.lower() == ".exr":
-            channels = read_channels(path)[0]
+            channels = _channels_of(path)
             if path in raw and len(channels) > 1:
                 raise invalid(what, f"channels {', '.join(channels)} with raw = true", "one channel, Y")
             for name, texels in channels.items():
@@ -521,5 +538,5 @@ def emitted_picture(state: Any, emitter: Any) -> EmittedPicture | None:
         return None
     linear = node.props.get("filter_type", "bilinear") == "bilinear" and set(node.props.keys()) <= KNOWN_OF_BITMAPS
     beyond = BEYOND.get(str(node.props.get("wrap_mode", "repeat"))) if linear else None
-    texels = next(iter(read_channels(path)[0].values())).astype(float)
+    texels = next(iter(_channels_of(path).values())).astype(float)
     return EmittedPicture(texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond)

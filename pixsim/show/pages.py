@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ from pixsim.base.files import replacing
 from pixsim.show.figures import svg_text
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
     from matplotlib.figure import Figure
 
 
@@ -32,6 +34,14 @@ CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 
 def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     """Fill in a packaged template, with every string escaped, and return the path."""
+    with replacing(path) as partial:
+        partial.write_text(_environment().get_template(template).render(**content), encoding="utf-8")
+    return path
+
+
+@cache
+def _environment() -> Environment:
+    """Templates that are compiled once: that takes longer than to fill them in."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup, escape
 
@@ -40,9 +50,7 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     environment = Environment(loader=FileSystemLoader(folder), **options)
     environment.filters["png"] = lambda content: data_uri("image/png", content)
     environment.filters["code"] = lambda text: Markup(CODE.sub(r"<code>\1</code>", str(escape(text))))
-    with replacing(path) as partial:
-        partial.write_text(environment.get_template(template).render(**content), encoding="utf-8")
-    return path
+    return environment
 
 
 def shown_value(value: Any) -> Any:

@@ -17,11 +17,13 @@ TINY: dict[str, Any] = {
     "repeats": 2,
     "iso_delta_e": 1.0,
     "resolution": 384,
-    "render_noise": 10.0,  # two renders, not six
-    "scene": {"file": "csf", "parameters": {"spp": 4, "luminance_cd_per_m2": 100.0}},
+    "render_noise": 10.0,  # two renders, not six, if a test has the chart sampled
+    "scene": {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}},  # its cells are computed
+    "camera": {"die_mm": 1.3568},
     "pitch": {"values_um": PITCHES_UM},
-    "display": {"dots": 96, "samples_per_deg": 10.0},
+    "display": {"dots": 48, "samples_per_deg": 10.0},
 }
+WHOLE_CHART: dict[str, Any] = {"camera": {"die_mm": 2.7136}, "display": {"dots": 96}}  # as in the paper, up to 33.3 lp/mm
 
 
 def tiny(**over: Any) -> pixsim.Study:

@@ -221,7 +221,7 @@ def test_study_page_fits_screens(made: tuple[StudyResult, Path], tmp_path: Path)
     assert_sliders_move(actual, pictures=3)
     for seen in actual:
         assert len(seen.tiles) == sum(1 + curve.pitch_um.size + 9 for curve in made[0].curves)
-        assert {tuple(tile) for tile in seen.tiles} == {(94, 94, 94, 94)}
+        assert {tuple(tile) for tile in seen.tiles} == {(46, 46, 46, 46)}
         assert seen.headings[0][1] == TITLE
 
 

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.tiny import TINY, tiny
+from helpers.tiny import TINY, WHOLE_CHART, tiny
 from PIL import Image
 
 import pixsim
 from pixsim.base import cache
 from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import merge
 from pixsim.report import views
 from pixsim.report.pictures import crops
 from pixsim.report.views import best_place, detail_at, rank, study_views
@@ -120,7 +121,7 @@ def test_detail_at_equals_scored_picture(tiny_result: StudyResult, how: str, mon
 def test_study_views_one_to_one_large_pixels(tmp_path: Path) -> None:
     """Their pictures have one dot to 17: no window of the finest picture is empty in any."""
     more = {"display": {"raster": "one_to_one"}, "pitch": {"values_um": [20, 40, 400, 900, 2000]}}
-    result = pixsim.study(tiny(**more, name="coarse"), tmp_path, jobs=1)
+    result = pixsim.study(tiny(**more, name="coarse", camera={"die_mm": 2.7136}), tmp_path, jobs=1)
     curve = result.curves[0]
     (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
     views = study_views(result, curve, best)
@@ -227,7 +228,7 @@ def test_contact_sheet_png_long_title_is_bounded(title: str) -> None:
 
 
 def test_study_detail_does_not_change_rows(tiny_result: StudyResult, tmp_path: Path) -> None:
-    again = pixsim.study(tiny(paper=True, display={"dots": 120}, detail=[0.1, 0.2]), tmp_path, jobs=1)
+    again = pixsim.study(tiny(**merge(WHOLE_CHART, {"display": {"dots": 120}}), paper=True, detail=[0.1, 0.2]), tmp_path, jobs=1)
     np.testing.assert_array_equal(again.curves[0].delta_e, tiny_result.curves[0].delta_e)
     assert replace(again, study=tiny_result.study).as_dict() == tiny_result.as_dict()
     text = (tmp_path / "results.csv").read_text(encoding="utf-8")

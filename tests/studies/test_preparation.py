@@ -257,10 +257,10 @@ def test_study_problem_is_found_before_render(
 def test_window_is_same_lens_on_part_of_the_die(tmp_path: Path) -> None:
     """In a scene whose lens follows from its focal length, a window is a smaller die; elsewhere it keeps the focal length too."""
     few = {"pitch": {"values_um": [8, 10, 12, 16, 20]}}
-    window = pixsim.study(tiny(**few, window_mm=1.5), tmp_path / "window", jobs=1)
-    smaller = pixsim.study(tiny(**few, camera={"die_mm": 1.5}), tmp_path / "die", jobs=1)
+    window = pixsim.study(tiny(**few, window_mm=0.9), tmp_path / "window", jobs=1)
+    smaller = pixsim.study(tiny(**few, camera={"die_mm": 0.9}), tmp_path / "die", jobs=1)
     np.testing.assert_array_equal(window.curves[0].delta_e, smaller.curves[0].delta_e)
-    assert window.as_dict()["window_mm"] == 1.5
+    assert window.as_dict()["window_mm"] == 0.9
     scene = pixsim.load_scene("still_life")
     camera = scene.camera().window(1.0)
     assert camera.focal_length_mm == scene.camera().focal_length_mm

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers.commands import command
 from helpers.processes import HANG_S, signalled
-from helpers.tiny import PITCHES_UM, keys, rows, tiny as tiny_study, tiny_toml
+from helpers.tiny import PITCHES_UM, WHOLE_CHART, keys, rows, tiny as tiny_study, tiny_toml
 
 import pixsim
 from pixsim.base import cache
@@ -328,7 +328,7 @@ def test_study_cached_frames_same_bytes(tmp_path: Path, monkeypatch: pytest.Monk
     taken: list[int] = []
     capture = ImagingChain.capture
     monkeypatch.setattr(ImagingChain, "capture", lambda self, *key: taken.append(1) or capture(self, *key))
-    study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[1:]}, exposure={"integration_s": 1.0})
+    study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[1:]}, exposure={"integration_s": 1.0}, **WHOLE_CHART)
     results = tmp_path / "out/results.csv"
 
     def evaluated() -> tuple[bytes, int]:
@@ -384,7 +384,7 @@ def test_study_quick_rows_are_study_rows(done: tuple[StudyResult, Path], tmp_pat
     ("over", "message"),
     [
         ({"pitch": {"values_um": [5.0, 6, 7, 8, 9]}}, r"5\b.*5\.135 µm"),
-        ({"pitch": {"values_um": [6, 7, 8, 9, 2714]}}, r"2714.*2713\.6 µm"),
+        ({"pitch": {"values_um": [6, 7, 8, 9, 1357]}}, r"1357.*1356\.8 µm"),
         ({"technologies": ("0.35um", "0.3um")}, r"0\.3um"),
         ({"technologies": ("0.35um", "0.35um")}, r"0\.35um"),
         ({"process": {"0.25um": {"dsnu": 0.1}}}, r"process: got '0\.25um'; allowed: technologies of the study: 0\.35um"),
