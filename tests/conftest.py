@@ -57,6 +57,12 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 
 
 @pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures of pages are empty: to draw them takes most of the time of a small study."""
+    monkeypatch.setattr("pixsim.show.pages.svg_text", lambda _: '<svg xmlns="http://www.w3.org/2000/svg"/>')
+
+
+@pytest.fixture
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
     """Frames captured in this process so far, without those that measure the film."""
     frames: list[Frame] = []

@@ -25,6 +25,7 @@ from pixsim.sensor.pixel import sheet_disagreements
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.study import check_technologies, load_study, prepare
 
+pytestmark = pytest.mark.usefixtures("undrawn")
 SHEET: dict[str, Any] = {
     "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,
     "bits": 12, "prnu": 0.01, "offset_fpn": 0.001,
@@ -33,7 +34,7 @@ SHEET: dict[str, Any] = {
 WORDS: dict[str, Any] = {name: SHEET[name] for name in ("pitch_um", "full_well_e", "quantum_efficiency", "bits")} | {
     "temporal_dark_noise_e": 6.5, "dark_current": {"e_per_s": 125.0, "at_c": 27.0}, "prnu_percent": 1.0, "dsnu_e": 12.0,
 }  # fmt: skip
-SMALL = "--resolution 64 -D spp=4 --display.dots 64 --seed 3"
+SMALL = "--resolution 64 --display.dots 64 --seed 3"
 
 
 def file_of(path: Path, pixel: dict[str, Any]) -> Path:

@@ -55,7 +55,7 @@ datasheet.make_datasheet = functools.partial(datasheet.make_datasheet, **{FEW})
 cli.main()
 """
 MAX_KIB = 256 << 10  # of additional memory
-SMALL = "--resolution 32 -D spp=4 --display.dots 32"
+SMALL = "--resolution 32 --display.dots 32"
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from pixsim.sensor.pixel import fill_factor_law
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.study import checked_study, load_study, read_study
 
+pytestmark = pytest.mark.usefixtures("undrawn")
 SHEET = """
 [pixel]
 pitch_um = 4.0
@@ -350,7 +351,7 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
     ],
 )
 def test_run_command_low_black_level_gives_note(options: str, message: str, tmp_path: Path) -> None:
-    film = "--irradiance none --resolution 64 -D spp=4 --display.dots 64"
+    film = "--irradiance none --resolution 64 --display.dots 64"
     sheet = "[pixel]\nbits = 10\n" if "technology" in options else SHEET
     path = written(tmp_path / "sensor.toml", sheet.replace("bits =", f"{options}\nbits ="))
     code, out, err = command(f"run csf --config {path} {film} --out {tmp_path / 'out'}")

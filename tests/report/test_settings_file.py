@@ -33,6 +33,9 @@ die_mm = 1.5
 """
 
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a sensor and its curve, a technology, and a chart."""
@@ -64,14 +67,14 @@ def command_in(folder: Path) -> str:
     [
         "--config sheet.toml",
         "--config sheet.toml --window 1.1 --camera.f-number 5.6 --seed 3",
-        "--pixel.technology mine.toml -D chart=star.exr --camera.die-mm 1.0 --variant scalar_spectral --full --resolution 32",
+        "--pixel.technology mine.toml -D chart=star.exr --camera.die-mm 1.0 --variant scalar_spectral --full --resolution 32 -D spp=4",
         "--config sheet.toml --tolerance-delta-e 0.5",
     ],
 )
 def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     film = "" if "--resolution" in options else "--resolution 64"
     noise = "" if "--tolerance" in options else "--render-noise 10"  # two renders
-    done(f"run csf {options} {film} {noise} -D spp=4 --display.dots 64 --irradiance none --out out")
+    done(f"run csf {options} {film} {noise} --display.dots 64 --irradiance none --out out")
     first, line = json.loads((desk / "out/score.json").read_text(encoding="utf-8")), command_in(desk / "out")
     monkeypatch.chdir(desk / "out")
     done(f"{line} --irradiance none --out {tmp_path / 'again'}")
@@ -86,7 +89,7 @@ def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path
 
 
 def test_run_settings_of_picture_make_same_numbers(desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done("run csf --config sheet.toml --resolution 64 -D spp=4 --irradiance full --out out")
+    done("run csf --config sheet.toml --resolution 64 --irradiance full --out out")
     done("run out/irradiance.exr --config sheet.toml --seed 2 --out foreign")
     line = command_in(desk / "foreign")
     monkeypatch.chdir(desk / "foreign")
@@ -158,7 +161,7 @@ def test_study_settings_make_same_numbers(options: str, desk: Path, tmp_path: Pa
     (desk / "own.toml").write_text(
         'name = "own"\nrepeats = 3\nrender_noise = 10\n[pitch]\ncount = 6\n[quick]\nrepeats = 2\n', encoding="utf-8"
     )
-    done(f"study own.toml {options} --quick --resolution 64 -D spp=4 --jobs 1 --out out")
+    done(f"study own.toml {options} --quick --resolution 64 --jobs 1 --out out")
     monkeypatch.chdir(desk / "out")
     done(f"{command_in(desk / 'out')} --jobs 1 --out {tmp_path / 'again'}")
     first, again = ([list(row.values())[2:] for row in rows(folder)] for folder in (desk / "out", tmp_path / "again"))
@@ -195,7 +198,7 @@ def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
     )
     keys = []
     for option in ("", "--display.dots 100", "-D max_lp_per_mm=15", "--camera.f-number 16"):
-        done(f"study own.toml --config sheet.toml {option} --resolution 64 -D spp=4 --jobs 1 --out out")
+        done(f"study own.toml --config sheet.toml {option} --resolution 64 --jobs 1 --out out")
         keys.append({row["key"] for row in rows(desk / "out")})
     assert len(set.union(*keys)) == 4 * 10
 

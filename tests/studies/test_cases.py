@@ -23,6 +23,7 @@ from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number, combin
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study, prepare, warn_of_idle_axes
 
+pytestmark = pytest.mark.usefixtures("undrawn")
 LIGHT = "scene.parameters.luminance_cd_per_m2"
 LENS = {
     "name": "lens",

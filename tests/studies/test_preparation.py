@@ -269,7 +269,7 @@ def test_window_is_same_lens_on_part_of_the_die(tmp_path: Path) -> None:
 
 def test_run_window_is_named(tmp_path: Path) -> None:
     line = (
-        f"run csf --config {sheet_toml(tmp_path)} --resolution 64 -D spp=4 --window 0.7 --irradiance none --out {tmp_path / 'out'}"
+        f"run csf --config {sheet_toml(tmp_path)} --resolution 64 --window 0.7 --irradiance none --out {tmp_path / 'out'}"
     )
     with quiet():
         code, out, err = command(line)
@@ -351,7 +351,7 @@ def test_dry_run_renders_and_writes_nothing(line: str, tmp_path: Path, monkeypat
 
 @pytest.mark.slow
 def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
-    line = f"study pixel-size --config {sheet_toml(tmp_path)} --resolution 64 -D spp=4 --window 0.2 --pitch.count 5 --quick"
+    line = f"study pixel-size --config {sheet_toml(tmp_path)} --resolution 64 --window 0.2 --pitch.count 5 --quick"
     with quiet():
         outline = json.loads(command(f"{line} --dry-run --json")[1])
     quiet_command(f"{line} --out", "out", tmp_path)
