@@ -185,7 +185,11 @@ def expected_numbers(pixel: pixsim.Pixel, name: str) -> dict[str, float]:
     return {symbol: value for symbol, value in expected.items() if value is not None}
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
+# A second each, and with no property that the others lack.
+MORE_OF_A_KIND = ("cmv4000", "gsense4040bsi", "imx530", "imx455")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in MORE_OF_A_KIND else n for n in PUBLISHED])
 def test_datasheet_returns_published_numbers(name: str) -> None:
     """False alarms: 0.3 % a number of 3 standard errors; most are far within 2 %. Nothing warns."""
     settings = SceneOptions([SHEETS / f"{name}.toml"]).settings()

@@ -90,24 +90,28 @@ if child._child:
 print(json.dumps({"found": found + mapped("self"), "error": error}))
 """
 SPHERE = '<shape type="sphere"><transform name="to_world"><translate z="3"/></transform>{}</shape>'
-# Way -> (file that the attacker puts there, how it is loaded, the scene, text of the error).
+# Way -> (files that the attacker puts there, how it is loaded, the scene, text of the error).
 WAYS = {
     "another plugin beside the scene": ("plugins/evil.so", "pixsim", SPHERE.format('<bsdf type="evil"/>'), "bsdf: got 'evil'"),
-    "a known plugin beside the scene": ("plugins/thinlens.so", "pixsim", SPHERE.format(""), ""),
-    "a shape in the current folder": ("plugins/rectangle.so", "pixsim", '<shape type="rectangle"/>', ""),
+    # Beside the scene, in the current folder and in a <path> at once, since each takes a process that renders.
+    "known plugins": (
+        ("plugins/thinlens.so", "plugins/rectangle.so", "plugins/sphere.so", "q/plugins/thinlens.so", "q/plugins/sphere.so"),
+        "pixsim",
+        '<path value="q"/><shape type="rectangle"/>' + SPHERE.format(""),
+        "",
+    ),
     "an emitter under a packaged scene": ("plugins/area.so", "pixsim", "csf", ""),
     "a path in the name": ("trav.so", "pixsim", SPHERE.format('<bsdf type="../trav"/>'), "bsdf: got '../trav'"),
     "a <path>": ("q/plugins/evil.so", "pixsim", '<path value="q"/>' + SPHERE.format('<bsdf type="evil"/>'), "bsdf: got 'evil'"),
-    "a known plugin in a <path>": ("q/plugins/thinlens.so", "pixsim", '<path value="q"/>' + SPHERE.format(""), ""),
-    "a spectrum by load_dict": ("plugins/d65.so", "resolver", "csf", ""),
-    "a film by load_dict": ("plugins/specfilm.so", "resolver", "flat", ""),
+    "a spectrum and a film by load_dict": (("plugins/d65.so", "plugins/specfilm.so"), "resolver", "csf", ""),
 }
 
 
 def attacked(folder: Path, way: str, how: str | None = None) -> dict:
-    file, usual, body, _ = WAYS[way]
-    (folder / file).parent.mkdir(parents=True, exist_ok=True)
-    shutil.copy(PLUGIN_FOLDER / ("diffuse.so" if Path(file).stem in ("evil", "trav") else Path(file).name), folder / file)
+    files, usual, body, _ = WAYS[way]
+    for file in (files,) if isinstance(files, str) else files:
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(PLUGIN_FOLDER / ("diffuse.so" if Path(file).stem in ("evil", "trav") else Path(file).name), folder / file)
     scene = str(scene_of(folder, body)) if body.startswith("<") else body
     arguments = [sys.executable, "-c", ATTACKED, str(folder), how or usual, scene]
     done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=HANG_S, check=True)

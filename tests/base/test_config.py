@@ -236,14 +236,17 @@ def test_quantum_efficiency_curve_is_linear_and_zero_outside(sheet: Path) -> Non
 def test_run_command_incomplete_data_sheet_states_assumed_technology(missing: str, sheet: Path, tmp_path: Path) -> None:
     text = "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)).replace("pitch_um = 4.0", "pitch_um = 6.0")
     written(sheet, text)
-    small = f"run csf --resolution 64 --display.dots 64 --out {tmp_path / 'out'} --config"
     words = f"technology 0.35um assumed, without {missing}"
-    code, out, err = command(small, sheet)
-    assert (code, words in out) == (0, True), err
-    code, out, err = command(small, sheet, "--json")
-    score = json.loads(out)
-    assert (score["assumption"], score["pixel"]["technology"]) == (words, "0.35um")
-    assert words in repr(settings_of(sheet).pixel)
+    pixel = settings_of(sheet).pixel
+    assert words in repr(pixel)
+    assert (pixel.assumption, pixel.technology) == (words, "0.35um")
+    if missing == "pitch_um":  # the way from there to the results is the same for all
+        small = f"run csf --resolution 64 --display.dots 64 --out {tmp_path / 'out'} --config"
+        code, out, err = command(small, sheet)
+        assert (code, words in out) == (0, True), err
+        code, out, err = command(small, sheet, "--json")
+        score = json.loads(out)
+        assert (score["assumption"], score["pixel"]["technology"]) == (words, "0.35um")
 
 
 @pytest.mark.parametrize("missing", ["full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])

@@ -190,7 +190,15 @@ def test_installed_command_invalid_input_gives_same_message(line: str, desk: Pat
 OLD_LLVM = sorted(str(path) for number in (14, 15, 16) for path in Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{number}.so.1"))
 
 
-@pytest.mark.parametrize("library", ["taken", *OLD_LLVM])
+# A process each; test_variant tries all kinds of unusable libraries.
+@pytest.mark.parametrize(
+    "library",
+    [
+        pytest.param("taken", marks=pytest.mark.slow),
+        *OLD_LLVM[:1],
+        *(pytest.param(path, marks=pytest.mark.slow) for path in OLD_LLVM[1:]),
+    ],
+)
 def test_run_unusable_llvm_is_rejected(library: str, desk: Path) -> None:
     before = contents(desk)
     assert_refused(*run_process("run flat", DRJIT_LIBLLVM_PATH=library), [library, "LLVM 17 or newer", "pip install"])

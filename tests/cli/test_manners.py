@@ -97,7 +97,9 @@ def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
     assert out.startswith("mean ΔE")
 
 
-@pytest.mark.parametrize("line", ["--help", "run --help", "cache", "run nothing"])
+@pytest.mark.parametrize(
+    "line", ["run --help", "run nothing", *(pytest.param(line, marks=pytest.mark.slow) for line in ("--help", "cache"))]
+)
 def test_output_without_terminal_has_no_colours(line: str) -> None:
     done = process(line, FORCE_COLOR="", TERM="xterm-256color")
     assert "\x1b" not in done.stdout + done.stderr

@@ -77,6 +77,7 @@ def test_write_report_matches_summary(made: tuple[StudyResult, Path]) -> None:
             assert f"{delta_e:.4f}" in words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_write_report_minimum_at_end_is_not_best(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = made[0]
     curve = result.curves[0]
@@ -166,6 +167,7 @@ def test_light_level_exposure_range(made: tuple[StudyResult, Path]) -> None:
     assert str(LightLevel.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_write_report_shows_notes(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """A warning of the render, such as of its noise, is a note of the result."""
     warned = "render noise is 0.31 of the sensor noise, target 0.2"
@@ -200,6 +202,7 @@ def test_write_report_data_sheet_omits_process(made: tuple[StudyResult, Path], t
     assert "fill_factor_law" in text_of(made[1]), "a process uses those settings"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_write_report_paper_comparison(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """0.0415 is the largest number of the response file, 0.37 that of the process's."""
     own = {"name": "paper", "paper": True, "pixel": {"response": "literal"}}

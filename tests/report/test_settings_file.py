@@ -68,7 +68,7 @@ def command_in(folder: Path) -> str:
         "--config sheet.toml",
         "--config sheet.toml --window 1.1 --camera.f-number 5.6 --seed 3",
         "--pixel.technology mine.toml -D chart=star.exr --camera.die-mm 1.0 --variant scalar_spectral --full --resolution 32 -D spp=4",
-        "--config sheet.toml --tolerance-delta-e 0.5",
+        pytest.param("--config sheet.toml --tolerance-delta-e 0.5", marks=pytest.mark.slow),  # many renders
     ],
 )
 def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,12 +102,14 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The limit ends the first run after its first two renders; its noise as the target ends the second one there too."""
-    line = "run macbeth --config sheet.toml --resolution 32 -D spp=4 --render-noise 0.001 --irradiance none"
+    line = (
+        "run macbeth --variant scalar_spectral --config sheet.toml --resolution 32 -D spp=4 --render-noise 0.001 --irradiance none"
+    )
     done(f"{line} --max-seconds 1e-9 --out out")
     first = json.loads((desk / "out/score.json").read_text(encoding="utf-8"))
     assert first["render_noise"]["ended_by"] == "max_seconds"
     monkeypatch.setenv("PIXSIM_CACHE_GIB", "0")
-    done(f"run macbeth --config out/settings.toml --irradiance none --out {tmp_path / 'again'}")
+    done(f"run macbeth --variant scalar_spectral --config out/settings.toml --irradiance none --out {tmp_path / 'again'}")
     again = json.loads((tmp_path / "again/score.json").read_text(encoding="utf-8"))
     assert again["render_noise"]["ended_by"] == "target"
     assert (tmp_path / "again/raw.exr").read_bytes() == (desk / "out/raw.exr").read_bytes()

@@ -20,7 +20,7 @@ from pixsim.scene.convergence import render_until
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import CachedRenders, Renderer
 
-RUN = "run {scene} --variant scalar_spectral --resolution 32 -D spp=16 --display.dots 32 --config {out}.toml --out {out}"
+RUN = "run {scene} --variant scalar_spectral --resolution 32 -D spp=4 --display.dots 32 --config {out}.toml --out {out}"
 
 
 @pytest.fixture(autouse=True)

@@ -21,7 +21,7 @@ LANDSCAPE, PORTRAIT = Camera(die_height_mm=1.8), Camera(die_mm=1.8, die_height_m
 
 def chart_on(name: str, camera: Camera, width: int = 96) -> Array:
     """Illuminance of a packaged chart on a die, without the fall-off of the lens, over its largest value."""
-    image = pixsim.render(load(name, spp=64).with_resolution(width), camera)
+    image = pixsim.render(load(name, spp=16).with_resolution(width), camera)
     lens = camera.image_distance_mm, camera.f_number, camera.magnification
     picture = image.illuminance_lx() / field_factor(image.shape, image.pitch_um, *lens)
     return picture / picture.max()

@@ -25,7 +25,7 @@ PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
 CASES = {name: (name, {}) for name in packaged_scenes() if name != "macbeth"}
 CASES |= {f"macbeth {lamp}": ("macbeth", {"lamp": f"spectra/{lamp}.spd"}) for lamp in LAMPS}
-SLOW = ("macbeth a", "macbeth fl11", "macbeth led_b3", "siemens_star", "still_life")
+SLOW = ("macbeth a", "macbeth fl11", "macbeth led_b3", "siemens_star", "still_life", "line_lamp")
 TOLERANCES = (1e-2, 1e-3, 1e-4)
 ONE_PERCENT = 0.01
 

@@ -102,7 +102,8 @@ def csf_sample_means(n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("variant", "size"), [pytest.param("llvm_ad_spectral", {}, marks=NEEDS_LLVM), ("scalar_spectral", {"resolution": 256})]
+    ("variant", "size"),
+    [pytest.param("llvm_ad_spectral", {"resolution": 512}, marks=NEEDS_LLVM), ("scalar_spectral", {"resolution": 256})],
 )
 def test_render_csf_matches_chart(variant, size):
     scene = pixsim.load_scene("csf", variant=variant, **size)
@@ -270,7 +271,7 @@ if cores == "one":
 import pixsim
 scene = pixsim.load_scene("csf", variant=variant, resolution=96, spp=16)
 import drjit  # not before pixsim has chosen its LLVM
-for threads in (None,) if cores == "one" else (2, 3, 8):
+for threads in (None,) if cores == "one" else (2, 3):
     if threads:
         drjit.set_thread_count(threads)
     print(hashlib.sha256(pixsim.render(scene, seed=1).factors[1].tobytes()).hexdigest())
@@ -286,7 +287,7 @@ def test_render_threads_are_bit_identical(variant):
         return subprocess.run(line, capture_output=True, text=True, check=True, timeout=HANG_S).stdout.split()
 
     several = hashes("several")
-    assert len(several) == 3
+    assert len(several) == 2
     assert len(set(several)) == 1
     assert hashes("one") == several[:1]
 

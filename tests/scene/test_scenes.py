@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from helpers.edits import FOLDER, VARIANT, VARIANTS, lens_sr
+from helpers.edits import FOLDER, NEEDS_LLVM, VARIANT, lens_sr
 
 import pixsim
 from pixsim.light import spectral
@@ -19,6 +19,9 @@ from pixsim.scene.mitsuba import import_mitsuba, nodes_of, parse, plain, speakin
 
 SCENES = ["line_lamp", "macbeth", "still_life"]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
+SMOOTH, LINES, LASER = "d65", "fl11", "laser_532nm"
+# A render each: of the smooth lamps one, the lines and the laser.
+OF_EACH_KIND = [lamp if lamp in (SMOOTH, LINES, LASER) else pytest.param(lamp, marks=pytest.mark.slow) for lamp in LAMPS]
 COS_45 = 0.5**0.5
 WHITE_CD_PER_M2 = 1000.0
 SIZE = 64
@@ -177,7 +180,8 @@ def test_every_step_has_a_test():
 # --- Packaged scenes ---
 
 
-@VARIANTS
+# The LLVM variant compiles a kernel for each scene.
+@pytest.mark.parametrize("variant", [pytest.param("llvm_ad_spectral", marks=[NEEDS_LLVM, pytest.mark.slow]), VARIANT])
 def test_packaged_scenes_render_in_stock_mitsuba(variant, tmp_path, monkeypatch):
     mi = import_mitsuba(variant)
     monkeypatch.chdir(tmp_path)
@@ -233,7 +237,7 @@ def test_packaged_laser_is_line():
     assert (power * FINE_NM).sum() / power.sum() == pytest.approx(532, abs=1e-6)
 
 
-@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize("lamp", OF_EACH_KIND)
 def test_macbeth_white_is_1000_cd_per_m2(lamp, tmp_path):
     # In the file; five digits, and ȳ bends a little between its nanometres, most under the laser.
     assert luminous_flux(lamp) * COS_45 / np.pi == pytest.approx(WHITE_CD_PER_M2, rel=2e-4)
@@ -270,7 +274,7 @@ def test_macbeth_board_is_dark():
         np.testing.assert_allclose(strip, covered * patches + (1 - covered) * 0.03, rtol=0.02)
 
 
-@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize("lamp", OF_EACH_KIND)
 def test_macbeth_patch_luminances_match_tables(lamp):
     light_nm = (531, 533) if lamp == "laser_532nm" else (360, 830)
     picture = luminance(FOLDER / "macbeth.xml", spp=256, light_nm=light_nm, lamp=f"spectra/{lamp}.spd")

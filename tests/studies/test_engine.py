@@ -207,6 +207,7 @@ def test_study_full_disk_keeps_finished_rows(toml, expected, tmp_path: Path, mon
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
+@pytest.mark.slow  # test_interruptions refuses a folder in use for every command
 def test_study_locked_folder_raises(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """The second comes while the first evaluates."""
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")

@@ -268,9 +268,7 @@ def test_window_is_same_lens_on_part_of_the_die(tmp_path: Path) -> None:
 
 
 def test_run_window_is_named(tmp_path: Path) -> None:
-    line = (
-        f"run csf --config {sheet_toml(tmp_path)} --resolution 64 --window 0.7 --irradiance none --out {tmp_path / 'out'}"
-    )
+    line = f"run csf --config {sheet_toml(tmp_path)} --resolution 64 --window 0.7 --irradiance none --out {tmp_path / 'out'}"
     with quiet():
         code, out, err = command(line)
     assert code == 0, err

@@ -252,7 +252,7 @@ def test_study_target_two_workers_same_rounds(done: tuple[StudyResult, Path], tm
 
 
 # 5: among the first pitches; 15: in the first round; 26: in the second.
-@pytest.mark.parametrize("count", [5, 15, 26])
+@pytest.mark.parametrize("count", [5, pytest.param(15, marks=pytest.mark.slow), 26])  # in the first and the last round
 def test_study_interrupted_round_is_resumed(
     count: int, done: tuple[StudyResult, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
 ) -> None:
