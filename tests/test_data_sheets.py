@@ -73,7 +73,9 @@ def ways(pixel: dict[str, Any], folder: Path) -> dict[str, list[object]]:
 @pytest.mark.parametrize("pixel", [SHEET, WORDS], ids=["fields", "words"])
 def test_run_same_sensor_in_every_way_gives_same_frame(pixel: dict[str, Any], tmp_path: Path) -> None:
     frames = {}
-    for name, arguments in ways(pixel, tmp_path / "sheets").items():
+    every_way = ways(pixel, tmp_path / "sheets")
+    for name in every_way if pixel is SHEET else ("file", "options", "files"):
+        arguments = every_way[name]
         with warnings.catch_warnings(action="always"):
             code, out, err = command(f"run csf {SMALL} --json", *arguments, "--out", tmp_path / name)
         assert code == 0, err

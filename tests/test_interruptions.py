@@ -222,7 +222,7 @@ if __name__ == "__main__":
 
 
 @proc
-@pytest.mark.parametrize("delay_s", [0.0, 0.3, 1.5])
+@pytest.mark.parametrize("delay_s", [0.0, pytest.param(0.3, marks=pytest.mark.slow), 1.0])
 def test_killed_process_leaves_no_workers_and_next_command_cleans_up(delay_s: float, tmp_path: Path, monkeypatch) -> None:
     """Killed while its workers start, and while they work."""
     process = started(LASTING, tmp_path)

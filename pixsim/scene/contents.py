@@ -457,7 +457,7 @@ _kept: dict[str, dict[str, NDArray[np.float32]]] = {}
 
 
 def _channels_of(path: Path) -> dict[str, NDArray[np.float32]]:
-    """Return the channels of an EXR, not to be changed. The last small ones are kept by their bytes: a render asks several times."""
+    """Return the channels of an EXR, not to be changed; the last small ones are kept, since a render asks several times."""
     digest = digest_of(path)
     channels = _kept.pop(digest, None) or read_channels(path)[0]
     if sum(texels.nbytes for texels in channels.values()) <= MAX_KEPT_BYTES:

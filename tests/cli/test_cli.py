@@ -180,7 +180,7 @@ def run_process(line: str, **environment: str) -> tuple[int, str, str]:
     return done.returncode, done.stdout, SIGN_OF_LIFE.sub("", stderr)
 
 
-@pytest.mark.parametrize("line", ["run flat -D chart=nan.exr", "run perspective.xml"])
+@pytest.mark.parametrize("line", ["run flat -D chart=nan.exr", pytest.param("run perspective.xml", marks=pytest.mark.slow)])
 def test_installed_command_invalid_input_gives_same_message(line: str, desk: Path) -> None:
     before = contents(desk)
     assert run_process(line) == command(line)

@@ -201,6 +201,7 @@ def test_render_broken_mitsuba_is_problem(text: str, limit_s: float, fault: str,
     assert "pip install --force-reinstall 'mitsuba==3.9.*'" in str(finding.mend)
 
 
+@pytest.mark.slow  # a whole visit; its parts are test_broken_packages_uses_lines_before_abort and test_render_broken_mitsuba_is_problem
 def test_doctor_survives_aborting_mitsuba(tmp_path: Path):
     visited = visit(**before(written(tmp_path / "broken", {"mitsuba.py": "import os; os.abort()"})))
     assert visited.code == 1

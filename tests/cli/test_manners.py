@@ -105,7 +105,8 @@ def test_output_without_terminal_has_no_colours(line: str) -> None:
     assert "\x1b" not in done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+# The shells differ in Cyclopts alone, and each takes a second.
+@pytest.mark.parametrize("shell", ["bash", *(pytest.param(other, marks=pytest.mark.slow) for other in ("zsh", "fish"))])
 def test_completion_prints_valid_script(shell: str) -> None:
     code, out, _ = command(f"completion {shell}")
     assert code == 0

@@ -129,7 +129,7 @@ def test_completion_knows_scenes_studies_technologies_and_choices(tmp_path: Path
     assert completed("run", "csf", "--display.interpolation", "") == {"linear", "nearest", "cubic"}
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+@pytest.mark.parametrize("shell", ["bash", *(pytest.param(other, marks=pytest.mark.slow) for other in ("zsh", "fish"))])
 def test_completion_script_asks_for_names(shell: Literal["bash", "zsh", "fish"]) -> None:
     script = app.generate_completion(prog_name="pixsim", shell=shell)
     assert "__complete" in script

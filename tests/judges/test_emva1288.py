@@ -126,7 +126,16 @@ def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
     return table
 
 
-@pytest.mark.parametrize("case", [*CASES, *(pytest.param(case, marks=pytest.mark.judges_full) for case in MORE_CASES)])
+ANOTHER_SIZE = ("0.35um", 6.5, 12, 16)  # between two others of the same process
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        *(pytest.param(c, marks=pytest.mark.slow) if c == ANOTHER_SIZE else c for c in CASES),
+        *(pytest.param(case, marks=pytest.mark.judges_full) for case in MORE_CASES),
+    ],
+)
 def test_package_results_match_parameters(case: Case) -> None:
     experiment, results = judged(case)
     assert case in MORE_CASES or results["sigma_y_dark"] > 1, "too few bits for the gate on σ_d"

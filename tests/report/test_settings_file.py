@@ -67,7 +67,8 @@ def command_in(folder: Path) -> str:
     [
         "--config sheet.toml",
         "--config sheet.toml --window 1.1 --camera.f-number 5.6 --seed 3",
-        "--pixel.technology mine.toml -D chart=star.exr --camera.die-mm 1.0 --variant scalar_spectral --full --resolution 32 -D spp=4",
+        "--pixel.technology mine.toml -D chart=star.exr -D spp=4 --camera.die-mm 1 --variant scalar_spectral --full "
+        "--resolution 32",
         pytest.param("--config sheet.toml --tolerance-delta-e 0.5", marks=pytest.mark.slow),  # many renders
     ],
 )

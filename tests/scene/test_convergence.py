@@ -305,7 +305,7 @@ def test_render_until_progress_reports_noise():
 
 
 def test_render_until_header_has_noise_and_plan(tmp_path):
-    small = "--variant scalar_spectral --resolution 64 -D spp=16 --display.dots 64 --pixel.pitch-um 21.2"
+    small = "--variant scalar_spectral --resolution 32 -D spp=16 --display.dots 32 --pixel.pitch-um 42.4"
     run = f"run csf {small} --json --out {tmp_path}"
     code, out, err = command(run)
     assert (code, err) == (0, "")

@@ -13,6 +13,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.diffraction import square_aperture_mtf
+from pixsim.scene.plan import make_render_plan
 from pixsim.sensor.integration import mean_signal_rate
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import Frame
@@ -338,9 +339,9 @@ class NoShotNoise(np.random.Generator):
 
 @pytest.fixture(scope="module")
 def csf() -> tuple[SpectralImage, Camera]:
-    """The packaged chart on a film of 1024², behind a lens without diffraction."""
+    """The packaged chart on a film of 1024², computed without samples, behind a lens without diffraction."""
     scene = pixsim.load_scene("csf", resolution=1024)
-    irradiance = pixsim.render(scene, scene.camera(), seed=0)
+    irradiance = pixsim.render(scene, scene.camera(), plan=make_render_plan(scene, exact=True))
     irradiance.header["diffraction"] = False
     return irradiance, scene.camera()
 
