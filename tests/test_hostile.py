@@ -615,7 +615,7 @@ def test_command_any_file_name_works_or_is_rejected(tmp_path, monkeypatch, name)
         pytest.param("sfr edge.npy --out out", 3000, marks=pytest.mark.slow),
         pytest.param("datasheet 0.35um --out out", 9000, marks=pytest.mark.slow),
         pytest.param("chart csf -o out/a.exr", 9000, marks=pytest.mark.slow),
-        ("template study -o out/a.toml", 100),
+        pytest.param("template study -o out/a.toml", 100, marks=pytest.mark.slow),
     ],
 )
 def test_command_full_disk_leaves_no_partial_file(tmp_path, line, max_bytes):

@@ -269,7 +269,7 @@ def assert_possible(frame: Frame) -> None:
 def test_evaluate_is_finite_and_in_range_or_raises() -> None:
     outcomes: Counter[str] = Counter()
 
-    @settings(max_examples=200, **REPEATABLE)
+    @settings(max_examples=120, **REPEATABLE)
     @given(chains())
     def scored(chain: dict[str, Any]) -> None:
         with only_explained_errors(outcomes):

@@ -201,7 +201,8 @@ def test_render_broken_mitsuba_is_problem(text: str, limit_s: float, fault: str,
     assert "pip install --force-reinstall 'mitsuba==3.9.*'" in str(finding.mend)
 
 
-@pytest.mark.slow  # a whole visit; its parts are test_broken_packages_uses_lines_before_abort and test_render_broken_mitsuba_is_problem
+# A whole visit; its parts: test_broken_packages_uses_lines_before_abort, test_render_broken_mitsuba_is_problem.
+@pytest.mark.slow
 def test_doctor_survives_aborting_mitsuba(tmp_path: Path):
     visited = visit(**before(written(tmp_path / "broken", {"mitsuba.py": "import os; os.abort()"})))
     assert visited.code == 1

@@ -124,7 +124,14 @@ def test_options_match_fields_of_files() -> None:
     assert options == {f"{table}.{name}" for table, record in tables.items() for name in record.model_fields}
 
 
-def test_commands_write_only_to_output_and_cache(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"run csf {SMALL} --out {{out}}/run",
+        pytest.param("study {study} --jobs 2 --out {out}/study", marks=pytest.mark.slow),  # three processes and their figures
+    ],
+)
+def test_commands_write_only_to_output_and_cache(line: str, tmp_path: Path) -> None:
     home, here, cache, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
     home.mkdir()
     here.mkdir()
@@ -133,9 +140,8 @@ def test_commands_write_only_to_output_and_cache(tmp_path: Path) -> None:
     (study := tmp_path / "s.toml").write_text(tiny_toml(), encoding="utf-8")
     for variable, name in (("MPLCONFIGDIR", "matplotlib"), ("DRJIT_CACHE_DIR", "kernels")):  # new ones take seconds
         shutil.copytree(os.environ[variable], cache / name)
-    for line in (f"run csf {SMALL} --out {out}/run", f"study {study} --jobs 2 --out {out}/study"):
-        done = process(line, folder=here, **environment)
-        assert done.returncode == 0, done.stderr
+    done = process(line.format(out=out, study=study), folder=here, **environment)
+    assert done.returncode == 0, done.stderr
     assert list(home.rglob("*")) == []
     assert list(here.rglob("*")) == [], "temporary files remain"
     assert {path.name for path in cache.iterdir()} > {"kernels", "matplotlib"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import os
 import re
@@ -9,16 +10,40 @@ import shlex
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import Any
 
+import pydantic
 import pytest
+from cyclopts import Group
+from cyclopts.argument import _collection
 from helpers.processes import HANG_S
 
 from pixsim import cli
 from pixsim.cli.options import verbosity
 
 COMMAND = Path(sys.executable).with_name("pixsim")
+
+
+# Cyclopts builds its options and the checks of their types again for each command: most of the time of many of them here.
+adapter_of = functools.cache(pydantic.TypeAdapter)
+groups_of = functools.cache(_collection._resolve_groups_from_callable)
+
+
+def quick_groups(function: Callable[..., Any], *parameters: Any, **groups: Any) -> list[Group]:
+    try:
+        return groups_of(function, *parameters, **groups)
+    except TypeError:  # what cannot be a key
+        return groups_of.__wrapped__(function, *parameters, **groups)
+
+
+def quick_adapter(hint: Any) -> pydantic.TypeAdapter[Any]:
+    try:
+        return adapter_of(hint)
+    except TypeError:
+        return adapter_of.__wrapped__(hint)
 
 
 SIGN_OF_LIFE = re.compile(r"^\[\d+ s\] .*\n", re.MULTILINE)  # of pixsim.base.progress.Lines
@@ -30,6 +55,8 @@ def command(line: str, *words: object) -> tuple[int, str, str]:
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(warnings, "showwarning", warnings.showwarning)  # main() sets it
         patch.setattr(verbosity, "__dict__", vars(verbosity).copy())
+        patch.setattr(pydantic, "TypeAdapter", quick_adapter)
+        patch.setattr(_collection, "_resolve_groups_from_callable", quick_groups)
         with pytest.raises(SystemExit) as end:
             cli.main([*shlex.split(line), *map(str, words)])
     return end.value.code, out.getvalue(), SIGN_OF_LIFE.sub("", err.getvalue())

@@ -104,7 +104,18 @@ def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
     return table
 
 
-@pytest.mark.parametrize("case", [*CASES, *(pytest.param(case, marks=pytest.mark.judges_full) for case in MORE_CASES)])
+ANOTHER_SIZE = CASES[1]  # of the first case's process
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        CASES[0],
+        pytest.param(ANOTHER_SIZE, marks=pytest.mark.slow),
+        *CASES[2:],
+        *(pytest.param(case, marks=pytest.mark.judges_full) for case in MORE_CASES),
+    ],
+)
 def test_noise_and_speed_match_parameters(case: Case) -> None:
     table = rows((case,))
     assert len(table) >= 11

@@ -351,6 +351,7 @@ def test_study_more_values_compute_only_the_new_ones(done: tuple[StudyResult, Pa
     assert set(keys(folder)) == before
 
 
+@pytest.mark.slow  # test_engine starts workers
 def test_study_jobs_do_not_change_rows(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
     for jobs in (1, 2):
         pixsim.study(small(axis=[PRNU]), tmp_path / str(jobs), jobs=jobs)

@@ -99,7 +99,7 @@ def test_results_of_shows_worker_warnings_once() -> None:
     assert [str(note.message) for note in caught] == ["the moon is out"]
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])  # it ends its workers
 def test_results_of_task_error_is_not_retried(jobs: int) -> None:
     with pytest.raises(ZeroDivisionError):
         list(results_of(fail, [(task, nothing) for task in (2, 1, 0, 3)], Workers(jobs)))
@@ -159,6 +159,7 @@ def test_study_two_workers_same_bytes(keeping: bool, toml: Path, expected: bytes
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
+@pytest.mark.slow  # test_results_of_dead_worker_is_retried kills one of the engine
 def test_study_killed_worker_is_replaced(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
     with pytest.warns(UserWarning, match="a worker process died"):

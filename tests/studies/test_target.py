@@ -245,6 +245,7 @@ def test_study_adds_rounds_to_limit(done: tuple[StudyResult, Path]) -> None:
     assert [path.name for path in folder.iterdir()] == ["results.csv"]
 
 
+@pytest.mark.slow  # test_engine starts workers
 def test_study_target_two_workers_same_rounds(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = pixsim.study(tiny(), tmp_path, jobs=2)
     assert (tmp_path / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
