@@ -66,7 +66,7 @@ class Work(NamedTuple):
     render_each: bool
 
 
-BOUNDED = Work((16384, 1024), 1024, 16, False)
+BOUNDED = Work((16384, 1024), 1024, 4, False)
 FULL = Work((16384, 1024), 2048, 16, True)
 
 

@@ -29,7 +29,7 @@ SMALL |= {
     "technologies": ["0.35um", "0.25um"],
 }
 SMALL |= {"pitch": {"min_fill_factor": 0.05, "count": 6, "max_um": 15.0}, "camera": {"die_mm": 0.5}, "display": {"dots": 32}}
-DRAWS = 4
+DRAWS = 8
 
 
 def small(**over: Any) -> Study:
@@ -114,13 +114,13 @@ def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: 
     Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
     sheet = SHEET | {"uncertainty": {"read_noise_e": {"sd": 5.0}}}
     Path("sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
-    code, out, err = command("study s.toml --config sheet.toml --uncertainty 4 --smaller-than 6 --jobs 1 --out out --json")
+    code, out, err = command("study s.toml --config sheet.toml --uncertainty 8 --smaller-than 6 --jobs 1 --out out --json")
     assert code == 0, err
-    assert "4 sensor types, at most 96 evaluations" in err
+    assert "8 sensor types, at most 192 evaluations" in err
     (own,) = json.loads(out)["uncertainty"]
     assert list(own["inputs"]) == ["read_noise_e"]
-    assert own["verdicts"]["the optimum is smaller than 6 µm"]["draws"] == 4
-    assert json.loads(Path("out/uncertainty.json").read_text(encoding="utf-8"))["results"][0]["draws"] == 4
+    assert own["verdicts"]["the optimum is smaller than 6 µm"]["draws"] == 8
+    assert json.loads(Path("out/uncertainty.json").read_text(encoding="utf-8"))["results"][0]["draws"] == 8
     assert "The study itself" in Path("out/uncertainty.html").read_text(encoding="utf-8")
     assert Path("out/sensor_types_1.csv").read_text(encoding="utf-8").startswith("draw,read_noise_e,optimum_um,")
     # The command in settings.toml draws the same types, without the sheet.
