@@ -408,6 +408,7 @@ def test_command_deleted_current_folder(line: str, tmp_path: Path, monkeypatch: 
     assert_refused(*command(line), ["current folder: got one that is gone", "cd ~"])
 
 
+@pytest.mark.slow  # it imports Dask; test_engine tries such addresses in one process
 def test_scheduler_without_port_says_so(tmp_path: Path) -> None:
     """In a process of its own: Dask reports the end of a client that could not connect when Python ends."""
     pytest.importorskip("distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')")

@@ -302,7 +302,7 @@ def any_technology() -> st.SearchStrategy[Technology]:
 def test_capture_any_technology_is_possible_or_raises() -> None:
     outcomes: Counter[str] = Counter()
 
-    @settings(max_examples=220, **REPEATABLE)
+    @settings(max_examples=150, **REPEATABLE)
     @given(any_technology(), pixels(), LEVELS, values(Exposure))
     def captured(process: dict[str, Any], fields: dict[str, Any], level: tuple[Any, ...], exposure: dict[str, Any]) -> None:
         fields.pop("capacitance", None)

@@ -105,7 +105,7 @@ def test_plan_pruned_and_full_agree_within_bound(case):
         assert np.mean(np.abs(difference) > allowed) > 0.5, (difference, allowed)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [pytest.param(case, marks=pytest.mark.slow) if case in SLOW[:3] else case for case in CASES])
 def test_plan_bound_is_within_tolerance(case):
     name, parameters = CASES[case]
     scene = load(name, resolution=64, **parameters)

@@ -501,7 +501,7 @@ def measured_error(name: str, spp: int) -> float:
 
 
 @pytest.mark.parametrize("spp", [pytest.param(4, marks=pytest.mark.slow), 16])
-@pytest.mark.parametrize("name", ["csf", "slanted_edge"])
+@pytest.mark.parametrize("name", ["csf", pytest.param("slanted_edge", marks=pytest.mark.slow)])  # the edge takes 48 seeds
 def test_sampling_error_matches_render(name, spp):
     chart, result = render_plan(name, resolution=SIZE).chart, measured_error(name, spp)
     foretold = [rules.sampling_error(chart, spp, seed) for seed in range(16 if name == "csf" else 48)]

@@ -185,6 +185,7 @@ def test_study_killed_process_is_resumed(toml: Path, expected: bytes, tmp_path: 
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
+@pytest.mark.slow  # a process and a study; test_hostile has a full disk for a run, test_interruptions for rows
 def test_study_full_disk_keeps_finished_rows(toml, expected, tmp_path: Path, monkeypatch) -> None:
     """The limit of a file's size stands for the disk's: the write fails in the same place."""
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
