@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from functools import reduce
+from functools import lru_cache, reduce
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -80,10 +81,11 @@ def resolve_file(path: Path, name: Any) -> Any:
     return name
 
 
-def packaged(folder: str) -> dict[str, Path]:
+@lru_cache
+def packaged(folder: str) -> Mapping[str, Path]:
     """Name -> path of the packaged TOML files in a folder (`data/technologies`, `data/studies`)."""
     root = Path(str(resources.files("pixsim") / folder))
-    return {path.stem: path for path in sorted(root.glob("*.toml"))}
+    return MappingProxyType({path.stem: path for path in sorted(root.glob("*.toml"))})
 
 
 def checked(record: type[BaseModel], layers: Sequence[Layer]) -> Any:

@@ -432,6 +432,11 @@ class FilmSampling:
         dots = min(dots_across(camera, display, physics.pitch_um), details)
         return cls(width / details, width / dots)
 
+    @property
+    def is_fine(self) -> bool:
+        """Whether the film has two samples for each detail and one for each dot, so that it misses nothing."""
+        return self.per_detail >= ENOUGH_PER_DETAIL and self.per_dot >= ENOUGH_PER_DOT
+
 
 FINE = FilmSampling(math.inf, math.inf)
 

@@ -35,17 +35,7 @@ from pixsim.sensor.technology import Technology, technology_of, with_fill_factor
 from pixsim.show.pages import csv_text
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
-from pixsim.viewer.score import (
-    ImagingChain,
-    SceneCache,
-    Score,
-    SharedLight,
-    chain_at_pitch,
-    fraction_beyond_white,
-    ideal_on_dots,
-    prepare_scene,
-    warn_of_clipping,
-)
+from pixsim.viewer.score import ImagingChain, SceneCache, Score, SharedLight, chain_at_pitch, prepare_scene, warn_of_clipping
 
 DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
@@ -208,15 +198,14 @@ def chain_at(
     return chain_at_pitch(light, physics, study.exposure, study.correction)
 
 
-def warn_of_clipped_white(study: Study, irradiance: SpectralImage, camera: Camera) -> None:
+def warn_of_clipped_white(study: Study, scenes: SceneCache) -> None:
     """Warn if the display clips the ideal image, of each technology's smallest pixels if pixels are its dots.
 
     It follows from the light, not from the rows, so that a resumed study warns as one that evaluates them.
     """
     for technology in study.technologies:
         smallest = physics_of(study, technology, float(study_pitches_um(study, technology).min()))
-        _, luminance = ideal_on_dots(irradiance, camera, smallest, study.display, study.pitch.largest_um)
-        warn_of_clipping(fraction_beyond_white(luminance))
+        warn_of_clipping(scenes.beyond_white(_light_key(study, scenes, technology), smallest, study.pitch.largest_um))
 
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
@@ -508,7 +497,7 @@ class Evaluations:
                 missing -= len(rows)
                 if progress:
                     progress(1 - missing / total)
-            if len(pending) > capacity:  # the next lights need the memory
+            if self.counts.prepared_scenes > capacity:  # the next lights need the memory, in this round or a later one
                 for part in self.parts:
                     part.scenes.clear()
         return [

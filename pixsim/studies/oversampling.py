@@ -38,6 +38,7 @@ STANDARD_ERRORS = 2.0  # by which the mean over parts may differ from that of th
 WORTH_WIDENING = 1.2
 # Of 96 comparisons on coarse films of four charts, 90 % are within 0.35 of both errors together, and 95 % within 0.77.
 NOT_COMMON = 0.5
+SURELY = 0.1  # of the least tolerance
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,11 @@ class FilmError:
     def met(self) -> bool:
         """Whether the error is tolerated at every pitch."""
         return all(error <= most for error, most in zip(self.delta_e, self.tolerated_delta_e, strict=True))
+
+    @property
+    def surely_met(self) -> bool:
+        """Whether the error is a tenth of the least tolerance at most; then it is that of other light and noise, too."""
+        return self.met and self.largest_delta_e <= SURELY * TOLERATED_DELTA_E
 
     @property
     def largest_delta_e(self) -> float:

@@ -285,12 +285,20 @@ class StudyResult:
     @checks_arguments
     def dark(self, curve: Curve) -> dict[str, list[float]]:
         """Return `pixsim.viewer.score.dark_clip` for the pitches of a curve, a list for each of its numbers."""
-        clips = []
-        for pitch_um, time_s in zip(curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True):
-            physics = physics_of(self.study, curve.technology, pitch_um)
-            rate = white_rate(self.irradiance, self.camera, physics, self.study.display)
-            clips.append(dark_clip(physics, time_s, rate * physics.photodiode_area_um2 * time_s))
-        return {name: [clip[name] for clip in clips] for name in clips[0]}
+        exposures = tuple(zip(curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True))
+        if (curve.technology, exposures) not in self._dark:  # a report asks more than once
+            clips = []
+            for pitch_um, time_s in exposures:
+                physics = physics_of(self.study, curve.technology, pitch_um)
+                rate = white_rate(self.irradiance, self.camera, physics, self.study.display)
+                clips.append(dark_clip(physics, time_s, rate * physics.photodiode_area_um2 * time_s))
+            self._dark[curve.technology, exposures] = {name: [clip[name] for clip in clips] for name in clips[0]}
+        return self._dark[curve.technology, exposures]
+
+    @cached_property
+    def _dark(self) -> dict[tuple[str, tuple[tuple[float, float], ...]], dict[str, list[float]]]:
+        """What `dark` has computed."""
+        return {}
 
     @checks_arguments
     def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:

@@ -31,8 +31,10 @@ from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, merge, owner_of, paths_of, pixel_of
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
+from pixsim.light.stored import PictureFile
+from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
-from pixsim.sensor.pixel import physics_of, warn_of_disagreements
+from pixsim.sensor.pixel import PixelPhysics, physics_of, warn_of_disagreements
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
@@ -51,6 +53,7 @@ from pixsim.studies.evaluations import (
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs, study_plan
 from pixsim.studies.result import Curve, StudyResult, curve_of
+from pixsim.studies.sight import Sight, clearest
 from pixsim.viewer.display import dot_edges_um, white_header
 from pixsim.viewer.score import SceneCache
 
@@ -448,10 +451,7 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
     """
     scene, camera = scene_for(study, variant)
-    first = study.technologies[0]
-    largest = [physics_of(study, first, study.pitch.max_um)]
-    pitches_um = study_pitches_um(study, first)
-    tried = [physics_of(study, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
+    largest, tried = [physics_of(study, study.technologies[0], study.pitch.max_um)], measured_pixels(study)
     scene, plan = first_film(study, scene, camera)
     plan_of = partial(study_plan, camera=camera, study=study)
     options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress}
@@ -460,12 +460,27 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     return made.image, camera, made.film
 
 
+def measured_pixels(study: Study) -> list[PixelPhysics]:
+    """Return the pixels for which the error of the film is measured: the smallest, a middle and the largest of the study."""
+    first = study.technologies[0]
+    pitches_um = study_pitches_um(study, first)
+    return [physics_of(study, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
+
+
 def render_all(
-    cases: Sequence[Case], variant: str | None, stage: Stage, workers: Workers, settled: Settled | None = None
+    cases: Sequence[Case],
+    variant: str | None,
+    stage: Stage,
+    workers: Workers,
+    settled: Settled | None = None,
+    *,
+    store: Callable[[SpectralImage], SpectralImage],
 ) -> list[Light]:
     """Return the light of each case; cases that differ in nothing that it depends on share one.
 
     Where Mitsuba traces no rays, which would take all processors by itself, the workers make them.
+
+    store : returns an image that need not stay in memory, where there are several lights
     """
     keys = [_light_hash(case.study) for case in cases]
     studies = {key: case.study for case, key in zip(cases, keys, strict=True)}
@@ -473,19 +488,67 @@ def render_all(
     if len(studies) == 1:
         lights = {key: render_for(study, variant, stage("render"), settled) for key, study in studies.items()}
     elif first_film(cases[0].study, *scene_for(cases[0].study, variant))[1].exact:
-        progress = stage("render")
-        calls = [((key, study, variant), _nothing) for key, study in studies.items()]
-        for key, light in results_of(_render_task, calls, workers):
-            lights[key] = light
-            progress(len(lights) / len(studies))
+        lights = _computed_lights(studies, variant, stage("render"), workers, store)
     else:
         for key, study in studies.items():
-            lights[key] = render_for(study, variant, stage(f"render {len(lights) + 1} of {len(studies)}"))
+            image, camera, film = render_for(study, variant, stage(f"render {len(lights) + 1} of {len(studies)}"))
+            lights[key] = store(image), camera, film
     return [lights[key] for key in keys]
+
+
+def _computed_lights(
+    studies: Mapping[str, Study],
+    variant: str | None,
+    progress: Progress,
+    workers: Workers,
+    store: Callable[[SpectralImage], SpectralImage],
+) -> dict[str, Light]:
+    """Return the lights of charts whose film cells are computed.
+
+    Of the films that show the same, the clearest is measured; the others share its error if it is surely low enough.
+    """
+    seen: dict[str, tuple[SpectralImage, Camera]] = {}
+    sights: dict[str, Sight] = {}
+    calls = [((*each, variant), _nothing) for each in studies.items()]
+    for done, (key, found) in enumerate(results_of(_see_task, calls, workers), 1):
+        if found is not None:
+            image, camera, sights[key] = found
+            seen[key] = store(image), camera
+        progress(done / (2 * len(studies)))
+    measured_in = {key: key for key in studies} | clearest(sights)
+    lights: dict[str, Light] = {}
+    left = [key for key in studies if measured_in[key] == key]
+    while left:
+        for key, (image, camera, film) in results_of(
+            _render_task, [((key, studies[key], variant), _nothing) for key in left], workers
+        ):
+            lights[key] = store(image), camera, film
+            progress((len(studies) + len(lights)) / (2 * len(studies)))
+        for key, of in measured_in.items():
+            if key not in lights and (film := lights[of][2]).surely_met:
+                lights[key] = *seen[key], film
+        left = [key for key in studies if key not in lights]
+    return lights
 
 
 def _nothing() -> None:
     """Return what render tasks share."""
+
+
+def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[SpectralImage, Camera, Sight] | None]:
+    """Return the key of a task, and its light on the first film of `render_for`, with its camera and what pixels see of it.
+
+    None in place of the light if it takes samples, or if the film may be too coarse.
+    """
+    key, study, variant = task
+    scene, camera = scene_for(study, variant)
+    scene, plan = first_film(study, scene, camera)
+    if not plan.exact:
+        return key, None
+    image, _noise = render_until(scene, camera, plan, [], study.exposure, study.seed, render_noise=study.render_noise)
+    image.header.update(white_header(image, camera, study.display))
+    sight = Sight.of(image, camera, measured_pixels(study), study, plan.chart)
+    return key, (image, camera, sight) if sight else None
 
 
 def _render_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, Light]:
@@ -539,7 +602,7 @@ def evaluate_cases(
         evaluations.finish(rows)
     found = []
     for part, own, (irradiance, camera, film) in zip(made, curves, lights, strict=True):
-        warn_of_clipped_white(part.study, irradiance, camera)
+        warn_of_clipped_white(part.study, part.scenes)
         own = tuple(replace(curve, at=part.case.at, condition=part.case.condition, alone=part.case.alone) for curve in own)
         result = StudyResult(part.study, own, irradiance, camera, film=film, view=view.as_dict())
         result.__dict__["scenes"] = part.scenes  # expensive to prepare again
@@ -673,7 +736,9 @@ def run_prepared(
 
             chosen, settled = settled_study(chosen, prepared.scene, prepared.camera)
             prepared = replace(prepared, study=chosen)
-        lights = render_all([case for case, _ in prepared.parts], variant, stage, workers, settled)
+        lights = render_all(
+            [case for case, _ in prepared.parts], variant, stage, workers, settled, store=PictureFile(folder).stored
+        )
         cases = [
             replace(case, study=case.study.model_copy(update={"resolution": irradiance.shape[1]}))
             for (case, _), (irradiance, _, _) in zip(prepared.parts, lights, strict=True)

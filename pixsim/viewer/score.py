@@ -292,6 +292,7 @@ class SceneCache:
     def __init__(self, irradiance: SpectralImage, camera: Camera, display: Display) -> None:
         self.irradiance, self.camera, self.display = irradiance, camera, display
         self._scenes: dict[object, PreparedScene] = {}
+        self._beyond_white: dict[object, float] = {}
 
     def get(self, key: object, physics: PixelPhysics, border_um: float) -> SharedLight:
         """Return the prepared scene of a key, which stands for a spectral response and a border."""
@@ -301,7 +302,17 @@ class SceneCache:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
             self._scenes[key] = prepare_scene(self.irradiance, self.camera, physics, self.display, border_um=border_um)
+            self._beyond_white[key] = self._scenes[key].beyond_white
         return self._scenes[key]
+
+    def beyond_white(self, key: object, physics: PixelPhysics, border_um: float) -> float:
+        """Return the fraction of the ideal image's dots that are brighter than display white, for the key of `get`.
+
+        With one_to_one, where dots are pixels, it is that of the pixels given.
+        """
+        if key in self._beyond_white and self.display.raster != "one_to_one":
+            return self._beyond_white[key]
+        return fraction_beyond_white(ideal_on_dots(self.irradiance, self.camera, physics, self.display, border_um)[1])
 
     def clear(self) -> None:
         """Drop all prepared scenes; they are made again when needed."""

@@ -1,0 +1,83 @@
+"""Spectral images whose pictures lie in a file, so that the memory holds only those in use."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.files import disk_faults_named
+from pixsim.light.spectral import SpectralImage
+
+
+class PictureFile:
+    """A file of pictures without a name, whose space is free again when nothing uses it, however the process ends.
+
+    folder : on the disk that is to hold it
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._file: IO[bytes] | None = None
+        self._offsets: dict[bytes, int] = {}
+
+    def stored(self, image: SpectralImage) -> StoredImage:
+        """Return the image with its pictures in the file, equal pictures once. Raises PixsimError if the disk is full."""
+        values = np.ascontiguousarray(image.factors[1] if image.factors else image.data)
+        digest = hashlib.blake2b(values.data, digest_size=16).digest()
+        with disk_faults_named(self._folder, self._folder, lambda: "It holds the pictures of all lights of the study."):
+            if self._file is None:
+                self._file = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115 – open as long as its images are
+            if digest not in self._offsets:
+                offset = self._file.seek(0, 2)
+                self._file.write(values.data)
+                self._file.flush()
+                self._offsets[digest] = offset
+        return StoredImage(image, self._file, self._offsets[digest])
+
+
+class StoredImage(SpectralImage):
+    """A spectral image whose pictures lie in a file; they are mapped into memory each time that they are used.
+
+    A copy, and the image in another process, has them in memory.
+    """
+
+    def __init__(self, image: SpectralImage, file: IO[bytes], offset: int) -> None:
+        self.wavelength_nm, self.band_width_nm, self.within = image.wavelength_nm, image.band_width_nm, image.within
+        self.pitch_um, self.header = image.pitch_um, dict(image.header)
+        self._spectra = image.factors[0] if image.factors else None
+        self._file, self._offset = file, offset
+        self._size = (image.factors[1] if image.factors else image.data).shape
+
+    @property
+    def _values(self) -> NDArray[np.float32]:
+        """The pictures of the factors (r, H, W), or the bands (H, W, B)."""
+        return np.asarray(np.memmap(self._file, np.float32, "r", self._offset, self._size))
+
+    @property
+    def factors(self) -> Any:  # type: ignore[override]
+        """(spectra (r, B), pictures (r, H, W)), or None."""
+        return None if self._spectra is None else (self._spectra, self._values)
+
+    @property
+    def data(self) -> NDArray[np.float32]:
+        """Values (H, W, B) float32, W m⁻² nm⁻¹."""
+        return self._values if self._spectra is None else self.in_memory().data
+
+    def in_memory(self) -> SpectralImage:
+        """Return the image with its pictures in memory."""
+        values = np.array(self._values)
+        content: dict[str, Any] = {"data": values} if self._spectra is None else {"factors": (self._spectra, values)}
+        content |= {"within": self.within, "header": self.header}
+        return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um, **content)
+
+    def __reduce__(self) -> Any:
+        return _itself, (self.in_memory(),)
+
+
+def _itself(image: SpectralImage) -> SpectralImage:
+    return image

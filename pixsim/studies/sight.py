@@ -1,0 +1,96 @@
+"""What the pixels of a study's cases see on their films: of those that see the same, the film of the clearest is measured.
+
+The error of a film is detail that its samples miss. Less light and more noise hide detail; they add none. So where a film is fine
+enough in a case by a wide margin (`FilmError.surely_met`), it is so in all cases that see the same picture with less light or more
+noise.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pixsim.base.parameters import Camera, Study, content_hash
+from pixsim.light.spectral import SpectralImage
+from pixsim.scene.rules import Chart
+from pixsim.sensor.integration import electrons_per_joule
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.studies.budget import FilmSampling, without_warnings
+from pixsim.viewer.display import white_header, white_rate
+
+DIGITS = 9  # of the light relative to white; the rest are rounding errors
+ROUNDING = 10.0**-DIGITS
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What pixels see of a picture on its film.
+
+    what : hash of the picture relative to display white, of the lens, the display, the exposure and the pixels without their noise
+    white_e_per_s : photo-electrons of display white, for each pixel
+    noise : for each pixel, its dark current and the standard deviations of its noise and its fixed pattern
+    """
+
+    what: str
+    white_e_per_s: tuple[float, ...]
+    noise: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def of(
+        cls, image: SpectralImage, camera: Camera, pixels: Sequence[PixelPhysics], study: Study, chart: Chart | None
+    ) -> Sight | None:
+        """Return what pixels see of a picture; None if its film has too few samples for its details, or no factors."""
+        display, exposure = study.display, study.exposure
+        samplings = [FilmSampling.of(image.shape[1], camera, physics, display, chart) for physics in pixels]
+        if not image.factors or not all(sampling.is_fine for sampling in samplings):
+            return None
+        with without_warnings():  # the run itself warns of the white
+            shown = image.with_planes(image.planes, header=image.header | white_header(image, camera, display))
+        whites = [white_rate(shown, camera, physics, display) for physics in pixels]
+        light = [
+            electrons_per_joule(physics, image) * image.factors[0] / white for physics, white in zip(pixels, whites, strict=True)
+        ]
+        what: dict[str, Any] = {
+            "picture": hashlib.blake2b(np.ascontiguousarray(image.planes).data, digest_size=16).hexdigest(),
+            "film": [image.shape, image.pitch_um, image.header.get("diffraction")],
+            "light": [(values / values.max()).round(DIGITS).tolist() for values in light],
+            "brightest": [f"{values.max():.{DIGITS}g}" for values in light],
+            "camera": camera.model_dump(),
+            "display": display.model_dump(exclude={"white_cd_per_m2"}),
+            "exposure": exposure.model_dump(),
+            # In a time that is set, bright light saturates pixels; an automatic one leaves them below their well.
+            "whites": None if exposure.integration_s is None else whites,
+            "pixels": [
+                [
+                    *(p.pitch_um, p.photodiode_side_um, p.full_well_e, p.saturation_e, p.dn_per_e),
+                    *(p.pixel.bits, p.pixel.black_level_dn, p.pixel.conversion, p.pixel.well_limit),
+                ]
+                for p in pixels
+            ],
+        }
+        noise = [
+            (p.dark_current_e_per_s, p.reset_noise_e, p.read_noise_e, p.prnu, p.dsnu, p.offset_fpn_e, p.column_fpn_e)
+            for p in pixels
+        ]
+        white_e_per_s = [white * p.photodiode_area_um2 for white, p in zip(whites, pixels, strict=True)]
+        return cls(content_hash(what), tuple(white_e_per_s), tuple(noise))
+
+    def is_as_clear_as(self, other: Sight) -> bool:
+        """Return whether this shows the same as the other, with no less light and no more noise."""
+        brighter = np.array(self.white_e_per_s) >= np.array(other.white_e_per_s) * (1 - ROUNDING)
+        cleaner = np.array(self.noise) <= np.array(other.noise) * (1 + ROUNDING)
+        return self.what == other.what and bool(brighter.all() and cleaner.all())
+
+
+def clearest(sights: Mapping[str, Sight]) -> dict[str, str]:
+    """Return for each name the name of a sight that is as clear and shows the same, from as few different ones as possible."""
+    by_light = sorted(sights, key=lambda name: ([-white for white in sights[name].white_e_per_s], sights[name].noise))
+    chosen: dict[str, str] = {}
+    for name in by_light:
+        others = (other for other in dict.fromkeys(chosen.values()) if sights[other].is_as_clear_as(sights[name]))
+        chosen[name] = next(others, name)
+    return chosen
