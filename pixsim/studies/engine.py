@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -209,7 +210,7 @@ def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, 
 
 
 def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int) -> Iterator[Reply[Result]]:
-    """Run calls on local processes, with shared data in memory-mapped files: one copy for all.
+    """Run calls on local processes, with shared data in memory-mapped files: one copy for all, made when its first call is due.
 
     (joblib would do so by itself, but waits a second at the end for workers to release them.)
     """
@@ -217,6 +218,8 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
 
     with temporary_folder() as folder:
         paths: dict[int, str] = {}
+        makers = {index: id(make) for index, (_, make) in calls.items()}
+        left = Counter(makers.values())
 
         def numbered(taken: Callable[[], AbstractContextManager[None]]) -> Iterator[Any]:
             for index, (task, make) in list(calls.items()):
@@ -235,8 +238,12 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
                 results = parallel(numbered(taken))
             try:
                 # `yield from` would close them itself, with a warning of the calls that are given up.
-                for reply in results:  # noqa: UP028
+                for reply in results:
                     yield reply
+                    left[makers[reply[0]]] -= 1
+                    if not left[makers[reply[0]]]:  # shared data that no call needs any more
+                        with suppress(OSError):
+                            os.unlink(paths[makers[reply[0]]])
             finally:
                 with warnings.catch_warnings(action="ignore"):
                     results.close()

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from pixsim.base import cache
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import opened, read_bytes, replacing
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, content_hash, pixel_of
@@ -30,12 +30,21 @@ from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, physics_of, pitch_for_fill_factor_um
-from pixsim.sensor.readout import make_frame
+from pixsim.sensor.readout import Sensor, make_frame
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.show.pages import csv_text
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
-from pixsim.viewer.score import ImagingChain, SceneCache, Score, SharedLight, chain_at_pitch, prepare_scene, warn_of_clipping
+from pixsim.viewer.score import (
+    ImagingChain,
+    PreparedScene,
+    SceneCache,
+    Score,
+    SharedLight,
+    chain_at_pitch,
+    prepare_scene,
+    warn_of_clipping,
+)
 
 DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
@@ -173,7 +182,10 @@ def study_pitches_um(study: Study, technology: str) -> Array:
 def light_of(study: Study, scenes: SceneCache, technology: str) -> SharedLight:
     """Return the light that all pitches of a technology share, and other technologies of the same response."""
     physics = _any_physics(study, technology)
-    return scenes.get(_light_key(study, scenes, technology), physics, study.pitch.largest_um)
+    light = scenes.get(_light_key(study, scenes, technology), physics, study.pitch.largest_um)
+    if isinstance(light, PreparedScene):
+        light.running_integral  # noqa: B018 – now, or each worker would compute it
+    return light
 
 
 def _any_physics(study: Study, technology: str) -> PixelPhysics:
@@ -235,8 +247,15 @@ class Task:
     def __str__(self) -> str:
         return f"{self.technology} at {self.pitch_um:g} µm"
 
+    @property
+    def place(self) -> tuple[float, str, int]:
+        """Its place among the tasks of several lights: small pixels first, the same sensors together."""
+        return self.pitch_um, self.technology, min(self.keys)
 
-_recent = threading.local()  # a thread's last chain: it is expensive, and the tasks of a pitch follow one another
+
+# A thread's last chain and last sensors: they are expensive, and the tasks of a pitch follow one another.
+_recent = threading.local()
+SENSORS_BYTES = 1 << 26  # of fixed patterns that a thread keeps for the next light
 
 
 def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
@@ -246,15 +265,38 @@ def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
         _recent.chain = chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
         _recent.key = key
     rows = []
-    for repeat, score, cached in scores_of(_recent.chain, task.study, list(task.keys), task.frames_key):
+    draw = recent_sensor if task.columns else ImagingChain.sensor  # other cases may have the same sensors
+    for repeat, score, cached in scores_of(_recent.chain, task.study, list(task.keys), task.frames_key, draw):
         numbers = {name: repr(value) for name, value in score.statistics().items()}
         own = {"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat)}
         rows.append(own | numbers | task.columns | ({FROM_CACHE: "1"} if cached else {}))
     return rows
 
 
-def scores_of(chain: ImagingChain, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score, bool]]:
-    """Yield each repeat with its score, and whether its frame comes from the cache; new frames are stored there."""
+def recent_sensor(chain: ImagingChain, *key: object) -> Sensor:
+    """Return the sensor of a key; the last ones of equal pixels are kept, as the same sensors see every light of a study."""
+    pixels = chain.physics, chain.signal_e_per_s.shape
+    if getattr(_recent, "pixels", None) != pixels:
+        _recent.pixels, _recent.sensors = pixels, {}
+    kept: dict[tuple[object, ...], Sensor] = _recent.sensors
+    if key not in kept:
+        sensor = chain.sensor(*key)
+        size = sum(pattern.nbytes for pattern in (sensor.gain, sensor.dark_gain, sensor.offset_e) if pattern is not None)
+        if (len(kept) + 1) * size > SENSORS_BYTES:
+            kept.clear()
+        if size > SENSORS_BYTES:
+            return sensor
+        kept[key] = sensor
+    return kept[key]
+
+
+def scores_of(
+    chain: ImagingChain, study: Study, repeats: list[int], frames_key: str, draw: Callable[..., Sensor] = ImagingChain.sensor
+) -> Iterator[tuple[int, Score, bool]]:
+    """Yield each repeat with its score, and whether its frame comes from the cache; new frames are stored there.
+
+    draw : returns the sensor of a chain and a key
+    """
     technology, pitch_um = chain.physics.technology.name, chain.physics.pitch_um
     cached = (cache.arrays("frames", frames_key) if frames_key else None) or {}
     # A frame's digital numbers stand under its repeat; its saturated fraction does not follow from them and is stored too.
@@ -268,7 +310,8 @@ def scores_of(chain: ImagingChain, study: Study, repeats: list[int], frames_key:
             frame = replace(frame, corrected_e=frames.get(corrected))
             yield repeat, chain.score_frame(frame), True
         else:
-            frame = chain.capture(*stream_key(study, technology, pitch_um, repeat))
+            key = stream_key(study, technology, pitch_um, repeat)
+            frame = chain.capture_by(draw(chain, *key), stream(*key, "frame"), stream(*key, "correction"))
             if frames_key:
                 frames[name] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
                 frames[saturated] = np.array(frame.saturated_fraction)
@@ -449,6 +492,7 @@ class Evaluations:
         self.parts, self._workers = parts, workers
         self._results = ResultsFile(results, tuple(parts[0].case.columns))
         self._done: dict[str, Row] = {}
+        self._batch = 0
         lights = {
             (id(part.scenes), _light_key(part.study, part.scenes, technology))
             for part in parts
@@ -483,13 +527,12 @@ class Evaluations:
 
         Raises PixsimError if the file cannot be written; finished rows stay in it.
         """
-        groups = self._missing(samplings)
-        missing = total = sum(len(task.keys) for tasks in groups.values() for task, _ in tasks)
-        pending, capacity = list(groups.values()), min(part.scenes.capacity for part in self.parts)
-        for first in range(0, len(pending), capacity):  # prepared scenes that fit into memory together
-            for rows in results_of(
-                evaluate_task, [call for calls in pending[first : first + capacity] for call in calls], self._workers
-            ):
+        batches = self._batches(samplings)
+        missing = total = sum(len(task.keys) for calls in batches for task, _ in calls)
+        # A cluster gets the lights of all calls at once; processes of this machine get each one when it is due.
+        together = batches if self._workers.client else [[call for calls in batches for call in calls]]
+        for calls in together:
+            for rows in results_of(evaluate_task, calls, self._workers):
                 self._results.append(rows)
                 self._done |= {row["key"]: row for row in rows}
                 self.counts.evaluations_made += len(rows)
@@ -497,9 +540,8 @@ class Evaluations:
                 missing -= len(rows)
                 if progress:
                     progress(1 - missing / total)
-            if self.counts.prepared_scenes > capacity:  # the next lights need the memory, in this round or a later one
-                for part in self.parts:
-                    part.scenes.clear()
+        if self.counts.prepared_scenes > self._capacity:  # the lights of a later round will need the memory
+            self._clear()
         return [
             [
                 self._done[key] | part.case.columns
@@ -510,19 +552,46 @@ class Evaluations:
             for part, sampling in zip(self.parts, samplings, strict=True)
         ]
 
-    def _missing(self, samplings: Sequence[Sampling]) -> dict[object, list[tuple[Task, Callable[[], SharedLight]]]]:
-        """Return the tasks that are missing, each evaluation once, with the function that makes their light, by that light."""
-        groups: dict[object, list[tuple[Task, Callable[[], SharedLight]]]] = {}
-        makers: dict[object, Callable[[], SharedLight]] = {}
+    def _batches(self, samplings: Sequence[Sampling]) -> list[list[tuple[Task, Callable[[], SharedLight]]]]:
+        """Return the tasks that are missing, each evaluation once, with the function that makes their light.
+
+        The lights of a batch fit into memory together. Its tasks with the same sensors follow one another.
+        """
+        groups: dict[object, list[Task]] = {}
+        lights: dict[object, tuple[Part, str]] = {}
         done = set(self._done)
         for part, sampling in zip(self.parts, samplings, strict=True):
             for technology, sensors in sampling.items():
                 light = id(part.scenes), _light_key(part.study, part.scenes, technology)
-                maker = makers.setdefault(light, partial(light_of, part.study, part.scenes, technology))
+                lights.setdefault(light, (part, technology))
                 for task in tasks_of(part.fingerprints, technology, sensors, done, part.case.columns):
                     done |= set(task.keys.values())
-                    groups.setdefault(light, []).append((task, maker))
-        return groups
+                    groups.setdefault(light, []).append(task)
+        batches: list[list[tuple[Task, Callable[[], SharedLight]]]] = []
+        for first in range(0, len(groups), self._capacity):
+            chosen = list(groups)[first : first + self._capacity]
+            makers = {light: partial(self._light, first, *lights[light]) for light in chosen}
+            calls = [(task, makers[light]) for light in chosen for task in groups[light]]
+            if len(chosen) > 1:
+                calls.sort(key=lambda call: call[0].place)
+            batches.append(calls)
+        return batches
+
+    def _light(self, batch: int, part: Part, technology: str) -> SharedLight:
+        """Return a light of a batch; those of the batch before are dropped."""
+        if batch != self._batch:
+            self._clear()
+            self._batch = batch
+        return light_of(part.study, part.scenes, technology)
+
+    def _clear(self) -> None:
+        for part in self.parts:
+            part.scenes.clear()
+
+    @property
+    def _capacity(self) -> int:
+        """Number of lights behind the lens that fit into memory together."""
+        return min(part.scenes.capacity for part in self.parts)
 
     def finish(self, rows: list[list[Row]]) -> None:
         """Leave only these rows in the file, in their order."""

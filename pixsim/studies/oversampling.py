@@ -67,8 +67,13 @@ class FilmError:
 
     @property
     def surely_met(self) -> bool:
-        """Whether the error is a tenth of the least tolerance at most; then it is that of other light and noise, too."""
+        """Whether the error is a tenth of the least tolerance at most."""
         return self.met and self.largest_delta_e <= SURELY * TOLERATED_DELTA_E
+
+    @property
+    def for_other_noise(self) -> FilmError:
+        """The error of a film that is surely met, for the same sight with less light or more noise: that tenth."""
+        return replace(self, delta_e=(SURELY * TOLERATED_DELTA_E,) * len(self.delta_e))
 
     @property
     def largest_delta_e(self) -> float:

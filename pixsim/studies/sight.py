@@ -1,8 +1,8 @@
 """What the pixels of a study's cases see on their films: of those that see the same, the film of the clearest is measured.
 
-The error of a film is detail that its samples miss. Less light and more noise hide detail; they add none. So where a film is fine
-enough in a case by a wide margin (`FilmError.surely_met`), it is so in all cases that see the same picture with less light or more
-noise.
+The error of a film is detail that its samples miss, and noise hides detail. So where a film is fine enough in one case by a wide
+margin (`FilmError.surely_met`), it is so in all cases that see the same picture with less light or more noise. Measured on films of
+1024 samples with 3 sensors, 3 lenses, 4 displays and 1 to 1000 cd/m²: errors of 1e-6 to 3e-4 ΔE, in no order by light.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ROUNDING = 10.0**-DIGITS
 class Sight:
     """What pixels see of a picture on its film.
 
-    what : hash of the picture relative to display white, of the lens, the display, the exposure and the pixels without their noise
+    what : hash of the picture relative to display white, of lens, display, exposure, correction and pixels without their noise
     white_e_per_s : photo-electrons of display white, for each pixel
     noise : for each pixel, its dark current and the standard deviations of its noise and its fixed pattern
     """
@@ -61,7 +61,7 @@ class Sight:
             "brightest": [f"{values.max():.{DIGITS}g}" for values in light],
             "camera": camera.model_dump(),
             "display": display.model_dump(exclude={"white_cd_per_m2"}),
-            "exposure": exposure.model_dump(),
+            "exposure": [exposure.model_dump(), study.correction.model_dump()],
             # In a time that is set, bright light saturates pixels; an automatic one leaves them below their well.
             "whites": None if exposure.integration_s is None else whites,
             "pixels": [

@@ -505,7 +505,7 @@ def _computed_lights(
 ) -> dict[str, Light]:
     """Return the lights of charts whose film cells are computed.
 
-    Of the films that show the same, the clearest is measured; the others share its error if it is surely low enough.
+    Of the films that show the same, the clearest is measured; if it is surely fine enough, so are the others.
     """
     seen: dict[str, tuple[SpectralImage, Camera]] = {}
     sights: dict[str, Sight] = {}
@@ -526,7 +526,7 @@ def _computed_lights(
             progress((len(studies) + len(lights)) / (2 * len(studies)))
         for key, of in measured_in.items():
             if key not in lights and (film := lights[of][2]).surely_met:
-                lights[key] = *seen[key], film
+                lights[key] = *seen[key], film.for_other_noise
         left = [key for key in studies if key not in lights]
     return lights
 

@@ -19,7 +19,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.correction import correct
 from pixsim.sensor.integration import array_size_um, diffracted_rate, integrate_pixels, running_integral
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
-from pixsim.sensor.readout import MAX_BLACK, Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
+from pixsim.sensor.readout import MAX_BLACK, Frame, Sensor, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import html_cell, rows_csv
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
@@ -189,15 +189,22 @@ class ImagingChain:
 
     def capture(self, *key: object) -> Frame:
         """Return the frame that `simulate` scores."""
-        return self.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
+        return self.capture_by(self.sensor(*key), stream(*key, "frame"), stream(*key, "correction"))
 
     def capture_with(
         self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator, correction_rng: np.random.Generator
     ) -> Frame:
         """Return a frame whose fixed pattern, temporal noise and frames for its correction come from three generators."""
-        sensor = sample_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
+        return self.capture_by(sample_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng), frame_rng, correction_rng)
+
+    def capture_by(self, sensor: Sensor, frame_rng: np.random.Generator, correction_rng: np.random.Generator) -> Frame:
+        """Return a frame of a sensor, whose temporal noise and frames for its correction come from two generators."""
         frame = capture_from_rates(self.signal_e_per_s, sensor, self.exposure, frame_rng)
         return correct(frame, sensor, self.correction, correction_rng) if self.correction.is_on else frame
+
+    def sensor(self, *key: object) -> Sensor:
+        """Return the sensor of `capture`; it does not depend on the light."""
+        return sample_sensor(self.physics, self.signal_e_per_s.shape, stream(*key, "sensor"))
 
     def score_frame(self, frame: Frame) -> Score:
         """Return the score of a frame as shown on the screen."""

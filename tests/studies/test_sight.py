@@ -1,0 +1,98 @@
+"""Films of cases that see the same: the clearest is measured, and the others share its error where it is surely low enough."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pixsim.base.parameters import Study, merge
+from pixsim.studies import study as sweep
+from pixsim.studies.cases import Case, cases_of
+from pixsim.studies.engine import Workers
+from pixsim.studies.oversampling import SURELY, TOLERATED_DELTA_E, FilmError
+from pixsim.studies.sight import Sight, clearest
+from pixsim.studies.study import Light, render_all, render_for
+
+LIGHT = {"name": "light", "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"], "values": [10.0, 1000.0]}
+LENS = {"name": "lens", "set": "camera.f_number", "values": [2.8, 8.0]}
+# Cells that are computed, four for each of 64 details and more.
+SMALL = {"name": "small", "resolution": 256, "repeats": 2, "scene": {"file": "csf"}, "camera": {"die_mm": 0.7}}
+SMALL |= {"display": {"dots": 32}, "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0]}}
+PRNU = {"name": "PRNU", "set": "pixel.prnu", "values": [0.02, 0.0]}
+
+
+def lights_of(patch: pytest.MonkeyPatch, **over: Any) -> tuple[list[Case], list[Light], list[str]]:
+    """The cases of a study, their lights, and the words of those whose films were measured."""
+    measured: list[str] = []
+    cases = cases_of(Study.model_validate(merge(SMALL, over)))
+
+    def counted(study: Study, *more: Any) -> Light:
+        measured.append(next(case.words for case in cases if case.study == study))
+        return render_for(study, *more)
+
+    patch.setattr(sweep, "render_for", counted)
+    return list(cases), render_all(cases, None, lambda _: lambda *_: None, Workers(1), store=lambda image: image), measured
+
+
+def test_film_is_measured_once_for_each_lens(monkeypatch: pytest.MonkeyPatch) -> None:
+    cases, lights, measured = lights_of(monkeypatch, axis=[LIGHT, LENS], resolution=512)
+    assert measured == ["light 1000, lens 2.8", "light 1000, lens 8"]
+    assert [film.delta_e == (SURELY * TOLERATED_DELTA_E,) * 3 for _, _, film in lights] == [True, True, False, False]
+    for case, (image, _, film) in zip(cases, lights, strict=True):
+        alone, _, own = render_for(case.study)
+        assert image.header == alone.header
+        assert (image.planes == alone.planes).all()
+        # What is stated in place of a measurement. On so few dots the measured error scatters by a factor of two.
+        assert own.largest_delta_e < 2 * film.largest_delta_e < 0.5 * TOLERATED_DELTA_E
+        assert (np.array(film.tolerated_delta_e) <= own.tolerated_delta_e).all()
+
+
+def test_film_of_the_least_noise_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pixsim.studies.oversampling.SURELY", 1.0)
+    assert lights_of(monkeypatch, axis=[PRNU])[2] == ["PRNU 0"]
+
+
+@pytest.mark.parametrize(
+    ("is_same", "over"),
+    [
+        (True, {}),
+        (False, {"resolution": 64}),  # fewer than two samples for each detail
+        (False, {"exposure": {"integration_s": 0.05}}),  # bright light saturates
+        (
+            False,
+            {"axis": [LIGHT | {"set": LIGHT["set"][0]}], "display": {"white_cd_per_m2": 1e3}},
+        ),  # a darker picture on the same display
+        (False, {"axis": [LIGHT | {"set": "display.samples_per_deg", "values": [10.0, 12.0]}]}),
+        (False, {"axis": [LIGHT | {"set": "pixel.fill_factor", "values": [0.2, 0.3]}]}),
+    ],
+)
+def test_film_of_another_sight_is_measured(is_same: bool, over: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FilmError, "surely_met", True)  # whatever it is
+    assert len(lights_of(monkeypatch, **{"axis": [LIGHT]} | over)[2]) == (1 if is_same else 2)
+
+
+def test_film_that_is_not_surely_fine_is_measured_in_each_case(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pixsim.studies.oversampling.SURELY", 0.0)
+    assert lights_of(monkeypatch, axis=[LIGHT])[2] == ["light 1000", "light 10"]
+
+
+def test_clearest_has_most_light_and_least_noise() -> None:
+    def sight(white: float, noise: float, what: str = "a") -> Sight:
+        return Sight(what, (white, 2 * white), ((noise, 1.0), (noise, 2.0)))
+
+    sights = {
+        "dim": sight(1, 1),
+        "bright": sight(9, 1),
+        "brightest": sight(10, 3),
+        "other": sight(99, 0, "b"),
+        "noisy": sight(2, 5),
+    }
+    assert clearest(sights) == {
+        "dim": "bright",
+        "bright": "bright",
+        "brightest": "brightest",
+        "other": "other",
+        "noisy": "brightest",
+    }
