@@ -18,13 +18,14 @@ from pixsim.studies.preparation import (
     LONG_S,
     PAGE_S,
     Cost,
+    cases_cost,
     duration_words,
     first_film,
     frame_cost,
     render_cost,
-    study_cost,
     window_within,
 )
+from pixsim.studies.study import light_hash
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
@@ -83,8 +84,8 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
     scene, plan = first_film(study, first.scene, camera)
     film = film_of(scene, camera, plan)
     cells = math.prod(film["samples"])
-    costs = [study_cost(case.study, part.camera, plan, cells, jobs) for case, part in prepared.parts]
-    cost = Cost(sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), costs[0].jobs)
+    lights = len({light_hash(case.study) for case, _ in prepared.parts})
+    cost = cases_cost([(case.study, part.camera) for case, part in prepared.parts], lights, plan, cells, jobs)
     sensors = []
     for name in study.technologies:
         pitches_um = study_pitches_um(study, name).tolist()

@@ -570,7 +570,9 @@ class Evaluations:
         batches: list[list[tuple[Task, Callable[[], SharedLight]]]] = []
         for first in range(0, len(groups), self._capacity):
             chosen = list(groups)[first : first + self._capacity]
-            makers = {light: partial(self._light, first, *lights[light]) for light in chosen}
+            makers: dict[object, Callable[[], SharedLight]] = {
+                light: partial(self._light, first, *lights[light]) for light in chosen
+            }
             calls = [(task, makers[light]) for light in chosen for task in groups[light]]
             if len(chosen) > 1:
                 calls.sort(key=lambda call: call[0].place)

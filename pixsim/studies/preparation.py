@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -19,13 +19,14 @@ from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display, PitchRange, Study
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
-from pixsim.scene.film import GREEN_NM
+from pixsim.scene.film import GREEN_NM, PROGRAM_BYTES, film_bytes
 from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.pixel import physics_of
 from pixsim.studies.engine import workers_here
 from pixsim.studies.evaluations import study_pitches_um
+from pixsim.viewer.score import SCENE_CACHE_BYTES
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
 MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
@@ -234,7 +235,7 @@ def render_cost(plan: Plan, cells: int, cores: int) -> Cost:
     if plan.integrator is None and not plan.chart:  # many bounces, whose noise is rarely below that of the sensor
         samples, per_sample = max(samples, float(plan.most_samples)), PATH_S_PER_SAMPLE
     seconds = START_S + samples * per_sample / cores + cells * FILM_S_PER_CELL
-    return Cost(seconds, BASE_BYTES + cells * FILM_BYTES_PER_CELL, 1)
+    return Cost(seconds, BASE_BYTES + max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.planes) - PROGRAM_BYTES), 1)
 
 
 def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
@@ -266,16 +267,30 @@ def jobs_in_memory(largest_bytes: float) -> int:
 
 def study_cost(study: Study, camera: Camera, plan: Plan, cells: int, jobs: int | None = None) -> Cost:
     """Estimate a whole study with its report, without further rounds for a target interval."""
-    cores = workers_here().jobs
-    jobs = jobs or fitting_jobs(study, camera)
-    frames = [frame_cost(camera, pitch, study.display) for pitch in sampled_pitches_um(study)]
-    render = render_cost(plan, cells, cores)
-    report_s = PAGE_S + 2 * frames[0].seconds + sum(frame.seconds for frame in frames) / jobs
+    return cases_cost([(study, camera)], 1, plan, cells, jobs)
+
+
+def cases_cost(cases: Sequence[tuple[Study, Camera]], lights: int, plan: Plan, cells: int, jobs: int | None = None) -> Cost:
+    """Estimate a study with its cases, and a report of the first of them.
+
+    lights : that are rendered for them; the memory holds one of them, and some behind the lens
+    plan, cells : of the first one
+    """
+    study, _ = cases[0]
+    jobs = jobs or min(fitting_jobs(*case) for case in cases)
+    render = render_cost(plan, cells, workers_here().jobs)
+    frames = [[frame_cost(camera, pitch, study.display) for pitch in sampled_pitches_um(study)] for study, camera in cases]
+    sums_s = [sum(frame.seconds for frame in of_case) for of_case in frames]
+    report_s = PAGE_S + 2 * frames[0][0].seconds + sums_s[0] / jobs
     calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0
-    evaluations_s = study.repeats * sum(frame.seconds for frame in frames) / jobs
-    largest = max(frame.memory_bytes for frame in frames)
-    most = max(render.memory_bytes, BASE_BYTES + FILM_BYTES_PER_CELL * cells / 2 + jobs * (BASE_BYTES + largest))
-    return Cost(calibration_s + render.seconds + evaluations_s + report_s, most, jobs)
+    renders_s = START_S + lights * (render.seconds - START_S)
+    evaluations_s = sum(study.repeats * seconds for (study, _), seconds in zip(cases, sums_s, strict=True)) / jobs
+    largest = max(frame.memory_bytes for of_case in frames for frame in of_case)
+    light = 4.0 * cells * (plan.planes if plan.factored else plan.bands.width_nm.size)
+    behind_lens = FILM_BYTES_PER_CELL * cells / 2
+    held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))
+    most = max(render.memory_bytes, BASE_BYTES + light + held + jobs * (BASE_BYTES + largest))
+    return Cost(calibration_s + renders_s + evaluations_s + report_s, most, jobs)
 
 
 LONG_S = 60.0

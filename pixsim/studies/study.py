@@ -482,7 +482,7 @@ def render_all(
 
     store : returns an image that need not stay in memory, where there are several lights
     """
-    keys = [_light_hash(case.study) for case in cases]
+    keys = [light_hash(case.study) for case in cases]
     studies = {key: case.study for case, key in zip(cases, keys, strict=True)}
     lights: dict[str, Light] = {}
     if len(studies) == 1:
@@ -564,7 +564,7 @@ OF_LIGHT = {
 }
 
 
-def _light_hash(study: Study) -> str:
+def light_hash(study: Study) -> str:
     """Return the hash of everything that a render depends on."""
     return content_hash(study.model_dump(mode="json", include=OF_LIGHT))
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import pydoc
 import re
+import weakref
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +19,14 @@ from helpers.tiny import TINY, keys, rows, tiny, toml_of
 from pydantic import ValidationError
 
 import pixsim
+from pixsim.base import cache
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Axis, Study, merge, nested, pixel_of
 from pixsim.cli.options import axes_of
 from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number, combinations
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study, prepare, warn_of_idle_axes
+from pixsim.viewer.score import ImagingChain
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 LIGHT = "scene.parameters.luminance_cd_per_m2"
@@ -349,6 +354,65 @@ def test_study_more_values_compute_only_the_new_ones(done: tuple[StudyResult, Pa
     # f/4 is the chart's own lens: its rows are those of the base.
     assert (counts.cases, counts.evaluations_made, counts.evaluations_reused) == (12, 0, 100)
     assert set(keys(folder)) == before
+
+
+LIGHTS = {"name": "light", "set": [LIGHT, "display.white_cd_per_m2"], "from": 50.0, "to": 100.0}
+
+
+@pytest.mark.parametrize("scene", [{"file": "csf"}, {"file": "macbeth", "parameters": {"spp": 4}}], ids=["computed", "rendered"])
+def test_study_lights_in_memory_do_not_grow_with_their_number(
+    scene: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither while it runs nor in its result. Here one light behind the lens fits into memory."""
+    monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 1)
+    held: list[weakref.ref[Any]] = []
+    peaks: list[int] = []
+
+    def recorded(name: str, pictures: Callable[[Any], Any]) -> None:
+        place, _, attribute = name.rpartition(".")
+        function = getattr(pydoc.locate(place), attribute)
+
+        def call(*arguments: Any, **more: Any) -> Any:
+            made = function(*arguments, **more)
+            held.append(weakref.ref(pictures(made)))
+            peaks.append(sum(each() is not None for each in held))
+            return made
+
+        monkeypatch.setattr(name, call)
+
+    recorded("pixsim.scene.renderer.Renderer.image", lambda image: image.factors[1] if image.factors else image.data)
+    recorded("pixsim.viewer.score.prepare_scene", lambda light: light.rate_e_per_s_um2)
+    most = []
+    for count in (2, 4):
+        values = {"values": [0.01 * n for n in range(count)], "alone": False}
+        axis = LIGHTS | {"count": count} if scene["file"] == "csf" else PRNU | values
+        study = Study.model_validate(SMALL | {"scene": scene, "resolution": 64, "axis": [axis]})
+        result = pixsim.study(study, tmp_path / str(count), jobs=1)
+        assert len(result.parts) == count
+        most.append((max(peaks), sum(each() is not None for each in held)))
+        assert result.parts[-1].irradiance.planes.shape[1:] == (64, 64)
+        held.clear(), peaks.clear()
+    assert most[0] == most[1], "light or pictures are held for each case"
+
+
+def test_study_in_little_memory_has_the_same_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lights are then taken one after the other, and sensors are drawn again for each."""
+    study = small(axis=[LIGHTS | {"count": 2}], resolution=64)
+    pixsim.study(study, tmp_path / "all", jobs=1)
+    monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 1)
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    pixsim.study(study, tmp_path / "one", jobs=1)
+    assert (tmp_path / "all/results.csv").read_bytes() == (tmp_path / "one/results.csv").read_bytes()
+
+
+def test_study_sensors_are_drawn_once_for_all_lights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[object] = []
+    sensor = ImagingChain.sensor
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    monkeypatch.setattr(ImagingChain, "sensor", lambda chain, *key: drawn.append(key) or sensor(chain, *key))
+    pixsim.study(small(axis=[LIGHTS | {"count": 3}], resolution=64), tmp_path, jobs=1)
+    assert len(rows(tmp_path)) == 3 * 5 * 2
+    assert len(drawn) == len(set(drawn)) == 5 * 2
 
 
 @pytest.mark.slow  # test_engine starts workers
