@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from helpers.processes import HANG_S, signalled
 from helpers.tasks import die_always, die_once, die_once_at_7_um, double, fail, nothing, warn
-from helpers.tiny import tiny_toml
+from helpers.tiny import tiny_toml, toml_of
 
 import pixsim
 from pixsim.base import cache
@@ -185,6 +185,43 @@ def test_study_killed_process_is_resumed(toml: Path, expected: bytes, tmp_path: 
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
+AXES = [
+    {"name": "light", "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"], "values": [50.0, 100.0]},
+    {"name": "integration", "set": "exposure.max_integration_s", "values": [0.05, 0.1]},
+]
+
+
+@pytest.fixture(scope="module")
+def of_axes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
+    """A study of axes, four lights on few cells, and results.csv of one process without a cache."""
+    folder = tmp_path_factory.mktemp("axes")
+    chart = {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}}
+    table = {"name": "axes", "repeats": 2, "resolution": 64, "scene": chart, "axis": AXES}
+    table |= {"camera": {"die_mm": 0.7}, "display": {"dots": 32}, "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0]}}
+    (folder / "axes.toml").write_text("".join(f"{name} = {toml_of(value)}\n" for name, value in table.items()), encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(cache.LIMIT_VARIABLE, "0")
+        pixsim.study(folder / "axes.toml", folder / "out", jobs=1)
+    return folder / "axes.toml", (folder / "out/results.csv").read_bytes()
+
+
+def test_study_of_axes_killed_process_is_resumed(of_axes: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
+    """Killed in the eighth task, of another light than the first; two processes go on, by the rows of both."""
+    toml, expected = of_axes
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
+    command = [sys.executable, "-c", signalled(signal.SIGKILL, 16), "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
+    ended = subprocess.run(command, **CAPTURED)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr
+    finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
+    assert len(finished) == 14
+    assert set(finished) < set(expected.splitlines())
+    assert [path.name for path in (tmp_path / "out").iterdir() if path.name != ".pixsim.lock"] == ["results.csv"]
+    counts = pixsim.study(toml, tmp_path / "out", jobs=2).counts
+    assert counts is not None
+    assert (counts.evaluations_reused, counts.evaluations_made) == (14, 26)
+    assert (tmp_path / "out/results.csv").read_bytes() == expected
+
+
 @pytest.mark.slow  # a process and a study; test_hostile has a full disk for a run, test_interruptions for rows
 def test_study_full_disk_keeps_finished_rows(toml, expected, tmp_path: Path, monkeypatch) -> None:
     """The limit of a file's size stands for the disk's: the write fails in the same place."""
@@ -289,6 +326,14 @@ def test_study_on_cluster_same_bytes(by: str, cluster: str, toml: Path, expected
         pixsim.study(toml, tmp_path, scheduler=client if by == "client" else cluster)
         assert client.status == "running", "it stays open"
         assert len(client.scheduler_info()["workers"]) == 2
+    assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+def test_study_of_axes_on_cluster_same_bytes(cluster: str, of_axes: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
+    """Lights of a batch travel together; here two batches of two."""
+    toml, expected = of_axes
+    monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 250_000)
+    assert pixsim.study(toml, tmp_path, scheduler=cluster).scenes.capacity == 2
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 

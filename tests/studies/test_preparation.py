@@ -31,6 +31,7 @@ from pixsim.studies.preparation import (
     MAX_FRAME_BYTES,
     Cost,
     View,
+    cases_cost,
     choose_view,
     fitted_range,
     study_cost,
@@ -38,6 +39,7 @@ from pixsim.studies.preparation import (
 )
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, WIDE_RATIO, Curve
 from pixsim.studies.study import load_study, prepare, render_for
+from pixsim.viewer.score import SCENE_CACHE_BYTES
 
 SHEET = {"pitch_um": 3.45, "full_well_e": 11000, "read_noise_e": 2.2, "dark_current_e_per_s": 5, "quantum_efficiency": 0.62}
 SMALL = {"resolution": 64, "spp": 4, "luminance_cd_per_m2": 50.0}
@@ -403,6 +405,19 @@ def test_window_within_takes_less_than_a_minute() -> None:
     smaller = prepare_quietly(study.model_copy(update={"window_mm": width}))
     assert smaller.camera.die_mm == width < 8.5
     assert study_cost(smaller.study, smaller.camera, plan, 1024**2, jobs=1).seconds < 60
+
+
+def test_cases_cost_holds_one_light_and_takes_one_report() -> None:
+    """Twice as many lights take their renders and evaluations more, and no more memory than a limit allows."""
+    prepared = prepare_quietly(sheet_study(2.4))
+    plan = make_render_plan(prepared.scene, prepared.camera)
+    one, few, many = (
+        cases_cost([(prepared.study, prepared.camera)] * count, count, plan, 1024**2, jobs=2) for count in (1, 20, 40)
+    )
+    assert one == study_cost(prepared.study, prepared.camera, plan, 1024**2, jobs=2)
+    assert few.memory_bytes == many.memory_bytes <= one.memory_bytes + SCENE_CACHE_BYTES
+    assert many.seconds - few.seconds == pytest.approx(20 / 19 * (few.seconds - one.seconds))
+    assert 10 * one.seconds < few.seconds < 20 * one.seconds
 
 
 def prepare_quietly(study: Study) -> object:
