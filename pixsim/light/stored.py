@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
+import weakref
 from pathlib import Path
 from typing import IO, Any
 
@@ -31,13 +33,20 @@ class PictureFile:
         digest = hashlib.blake2b(values.data, digest_size=16).digest()
         with disk_faults_named(self._folder, self._folder, lambda: "It holds the pictures of all lights of the study."):
             if self._file is None:
-                self._file = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115 – open as long as its images are
+                self._file = tempfile.TemporaryFile(buffering=0, dir=self._folder)  # noqa: SIM115 – open as long as its images are
+                weakref.finalize(self, self._file.close)
             if digest not in self._offsets:
-                offset = self._file.seek(0, 2)
-                self._file.write(values.data)
-                self._file.flush()
+                offset = self._file.seek(0, os.SEEK_END)
+                left = memoryview(values).cast("B")
+                while left:  # one write is at most 2 GiB
+                    left = left[self._file.write(left) :]
                 self._offsets[digest] = offset
-        return StoredImage(image, self._file, self._offsets[digest])
+        return StoredImage(image, self, self._offsets[digest])
+
+    def mapped(self, offset: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        """Return pictures at a place in the file; the memory holds what of them is read, as long as the array is used."""
+        assert self._file is not None
+        return np.asarray(np.memmap(self._file, np.float32, "r", offset, shape))
 
 
 class StoredImage(SpectralImage):
@@ -46,7 +55,7 @@ class StoredImage(SpectralImage):
     A copy, and the image in another process, has them in memory.
     """
 
-    def __init__(self, image: SpectralImage, file: IO[bytes], offset: int) -> None:
+    def __init__(self, image: SpectralImage, file: PictureFile, offset: int) -> None:
         self.wavelength_nm, self.band_width_nm, self.within = image.wavelength_nm, image.band_width_nm, image.within
         self.pitch_um, self.header = image.pitch_um, dict(image.header)
         self._spectra = image.factors[0] if image.factors else None
@@ -56,7 +65,7 @@ class StoredImage(SpectralImage):
     @property
     def _values(self) -> NDArray[np.float32]:
         """The pictures of the factors (r, H, W), or the bands (H, W, B)."""
-        return np.asarray(np.memmap(self._file, np.float32, "r", self._offset, self._size))
+        return self._file.mapped(self._offset, self._size)
 
     @property
     def factors(self) -> Any:  # type: ignore[override]
