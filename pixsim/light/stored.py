@@ -37,7 +37,7 @@ class PictureFile:
                 weakref.finalize(self, self._file.close)
             if digest not in self._offsets:
                 offset = self._file.seek(0, os.SEEK_END)
-                left = memoryview(values).cast("B")
+                left = values.data.cast("B")
                 while left:  # one write is at most 2 GiB
                     left = left[self._file.write(left) :]
                 self._offsets[digest] = offset
