@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from pixsim.base import cache
-from pixsim.base.arrays import Array, stream
+from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import opened, read_bytes, replacing
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, content_hash, pixel_of
@@ -258,45 +258,43 @@ _recent = threading.local()
 SENSORS_BYTES = 1 << 26  # of fixed patterns that a thread keeps for the next light
 
 
+class ChainOfCase(ImagingChain):
+    """The imaging chain of a case: others may have the same sensors, of which a thread keeps the last ones."""
+
+    def sensor(self, *key: object) -> Sensor:
+        """Return the sensor of `capture`."""
+        pixels = self.physics, self.signal_e_per_s.shape
+        if getattr(_recent, "pixels", None) != pixels:
+            _recent.pixels, _recent.sensors = pixels, {}
+        kept: dict[tuple[object, ...], Sensor] = _recent.sensors
+        if key not in kept:
+            sensor = super().sensor(*key)
+            size = sum(pattern.nbytes for pattern in (sensor.gain, sensor.dark_gain, sensor.offset_e) if pattern is not None)
+            if (len(kept) + 1) * size > SENSORS_BYTES:
+                kept.clear()
+            if size > SENSORS_BYTES:
+                return sensor
+            kept[key] = sensor
+        return kept[key]
+
+
 def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
     """Return the rows of a task."""
     key = task.light_key, task.pitch_um
     if getattr(_recent, "key", None) != key:
-        _recent.chain = chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
+        chain = chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
+        _recent.chain = ChainOfCase(**vars(chain)) if task.columns else chain
         _recent.key = key
     rows = []
-    draw = recent_sensor if task.columns else ImagingChain.sensor  # other cases may have the same sensors
-    for repeat, score, cached in scores_of(_recent.chain, task.study, list(task.keys), task.frames_key, draw):
+    for repeat, score, cached in scores_of(_recent.chain, task.study, list(task.keys), task.frames_key):
         numbers = {name: repr(value) for name, value in score.statistics().items()}
         own = {"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat)}
         rows.append(own | numbers | task.columns | ({FROM_CACHE: "1"} if cached else {}))
     return rows
 
 
-def recent_sensor(chain: ImagingChain, *key: object) -> Sensor:
-    """Return the sensor of a key; the last ones of equal pixels are kept, as the same sensors see every light of a study."""
-    pixels = chain.physics, chain.signal_e_per_s.shape
-    if getattr(_recent, "pixels", None) != pixels:
-        _recent.pixels, _recent.sensors = pixels, {}
-    kept: dict[tuple[object, ...], Sensor] = _recent.sensors
-    if key not in kept:
-        sensor = chain.sensor(*key)
-        size = sum(pattern.nbytes for pattern in (sensor.gain, sensor.dark_gain, sensor.offset_e) if pattern is not None)
-        if (len(kept) + 1) * size > SENSORS_BYTES:
-            kept.clear()
-        if size > SENSORS_BYTES:
-            return sensor
-        kept[key] = sensor
-    return kept[key]
-
-
-def scores_of(
-    chain: ImagingChain, study: Study, repeats: list[int], frames_key: str, draw: Callable[..., Sensor] = ImagingChain.sensor
-) -> Iterator[tuple[int, Score, bool]]:
-    """Yield each repeat with its score, and whether its frame comes from the cache; new frames are stored there.
-
-    draw : returns the sensor of a chain and a key
-    """
+def scores_of(chain: ImagingChain, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score, bool]]:
+    """Yield each repeat with its score, and whether its frame comes from the cache; new frames are stored there."""
     technology, pitch_um = chain.physics.technology.name, chain.physics.pitch_um
     cached = (cache.arrays("frames", frames_key) if frames_key else None) or {}
     # A frame's digital numbers stand under its repeat; its saturated fraction does not follow from them and is stored too.
@@ -310,8 +308,7 @@ def scores_of(
             frame = replace(frame, corrected_e=frames.get(corrected))
             yield repeat, chain.score_frame(frame), True
         else:
-            key = stream_key(study, technology, pitch_um, repeat)
-            frame = chain.capture_by(draw(chain, *key), stream(*key, "frame"), stream(*key, "correction"))
+            frame = chain.capture(*stream_key(study, technology, pitch_um, repeat))
             if frames_key:
                 frames[name] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
                 frames[saturated] = np.array(frame.saturated_fraction)
