@@ -26,6 +26,7 @@ from pydantic import BaseModel, ValidationError
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import (
+    MISMATCH,
     STANDS_FOR,
     Camera,
     CameraOptions,
@@ -37,6 +38,7 @@ from pixsim.base.parameters import (
     Pixel,
     PixelOptions,
     Record,
+    excluded_by,
     explain,
 )
 from pixsim.light.spectral import SpectralImage
@@ -192,7 +194,7 @@ def pixels(draw: st.DrawFn) -> dict[str, Any]:
         pixel = {name: value for name, value in pixel.items() if name not in ("dynamic_range_db", "snr_max_db")}
     for word in STANDS_FOR if draw(USUALLY) else ():
         if word in pixel and (solved if word == "saturation_capacity_e" else draw(st.booleans())):
-            for name in STANDS_FOR[word]:
+            for name in excluded_by([word]):
                 pixel.pop(name, None)
         else:
             pixel.pop(word, None)
@@ -205,6 +207,15 @@ def pixels(draw: st.DrawFn) -> dict[str, Any]:
         if pixel["technology"].startswith("4t"):
             for name in ("capacitance", "well_limit", "conversion"):
                 pixel.pop(name, None)
+        if pixel["technology"] in ("none", "4t-bsi", "4t-fsi") or not MISMATCH <= pixel.keys():
+            pixel = {name: value for name, value in pixel.items() if name not in MISMATCH}
+        elif draw(USUALLY):  # below the swing
+            pixel["a_vt_mv_um"] = draw(st.floats(0, 900)) * math.sqrt(pixel["follower_area_um2"])
+        if "prnu_um" in pixel:
+            pixel["prnu_um"] = draw(st.floats(0, 0.3)) * math.sqrt(pixel["fill_factor"]) * min(pixel.get("pitch_um", 6.5), 1e3)
+        if {"hot_pixel_fraction", "hot_pixel_ratio", "hot_pixel_spread"} & pixel.keys():
+            pixel.setdefault("hot_pixel_fraction", draw(st.floats(0, 1)))
+            pixel.setdefault("hot_pixel_ratio", 1 + draw(numbers(number_of(Pixel, "hot_pixel_ratio"))) / 2)
         if "data_sheet_pitch_um" in pixel:  # a well and a gain that scale to possible ones
             limits, near = number_of(Pixel, "data_sheet_pitch_um"), pixel.get("pitch_um", 6.5) * draw(st.floats(0.1, 10.0))
             pixel["data_sheet_pitch_um"] = min(max(near, limits.low), limits.high)
@@ -294,6 +305,14 @@ def any_technology() -> st.SearchStrategy[Technology]:
     def of_a_kind(drawn: dict[str, Any], junction: dict[str, Any], pinned: bool) -> dict[str, Any]:
         well = drawn.pop("full_well_e_per_um2", 3e3)
         kind = {"full_well_e_per_um2": well, "junction": None} if pinned else {"junction": junction, "full_well_e_per_um2": None}
+        if "prnu_um" in drawn:
+            kind |= {"prnu": None, "prnu_um": min(drawn["prnu_um"], 0.1)}
+        if pinned or not MISMATCH <= drawn.keys():
+            drawn = {name: value for name, value in drawn.items() if name not in MISMATCH}
+        else:
+            kind |= {"offset_fpn": None, "a_vt_mv_um": min(drawn["a_vt_mv_um"], 100 * math.sqrt(drawn["follower_area_um2"]))}
+        if drawn.get("hot_pixel_fraction"):
+            drawn.setdefault("hot_pixel_ratio", 30.0)
         return usual["0.35um"].content | drawn | kind
 
     return st.builds(of_a_kind, fields.map(dict), junctions, st.booleans())

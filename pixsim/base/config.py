@@ -97,7 +97,10 @@ def checked(record: type[BaseModel], layers: Sequence[Layer]) -> Any:
 
 
 # A data sheet states them for its pitch only.
-SCALED_WITH_AREA = ("full_well_e", "saturation_capacity_e", "gain_e_per_dn", "dark_current_e_per_s", "dark_current")
+SCALED_WITH_AREA = (
+    *("full_well_e", "saturation_capacity_e", "gain_e_per_dn", "dn_per_e", "adc_full_scale_e"),
+    *("dark_current_e_per_s", "dark_current"),
+)
 SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
 # Fields of a range of pitches, and those of an earlier layer that they replace.
 REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}

@@ -205,6 +205,12 @@ ResetFactor = Annotated[float, Field(ge=0, le=100)]
 GainSpread = Annotated[float, Field(ge=0, le=0.3)]
 DarkSpread = Annotated[float, Field(ge=0, le=100)]  # of the mean: at 100 a few hot pixels have all the dark current
 OffsetSpread = Annotated[float, Field(ge=0, le=1)]
+UnitInterval = Annotated[float, Field(ge=0, le=1)]
+AreaMismatch = Annotated[float, Field(ge=0, le=1e3)]  # of the gain, µm: 1 % at 1 µm² is 0.01
+VoltageMismatch = Annotated[float, Field(ge=0, le=1e6)]  # mV·µm, a few in CMOS
+GateArea = Annotated[float, Field(ge=1e-6, le=1e6)]
+HotRatio = Annotated[float, Field(ge=1, le=1e6)]
+HotSpread = Annotated[float, Field(ge=0, le=3)]  # at 3 the mean is 90 times the median: no frame has enough pixels for it
 StudyName = Annotated[str, Field(pattern=r"^\w[\w.\-]*$", max_length=100)]
 Luminance = Annotated[float, Field(ge=1e-12, le=1e15)]  # the disc of the sun: 1.6e9
 EfficiencyCurve = tuple[tuple[float, float], ...]  # (wavelength in nm, electrons per photon), wavelengths increasing
@@ -290,21 +296,30 @@ def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
 NO_TECHNOLOGY = "none"
 # Required of a data sheet without a technology; non-uniformities and offsets that it does not give are 0.
 DATA_SHEET = ("full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency")
-# A data sheet's own words, and the fields that each of them stands for.
+# Other words for a quantity, of data sheets or of the layout, and the fields that each of them stands for.
 STANDS_FOR = {
     "saturation_capacity_e": ("full_well_e",),
-    "temporal_dark_noise_e": ("read_noise_e", "reset_noise_factor"),
+    "dn_per_e": ("gain_e_per_dn",),
+    "adc_full_scale_e": ("gain_e_per_dn",),
+    "temporal_dark_noise_e": ("read_noise_e", "read_noise_after_gain_e", "reset_noise_factor"),
     "dark_current": ("dark_current_e_per_s",),
     "prnu_percent": ("prnu",),
+    "prnu_um": ("prnu",),
     "dsnu_e": ("offset_fpn", "column_fpn"),
+    "a_vt_mv_um": ("offset_fpn",),
+    "follower_area_um2": ("offset_fpn",),
 }
+MISMATCH = {"a_vt_mv_um", "follower_area_um2"}  # two words that state the offsets together
 
 
 def excluded_by(names: Iterable[str]) -> set[str]:
     """The fields of a pixel that cannot be given together with those of `names`, since they state the same quantity."""
-    given = set(names)
-    others = {word for word, fields in STANDS_FOR.items() if given & set(fields)}
-    return others.union(*(STANDS_FOR[name] for name in given & STANDS_FOR.keys()))
+    excluded: set[str] = set()
+    for name in names:
+        stated = {name, *STANDS_FOR.get(name, ())}
+        same = stated.union(word for word, fields in STANDS_FOR.items() if stated & set(fields))
+        excluded |= same - {name} - (MISMATCH if name in MISMATCH else set())
+    return excluded
 
 
 def missing_of_data_sheet(given: Iterable[str]) -> list[str]:
@@ -409,9 +424,11 @@ class DarkCurrent(Record):
 class PixelOptions(Record):
     """A pixel without its technology and pitch. Values of None are derived from the technology.
 
-    A data sheet's own words can stand for some fields, but not beside them: `saturation_capacity_e` for `full_well_e`,
-    `temporal_dark_noise_e` for `read_noise_e` and `reset_noise_factor`, `dark_current` for `dark_current_e_per_s`, `prnu_percent`
-    for `prnu`, and `dsnu_e` for `offset_fpn` and `column_fpn`.
+    A data sheet's own words can stand for some fields, but not beside them: `saturation_capacity_e` for `full_well_e`, `dn_per_e`
+    and `adc_full_scale_e` for `gain_e_per_dn`, `temporal_dark_noise_e` for `read_noise_e`, `read_noise_after_gain_e` and
+    `reset_noise_factor`, `dark_current` for `dark_current_e_per_s`, `prnu_percent` for `prnu`, and `dsnu_e` for `offset_fpn` and
+    `column_fpn`. So can mismatch that depends on the layout: `prnu_um` for `prnu`, and `a_vt_mv_um` with `follower_area_um2` for
+    `offset_fpn`.
     """
 
     capacitance: Literal["mosis", "paper"] = Field(
@@ -450,8 +467,14 @@ class PixelOptions(Record):
     )
     gain_e_per_dn: Annotated[float, Field(ge=1e-9, le=1e15)] | None = Field(
         None,
-        description="electrons per ADC code, 1/K of EMVA 1288; signals saturate at the lower of the full well and the highest code "
-        "(absent: the codes above the black level span the full well)",
+        description="electrons per ADC code at 0 dB, 1/K of EMVA 1288; signals saturate at the lower of the full well and the "
+        "highest code (absent: the codes above the black level span the full well)",
+    )
+    dn_per_e: Annotated[float, Field(ge=1e-15, le=1e9)] | None = Field(
+        None, description="in place of gain_e_per_dn: ADC codes per electron at 0 dB, K of EMVA 1288"
+    )
+    adc_full_scale_e: Well | None = Field(
+        None, description="in place of gain_e_per_dn: signal at 0 dB that the codes above the black level span, up to the highest"
     )
     dark_current_e_per_s: Current | None = Field(None, description="dark current of one pixel")
     dark_current: DarkCurrent | None = Field(
@@ -461,19 +484,36 @@ class PixelOptions(Record):
     data_sheet_pitch_um: Pitch | None = Field(
         None, description="pitch at which full well, gain and dark current were measured; they scale with the photodiode area"
     )
-    read_noise_e: NoiseElectrons | None = Field(None, description="temporal read noise without reset noise")
+    read_noise_e: NoiseElectrons | None = Field(
+        None, description="temporal read noise before the amplifier, which gain_db does not change; without reset noise"
+    )
+    read_noise_after_gain_e: NoiseElectrons | None = Field(
+        None, description="temporal read noise after the amplifier, in electrons at 0 dB; gain_db divides it by the amplification"
+    )
     temporal_dark_noise_e: NoiseElectrons | None = Field(
         None,
-        description="in place of read_noise_e and reset_noise_factor: temporal dark noise (σ_d of EMVA 1288), without quantisation "
-        "noise, at an exposure so short that dark current adds none",
+        description="in place of read_noise_e, read_noise_after_gain_e and reset_noise_factor: temporal dark noise (σ_d of EMVA "
+        "1288), the same at every gain_db, without quantisation noise, at an exposure so short that dark current adds none",
     )
     reset_noise_factor: ResetFactor | None = Field(
         None, description="n in the reset noise variance n kTC/q²: hard reset 1, soft reset 0.5, delta double sampling 2"
     )
     prnu: GainSpread | None = Field(None, description="standard deviation of the gain over its mean (PRNU)")
     prnu_percent: Annotated[float, Field(ge=0, le=30)] | None = Field(None, description="in place of prnu: the same in per cent")
+    prnu_um: AreaMismatch | None = Field(
+        None, description="in place of prnu: prnu times the side of the square photodiode, so that prnu is this at 1 µm²"
+    )
     dsnu: DarkSpread | None = Field(
-        None, description="standard deviation of the dark current over its mean (DSNU in electrons, as in EMVA 1288, is dsnu_e)"
+        None,
+        description="standard deviation of the dark current over its mean, without hot pixels (DSNU in electrons, as in EMVA 1288, "
+        "is dsnu_e)",
+    )
+    hot_pixel_fraction: UnitInterval | None = Field(
+        None, description="fraction of pixels that are hot; the dark current remains the mean of all pixels"
+    )
+    hot_pixel_ratio: HotRatio | None = Field(None, description="median dark current of hot pixels, over the mean of the others")
+    hot_pixel_spread: HotSpread | None = Field(
+        None, description="standard deviation of the natural logarithm of the dark current of hot pixels"
     )
     dsnu_e: NoiseElectrons | None = Field(
         None,
@@ -482,6 +522,14 @@ class PixelOptions(Record):
     )
     offset_fpn: OffsetSpread | None = Field(
         None, description="standard deviation of the pixel offsets, as a fraction of the full well"
+    )
+    a_vt_mv_um: VoltageMismatch | None = Field(
+        None,
+        description="in place of offset_fpn, with follower_area_um2: standard deviation of the threshold voltage of the source "
+        "followers, times √follower_area_um2 (Pelgrom's A_Vt), for a 3T pixel read without double sampling",
+    )
+    follower_area_um2: GateArea | None = Field(
+        None, description="with a_vt_mv_um: gate area W·L of the source follower, the same at every pitch"
     )
     column_fpn: OffsetSpread | None = Field(
         None, description="standard deviation of the column offsets, as a fraction of the full well"
@@ -502,9 +550,11 @@ class PixelOptions(Record):
 
     @model_validator(mode="after")
     def _states_each_quantity_once(self) -> Self:
-        for word, fields in STANDS_FOR.items():
-            if getattr(self, word) is not None and (both := [name for name in fields if getattr(self, name) is not None]):
-                raise ValueError(f"{word} and {', '.join(both)} state the same quantity; give one of them")
+        for word in STANDS_FOR:
+            if getattr(self, word) is not None:
+                excluded = excluded_by([word])
+                if both := [name for name in PixelOptions.model_fields if name in excluded and getattr(self, name) is not None]:
+                    raise ValueError(f"{word} and {', '.join(both)} state the same quantity; give one of them")
         if self.saturation_capacity_e is not None and (self.well_limit, self.conversion) != ("swing", "linear"):
             raise ValueError(
                 f"saturation_capacity_e with well_limit = '{self.well_limit}' and conversion = '{self.conversion}'; the full well "
@@ -581,7 +631,6 @@ class Pixel(PixelOptions):
 
 
 FASTEST_WORKING_F_NUMBER = 0.5
-UnitInterval = Annotated[float, Field(ge=0, le=1)]
 
 
 class Camera(Record):
@@ -755,14 +804,19 @@ class CameraOptions(Record):
 
 
 class Exposure(Record):
-    """Manual exposure if `integration_s` is given, else automatic: the brightest pixel reaches `well_target` of saturation."""
+    """Gain and time: manual if `integration_s` is given, else such that the brightest pixel reaches `well_target` of saturation."""
 
     integration_s: Seconds | None = Field(None, description="exposure time (absent: automatic exposure)")
     max_integration_s: Seconds = Field(0.1, description="longest exposure time of the automatic exposure")
     well_target: Fraction = Field(
         0.95,
         description="automatic exposure: mean signal of the brightest pixel, as a fraction of saturation (the lower of the full "
-        "well and the range of the ADC)",
+        "well and the range of the ADC at gain_db)",
+    )
+    gain_db: Annotated[float, Field(ge=0, le=60)] = Field(
+        0.0,
+        description="amplification before the ADC; at 0 dB the codes above the black level span the full well, unless pixel gives "
+        "gain_e_per_dn, dn_per_e or adc_full_scale_e",
     )
 
 

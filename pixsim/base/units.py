@@ -2,7 +2,8 @@
 
 # Unit of a field by the end of its name; longer ends come first.
 UNITS = {
-    "_e_per_dn": "electrons per DN", "_percent": "%", "_db": "dB", "_c": "°C",
+    "_e_per_dn": "electrons per DN", "dn_per_e": "DN per electron", "_mv_um": "mV·µm", "_um2": "µm²",
+    "_percent": "%", "_db": "dB", "_c": "°C",
     "_cd_per_m2": "cd/m²", "_e_per_s": "electrons per second", "samples_per_deg": "display dots per degree", "_delta_e": "ΔE",
     "_seconds": "s", "_ci_um": "µm", "_dn": "DN", "_mm": "mm", "_um": "µm", "_nm": "nm", "_m": "m", "_s": "s", "_k": "kelvin",
     "_e": "electrons",

@@ -130,7 +130,7 @@ class DataSheet:
     @property
     def true_dark_noise_e(self) -> float:
         p = self.experiment.physics
-        return math.sqrt(p.reset_noise_e**2 + p.read_noise_e**2 + p.dark_current_e_per_s * self.experiment.integration_s)
+        return math.sqrt(p.reset_noise_e**2 + p.read_noise_at_gain_e**2 + p.dark_current_e_per_s * self.experiment.integration_s)
 
     @cached_property
     def true_prnu(self) -> float:
@@ -154,7 +154,8 @@ class DataSheet:
         pixel, asked = self.experiment.physics.pixel, self.experiment.asked_black_dn
         notes = []
         if pixel.black_level_dn != asked:
-            left = "The full well spans the remaining codes, which reduces K."
+            name = "full well" if self.experiment.physics.adc_full_scale_e is None else "full scale"
+            left = f"The {name} spans the remaining codes, which reduces K."
             if self.experiment.physics.gain_e_per_dn is not None:
                 left = f"The ADC's range is {self.experiment.physics.adc_range_e:.4g} e- above it."
             notes.append(
@@ -287,7 +288,9 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
     step = "standard error: one exposure step"
     peak = "peak of the model's expected variance"
     straight = p.pixel.conversion == "linear" and p.pixel.well_limit == "swing"
-    of_gain = "(2^bits - 1 - black) / full well" if p.gain_e_per_dn is None else "1 / gain_e_per_dn"
+    span = "full well" if p.adc_full_scale_e is None else "adc_full_scale_e"
+    of_gain = f"(2^bits - 1 - black) / {span}" if p.gain_e_per_dn is None else "1 / gain_e_per_dn"
+    of_gain += f" · 10^({p.gain_db:g} dB / 20)" if p.gain_db else ""
     of_line = "straight line" if straight else "the model's expected curve"
     return [
         line(EMVA, "overall system gain", "K", "DN/e-", t.gain_dn_per_e, p.dn_per_e, of_gain),
@@ -321,7 +324,7 @@ def spatial(sheet: DataSheet) -> list[Entry]:
     """DSNU1288, its parts from columns, rows and single pixels (0 if the variance estimate is not positive), and PRNU1288."""
     p, map_e, k = sheet.experiment.physics, dark_map_e(sheet.experiment), sheet.transfer.gain_dn_per_e
     dark_e = p.dark_current_e_per_s * sheet.experiment.integration_s
-    nominal = math.sqrt(p.offset_fpn_e**2 + p.column_fpn_e**2 + (p.dsnu * dark_e) ** 2)
+    nominal = math.sqrt(p.offset_fpn_e**2 + p.column_fpn_e**2 + (p.dark_spread * dark_e) ** 2)
     dsnu = f"from this device's maps; the parameters give √(offset² + column² + (σ_DSNU · dark)²) = {nominal:.4g}"
     of_gain = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
     split = zip(PARTS, estimators.parts(sheet.dark_stack), estimators.parts(Stack(1, map_e, np.zeros_like(map_e))), strict=True)
@@ -362,7 +365,7 @@ def dark(sheet: DataSheet) -> list[Entry]:
 def highest_dn(physics: PixelPhysics) -> float:
     """Full scale in DN: the ADC's top code, or the level of a full well below it."""
     black, top = physics.pixel.black_level_dn, float(2**physics.pixel.bits - 1)
-    return top if physics.gain_e_per_dn is None else min(top, black + physics.full_well_e * physics.dn_per_e)
+    return top if physics.adc_range_e <= physics.full_well_e else black + physics.full_well_e * physics.dn_per_e
 
 
 def noise(sheet: DataSheet) -> list[Entry]:
@@ -371,7 +374,7 @@ def noise(sheet: DataSheet) -> list[Entry]:
     (temporal, fixed, total), signal_e = estimators.noise_15739(sheet.grey), sheet.grey_photons * e.efficiency
     pattern_e = dark_map_e(e) + (0.0 if e.sensor.gain is None else signal_e * e.sensor.gain)
     dark_e = p.dark_current_e_per_s * e.integration_s
-    temporal_dn2 = k**2 * (signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2) + QUANTISATION_DN2
+    temporal_dn2 = k**2 * (signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_at_gain_e**2) + QUANTISATION_DN2
     fixed_dn2 = k**2 * float(pattern_e.var(ddof=1))
     signal = Estimate(float(sheet.grey.mean()) - sheet.dark.mean_dn, math.sqrt(temporal_dn2 / sheet.pixels))
     dark_dn2 = temporal_dn2 - k**2 * signal_e

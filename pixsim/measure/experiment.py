@@ -94,7 +94,8 @@ class Experiment:
     def warmed(self, temperature_k: float) -> Sensor:
         """The same device at another temperature: only its dark current changes, not its maps."""
         pixel = Pixel.model_validate(self.physics.pixel.model_dump() | {"temperature_k": temperature_k})
-        return replace(self.sensor, physics=replace(derive(pixel), full_well_e=self.physics.full_well_e))
+        warm = replace(derive(pixel), full_well_e=self.physics.full_well_e, gain_db=self.physics.gain_db)
+        return replace(self.sensor, physics=warm)
 
 
 def pixel_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
@@ -187,7 +188,8 @@ def make_experiment(
 
     Parameters
     ----------
-    exposure : integration_s is that of the light series; by default 30 ms, less if the dark current is high
+    exposure : integration_s is that of the light series; by default 30 ms, less if the dark current is high; gain_db is that of
+        all frames
     wavelength_nm : of the light; by default the peak of the response
     shape : (rows, columns) pixels
     exposures : light levels, equally spaced from dark to 1.1 times what fills the well
@@ -195,8 +197,9 @@ def make_experiment(
     Raises PixsimError for a wavelength without response, and for too few bits for the black level.
     """
     warn_of_disagreements(pixel)
-    raw = derive(pixel)
-    time_s = usual_integration_s(raw, exposure or Exposure())
+    exposure = exposure or Exposure()
+    raw = derive(pixel).at_gain(exposure.gain_db)
+    time_s = usual_integration_s(raw, exposure)
     physics = with_black_level(raw, time_s)
     nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
     efficiency = pixel_efficiency(physics, nm)

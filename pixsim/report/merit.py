@@ -98,7 +98,7 @@ def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
 def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float = MPE30_INTEGRATION_S) -> float:
     """Return the minimum photometric exposure on the sensor for an SNR of 30 dB (eq. 2); inf if it exceeds saturation."""
     snr = 10 ** (30 / 20)
-    noise_e2 = physics.reset_noise_e**2 + physics.read_noise_e**2 + physics.dark_current_e_per_s * integration_s
+    noise_e2 = physics.reset_noise_e**2 + physics.read_noise_at_gain_e**2 + physics.dark_current_e_per_s * integration_s
     signal_e = (snr**2 + np.sqrt(snr**4 + 4 * snr**2 * noise_e2)) / 2
     if signal_e > physics.saturation_e:
         return np.inf

@@ -201,6 +201,8 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
         screen, white_e = light.screen, light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s
         # The shown picture does not depend on the saturated fraction or the mean signal.
         unknown = np.broadcast_to(0.0, cached.shape)
-        frame = make_frame(cached.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s))
+        frame = make_frame(
+            cached.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s, gain_db=physics.gain_db)
+        )
         frame = replace(frame, corrected_e=corrected_e)
     return shown_luminance(window.of(screen.luminance(frame, white_e)), study.display)

@@ -326,13 +326,13 @@ def make_plan(
     (1, True)
     """
     camera, pixel = camera or scene.camera(), pixel or Pixel()
-    physics = derive(pixel)
+    exposure = exposure or Exposure()
+    physics = derive(pixel).at_gain(exposure.gain_db)
     options: dict[str, Any] = {"tolerance_e": tolerance_e, "full": full, "exact": display is not None}
     plan = make_render_plan(scene, camera, pixel, **options)
     resolution, sampling = decide_oversampling(scene, plan, camera, physics, display, full)
     if resolution:
         plan = make_render_plan(scene.with_resolution(resolution), camera, pixel, **options)
-    exposure = exposure or Exposure()
     longest_s = exposure.integration_s or exposure.max_integration_s
     more = sampling, decide_saturation(physics, longest_s), decide_noise(physics, full), decide_transforms(full)
     return replace(plan, resolution=resolution, decisions=(*plan.decisions, *more))
@@ -410,7 +410,8 @@ def decide_noise(physics: PixelPhysics, full: bool) -> Decision:
     """List the noise sources that are zero."""
     p, dark = physics, physics.dark_current_e_per_s
     sources = {"PRNU": p.prnu, "dark current": dark, "DSNU": p.dsnu and dark, "reset noise": p.reset_noise_e}
-    sources |= {"read noise": p.read_noise_e, "offset FPN": p.offset_fpn_e, "column FPN": p.column_fpn_e}
+    sources |= {"hot pixels": p.hot_pixel_fraction} if p.hot_pixel_fraction else {}  # few sensors have numbers for them
+    sources |= {"read noise": p.read_noise_at_gain_e, "offset FPN": p.offset_fpn_e, "column FPN": p.column_fpn_e}
     silent = [name for name, value in sources.items() if not value]
     if not silent or full:
         return Decision("noise stages", True, "shot noise, " + ", ".join(name for name, value in sources.items() if value))

@@ -18,7 +18,16 @@ from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fiel
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import ABSOLUTE_ZERO_C, MIN_FRACTION, WELL_RANGE_E, EfficiencyCurve, Pixel, Study, pixel_of
+from pixsim.base.parameters import (
+    ABSOLUTE_ZERO_C,
+    MIN_FRACTION,
+    NO_TECHNOLOGY,
+    WELL_RANGE_E,
+    EfficiencyCurve,
+    Pixel,
+    Study,
+    pixel_of,
+)
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
@@ -230,6 +239,7 @@ def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_p
 
 REFERENCE_TEMPERATURE_K = 300.15  # 27 °C, the temperature of quoted dark currents
 A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / ELECTRON_C  # 1 cm² = 1e8 µm²
+A_PER_CM_TO_E_PER_S_UM = 1e-4 / ELECTRON_C
 # Peak quantum efficiency of the chip whose response curve is packaged (0.35 µm).
 RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
@@ -327,16 +337,21 @@ class PixelPhysics:
     technology : with the pixel's fill-factor law
     fill_factor : photodiode area over pixel area
     capacitance_ff : mean over the swing; None for a pinned photodiode
-    full_well_e : charge that the pixel holds; at the ADC's top code if `gain_e_per_dn` is None
-    dark_current_e_per_s : at the pixel's temperature
+    full_well_e : charge that the pixel holds; at the ADC's top code at 0 dB if gain_e_per_dn and adc_full_scale_e are None
+    dark_current_e_per_s : at the pixel's temperature, mean of all pixels
     reset_noise_e : √(n kTC)/q
-    read_noise_e : temporal, without the reset noise
+    read_noise_e : temporal, before the amplifier, without the reset noise
     prnu : of the gain, relative to its mean
-    dsnu : of the dark current, relative to its mean
+    dsnu : of the dark current of pixels that are not hot, relative to its mean
     offset_fpn_e : offsets of pixels
     column_fpn_e : offsets of columns
     diode : the photodiode; None if it is pinned
-    gain_e_per_dn : electrons per code; None: the codes above the black level span the full well
+    gain_e_per_dn : electrons per code at 0 dB; None: the codes above the black level span `adc_full_scale_e`
+    adc_full_scale_e : signal at the ADC's top code at 0 dB; None: the full well
+    read_noise_after_gain_e : temporal, after the amplifier, in electrons at 0 dB
+    hot_pixel_fraction, hot_pixel_ratio, hot_pixel_spread : of the pixels that are hot, median of their dark current over the mean
+        of the others, and standard deviation of its logarithm
+    gain_db : amplification with which the pixel is read; `at_gain` sets it
     """
 
     pixel: Pixel
@@ -353,6 +368,28 @@ class PixelPhysics:
     column_fpn_e: float
     diode: Diode | None = None
     gain_e_per_dn: float | None = None
+    adc_full_scale_e: float | None = None
+    read_noise_after_gain_e: float = 0.0
+    hot_pixel_fraction: float = 0.0
+    hot_pixel_ratio: float = 1.0
+    hot_pixel_spread: float = 0.0
+    gain_db: float = 0.0
+
+    @checks_arguments
+    def at_gain(self, gain_db: float) -> PixelPhysics:
+        """Return the pixel read with an amplification (`Exposure.gain_db`), which moves the ADC's range and the noise behind it.
+
+        >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, read_noise_e=1.5, read_noise_after_gain_e=4))
+        >>> amplified = pixel.at_gain(20 * math.log10(8))
+        >>> round(pixel.adc_range_e / amplified.adc_range_e, 6), round(amplified.noise_floor_e, 3)  # √(1.5² + (4/8)²)
+        (8.0, 1.581)
+        """
+        return self if gain_db == self.gain_db else replace(self, gain_db=gain_db)
+
+    @property
+    def amplification(self) -> float:
+        """10^(gain_db/20), a ratio of voltages."""
+        return float(10 ** (self.gain_db / 20))
 
     @property
     def pitch_um(self) -> float:
@@ -371,13 +408,21 @@ class PixelPhysics:
 
     @property
     def dn_per_e(self) -> float:
-        """Gain: the given one, or the codes above the black level over the full well."""
-        return self.pixel.codes_dn / self.full_well_e if self.gain_e_per_dn is None else 1 / self.gain_e_per_dn
+        """Gain: the given one, or the codes above the black level over the full scale, times the amplification."""
+        own = self.pixel.codes_dn / self.full_scale_e if self.gain_e_per_dn is None else 1 / self.gain_e_per_dn
+        return own * self.amplification
+
+    @property
+    def full_scale_e(self) -> float:
+        """Signal at the ADC's top code at 0 dB: the full well, if neither gain nor full scale is given."""
+        if self.gain_e_per_dn is not None:
+            return self.pixel.codes_dn * self.gain_e_per_dn
+        return self.full_well_e if self.adc_full_scale_e is None else self.adc_full_scale_e
 
     @property
     def adc_range_e(self) -> float:
-        """Signal at the ADC's top code: the full well, if no gain is given."""
-        return self.full_well_e if self.gain_e_per_dn is None else self.pixel.codes_dn * self.gain_e_per_dn
+        """Signal at the ADC's top code: the full scale over the amplification."""
+        return self.full_scale_e / self.amplification
 
     @property
     def saturation_e(self) -> float:
@@ -391,9 +436,30 @@ class PixelPhysics:
         return of_sheet or self.technology.dark_doubling_k
 
     @property
+    def read_noise_at_gain_e(self) -> float:
+        """Temporal read noise, √(before² + (after/amplification)²), without the reset noise."""
+        return math.hypot(self.read_noise_e, self.read_noise_after_gain_e / self.amplification)
+
+    @property
     def noise_floor_e(self) -> float:
         """Temporal dark noise without dark charge: reset and read noise."""
-        return math.hypot(self.reset_noise_e, self.read_noise_e)
+        return math.hypot(self.reset_noise_e, self.read_noise_at_gain_e)
+
+    @property
+    def typical_dark_share(self) -> float:
+        """Ratio of the mean dark current of the pixels that are not hot to that of all: 1/(1 + f (r e^(s²/2) - 1))."""
+        return 1 / (1 + self.hot_pixel_fraction * (self.hot_pixel_ratio * math.exp(self.hot_pixel_spread**2 / 2) - 1))
+
+    @property
+    def dark_spread(self) -> float:
+        """Standard deviation of the dark current over its mean, of all pixels; `dsnu` without hot ones.
+
+        The current of a hot pixel is that of another one, of variance (1 + dsnu²) - 1, times a log-normal factor.
+        """
+        if not self.hot_pixel_fraction:
+            return self.dsnu
+        square = 1 + self.hot_pixel_fraction * (self.hot_pixel_ratio**2 * math.exp(2 * self.hot_pixel_spread**2) - 1)
+        return math.sqrt(max((1 + self.dsnu**2) * square * self.typical_dark_share**2 - 1, 0.0))
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
         if self.pixel.quantum_efficiency is not None:
@@ -451,7 +517,7 @@ class PixelPhysics:
         return 20 * math.log10(signal_e / math.sqrt(self._dark_variance_e2(dark_e) + signal_e))
 
     def _dark_variance_e2(self, dark_e: float) -> float:
-        return self.reset_noise_e**2 + self.read_noise_e**2 + dark_e
+        return self.reset_noise_e**2 + self.read_noise_at_gain_e**2 + dark_e
 
 
 @checks_arguments
@@ -503,6 +569,81 @@ def dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
     return current
 
 
+MAX_PRNU = 0.3  # as `GainSpread` of the records
+
+
+def prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
+    """Return the PRNU of a photodiode of an area: as stated, or `prnu_um` over its side (Pelgrom, IEEE JSSC 24 (1989) 1433).
+
+    Raises PixsimError if the photodiode is too small for it.
+    """
+    if pixel.prnu_percent is not None:
+        return pixel.prnu_percent / 100
+    own = pixel.prnu is not None or pixel.prnu_um is not None
+    prnu, prnu_um = (pixel.prnu, pixel.prnu_um) if own else (technology.prnu, technology.prnu_um)
+    if prnu is not None:
+        return prnu
+    assert prnu_um is not None  # the record's validator
+    side_um = math.sqrt(area_um2)
+    if prnu_um > MAX_PRNU * side_um:
+        got = (
+            f"{prnu_um:g}, which is a PRNU of {prnu_um / side_um:.3g} at {pixel.pitch_um:g} µm (a photodiode of {area_um2:.3g} µm²)"
+        )
+        hint = f"Give at most {MAX_PRNU * side_um:.3g}, or a photodiode of at least {(prnu_um / MAX_PRNU) ** 2:.3g} µm²."
+        raise invalid("pixel.prnu_um" if own else f"prnu_um of {technology.name}", got, f"a PRNU of at most {MAX_PRNU:g}", hint)
+    return prnu_um / side_um
+
+
+def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> float:
+    """Return the spread of the pixel offsets over the full well: as stated, or the followers' σ(V_t) = A_Vt/√(W L) over the swing.
+
+    The swing is that of the pixel's node from empty to full: σ(V_t) C/q electrons, with C the mean capacitance of the node.
+
+    Raises PixsimError if one of the two numbers is missing, or the node's capacitance is unknown.
+    """
+    if pixel.offset_fpn is not None:
+        return pixel.offset_fpn
+    own = pixel.a_vt_mv_um is not None or pixel.follower_area_um2 is not None
+    if not own and technology.offset_fpn is not None:
+        return technology.offset_fpn
+    a_vt_mv_um = technology.a_vt_mv_um if pixel.a_vt_mv_um is None else pixel.a_vt_mv_um
+    gate_um2 = technology.follower_area_um2 if pixel.follower_area_um2 is None else pixel.follower_area_um2
+    place = "pixel." if own else f"{technology.name}: "
+    if a_vt_mv_um is None or gate_um2 is None:
+        names = ("a_vt_mv_um", "follower_area_um2") if gate_um2 is None else ("follower_area_um2", "a_vt_mv_um")
+        raise invalid(f"{place}{names[0]}", f"no {names[1]} beside it", "both of them", "Or give offset_fpn in place of both.")
+    if process_well.mean_ff is None:
+        kind = "a data sheet" if technology.name == NO_TECHNOLOGY else f"the pinned photodiode of {technology.name}"
+        hint = "Give dsnu_e or offset_fpn in their place, or a technology with a junction."
+        raise invalid(f"{place}a_vt_mv_um", f"{kind}, whose node capacitance is unknown", "a 3T pixel", hint)
+    swing_v = process_well.full_well_e * ELECTRON_C / (process_well.mean_ff * C_PER_FF_V)
+    offset_v = 1e-3 * a_vt_mv_um / math.sqrt(gate_um2)
+    if offset_v > swing_v:
+        got = f"{a_vt_mv_um:g}, which is {offset_v:.3g} V for a gate of {gate_um2:g} µm²"
+        hint = f"Give a gate (follower_area_um2) of at least {(1e-3 * a_vt_mv_um / swing_v) ** 2:.3g} µm²."
+        raise invalid(f"{place}a_vt_mv_um", got, f"at most the swing of the pixel, {swing_v:.3g} V", hint)
+    return offset_v / swing_v
+
+
+def hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, float]:
+    """Return fraction, median ratio and logarithmic spread of the hot pixels.
+
+    Raises PixsimError for a fraction without a tail, and for a tail without a fraction.
+    """
+    names = "hot_pixel_fraction", "hot_pixel_ratio", "hot_pixel_spread"
+    own = [getattr(pixel, name) for name in names]
+    fraction, ratio, spread = (
+        getattr(technology, name) if value is None else value for name, value in zip(names, own, strict=True)
+    )
+    if fraction and ratio == 1 and not spread:
+        name = f"hot_pixel_fraction of {technology.name}" if own[0] is None else "pixel.hot_pixel_fraction"
+        got, allowed = f"{fraction:g} with hot_pixel_ratio = 1 and hot_pixel_spread = 0", "hot pixels that differ from the others"
+        raise invalid(name, got, allowed, "Give hot_pixel_ratio and hot_pixel_spread, as 30 and 1, or leave the fraction out.")
+    if own[0] is None and not fraction and (tail := [name for name, value in zip(names, own, strict=True) if value is not None]):
+        raise invalid(f"pixel.{tail[0]}", "no hot_pixel_fraction beside it", "both", "Give hot_pixel_fraction, as 0.001.")
+    return fraction, ratio, spread
+
+
 @checks_arguments
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     """Return the physical properties of a pixel; what its parameters do not set comes from the technology.
@@ -526,43 +667,53 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         hint = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
         raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, hint)
     area_um2 = fill_factor * pixel.pitch_um**2
+    gain_e_per_dn = pixel.gain_e_per_dn if pixel.dn_per_e is None else 1 / pixel.dn_per_e
     # EMVA's σ_d is all temporal noise in the dark, that of the reset included.
-    factor = 0.0 if pixel.temporal_dark_noise_e is not None else given(pixel.reset_noise_factor, technology.reset_noise_factor)
+    all_noise = pixel.temporal_dark_noise_e is not None
+    factor = 0.0 if all_noise else given(pixel.reset_noise_factor, technology.reset_noise_factor)
     read_noise_e = given(pixel.temporal_dark_noise_e, given(pixel.read_noise_e, technology.read_noise_e))
-    prnu = given(pixel.prnu, technology.prnu) if pixel.prnu_percent is None else pixel.prnu_percent / 100
-    temperature_factor = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
-    dark_e_per_s = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * temperature_factor
+    after_gain_e = 0.0 if all_noise else given(pixel.read_noise_after_gain_e, technology.read_noise_after_gain_e)
     measured_dark_e_per_s = dark_current_at_e_per_s(pixel, technology.dark_doubling_k)
 
-    def offsets_e(full_well_e: float) -> tuple[float, float]:
+    def process_dark_e_per_s(area_um2: float) -> float:
+        """Dark current of a square photodiode: that of its area, and that of its perimeter."""
+        temperature_factor = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
+        of_area = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * temperature_factor
+        perimeter_um = 4 * math.sqrt(area_um2)
+        of_perimeter = technology.dark_current_perimeter_pa_per_cm * 1e-12 * A_PER_CM_TO_E_PER_S_UM * perimeter_um
+        return of_area + of_perimeter * temperature_factor
+
+    def offsets_e(full_well_e: float, process_well: Well) -> tuple[float, float]:
         """Spread of the offsets of pixels and of columns; DSNU1288 is that of all offsets."""
         if pixel.dsnu_e is not None:
             return pixel.dsnu_e, 0.0
-        shares = given(pixel.offset_fpn, technology.offset_fpn), given(pixel.column_fpn, technology.column_fpn)
+        shares = offset_share(pixel, technology, process_well), given(pixel.column_fpn, technology.column_fpn)
         return shares[0] * full_well_e, shares[1] * full_well_e
 
     def measured_well_e(growth: float) -> float | None:
         """The full well of the measured pixel: as given, or as its saturation capacity needs it."""
         if pixel.saturation_capacity_e is None:
             return pixel.full_well_e
-        adc_range_e = None if pixel.gain_e_per_dn is None else pixel.codes_dn * pixel.gain_e_per_dn
-        process_well = well(pixel, technology, area_um2 / growth, given(measured_dark_e_per_s, dark_e_per_s / growth))
+        adc_range_e = pixel.adc_full_scale_e if gain_e_per_dn is None else pixel.codes_dn * gain_e_per_dn
+        own_um2 = area_um2 / growth
+        process_well = well(pixel, technology, own_um2, given(measured_dark_e_per_s, process_dark_e_per_s(own_um2)))
+        prnu = prnu_of(pixel, technology, own_um2)
         full_well_e = pixel.saturation_capacity_e
         for _ in range(WELL_ROUNDS):  # reset noise and offsets of a process scale with the well
             reset_ff = (process_well.reset_ff or 0.0) * full_well_e / process_well.full_well_e
-            noise_e = math.hypot(reset_noise_e(reset_ff, pixel.temperature_k, factor), read_noise_e)
-            offset_e = math.hypot(*offsets_e(full_well_e))
+            noise_e = math.hypot(reset_noise_e(reset_ff, pixel.temperature_k, factor), math.hypot(read_noise_e, after_gain_e))
+            offset_e = math.hypot(*offsets_e(full_well_e, process_well))
             full_well_e = full_well_for_e(pixel.saturation_capacity_e, adc_range_e, noise_e, prnu, offset_e)
         return full_well_e
 
     measured_e = measured_well_e(growth_from_data_sheet(pixel, technology, area_um2))
     growth = growth_from_data_sheet(pixel, technology, area_um2, measured_e)
-    if measured_dark_e_per_s is not None:
-        dark_e_per_s = growth * measured_dark_e_per_s
+    dark_e_per_s = process_dark_e_per_s(area_um2) if measured_dark_e_per_s is None else growth * measured_dark_e_per_s
     process_well = well(pixel, technology, area_um2, dark_e_per_s)
     full_well_e = process_well.full_well_e if measured_e is None else growth * measured_e
     scale = full_well_e / process_well.full_well_e  # a given full well scales the capacitance at the same swing
-    offset_e, column_e = offsets_e(full_well_e)
+    offset_e, column_e = offsets_e(full_well_e, process_well)
+    hot_fraction, hot_ratio, hot_spread = hot_pixels(pixel, technology)
     return PixelPhysics(
         pixel=pixel,
         technology=technology,
@@ -572,12 +723,17 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         dark_current_e_per_s=dark_e_per_s,
         reset_noise_e=reset_noise_e((process_well.reset_ff or 0.0) * scale, pixel.temperature_k, factor),
         read_noise_e=read_noise_e,
-        prnu=prnu,
+        prnu=prnu_of(pixel, technology, area_um2),
         dsnu=given(pixel.dsnu, technology.dsnu),
         offset_fpn_e=offset_e,
         column_fpn_e=column_e,
         diode=None if process_well.diode is None else process_well.diode.scaled(scale),
-        gain_e_per_dn=None if pixel.gain_e_per_dn is None else growth * pixel.gain_e_per_dn,
+        gain_e_per_dn=None if gain_e_per_dn is None else growth * gain_e_per_dn,
+        adc_full_scale_e=None if pixel.adc_full_scale_e is None else growth * pixel.adc_full_scale_e,
+        read_noise_after_gain_e=after_gain_e,
+        hot_pixel_fraction=hot_fraction,
+        hot_pixel_ratio=hot_ratio,
+        hot_pixel_spread=hot_spread,
     )
 
 
@@ -637,7 +793,7 @@ def warn_of_disagreements(pixel: Pixel, technology: Technology | None = None) ->
 
 @checks_arguments
 def physics_of(study: Study, technology: str, pitch_um: float, process: Technology | None = None) -> PixelPhysics:
-    """Return the physical properties of a study's pixel, with the process numbers of `Study.process`.
+    """Return the physical properties of a study's pixel, with the process numbers of `Study.process`, at the study's gain.
 
     Parameters
     ----------
@@ -647,7 +803,8 @@ def physics_of(study: Study, technology: str, pitch_um: float, process: Technolo
 
     Raises PixsimError as `derive` and `technology_of` do.
     """
-    return derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
+    physics = derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
+    return physics.at_gain(study.exposure.gain_db)
 
 
 @checks_arguments

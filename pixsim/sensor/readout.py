@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,16 +35,15 @@ MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_per_s: float) -> float:
     """Return the manual integration time, or the time that exposes the brightest pixel to the target, up to the maximum.
 
-    The target is a share of `PixelPhysics.saturation_e`, for the mean charge with dark charge.
+    The target is a share of `PixelPhysics.saturation_e` at the gain of the exposure, for the mean charge with dark charge.
 
     brightest_e_per_s : mean photo-electrons per second of the brightest pixel
     """
     if exposure.integration_s is not None:
         return exposure.integration_s
     brightest = brightest_e_per_s + physics.dark_current_e_per_s
-    if brightest * exposure.max_integration_s <= exposure.well_target * physics.saturation_e:
-        return exposure.max_integration_s
-    return exposure.well_target * physics.saturation_e / brightest
+    target_e = exposure.well_target * physics.at_gain(exposure.gain_db).saturation_e
+    return exposure.max_integration_s if brightest * exposure.max_integration_s <= target_e else target_e / brightest
 
 
 # --- fixed pattern ----------------------------------------------------------------------------------------------------
@@ -74,7 +74,8 @@ class Sensor:
 def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.Generator) -> Sensor:
     """Draw the fixed pattern of a sensor of a given `shape` (rows, columns) from `rng`.
 
-    PRNU is normal, clipped at zero. DSNU is gamma-distributed, since a normal distribution would have negative currents.
+    PRNU is normal, clipped at zero. DSNU is gamma-distributed, since a normal distribution would have negative currents. Hot
+    pixels have log-normal factors besides, from a stream of their own: all other numbers are those of a sensor without them.
     """
     p = physics
     # A spread below the rounding of 1 leaves a map of ones; 1/dsnu² would overflow.
@@ -90,7 +91,20 @@ def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.
             offset_e[rows] = p.offset_fpn_e * rng.standard_normal(offset_e[rows].shape)
 
     by_block(draw, shape, rng)
-    return Sensor(p, shape, gain, dark_gain, offset_e, _gaussian_map(p.column_fpn_e, (1, shape[1]), rng))
+    column_offset_e = _gaussian_map(p.column_fpn_e, (1, shape[1]), rng)
+    if p.hot_pixel_fraction and p.dark_current_e_per_s:
+        dark_gain = np.ones(shape) if dark_gain is None else dark_gain
+        by_block(partial(_heat, dark_gain, p), shape, rng.spawn(1)[0])
+    return Sensor(p, shape, gain, dark_gain, offset_e, column_offset_e)
+
+
+def _heat(dark_gain: Array, physics: PixelPhysics, rows: slice, rng: np.random.Generator) -> None:
+    """Make some of the rows' pixels hot; the mean of the dark current over all pixels stays what it is."""
+    current = dark_gain[rows]
+    hot = rng.random(current.shape) < physics.hot_pixel_fraction
+    logarithm = physics.hot_pixel_spread * rng.standard_normal(np.count_nonzero(hot))
+    current[hot] *= physics.hot_pixel_ratio * np.exp(logarithm)
+    current *= physics.typical_dark_share
 
 
 def _gaussian_map(spread: float, shape: tuple[int, ...], rng: np.random.Generator) -> Array | None:
@@ -214,7 +228,7 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
     if mean_e.shape != sensor.shape:
         raise invalid("mean_e", f"an array of shape {mean_e.shape}", f"the pixels of the sensor, {sensor.shape}")
     p, generated, dn = sensor.physics, np.empty(mean_e.shape), np.empty(mean_e.shape, np.int32)
-    mean_dark_e, noise_e = p.dark_current_e_per_s * integration_s, math.hypot(p.reset_noise_e, p.read_noise_e)
+    mean_dark_e, noise_e = p.dark_current_e_per_s * integration_s, p.noise_floor_e
     # Counted before readout: reset noise and negative offsets keep half of the full pixels off the top code.
     full_e, top_dn = saturation_level_e(integration_s, p), 2**p.pixel.bits - 1
     saturated: list[int] = []
@@ -271,17 +285,21 @@ def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: Pix
     """
     p, signal_e = physics, np.asarray(mean_e, float)
     dark_e = p.dark_current_e_per_s * integration_s
-    variance_e2 = signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2
+    variance_e2 = signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_at_gain_e**2
     if fixed_pattern:
-        variance_e2 = variance_e2 + (p.prnu * signal_e) ** 2 + (p.dsnu * dark_e) ** 2 + p.offset_fpn_e**2 + p.column_fpn_e**2
+        of_dark_e2 = (p.dark_spread * dark_e) ** 2
+        variance_e2 = variance_e2 + (p.prnu * signal_e) ** 2 + of_dark_e2 + p.offset_fpn_e**2 + p.column_fpn_e**2
     return variance_e2 * p.dn_per_e**2 + 1 / 12
 
 
 @checks_arguments
 def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
-    """Return the standard deviation in e- of a dark signal over pixels and frames."""
-    p, dark_e = physics, physics.dark_current_e_per_s * integration_s
-    temporal_e2 = dark_e + p.reset_noise_e**2 + p.read_noise_e**2
+    """Return the standard deviation in e- of a dark signal over frames and over the pixels that are not hot.
+
+    The tail of hot pixels is far above the black level: it says nothing about what a clip at 0 DN cuts off.
+    """
+    p, dark_e = physics, physics.dark_current_e_per_s * integration_s * physics.typical_dark_share
+    temporal_e2 = dark_e + p.reset_noise_e**2 + p.read_noise_at_gain_e**2
     return math.sqrt(temporal_e2 + (p.dsnu * dark_e) ** 2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
 
 
@@ -289,26 +307,28 @@ def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
 def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
     """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and one LSB above 0 DN.
 
-    Without a given gain the full well F spans the codes M - b above the black level b, so that b = 6σ(M - b)/F, solved for b.
+    Without a given gain a range F spans the codes M - b above the black level b, so that b = 6σ(M - b)/F, solved for b.
     """
     top, spread = 2**physics.pixel.bits - 1, BLACK_SIGMAS * dark_spread_e(physics, integration_s)
     if physics.gain_e_per_dn is not None:
-        return math.ceil(spread / physics.gain_e_per_dn) + 1
-    return math.ceil(spread * top / (physics.full_well_e + spread)) + 1
+        return math.ceil(spread * physics.amplification / physics.gain_e_per_dn) + 1
+    return math.ceil(spread * top / (physics.adc_range_e + spread)) + 1
 
 
 @checks_arguments
 def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
-    """Return a frame from mean photo-electron rates (rows, columns), with temporal noise from `rng`.
+    """Return a frame from mean photo-electron rates (rows, columns), at the gain of the exposure, with temporal noise from `rng`.
 
     Raises PixsimError if the shape is not that of the sensor.
     """
-    p = sensor.physics
+    p = sensor.physics.at_gain(exposure.gain_db)
     if signal_e_per_s.shape != sensor.shape:
         hint = "Make the sensor with the camera and aspect of the irradiance: make_sensor(pixel, camera, aspect=…)."
         raise invalid("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", hint)
     time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
-    dn, saturated_fraction = _expose(signal_e_per_s * time_s, time_s, sensor, rng)
+    dn, saturated_fraction = _expose(
+        signal_e_per_s * time_s, time_s, sensor if p is sensor.physics else replace(sensor, physics=p), rng
+    )
     return make_frame(dn, saturated_fraction, signal_e_per_s, p, exposure)
 
 
@@ -318,6 +338,8 @@ def make_frame(
 ) -> Frame:
     """Return a `Frame` of digital numbers and the mean photo-electron rates behind them, both (rows, columns).
 
+    exposure : with which the numbers were read out
+
     saturated_fraction : as `Frame` defines it; it cannot be counted from the digital numbers
     """
     time_s = integration_time_s(exposure, physics, float(signal_e_per_s.max()))
@@ -325,7 +347,7 @@ def make_frame(
         dn=dn,
         mean_e=signal_e_per_s * time_s,
         integration_s=time_s,
-        dn_per_e=physics.dn_per_e,
+        dn_per_e=physics.at_gain(exposure.gain_db).dn_per_e,
         black_level_dn=physics.pixel.black_level_dn,
         mean_dark_e=physics.dark_current_e_per_s * time_s,
         pitch_um=physics.pitch_um,

@@ -14,16 +14,22 @@ from pixsim.base.config import checked, packaged, read_toml
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
 from pixsim.base.parameters import (
     NO_TECHNOLOGY,
+    AreaMismatch,
     DarkSpread,
     Distribution,
     Fraction,
     GainSpread,
+    GateArea,
+    HotRatio,
+    HotSpread,
     Layer,
     NoiseElectrons,
     OffsetSpread,
     Record,
     ResetFactor,
     Study,
+    UnitInterval,
+    VoltageMismatch,
 )
 
 Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
@@ -70,17 +76,39 @@ class Technology(Record):
     )
     response_curve: Literal["hp_mosis", "silicon"] = Field("hp_mosis", description="packaged curve of the quantum efficiency")
     dark_current_na_per_cm2: Annotated[float, Field(ge=0, le=1e12)] = Field(
-        description="dark current of the photodiode at 27 °C, nA/cm²"
+        description="dark current of the photodiode's area at 27 °C, nA/cm²"
+    )
+    dark_current_perimeter_pa_per_cm: Annotated[float, Field(ge=0, le=1e12)] = Field(
+        0.0, description="dark current of the photodiode's perimeter at 27 °C, pA/cm, added to that of the area"
     )
     dark_doubling_k: Annotated[float, Field(ge=1, le=1e6)] = Field(
         description="temperature rise that doubles the dark current; 4 to 12 K in silicon"
     )
     peak_quantum_efficiency: Fraction = Field(description="largest quantum efficiency, electrons per photon on the photodiode")
-    prnu: GainSpread = Field(description="standard deviation of the gain over its mean")
-    dsnu: DarkSpread = Field(description="standard deviation of the dark current over its mean")
-    offset_fpn: OffsetSpread = Field(description="standard deviation of the pixels' offsets, as a fraction of the full well")
+    prnu: GainSpread | None = Field(None, description="standard deviation of the gain over its mean")
+    prnu_um: AreaMismatch | None = Field(
+        None, description="in place of prnu: prnu times the side of the square photodiode, so that prnu is this at 1 µm²"
+    )
+    dsnu: DarkSpread = Field(description="standard deviation of the dark current over its mean, without hot pixels")
+    hot_pixel_fraction: UnitInterval = Field(0.0, description="fraction of pixels that are hot")
+    hot_pixel_ratio: HotRatio = Field(1.0, description="median dark current of hot pixels, over the mean of the others")
+    hot_pixel_spread: HotSpread = Field(
+        0.0, description="standard deviation of the natural logarithm of the dark current of hot pixels"
+    )
+    offset_fpn: OffsetSpread | None = Field(
+        None, description="standard deviation of the pixels' offsets, as a fraction of the full well"
+    )
+    a_vt_mv_um: VoltageMismatch | None = Field(
+        None,
+        description="in place of offset_fpn, with follower_area_um2: A_Vt of the source follower's threshold voltage, mV·µm; "
+        "of a 3T pixel without double sampling",
+    )
+    follower_area_um2: GateArea | None = Field(None, description="gate area W·L of the source follower, µm², at every pitch")
     column_fpn: OffsetSpread = Field(description="standard deviation of the columns' offsets, as a fraction of the full well")
-    read_noise_e: NoiseElectrons = Field(description="temporal read noise without the reset noise")
+    read_noise_e: NoiseElectrons = Field(description="temporal read noise before the amplifier, without the reset noise")
+    read_noise_after_gain_e: NoiseElectrons = Field(
+        0.0, description="temporal read noise after the amplifier, in electrons at 0 dB"
+    )
     fill_factor_limit: Fraction = Field(description="η of the fill-factor law: its limit for large pixels")
     fill_factor_zero_pitch_features: Annotated[float, Field(gt=0, le=1e6)] = Field(
         description="p0 of the fill-factor law, in feature sizes: pitch at which the photodiode vanishes"
@@ -107,6 +135,22 @@ class Technology(Record):
             raise ValueError(
                 f"fill_factor_inset_features = {self.fill_factor_inset_features:g} exceeds fill_factor_zero_pitch_features = "
                 f"{self.fill_factor_zero_pitch_features:g}: the photodiode area of larger pixels would be negative"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _mismatch_is_stated_once(self) -> Self:
+        if (self.prnu is None) == (self.prnu_um is None):
+            raise ValueError(f"got {'neither prnu nor' if self.prnu is None else 'both prnu and'} prnu_um; give one of them")
+        layout = [name for name in ("a_vt_mv_um", "follower_area_um2") if getattr(self, name) is not None]
+        if self.offset_fpn is not None and layout:
+            raise ValueError(f"{' and '.join(layout)} and offset_fpn state the same quantity; give one of them")
+        if self.offset_fpn is None and len(layout) < 2:
+            got = f"{layout[0]} alone" if layout else "no offsets"
+            raise ValueError(f"got {got}; give offset_fpn, or both a_vt_mv_um and follower_area_um2")
+        if layout and self.junction is None:
+            raise ValueError(
+                "a_vt_mv_um with full_well_e_per_um2: the node capacitance of a pinned photodiode is unknown; give offset_fpn"
             )
         return self
 

@@ -23,7 +23,7 @@ from pixsim.base.arguments import brief, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
 from pixsim.base.config import spreads_of_study
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.parameters import MIN_FRACTION, STANDS_FOR, PixelOptions, Record, Spread, Study
+from pixsim.base.parameters import MIN_FRACTION, PixelOptions, Record, Spread, Study, excluded_by
 from pixsim.sensor.technology import Junction, Technology, label_of, technology_of
 from pixsim.show.figures import COLOURS, literal, new_figure
 from pixsim.show.pages import Column, Plate, rows_csv
@@ -38,7 +38,7 @@ LEAST_KEPT = 0.5  # of a distribution, within the bounds of its number
 WORTH_STATING = 1e-4  # of a distribution that is cut off
 # Quantities that have one draw in all technologies: what makes a foundry's dark current or offsets large, or our knowledge of
 # them poor, does so in all of its processes.
-SHARED = ("dark_current_na_per_cm2", "dsnu", "offset_fpn", "column_fpn")
+SHARED = ("dark_current_na_per_cm2", "dark_current_perimeter_pa_per_cm", "dsnu", "offset_fpn", "a_vt_mv_um", "column_fpn")
 # Pairs of a technology's numbers of which the first must not exceed the second.
 ORDERED = (("voltage_swing_v", "reset_voltage_v"), ("fill_factor_inset_features", "fill_factor_zero_pitch_features"))
 LEAST_DRAWS, MOST_DRAWS = 8, 1 << 16
@@ -240,7 +240,7 @@ def unknowns_of_study(study: Study, uncertainty: Mapping[str, Mapping[str, Sprea
             unknowns += unknowns_of_sheet(study.sensors[name], spreads[name], name)
         pixel = study.options_of(name)
         given = {field for field in type(pixel).model_fields if getattr(pixel, field) is not None}
-        given = given.union(study.process.get(name, {}), *(STANDS_FOR[word] for word in given & STANDS_FOR.keys()))
+        given = given.union(study.process.get(name, {}), excluded_by(given))
         unknowns += unknowns_of_technology(technology_of(study, name), name, sorted(given))
     return unknowns
 

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import gammaincinv, gammaln, ndtr
+from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
@@ -174,7 +174,10 @@ class Screen:
 
 @dataclass(frozen=True)
 class ImagingChain:
-    """Everything that the frames of one pixel type share: its mean signal, exposure and screen."""
+    """Everything that the frames of one pixel type share: its mean signal, exposure and screen.
+
+    physics : of the pixel at the gain of the exposure
+    """
 
     signal_e_per_s: Array
     physics: PixelPhysics
@@ -340,7 +343,7 @@ def chain_at_pitch(
     signal_e_per_s = integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral, light.array_um)
     np.maximum(signal_e_per_s, 0.0, out=signal_e_per_s)
     white_e_per_s = light.white_e_per_s_um2 * physics.photodiode_area_um2
-    return ImagingChain(signal_e_per_s, physics, exposure, white_e_per_s, light.screen, correction)
+    return ImagingChain(signal_e_per_s, physics.at_gain(exposure.gain_db), exposure, white_e_per_s, light.screen, correction)
 
 
 def make_imaging_chain(
@@ -400,6 +403,7 @@ def evaluate(
 
 
 DSNU_NODES = 64  # of equal weight
+HOT_NODES = 8  # of the logarithm of hot pixels' currents, for each of the above: few of them are near 0 DN
 FEW_E = 100.0  # the Poisson law is summed up to this dark charge; above, 10 σ from 0, a normal law clips nothing by itself
 POISSON_TERMS = 200  # 10 σ above `FEW_E`
 NO_NOISE_DN = 1e-9  # σ used in place of 0
@@ -409,9 +413,9 @@ COARSE_DN = 8.0  # σ above which a sum over codes is the integral within 1/(24 
 def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> dict[str, float]:
     """Return the effect of clipping dark pixels at 0 DN, and the black level that avoids it, as in score.json.
 
-    A dark level is the sum of the black level, dark charge (gamma-distributed by DSNU, Poisson, never negative), and normal
-    reset noise, read noise and offsets. Of normal levels of mean µ and deviation σ (DN), the fraction Φ((½ - µ)/σ) is at 0 DN.
-    Rounding and clipping raise their mean by Σ Φ((-½ - j - µ)/σ) over j = 0, 1, …, which is σφ(µ/σ) - µΦ(-µ/σ) if σ is
+    A dark level is the sum of the black level, dark charge (gamma-distributed by DSNU, with hot pixels, Poisson, never negative),
+    and normal reset noise, read noise and offsets. Of normal levels of mean µ and deviation σ (DN), the fraction Φ((½ - µ)/σ) is
+    at 0 DN. Rounding and clipping raise their mean by Σ Φ((-½ - j - µ)/σ) over j = 0, 1, …, which is σφ(µ/σ) - µΦ(-µ/σ) if σ is
     many DN.
 
     white_e : mean electrons of the scene's white in this time
@@ -430,16 +434,23 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     (0.54, 71, 15)
     """
     p, gain = physics, physics.dn_per_e
-    noise_dn = gain * math.sqrt(p.reset_noise_e**2 + p.read_noise_e**2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
-    dark_e = np.array([p.dark_current_e_per_s * integration_s])
+    noise_dn = gain * math.sqrt(p.reset_noise_e**2 + p.read_noise_at_gain_e**2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
+    dark_e = np.array([p.dark_current_e_per_s * integration_s * p.typical_dark_share])
     if p.dsnu > np.finfo(float).eps:  # as `sample_sensor` takes it
         shape = p.dsnu**-2
         dark_e = dark_e * gammaincinv(shape, (np.arange(DSNU_NODES) + 0.5) / DSNU_NODES) / shape
-    many, few = dark_e[dark_e > FEW_E], np.maximum(dark_e[dark_e <= FEW_E, None], np.finfo(float).tiny)
+    share = np.full(dark_e.size, 1.0 / dark_e.size)
+    if p.hot_pixel_fraction:
+        factor = p.hot_pixel_ratio * np.exp(p.hot_pixel_spread * ndtri((np.arange(HOT_NODES) + 0.5) / HOT_NODES))
+        hot_e = np.outer(factor, dark_e).ravel()
+        of_hot = np.full(hot_e.size, p.hot_pixel_fraction / hot_e.size)
+        dark_e, share = np.concatenate([dark_e, hot_e]), np.concatenate([(1 - p.hot_pixel_fraction) * share, of_hot])
+    is_few = dark_e <= FEW_E
+    many, few = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
     counts = np.arange(POISSON_TERMS)
-    poisson = np.exp(counts * np.log(few) - few - gammaln(counts + 1)).sum(axis=0)
+    poisson = (share[is_few, None] * np.exp(counts * np.log(few) - few - gammaln(counts + 1))).sum(axis=0)
     charge_e = np.concatenate([counts, many])
-    weight = np.concatenate([poisson, np.ones(many.size)]) / dark_e.size
+    weight = np.concatenate([poisson, share[~is_few]])
     sigma_dn = np.sqrt(noise_dn**2 + gain**2 * np.concatenate([np.zeros(counts.size), many]))
     at_zero, excess_dn = clipped_at_zero(p.pixel.black_level_dn + gain * charge_e, sigma_dn)
     too_bright_e = float(weight @ excess_dn) / gain

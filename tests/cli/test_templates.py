@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 import pixsim
 from pixsim.base.config import packaged, read_toml, sheet_uncertainty
-from pixsim.base.parameters import DATA_SHEET, STANDS_FOR, Run, Study
+from pixsim.base.parameters import DATA_SHEET, STANDS_FOR, Run, Study, excluded_by
 from pixsim.base.units import UNITS, unit_of
 from pixsim.cli import options
 from pixsim.cli.templates import allowed, json_schema, template
@@ -29,9 +29,12 @@ def uncommented(text: str) -> dict[str, Any]:
 
 
 def stated_once(table: dict[str, Any], words: bool) -> dict[str, Any]:
-    """A table whose [pixel] has either a data sheet's own words or the fields that they stand for."""
-    removed = {name for names in STANDS_FOR.values() for name in names} if words else STANDS_FOR
-    return table | {"pixel": {name: value for name, value in table["pixel"].items() if name not in removed}}
+    """A table whose [pixel] has either other words, the first of those for a quantity, or the fields that they stand for."""
+    kept: dict[str, Any] = {}
+    for name in sorted(table["pixel"], key=lambda name: (name in STANDS_FOR) != words):
+        if not excluded_by([name]) & kept.keys():
+            kept[name] = table["pixel"][name]
+    return table | {"pixel": kept}
 
 
 def dotted(table: dict[str, Any], record: type[BaseModel], path: str = "") -> set[str]:

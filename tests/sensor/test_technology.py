@@ -15,7 +15,11 @@ from pixsim.sensor.technology import Junction, Technology, file_label, label_of,
 TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]
 PINNED = ["4t-bsi", "4t-fsi"]
 # Fields with a default that a file may leave out.
-OPTIONAL = {"reset_noise_factor", "response_curve", "fill_factor_inset_features"}
+OPTIONAL = {
+    *("reset_noise_factor", "response_curve", "fill_factor_inset_features", "read_noise_after_gain_e"),
+    *("dark_current_perimeter_pa_per_cm", "hot_pixel_fraction", "hot_pixel_ratio", "hot_pixel_spread"),
+    *("prnu_um", "a_vt_mv_um", "follower_area_um2"),  # in place of others
+}
 T035 = load_technology("0.35um")
 
 
