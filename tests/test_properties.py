@@ -207,7 +207,7 @@ def pixels(draw: st.DrawFn) -> dict[str, Any]:
         if pixel["technology"].startswith("4t"):
             for name in ("capacitance", "well_limit", "conversion"):
                 pixel.pop(name, None)
-        if pixel["technology"] in ("none", "4t-bsi", "4t-fsi") or not MISMATCH <= pixel.keys():
+        if pixel["technology"] in ("none", "4t-bsi", "4t-fsi") or not pixel.keys() >= MISMATCH:
             pixel = {name: value for name, value in pixel.items() if name not in MISMATCH}
         elif draw(USUALLY):  # below the swing
             pixel["a_vt_mv_um"] = draw(st.floats(0, 900)) * math.sqrt(pixel["follower_area_um2"])
@@ -307,7 +307,7 @@ def any_technology() -> st.SearchStrategy[Technology]:
         kind = {"full_well_e_per_um2": well, "junction": None} if pinned else {"junction": junction, "full_well_e_per_um2": None}
         if "prnu_um" in drawn:
             kind |= {"prnu": None, "prnu_um": min(drawn["prnu_um"], 0.1)}
-        if pinned or not MISMATCH <= drawn.keys():
+        if pinned or not drawn.keys() >= MISMATCH:
             drawn = {name: value for name, value in drawn.items() if name not in MISMATCH}
         else:
             kind |= {"offset_fpn": None, "a_vt_mv_um": min(drawn["a_vt_mv_um"], 100 * math.sqrt(drawn["follower_area_um2"]))}

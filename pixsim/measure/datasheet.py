@@ -149,6 +149,15 @@ class DataSheet:
         return estimators.linearity(e.photons, mean - dark, self.transfer.saturation_index)
 
     @property
+    def full_in_the_dark(self) -> float:
+        """Fraction of hot pixels whose dark charge alone saturates them at the longest time of the dark series."""
+        e, p = self.experiment, self.experiment.physics
+        if e.sensor.dark_gain is None or not p.hot_pixel_fraction:
+            return 0.0
+        charge_e = e.sensor.dark_gain * (p.dark_current_e_per_s * float(self.dark_series.at[-1]))
+        return float(np.mean(charge_e > p.saturation_e))
+
+    @property
     def notes(self) -> list[str]:
         """Notes for the reader: a raised black level, a quantisation limit, a non-linear conversion."""
         pixel, asked = self.experiment.physics.pixel, self.experiment.asked_black_dn
@@ -172,6 +181,11 @@ class DataSheet:
                 f"quantisation-limited: σ²_y.dark = {self.dark.variance_dn2:.3g} DN² is below 0.24 DN². σ_d is an upper bound, and "
                 "K and all values derived from it are wrong by some per cent, because the quantisation noise is no longer "
                 f"1/12 DN². Use more than {pixel.bits} bits (pixel.bits)."
+            )
+        if self.full_in_the_dark:
+            notes.append(
+                f"hot pixels: {100 * self.full_in_the_dark:.2g} % of the pixels are full in the last exposure of the dark series, "
+                "so that the measured dark current is too low."
             )
         if pixel.conversion != "linear":
             notes.append(
@@ -261,7 +275,7 @@ def sheet_summary(sheet: DataSheet) -> dict[str, Any]:
     e = sheet.experiment
     return {
         "pixel": e.physics.pixel.model_dump(), "assumption": e.physics.pixel.assumption,
-        "wavelength_nm": e.wavelength_nm, "integration_s": e.integration_s,
+        "wavelength_nm": e.wavelength_nm, "integration_s": e.integration_s, "gain_db": e.physics.gain_db,
         "shape": list(e.sensor.shape), "exposures": e.photons.size, "stack_frames": e.stack_frames, "seed": e.seed,
         "black_level_asked_dn": e.asked_black_dn, "quantisation_limited": sheet.transfer.limited,
         "notes": sheet.notes, "entries": [entry.as_dict() for entry in entries(sheet)],
@@ -348,8 +362,11 @@ def doubling_from(physics: PixelPhysics) -> str:
 def dark(sheet: DataSheet) -> list[Entry]:
     """Dark current from the mean and from the variance, and its doubling temperature."""
     p, (from_mean, from_variance) = sheet.experiment.physics, sheet.dark_currents
-    current, unit = p.dark_current_e_per_s, "e-/s"
+    current, unit, gain = p.dark_current_e_per_s, "e-/s", sheet.experiment.sensor.dark_gain
     at = f"mean of the pixels at {p.pixel.temperature_k:g} K"
+    if p.hot_pixel_fraction and gain is not None:  # few pixels have much of it: that of one device differs from the stated mean
+        at = f"mean of this device's pixels at {p.pixel.temperature_k:g} K; the parameters give {current:.4g}"
+        current *= float(gain.mean())
     entries = [
         line(EMVA, "dark current, from the mean", "μ_I.mean", unit, from_mean, current, at),
         line(EMVA, "dark current, from the variance", "μ_I.var", unit, from_variance, current, at),

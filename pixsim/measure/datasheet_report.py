@@ -279,9 +279,10 @@ def described(sheet: DataSheet) -> str:
     e, p = sheet.experiment, sheet.experiment.physics
     rows, columns = e.sensor.shape
     assumed = f"; {p.pixel.assumption}" if p.pixel.assumption else ""
+    exposed = f"{1e3 * e.integration_s:.4g} ms" + (f", {p.gain_db:g} dB" if p.gain_db else "")
     return (
         f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels, {p.pixel.bits} bits, black level {p.pixel.black_level_dn:g} DN, "
-        f"{p.pixel.temperature_k:g} K; {columns} × {rows} pixels, {e.wavelength_nm:g} nm, {1e3 * e.integration_s:.4g} ms{assumed}"
+        f"{p.pixel.temperature_k:g} K; {columns} × {rows} pixels, {e.wavelength_nm:g} nm, {exposed}{assumed}"
     )
 
 

@@ -125,8 +125,11 @@ def with_black_level(physics: PixelPhysics, integration_s: float) -> PixelPhysic
     if physics.pixel.black_level_dn >= least:
         return physics
     if least > MAX_BLACK * (2**physics.pixel.bits - 1):
-        expected = f"enough bits for a black level of 6 σ of the dark noise ({least} DN) in the lower half of the codes"
-        raise invalid("pixel.bits", physics.pixel.bits, expected, "Raise pixel.bits, or reduce the dark noise.")
+        room = f"for a black level of 6 σ of the dark noise ({least} DN) in the lower half of the codes"
+        if physics.gain_db:  # where the ADC spans a given charge, more bits would make finer codes only
+            hint = "Lower exposure.gain_db, or reduce the dark noise."
+            raise invalid("exposure.gain_db", f"{physics.gain_db:g}", f"a gain with room {room}", hint)
+        raise invalid("pixel.bits", physics.pixel.bits, f"enough bits {room}", "Raise pixel.bits, or reduce the dark noise.")
     raised = replace(physics, pixel=physics.pixel.model_copy(update={"black_level_dn": float(least)}))
     if dark_spread_e(raised, integration_s) * raised.dn_per_e >= FINE_DN:
         return raised

@@ -27,12 +27,14 @@ from typing import Any
 import numpy as np
 import pytest
 from judges.gates import not_met, verdict
+from scipy.constants import e as electron
 
 from pixsim.base.arrays import stream
-from pixsim.base.parameters import Pixel
+from pixsim.base.parameters import Exposure, Pixel
 from pixsim.measure.datasheet import dark_map_e, measure, variance_peak_e
 from pixsim.measure.estimators import Frames, saturation_index
 from pixsim.measure.experiment import Experiment, make_experiment
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import sample_sensor
 
 process = pytest.importorskip("emva1288.process")
@@ -97,7 +99,7 @@ def truths(experiment: Experiment) -> dict[str, float]:
     return {
         "K": p.dn_per_e,
         "QE": 100 * e.efficiency,
-        "sigma_d": math.sqrt(p.reset_noise_e**2 + p.read_noise_e**2 + dark_e),
+        "sigma_d": math.sqrt(p.noise_floor_e**2 + dark_e),
         "DSNU1288": float(dark_map_e(e).std()),
         "PRNU1288": 100 * float(e.sensor.gain.std() / e.sensor.gain.mean()),
     }
@@ -168,6 +170,59 @@ def test_estimators_match_package() -> None:
     }  # fmt: skip
     for name, estimate in estimates.items():
         assert estimate.value == pytest.approx(results[name], rel=1e-4), name
+
+
+# --- Gain, and mismatch that follows from the layout ---
+
+# 240 × 240 pixels, half the side: twice the errors above, 0.2 % of K and QE, 0.3 % of σ_d, and of DSNU and PRNU 0.3 % from the
+# stacks and 0.3 % (1/√(2 · 57 600)) from drawing this device; standard deviations of 8 seeds are 0.18, 0.25 and 0.4 %. Gates of 5
+# of these errors: 6e-7 false alarms each, with another seed.
+SMALL = 240
+GATES = {"K": 0.01, "QE": 0.01, "sigma_d": 0.015, "DSNU1288": 0.02, "PRNU1288": 0.02}
+READ_E, AFTER_E, FULL_E, BITS = 3.0, 40.0, 20_000.0, 14
+SPLIT = {
+    "pitch_um": 4.0, "full_well_e": FULL_E, "read_noise_e": READ_E, "read_noise_after_gain_e": AFTER_E, "bits": BITS,
+    "dark_current_e_per_s": 0.0, "quantum_efficiency": 0.6, "prnu": 0.01, "black_level_dn": 600.0
+}  # fmt: skip
+
+
+def outside(results: dict[str, float], expected: dict[str, float]) -> dict[str, float]:
+    """The quantities that are farther than their gate from the expected ones, and how far."""
+    off = {name: results[name] / value - 1 for name, value in expected.items()}
+    return {name: value for name, value in off.items() if not abs(value) <= GATES[name]}
+
+
+@pytest.mark.parametrize(("gain_db", "full_scale_e"), [(0, None), (6, None), (12, None), (24, None), (12, 30_000.0)])
+def test_package_measures_gain_and_read_noise_before_and_after_it(gain_db: float, full_scale_e: float | None) -> None:
+    """K = codes/range · g; σ_d² = before² + (after/g)², in electrons; saturation at the lower of the well and the range over g."""
+    g, full_e = 10 ** (gain_db / 20), full_scale_e or FULL_E
+    pixel = Pixel.model_validate(SPLIT | {"adc_full_scale_e": full_scale_e})
+    experiment = make_experiment(pixel, Exposure(gain_db=gain_db), shape=(SMALL, SMALL), exposures=EXPOSURES, stack_frames=16)
+    assert experiment.physics.pixel.black_level_dn == 600, "room for 6 σ of the dark at every gain"
+    results = package_results(experiment)
+    k = (2**BITS - 1 - 600) / full_e * g
+    expected = {"K": k, "QE": 60.0, "sigma_d": math.hypot(READ_E, AFTER_E / g)}
+    assert not outside(results, expected)
+    others = [math.hypot(READ_E, AFTER_E), AFTER_E / g, READ_E] if gain_db else [READ_E]
+    for wrong in others:  # the gate tells the split from either part alone, and from noise that the gain leaves
+        assert outside(results, {"sigma_d": wrong}) or wrong == pytest.approx(expected["sigma_d"], rel=0.02)
+    step = float(experiment.photons[1] - experiment.photons[0])
+    clip_p = min(FULL_E, full_e / g) / 0.6
+    assert 0.9 * clip_p - step < results["u_p_sat"] < clip_p + step
+
+
+@pytest.mark.parametrize(("pitch_um", "gate_um2"), [(5.5, 0.5), (9.0, 2.0)])
+def test_package_measures_mismatch_of_the_layout(pitch_um: float, gate_um2: float) -> None:
+    """PRNU = k/√(photodiode area) and DSNU = A_Vt/√(W L) · C/q at two geometries, where each differs by 2 and more."""
+    layout = {"prnu_um": 0.06, "a_vt_mv_um": 8.0, "follower_area_um2": gate_um2}
+    pixel = Pixel.model_validate({"pitch_um": pitch_um, "bits": BITS, "dsnu": 0.0, "column_fpn": 0.0} | layout)
+    physics, plain = derive(pixel), derive(Pixel(pitch_um=pitch_um))
+    experiment = make_experiment(pixel, shape=(SMALL, SMALL), exposures=EXPOSURES, stack_frames=16)
+    assert plain.capacitance_ff is not None
+    offset_e = 8e-3 / math.sqrt(gate_um2) * plain.capacitance_ff * 1e-15 / electron
+    expected = {"PRNU1288": 100 * 0.06 / math.sqrt(plain.photodiode_area_um2), "DSNU1288": offset_e}
+    assert not outside(package_results(experiment), expected)
+    assert physics.photodiode_area_um2 == plain.photodiode_area_um2
 
 
 class Resampled(Experiment):

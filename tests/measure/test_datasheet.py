@@ -16,7 +16,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import MIN_FRACTION, Exposure, Pixel
 from pixsim.measure import datasheet, estimators
 from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_moments, make_datasheet, variance_peak_e
-from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_plates, sheet_name, spectrogram, write_datasheet
+from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_plates, described, sheet_name, spectrogram, write_datasheet
 from pixsim.measure.estimators import Estimate, Series, Stack
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.pixel import derive
@@ -235,6 +235,44 @@ def test_entries_measured_within_standard_errors(sheet: DataSheet) -> None:
     for entry in entries(sheet):
         assert math.isfinite(entry.measured), entry.symbol
         assert abs(entry.measured - entry.true) <= 4.5 * entry.standard_error, entry
+
+
+LAYOUT: dict[str, float] = {"pitch_um": 6.5, "prnu_um": 0.06, "a_vt_mv_um": 8.0, "follower_area_um2": 2.0}
+HOT: dict[str, float] = {"dsnu": 0.1, "hot_pixel_fraction": 0.01, "hot_pixel_ratio": 3.0, "hot_pixel_spread": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("options", "gain_db"),
+    [
+        # Small offsets: their mean over the columns of a device is part of its full scale, which S_sat's true value leaves out.
+        ({"pitch_um": 5.3, "read_noise_after_gain_e": 60.0, "prnu": 0.004, "column_fpn": 1e-5}, 12.0),
+        ({"pitch_um": 5.3, "read_noise_after_gain_e": 60.0, "adc_full_scale_e": 90_000.0}, 6.0),
+        (LAYOUT | HOT, 0.0),
+    ],
+)
+def test_entries_at_gain_and_with_mismatch_within_standard_errors(options: dict[str, float], gain_db: float) -> None:
+    """EMVA 1288, ISO 15739 and ISO 12232 at a gain: the true value of every entry follows it."""
+    pixel = Pixel.model_validate(options | {"bits": 14})
+    made = make_datasheet(pixel, Exposure(gain_db=gain_db), shape=(100, 100), stack_frames=16)
+    test_entries_measured_within_standard_errors(made)
+    plain, g = derive(pixel), 10 ** (gain_db / 20)
+    codes = 2**14 - 1 - made.experiment.physics.pixel.black_level_dn
+    assert by_symbol(made)["K"].true == pytest.approx(codes / options.get("adc_full_scale_e", plain.full_well_e) * g, rel=1e-12)
+    noise_e2 = plain.reset_noise_e**2 + plain.read_noise_e**2 + (options.get("read_noise_after_gain_e", 0.0) / g) ** 2
+    dark_e = plain.dark_current_e_per_s * made.experiment.integration_s
+    assert by_symbol(made)["σ_d"].true == pytest.approx(math.sqrt(noise_e2 + dark_e), rel=1e-12)
+    assert (f"{gain_db:g} dB" in described(made)) == (gain_db > 0)
+    assert not any("hot pixels" in note for note in made.notes)
+
+
+def test_datasheet_of_full_hot_pixels_says_so() -> None:
+    """A fifth of the well on average: of hot pixels with 20 times as much, all are full."""
+    pixel = Pixel.model_validate({"pitch_um": 5.3, "bits": 12} | HOT | {"hot_pixel_ratio": 20.0})
+    made = make_datasheet(pixel, shape=(100, 100), stack_frames=8)
+    assert 0.007 < made.full_in_the_dark < 0.013  # 1 % of 10 000, 3σ
+    assert any("hot pixels: " in note and "dark current is too low" in note for note in made.notes)
+    entry = by_symbol(made)["μ_I.mean"]
+    assert entry.measured < 0.97 * entry.true
 
 
 def test_entries_standard_errors_match_repeats() -> None:

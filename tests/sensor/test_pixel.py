@@ -10,12 +10,12 @@ from scipy.constants import c as light_speed, e as electron, h as planck, k as b
 from scipy.integrate import quad
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Exposure, Pixel, excluded_by, merge
+from pixsim.base.parameters import Exposure, Pixel, Study, excluded_by, merge
 from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
 from pixsim.sensor import pixel as pixels
-from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel import derive, physics_of
 from pixsim.sensor.readout import capture_from_rates, frame_variance_dn2, integration_time_s, least_black_level_dn, sample_sensor
-from pixsim.sensor.technology import load_technology, with_fill_factor_law
+from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
 
 TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]
 T035 = load_technology("0.35um")
@@ -367,6 +367,119 @@ def test_derive_data_sheet_words_scale_with_area(pitch_um: float) -> None:
     scaled = physics.full_well_e, physics.gain_e_per_dn, physics.dark_current_e_per_s
     assert scaled == pytest.approx((own.full_well_e * area, 2.5 * area, 5 * area), rel=1e-12)
     assert (physics.offset_fpn_e, physics.read_noise_e) == (2.0, 2.0)
+
+
+@pytest.mark.parametrize("words", [{"dn_per_e": 0.4}, {"adc_full_scale_e": 4095 / 0.4}])
+def test_derive_words_of_the_gain_are_the_same_gain(words: dict[str, float]) -> None:
+    """dn_per_e is 1/gain_e_per_dn, adc_full_scale_e spans the codes above the black level; both scale with the area."""
+    for own_um in (None, 2.0):
+        expected = derive(sheet_with(gain_e_per_dn=2.5, bits=12, data_sheet_pitch_um=own_um))
+        physics = derive(sheet_with(**words, bits=12, data_sheet_pitch_um=own_um))
+        assert physics.dn_per_e == pytest.approx(expected.dn_per_e, rel=1e-14)
+        assert physics.saturation_e == pytest.approx(expected.saturation_e, rel=1e-14)
+        assert physics.adc_range_e == pytest.approx(4095 / 0.4 * (1 if own_um is None else 4), rel=1e-14)
+    solved = derive(sheet_with(saturation_capacity_e=9000, **words, bits=12)).full_well_e
+    assert solved == pytest.approx(
+        derive(sheet_with(saturation_capacity_e=9000, gain_e_per_dn=2.5, bits=12)).full_well_e, rel=1e-12
+    )
+
+
+def test_derive_adc_full_scale_stands_apart_from_the_well() -> None:
+    """The step of the ADC stays at every pitch where the full scale is given, and grows with the well where it is not."""
+    small, large = (derive(Pixel(pitch_um=pitch_um, adc_full_scale_e=40_000)) for pitch_um in (6.5, 15.0))
+    assert small.dn_per_e == large.dn_per_e == 1023 / 40_000
+    tied = derive(Pixel(pitch_um=15.0))
+    assert 1 / tied.dn_per_e == pytest.approx(tied.full_well_e / 1023, rel=1e-14)
+    assert tied.full_well_e > 200_000
+
+
+# --- Mismatch that follows from the layout ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("technology", ["0.35um", "0.18um", "4t-bsi", "none"])
+def test_derive_prnu_um_falls_with_the_side_of_the_photodiode(technology: str) -> None:
+    """PRNU = k/√(photodiode area): k at 1 µm²; in a study's pixels PRNU times the side is the same at every pitch."""
+    sheet = {name: value for name, value in SHEET.items() if name != "pitch_um"} if technology == "none" else {}
+    pixel = {"technologies": [technology], "name": "s", "pixel": sheet | {"prnu_um": 0.03}}
+    pixel["pixel"] |= {"data_sheet_pitch_um": 4.0} if sheet else {}
+    study = Study.model_validate(pixel)
+    for pitch_um in (6.0, 9.0):
+        physics = physics_of(study, technology, pitch_um)
+        assert physics.prnu == pytest.approx(0.03 / (math.sqrt(physics.fill_factor) * pitch_um), rel=1e-14)
+    assert derive(sheet_with(fill_factor=0.25, pitch_um=2.0, prnu_um=0.03)).prnu == 0.03
+
+
+def test_derive_offsets_of_followers_closed_form() -> None:
+    """σ(V_t) = A_Vt/√(W L), in electrons through the node's mean capacitance, which grows with the pitch; the gate does not."""
+    for pitch_um in (5.3, 6.5, 15.0):
+        for a_vt_mv_um, gate_um2 in ((8.0, 0.5), (8.0, 2.0), (4.0, 2.0)):
+            physics = derive(Pixel(pitch_um=pitch_um, a_vt_mv_um=a_vt_mv_um, follower_area_um2=gate_um2))
+            assert physics.capacitance_ff is not None
+            expected_e = a_vt_mv_um * 1e-3 / math.sqrt(gate_um2) * physics.capacitance_ff * 1e-15 / electron
+            assert physics.offset_fpn_e == pytest.approx(expected_e, rel=1e-12)
+            assert physics.offset_fpn_e / physics.full_well_e == pytest.approx(a_vt_mv_um * 1e-3 / math.sqrt(gate_um2) / 1.2)
+            assert physics.column_fpn_e == derive(Pixel(pitch_um=pitch_um)).column_fpn_e  # stated as before
+    # A given full well scales the capacitance, and the charge of an offset with it; `paper` has its own swing, 1 V.
+    double = derive(Pixel(a_vt_mv_um=8, follower_area_um2=0.5, full_well_e=2 * derive(Pixel()).full_well_e))
+    assert double.offset_fpn_e == pytest.approx(2 * derive(Pixel(a_vt_mv_um=8, follower_area_um2=0.5)).offset_fpn_e, rel=1e-12)
+    paper = derive(Pixel(a_vt_mv_um=8, follower_area_um2=0.5, capacitance="paper"))
+    assert paper.offset_fpn_e == pytest.approx(8e-3 / math.sqrt(0.5) * paper.full_well_e, rel=1e-12)
+
+
+def test_derive_dark_current_of_area_and_perimeter() -> None:
+    """J_A A + J_P 4√A, doubling together; a data sheet's number replaces both."""
+    technology = load_technology("0.35um").with_numbers({"dark_current_perimeter_pa_per_cm": 2.0}, "test")
+    for pitch_um in (5.3, 15.0):
+        for temperature_k, factor in ((300.15, 1.0), (316.15, 4.0)):
+            pixel = Pixel(pitch_um=pitch_um, temperature_k=temperature_k)
+            area_um2 = derive(pixel).photodiode_area_um2
+            of_area, of_perimeter = 1e-9 * area_um2 * 1e-8, 2e-12 * 4 * math.sqrt(area_um2) * 1e-4
+            expected = factor * (of_area + of_perimeter) / electron
+            assert derive(pixel, technology).dark_current_e_per_s == pytest.approx(expected, rel=1e-12)
+            assert of_perimeter > of_area / 10
+    assert derive(Pixel(dark_current_e_per_s=7), technology).dark_current_e_per_s == 7
+
+
+def test_derive_pixel_replaces_mismatch_of_technology() -> None:
+    """Either word of the pixel replaces either word of the technology; one number of a follower may be the process's."""
+    process = load_technology("0.35um").model_dump() | {"ranges": {}, "distributions": {}}
+    layout = {"prnu": None, "prnu_um": 0.03, "offset_fpn": None, "a_vt_mv_um": 8.0, "follower_area_um2": 0.5}
+    technology = Technology.model_validate(process | layout)
+    of_pixel = {name: value for name, value in layout.items() if value is not None}
+    of_process, own = derive(Pixel(), technology), derive(Pixel(**of_pixel))
+    assert (of_process.prnu, of_process.offset_fpn_e) == (own.prnu, own.offset_fpn_e)
+    plain = derive(Pixel(prnu=0.01, offset_fpn=0.001), technology)
+    assert (plain.prnu, plain.offset_fpn_e) == (0.01, 0.001 * plain.full_well_e)
+    assert derive(Pixel(prnu_percent=1, dsnu_e=3), technology).prnu == 0.01
+    assert derive(Pixel(follower_area_um2=2.0), technology).offset_fpn_e == pytest.approx(of_process.offset_fpn_e / 2, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"prnu_um": 2.0}, r"pixel\.prnu_um: got 2, .* PRNU of 0\.55\d at 6\.5 µm .* at most 0\.3\. Give at most 1\.09, or"),
+        ({"a_vt_mv_um": 8.0}, r"pixel\.a_vt_mv_um: got no follower_area_um2 beside it"),
+        ({"follower_area_um2": 0.5}, r"pixel\.follower_area_um2: got no a_vt_mv_um beside it.*Or give offset_fpn"),
+        (
+            {"a_vt_mv_um": 1e5, "follower_area_um2": 1},
+            r"got 100000, which is 100 V .*1\.2 V\. Give a gate .* of at least 6\.94e\+03",
+        ),
+        ({"a_vt_mv_um": 8, "follower_area_um2": 1, "technology": "4t-bsi"}, r"pinned photodiode of 4t-bsi, .*Give dsnu_e or"),
+        (SHEET | {"a_vt_mv_um": 8, "follower_area_um2": 1}, r"got a data sheet, whose node capacitance is unknown.*Give dsnu_e or"),
+        ({"hot_pixel_fraction": 0.01}, r"pixel\.hot_pixel_fraction: got 0\.01 with hot_pixel_ratio = 1 .*Give hot_pixel_ratio and"),
+        ({"hot_pixel_spread": 1.0}, r"pixel\.hot_pixel_spread: got no hot_pixel_fraction beside it.*Give hot_pixel_fraction"),
+        ({"hot_pixel_fraction": 1.5}, "hot_pixel_fraction: got 1.5; allowed: less than or equal to 1"),
+        ({"hot_pixel_ratio": 0.5}, "hot_pixel_ratio: got 0.5; allowed: greater than or equal to 1"),
+        ({"hot_pixel_spread": 4}, "hot_pixel_spread: got 4; allowed: less than or equal to 3"),
+        ({"prnu_um": -1}, "prnu_um: got -1; allowed: greater than or equal to 0"),
+        ({"follower_area_um2": 0}, "follower_area_um2: got 0; allowed: greater than or equal to 1e-06"),
+        ({"adc_full_scale_e": 0.5}, "adc_full_scale_e: got 0.5; allowed: greater than or equal to 1"),
+        ({"dn_per_e": 0}, "dn_per_e: got 0; allowed: greater than or equal to 1e-15"),
+    ],
+)
+def test_derive_impossible_mismatch_raises(values: dict[str, object], message: str) -> None:
+    with pytest.raises(PixsimError, match=message):
+        derive(Pixel.model_validate(values) if "technology" in values else Pixel(**values))
 
 
 def test_saturation_capacity_of_a_soft_well_raises() -> None:

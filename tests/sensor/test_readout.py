@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.constants import c as light_speed, h as planck
-from scipy.stats import poisson
+from scipy.stats import norm, poisson
 
 from pixsim.base import arrays
 from pixsim.base.errors import PixsimError
@@ -74,6 +74,7 @@ def frames(physics: PixelPhysics, mean_e: float, integration_s: float, count: in
 
 
 ALL = dict(zip(SOURCES, (60_000, 60, 1, 0.02, 0.3, 0.004, 0.002), strict=True))
+HOT = {"hot_pixel_fraction": 0.03, "hot_pixel_ratio": 5.0, "hot_pixel_spread": 0.4}
 # name: options and signal in e-. Each noise is the largest part of its variance, or 12 % of it (rounding).
 NOISES = {
     "photons": ({}, 10_000),
@@ -87,6 +88,8 @@ NOISES = {
     "column offset": ({"column_fpn": 0.002}, 0),
     "rounding": ({"read_noise_e": 2.1}, 0),
     "all": (ALL, 15_000),
+    "hot pixels": ({"dark_current_e_per_s": 10_000, "dsnu": 0.3} | HOT, 0),
+    "read before and after": ({"read_noise_e": 12, "read_noise_after_gain_e": 16}, 0),
 }
 
 
@@ -121,6 +124,117 @@ def test_read_out_fixed_pattern_is_constant():
     # A difference has twice the temporal variance and nothing else; a mean of two keeps the whole pattern.
     assert np.abs(standard_scores(first - second, 0.0, 2 * temporal)).max() < SIGMAS
     assert np.abs(standard_scores((first + second) / 2, mean, fixed + temporal / 2)).max() < SIGMAS
+
+
+# --- Gain ---
+
+SPLIT = {"read_noise_e": 3.0, "read_noise_after_gain_e": 40.0, "prnu": 0.004, "offset_fpn": 2e-4}
+
+
+@pytest.mark.parametrize("gain_db", [0.0, 6.0, 12.0, 24.0])
+@pytest.mark.parametrize("given", [{}, {"adc_full_scale_e": 15_000}, {"gain_e_per_dn": 1.25}])
+def test_capture_at_gain_matches_plain_formulas(gain_db, given):
+    """K rises as the amplification g; in electrons the noise before it stays, that behind it and rounding fall as 1/g."""
+    pixel, g = Pixel(**CLEAN | SPLIT | given), 10 ** (gain_db / 20)
+    codes, signal_e, time_s = 2**14 - 1 - 1000, 400.0, 0.1
+    range_e = {"adc_full_scale_e": 15_000, "gain_e_per_dn": 1.25 * codes}.get(next(iter(given), ""), 40_000) / g
+    dn_per_e = codes / range_e
+    physics = derive(pixel).at_gain(gain_db)
+    assert (physics.dn_per_e, physics.adc_range_e) == pytest.approx((dn_per_e, range_e), rel=1e-12)
+    assert physics.saturation_e == pytest.approx(min(40_000, range_e), rel=1e-12)
+    floor_e2 = 3**2 + (40 / g) ** 2
+    range_db = 20 * math.log10(min(40_000, range_e) / math.sqrt(floor_e2))
+    assert physics.dynamic_range_db(time_s) == pytest.approx(range_db, rel=1e-12)
+    assert physics.snr_db(signal_e, time_s) == pytest.approx(20 * math.log10(signal_e / math.sqrt(signal_e + floor_e2)), rel=1e-12)
+    variance_dn2 = dn_per_e**2 * (signal_e + floor_e2 + (0.004 * signal_e) ** 2 + 8**2) + 1 / 12
+    assert sensors.frame_variance_dn2(signal_e, time_s, physics) == pytest.approx(variance_dn2, rel=1e-12)
+
+    sensor = sensors.sample_sensor(derive(pixel), SHAPE, seeded(11))  # the gain is that of the exposure
+    rate = np.full(SHAPE, signal_e / time_s)
+    frame = sensors.capture_from_rates(rate, sensor, Exposure(integration_s=time_s, gain_db=gain_db), seeded(21))
+    assert np.abs(standard_scores(frame.dn, 1000 + dn_per_e * signal_e, variance_dn2)).max() < SIGMAS
+    assert frame.dn_per_e == pytest.approx(dn_per_e, rel=1e-12)
+    assert frame.electrons.mean() == pytest.approx(signal_e, abs=SIGMAS * math.sqrt(variance_dn2) / dn_per_e / 1e3)
+
+
+@pytest.mark.parametrize(("gain_db", "given", "saturation_e"), [
+    (0.0, {}, 40_000), (12.0, {}, 40_000 / 10**0.6), (12.0, {"adc_full_scale_e": 80_000}, 80_000 / 10**0.6),
+    (12.0, {"adc_full_scale_e": 400_000}, 40_000),
+])  # fmt: skip
+def test_automatic_exposure_aims_below_well_and_adc_at_gain(gain_db, given, saturation_e):
+    physics, exposure = (
+        derive(Pixel(**CLEAN | {"dark_current_e_per_s": 3e4} | given)),
+        Exposure(max_integration_s=9, gain_db=gain_db),
+    )
+    time_s = sensors.integration_time_s(exposure, physics, 2e5)
+    assert time_s == pytest.approx(0.95 * saturation_e / 2.3e5, rel=1e-12)
+    assert sensors.integration_time_s(exposure, physics.at_gain(gain_db), 2e5) == time_s
+    for share, fraction in ((0.95, 0.0), (1.1, 1.0)):
+        by_hand = exposure.model_copy(update={"integration_s": share * saturation_e / 2.3e5})
+        sensor = sensors.sample_sensor(physics, (40, 40), seeded(0))
+        frame = sensors.capture_from_rates(np.full((40, 40), 2e5), sensor, by_hand, seeded(1))
+        assert frame.saturated_fraction == fraction
+
+
+@pytest.mark.parametrize("given", [{}, {"adc_full_scale_e": 9000.0}, {"gain_e_per_dn": 2.0}])
+def test_least_black_level_grows_with_gain(given):
+    """The smallest whole code with room for 6σ of the dark, and one code, below it; the codes above it span the ADC's range."""
+    for gain_db in (0.0, 14.0):
+        physics = derive(Pixel(**CLEAN | {"black_level_dn": 0, "read_noise_e": 3.0, "read_noise_after_gain_e": 40.0} | given))
+        least = sensors.least_black_level_dn(physics.at_gain(gain_db), 0.1)
+        g = 10 ** (gain_db / 20)
+        sigma_e = math.hypot(3.0, 40 / g)
+
+        def room_dn(black, g=g, sigma_e=sigma_e):
+            dn_per_e = g / 2.0 if "gain_e_per_dn" in given else g * (2**14 - 1 - black) / given.get("adc_full_scale_e", 40_000)
+            return black - 6 * sigma_e * dn_per_e
+
+        assert room_dn(least - 1) >= 0 > room_dn(least - 2)
+
+
+# --- Hot pixels ---
+
+
+def test_sample_sensor_hot_pixels_follow_log_normal_tail():
+    """The share of pixels above a threshold is f times the tail of the log-normal; 5σ of the counts. The mean stays 1."""
+    physics = derive(Pixel(**CLEAN | {"dark_current_e_per_s": 100.0} | HOT))
+    dark_gain = sensors.sample_sensor(physics, SHAPE, seeded(3)).dark_gain
+    typical = 1 / (1 + 0.03 * (5 * math.exp(0.4**2 / 2) - 1))
+    for times in (2.0, 5.0, 10.0):
+        expected = 0.03 * norm.sf(math.log(times / 5.0) / 0.4)
+        count = np.count_nonzero(dark_gain > times * typical)
+        assert abs(count - expected * 1e6) < SIGMAS * math.sqrt(expected * 1e6), times
+    assert np.count_nonzero(dark_gain != dark_gain.min()) >= 0.0295e6 - SIGMAS * math.sqrt(0.03e6)
+    assert np.median(dark_gain) == pytest.approx(typical, rel=1e-12)
+    square = 1 + 0.03 * (25 * math.exp(2 * 0.4**2) - 1)
+    spread = math.sqrt(square * typical**2 - 1)
+    assert physics.dark_spread == pytest.approx(spread, rel=1e-12)
+    assert dark_gain.mean() == pytest.approx(1.0, abs=SIGMAS * spread / 1e3)
+
+
+def test_sample_sensor_hot_pixels_leave_other_maps():
+    """Hot pixels have a stream of their own; the typical ones are cooler by the share that the hot ones have."""
+    options = CLEAN | ALL | {"dark_current_e_per_s": 100.0}
+    cold, hot = (sensors.sample_sensor(derive(Pixel(**options | more)), (200, 300), seeded(3)) for more in ({}, HOT))
+    for name in ("gain", "offset_e", "column_offset_e"):
+        np.testing.assert_array_equal(getattr(cold, name), getattr(hot, name))
+    ratio = hot.dark_gain / cold.dark_gain
+    typical = hot.physics.typical_dark_share
+    assert 0.95 < np.isclose(ratio, typical, rtol=1e-12).mean() < 0.98
+    rng = seeded(3)
+    sensors.sample_sensor(cold.physics, (20, 30), rng)
+    without = rng.bit_generator.seed_seq.n_children_spawned
+    assert without == 0, "without hot pixels no stream is taken, which frames of many blocks would notice"
+
+
+def test_hot_pixels_do_not_raise_the_black_level():
+    """A clip at 0 DN cuts off the pixels that are not hot: their dark charge and its spread decide."""
+    options = CLEAN | {"dark_current_e_per_s": 1000.0, "dsnu": 0.3, "read_noise_e": 5.0}
+    for more in ({}, HOT):
+        physics = derive(Pixel(**options | more))
+        dark_e = 100.0 / (1 + (0.03 * (5 * math.exp(0.4**2 / 2) - 1) if more else 0))
+        expected = math.sqrt(dark_e + (0.3 * dark_e) ** 2 + 25)
+        assert sensors.dark_spread_e(physics, 0.1) == pytest.approx(expected, rel=1e-12)
 
 
 def test_read_out_column_offsets_are_per_column():

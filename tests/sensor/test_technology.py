@@ -149,6 +149,47 @@ def test_technology_invalid_values_raise(values, message):
         Technology.model_validate(whole | values)
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"prnu": None}, "got neither prnu nor prnu_um; give one of them"),
+        ({"prnu_um": 0.02}, "got both prnu and prnu_um; give one of them"),
+        ({"a_vt_mv_um": 8.0}, "a_vt_mv_um and offset_fpn state the same quantity"),
+        ({"a_vt_mv_um": 8.0, "offset_fpn": None}, "got a_vt_mv_um alone; give offset_fpn, or both a_vt_mv_um and follower_area"),
+        ({"offset_fpn": None}, "got no offsets; give offset_fpn, or both"),
+        ({"a_vt_mv_um": 8.0, "follower_area_um2": 1.0, "offset_fpn": None, "junction": None, "full_well_e_per_um2": 3e3},
+         "a_vt_mv_um with full_well_e_per_um2: the node capacitance of a pinned photodiode is unknown; give offset_fpn"),
+    ],
+)  # fmt: skip
+def test_technology_mismatch_is_stated_once(values, message):
+    record = T035.model_dump() | {"ranges": {}, "distributions": {}}
+    with pytest.raises(PixsimError, match=message):
+        Technology(**record | values)
+
+
+def test_load_technology_mismatch_of_layout_has_ranges(tmp_path):
+    """The numbers of the layout are numbers of the file: with source, range and distribution, and a study may change them."""
+    entry = 'value = {}\nrange = {}\ndistribution = "normal"\nconfidence = "D"\nsource = "assumed here"\n'
+    added = {
+        "prnu_um": (0.03, [0.02, 0.04]), "a_vt_mv_um": (8.0, [6.0, 10.0]), "follower_area_um2": (0.5, [0.4, 0.6]),
+        "dark_current_perimeter_pa_per_cm": (2.0, [1.0, 5.0]), "read_noise_after_gain_e": (20.0, [10.0, 30.0]),
+        "hot_pixel_fraction": (0.001, [0.0, 0.01]), "hot_pixel_ratio": (30.0, [10.0, 90.0]), "hot_pixel_spread": (1.0, [0.5, 1.5]),
+    }  # fmt: skip
+    kept = [part for part in text_of_035um().split("\n\n") if not part.startswith(("[prnu]", "[offset_fpn]"))]
+    text = "\n\n".join([*kept, *(f"[{name}]\n" + entry.format(*values) for name, values in added.items())])
+    (tmp_path / "layout.toml").write_text(text, encoding="utf-8")
+    technology = load_technology(str(tmp_path / "layout.toml"))
+    for name, (value, ends) in added.items():
+        assert (technology.numbers[name], technology.ranges[name]) == (value, tuple(ends)), name
+        moved = technology.with_numbers({name: ends[1]}, "process.x")
+        assert moved.numbers == technology.numbers | {name: ends[1]}
+    assert {"prnu", "offset_fpn"}.isdisjoint(technology.numbers)
+    with pytest.raises(PixsimError, match=r"process\.x: got 'prnu'; allowed: .*prnu_um"):
+        technology.with_numbers({"prnu": 0.02}, "process.x")
+    physics = derive(Pixel(), technology)
+    assert (physics.hot_pixel_fraction, physics.read_noise_after_gain_e) == (0.001, 20.0)
+
+
 def test_load_technology_unknown_name_lists_names():
     with pytest.raises(PixsimError, match=r"'0\.13um'") as caught:
         derive(Pixel(technology="0.13um"))

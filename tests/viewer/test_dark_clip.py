@@ -46,6 +46,17 @@ def in_standard_errors(actual: np.ndarray, expected: float) -> float:
         pytest.param(SHEET | {"dark_current_e_per_s": 1000, "dsnu": 1.0, "read_noise_e": 30}, id="uneven dark charge"),
         pytest.param(SHEET | {"dark_current_e_per_s": 30, "dsnu": 0.5, "read_noise_e": 0.4, "bits": 16}, id="single electrons"),
         pytest.param(SHEET | {"dark_current_e_per_s": 5e3, "dsnu": 0, "read_noise_e": 160, "bits": 14}, id="much dark charge"),
+        pytest.param(
+            SHEET
+            | {
+                "dark_current_e_per_s": 600,
+                "read_noise_e": 12,
+                "hot_pixel_fraction": 0.3,
+                "hot_pixel_ratio": 5.0,
+                "hot_pixel_spread": 0.5,
+            },
+            id="hot pixels",
+        ),
         pytest.param({}, id="default pixel"),
         pytest.param({"technology": "4t-bsi", "pitch_um": 1.4, "black_level_dn": 1}, id="pinned"),
     ],
