@@ -212,6 +212,8 @@ def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
 def read_out(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
     """Return one frame, (rows, columns) int32 DN, from the mean photo-electrons of each pixel; temporal noise is from `rng`.
 
+    The gain is that of the sensor's `physics`: `at_gain` sets it, as `capture_from_rates` does for an exposure.
+
     PRNU and dark charge → Poisson → well and conversion (`pixsim.sensor.photodiode`) → reset and read noise (one normal) →
     fixed offsets → gain → black level → ADC. Closed forms are `frame_mean_dn` and `frame_variance_dn2`.
 

@@ -426,6 +426,7 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     of_display_white, lightness : that increase as luminance over display white (at most 1) and as CIE L*, before the display
         clips and rounds; L* is the ΔE of an even black area
     least_black_level_dn : `pixsim.sensor.least_black_level_dn`
+    gain_db : of the exposure, without which the black level would have room
 
     >>> from pixsim.pixel import derive
     >>> from pixsim.parameters import Pixel
@@ -463,6 +464,7 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
         "of_display_white": of_white,
         "lightness": float(xyz_to_lab([of_white] * 3, np.ones(3))[0]),
         "least_black_level_dn": least_black_level_dn(p, integration_s),
+        "gain_db": p.gain_db,
     }
 
 
@@ -495,7 +497,8 @@ def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -
     """
     black, needed = pixel["black_level_dn"], dark["least_black_level_dn"]
     fits = needed <= MAX_BLACK * (2 ** pixel["bits"] - 1)
-    hint = f"set pixel.black_level_dn = {needed} to avoid this" if fits else "avoiding this takes more bits (pixel.bits)"
+    lacking = "less gain (exposure.gain_db)" if dark["gain_db"] else "more bits (pixel.bits)"
+    hint = f"set pixel.black_level_dn = {needed} to avoid this" if fits else f"avoiding this takes {lacking}"
     return (
         f"the black level of {black:g} DN clips dark noise{where}: {100 * dark['at_zero_fraction']:.0f} % of dark pixels "
         f"are at 0 DN, which raises the dark mean by {rounded(dark['too_bright_e'])} e- "

@@ -351,12 +351,15 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
         ('technology = "0.35um"', "set pixel.black_level_dn = 15 to avoid this"),
         pytest.param('technology = "0.35um"\nblack_level_dn = 15', "", marks=pytest.mark.slow),
         ("offset_fpn = 0.2", "avoiding this takes more bits (pixel.bits)"),
+        ("offset_fpn = 0.02\n[exposure]\ngain_db = 20\n", "avoiding this takes less gain (exposure.gain_db)"),
     ],
 )
 def test_run_command_low_black_level_gives_note(options: str, message: str, tmp_path: Path) -> None:
     film = "--irradiance none --resolution 64 --display.dots 64"
     sheet = "[pixel]\nbits = 10\n" if "technology" in options else SHEET
-    path = written(tmp_path / "sensor.toml", sheet.replace("bits =", f"{options}\nbits ="))
+    options, _, exposure = options.partition("[exposure]")
+    sheet = sheet.replace("bits =", f"{options}\nbits =") + (f"[exposure]{exposure}" if exposure else "")
+    path = written(tmp_path / "sensor.toml", sheet)
     code, out, err = command(f"run csf --config {path} {film} --out {tmp_path / 'out'}")
     assert code == 0, err
     notes = [line for line in out.splitlines() if line.startswith("note: ")]

@@ -8,13 +8,14 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from pixsim.base.config import checked, with_data_sheets
+from pixsim.base.config import checked, packaged, with_data_sheets
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Layer, Pixel, Spread, Study, merge
 from pixsim.sensor.technology import Technology, load_technology, technology_of
@@ -284,10 +285,28 @@ def technologies(*names: str) -> list[Unknown]:
     return [unknown for name in names for unknown in unknowns_of_technology(load_technology(name), name)]
 
 
+@pytest.mark.parametrize("pixel", [{}, {"prnu": 0.01}, {"prnu_percent": 1.0}, {"offset_fpn": 0.001}, {"dsnu_e": 2.0}])
+def test_unknowns_of_study_leave_out_what_the_pixel_states_in_another_word(pixel: dict[str, float], tmp_path: Path) -> None:
+    """A technology's mismatch of the layout is known where the pixel gives a plain number in its place."""
+    parts = packaged("data/technologies")["0.35um"].read_text(encoding="utf-8").split("\n\n")
+    text = "\n\n".join(part for part in parts if not part.startswith(("[prnu]", "[offset_fpn]")))
+    for name in ("prnu_um", "a_vt_mv_um", "follower_area_um2"):
+        text += f'\n[{name}]\nvalue = 0.05\nrange = [0.04, 0.06]\nconfidence = "D"\nsource = "assumed here"\n'
+    path = tmp_path / "layout.toml"
+    path.write_text(text, encoding="utf-8")
+    unknowns = unknowns_of_study(Study.model_validate({"name": "s", "technologies": [str(path)], "pixel": pixel}))
+    replaced = {"prnu": {"prnu_um"}, "prnu_percent": {"prnu_um"}} | dict.fromkeys(
+        ("offset_fpn", "dsnu_e"), {"a_vt_mv_um", "follower_area_um2"}
+    )
+    expected = {"prnu_um", "a_vt_mv_um", "follower_area_um2"} - replaced.get(next(iter(pixel), ""), set())
+    assert {unknown.quantity for unknown in unknowns} & {"prnu_um", "a_vt_mv_um", "follower_area_um2"} == expected
+
+
 def test_shared_quantities_have_one_draw() -> None:
     unknowns = technologies("0.35um", "0.18um", "4t-bsi")
     sample = sample_types(unknowns, 8, seed=3)
-    for quantity in SHARED:
+    for quantity in ("dark_current_na_per_cm2", "dsnu", "offset_fpn", "column_fpn"):
+        assert quantity in SHARED
         assert [unknown.technology for unknown in sample.inputs[quantity]] == ["0.35um", "0.18um", "4t-bsi"]
         places = []
         for unknown in sample.inputs[quantity]:  # all are uniform between the ends of their range
