@@ -93,6 +93,32 @@ def test_run_same_sensor_in_every_way_gives_same_frame(pixel: dict[str, Any], tm
         assert np.array_equal(dn, frames["file"]), name
 
 
+# Mismatch of the layout, hot pixels, a split read noise and a gain.
+AMPLIFIED: dict[str, Any] = {
+    "pitch_um": 6.0, "full_well_e": 12_000.0, "read_noise_e": 3.0, "read_noise_after_gain_e": 40.0, "dark_current_e_per_s": 900.0,
+    "quantum_efficiency": 0.6, "bits": 12, "prnu_um": 0.06, "dn_per_e": 0.3, "hot_pixel_fraction": 0.01, "hot_pixel_ratio": 30.0,
+    "hot_pixel_spread": 1.0,
+}  # fmt: skip
+
+
+def test_run_at_gain_by_file_options_and_python_gives_same_frame(tmp_path: Path) -> None:
+    path = file_of(tmp_path / "a.toml", AMPLIFIED)
+    path.write_text(path.read_text(encoding="utf-8") + "[exposure]\ngain_db = 12\n", encoding="utf-8")
+    frames = {}
+    for name, arguments in {"file": ["--config", path], "options": [*options_of(AMPLIFIED), "--exposure.gain-db", "12"]}.items():
+        code, _, err = command(f"run csf {SMALL} --json", *arguments, "--out", tmp_path / name)
+        assert code == 0, err
+        frames[name] = pixsim.read_frame(tmp_path / name / "raw.exr")
+    irradiance = pixsim.read_exr(tmp_path / "file/irradiance.exr")
+    camera = pixsim.Camera.model_validate(irradiance.header["camera"])
+    exposure, display = pixsim.Exposure(gain_db=12), pixsim.Display(dots=64)
+    python = pixsim.evaluate(irradiance, camera, pixsim.Pixel(**AMPLIFIED), exposure, display, seed=3).frame
+    assert frames["file"].dn.std() > 10, "a frame with noise and detail"
+    assert frames["file"].dn_per_e == pytest.approx(0.3 * 10**0.6, rel=1e-6)
+    for name, dn in {"options": frames["options"].dn, "python": python.dn}.items():
+        assert np.array_equal(dn, frames["file"].dn), name
+
+
 @pytest.mark.slow
 def test_datasheet_same_sensor_in_every_way_gives_same_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command's summary against that of `make_datasheet`: measured on the frames, it is equal only if they are."""

@@ -264,7 +264,7 @@ def _mean_delta_e(
         for part, display in parts
     ]
     time_s = integration_time_s(exposure, physics, max(float(chain.signal_e_per_s.max()) for chain in chains))
-    exposed = [replace(chain, exposure=Exposure(integration_s=time_s)) for chain in chains]
+    exposed = [replace(chain, exposure=exposure.model_copy(update={"integration_s": time_s})) for chain in chains]
     setup = Setup(camera, physics.pixel, exposure, parts[0][1])
     return np.array([sensor_delta_e(chain, setup, physics.pitch_um, number) for number, chain in enumerate(exposed)])
 

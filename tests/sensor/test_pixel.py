@@ -311,6 +311,23 @@ def test_pixel_same_quantity_twice_raises(word: str, value: object, fields: dict
     assert all(word in excluded_by([name]) for name in fields)
 
 
+@pytest.mark.parametrize(
+    ("before", "later", "left"),
+    [
+        ({"a_vt_mv_um": 8, "follower_area_um2": 1}, {"offset_fpn": 0.001}, {"offset_fpn": 0.001}),
+        ({"offset_fpn": 0.001}, {"a_vt_mv_um": 8}, {"a_vt_mv_um": 8}),
+        ({"a_vt_mv_um": 8}, {"follower_area_um2": 1}, {"a_vt_mv_um": 8, "follower_area_um2": 1}),
+        ({"prnu_um": 0.02}, {"prnu_percent": 1}, {"prnu_percent": 1}),
+        ({"adc_full_scale_e": 9000}, {"dn_per_e": 0.4}, {"dn_per_e": 0.4}),
+        ({"read_noise_e": 2, "read_noise_after_gain_e": 9}, {"temporal_dark_noise_e": 3}, {"temporal_dark_noise_e": 3}),
+    ],
+)
+def test_merge_later_layer_replaces_the_quantity_in_any_word(
+    before: dict[str, float], later: dict[str, float], left: dict[str, float]
+) -> None:
+    assert merge({"pixel": before}, {"pixel": later}) == {"pixel": left}
+
+
 def test_derive_words_of_data_sheet_closed_form() -> None:
     """EMVA's numbers are what the pixel has, whatever the technology: σ_d includes the noise of its reset."""
     for technology in ("none", "0.35um"):
