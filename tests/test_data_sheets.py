@@ -96,7 +96,7 @@ def test_run_same_sensor_in_every_way_gives_same_frame(pixel: dict[str, Any], tm
 # Mismatch of the layout, hot pixels, a split read noise and a gain.
 AMPLIFIED: dict[str, Any] = {
     "pitch_um": 6.0, "full_well_e": 12_000.0, "read_noise_e": 3.0, "read_noise_after_gain_e": 40.0, "dark_current_e_per_s": 900.0,
-    "quantum_efficiency": 0.6, "bits": 12, "prnu_um": 0.06, "dn_per_e": 0.3, "hot_pixel_fraction": 0.01, "hot_pixel_ratio": 30.0,
+    "quantum_efficiency": 0.6, "bits": 12, "prnu_um": 0.06, "dn_per_e": 0.3, "hot_pixel_fraction": 0.01, "hot_pixel_median": 30.0,
     "hot_pixel_spread": 1.0,
 }  # fmt: skip
 

@@ -213,9 +213,9 @@ def pixels(draw: st.DrawFn) -> dict[str, Any]:
             pixel["a_vt_mv_um"] = draw(st.floats(0, 900)) * math.sqrt(pixel["follower_area_um2"])
         if "prnu_um" in pixel:
             pixel["prnu_um"] = draw(st.floats(0, 0.3)) * math.sqrt(pixel["fill_factor"]) * min(pixel.get("pitch_um", 6.5), 1e3)
-        if {"hot_pixel_fraction", "hot_pixel_ratio", "hot_pixel_spread"} & pixel.keys():
+        if {"hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"} & pixel.keys():
             pixel.setdefault("hot_pixel_fraction", draw(st.floats(0, 1)))
-            pixel.setdefault("hot_pixel_ratio", 1 + draw(numbers(number_of(Pixel, "hot_pixel_ratio"))) / 2)
+            pixel.setdefault("hot_pixel_median", 1 + draw(numbers(number_of(Pixel, "hot_pixel_median"))) / 2)
         if "data_sheet_pitch_um" in pixel:  # a well and a gain that scale to possible ones
             limits, near = number_of(Pixel, "data_sheet_pitch_um"), pixel.get("pitch_um", 6.5) * draw(st.floats(0.1, 10.0))
             pixel["data_sheet_pitch_um"] = min(max(near, limits.low), limits.high)
@@ -312,7 +312,7 @@ def any_technology() -> st.SearchStrategy[Technology]:
         else:
             kind |= {"offset_fpn": None, "a_vt_mv_um": min(drawn["a_vt_mv_um"], 100 * math.sqrt(drawn["follower_area_um2"]))}
         if drawn.get("hot_pixel_fraction"):
-            drawn.setdefault("hot_pixel_ratio", 30.0)
+            drawn.setdefault("hot_pixel_median", 30.0)
         return usual["0.35um"].content | drawn | kind
 
     return st.builds(of_a_kind, fields.map(dict), junctions, st.booleans())

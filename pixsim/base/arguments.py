@@ -76,7 +76,7 @@ BOUNDS = {
     **dict.fromkeys(("gain_e_per_dn", "adc_full_scale_e"), POSITIVE),
     "gain_db": Bounds(0, 60),
     "hot_pixel_fraction": FRACTION,
-    "hot_pixel_ratio": Bounds(1, 1e6),
+    "hot_pixel_median": Bounds(1, 1e6),
     "hot_pixel_spread": Bounds(0, 3),
     **dict.fromkeys(("contrast", "dark", "peak_quantum_efficiency"), FRACTION),
     **dict.fromkeys(("columns", "count", "shape", "repeats"), COUNT),

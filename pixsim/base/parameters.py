@@ -209,7 +209,7 @@ UnitInterval = Annotated[float, Field(ge=0, le=1)]
 AreaMismatch = Annotated[float, Field(ge=0, le=1e3)]  # of the gain, µm: 1 % at 1 µm² is 0.01
 VoltageMismatch = Annotated[float, Field(ge=0, le=1e6)]  # mV·µm, a few in CMOS
 GateArea = Annotated[float, Field(ge=1e-6, le=1e6)]
-HotRatio = Annotated[float, Field(ge=1, le=1e6)]
+HotMedian = Annotated[float, Field(ge=1, le=1e6)]
 HotSpread = Annotated[float, Field(ge=0, le=3)]  # at 3 the mean is 90 times the median: no frame has enough pixels for it
 StudyName = Annotated[str, Field(pattern=r"^\w[\w.\-]*$", max_length=100)]
 Luminance = Annotated[float, Field(ge=1e-12, le=1e15)]  # the disc of the sun: 1.6e9
@@ -511,7 +511,7 @@ class PixelOptions(Record):
     hot_pixel_fraction: UnitInterval | None = Field(
         None, description="fraction of pixels that are hot; the dark current remains the mean of all pixels"
     )
-    hot_pixel_ratio: HotRatio | None = Field(None, description="median dark current of hot pixels, over the mean of the others")
+    hot_pixel_median: HotMedian | None = Field(None, description="median dark current of hot pixels, over the mean of the others")
     hot_pixel_spread: HotSpread | None = Field(
         None, description="standard deviation of the natural logarithm of the dark current of hot pixels"
     )

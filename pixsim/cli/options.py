@@ -93,7 +93,7 @@ def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
 OF_A_TECHNOLOGY = "from the technology"
 FROM_TECHNOLOGY = (
     *(*DATA_SHEET, "reset_noise_factor", "read_noise_after_gain_e", "prnu", "dsnu", "offset_fpn", "column_fpn"),
-    *("hot_pixel_fraction", "hot_pixel_ratio", "hot_pixel_spread"),
+    *("hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"),
 )
 NAMES = {float: "FLOAT", int: "INT", bool: "BOOL", str: "TEXT"}
 

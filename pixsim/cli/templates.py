@@ -24,7 +24,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "full_well_e": 10500.0, "read_noise_e": 2.3, "dark_current_e_per_s": 3.0, "quantum_efficiency": 0.62, "bits": 12,
     "prnu": 0.005, "dsnu": 0.2, "offset_fpn": 0.0002, "column_fpn": 0.0001, "reset_noise_factor": 0.0,
     "gain_e_per_dn": 2.57, "dn_per_e": 0.39, "adc_full_scale_e": 10500.0, "read_noise_after_gain_e": 4.0, "prnu_um": 0.02,
-    "hot_pixel_fraction": 0.001, "hot_pixel_ratio": 30.0, "hot_pixel_spread": 1.0, "a_vt_mv_um": 8.0, "follower_area_um2": 0.5,
+    "hot_pixel_fraction": 0.001, "hot_pixel_median": 30.0, "hot_pixel_spread": 1.0, "a_vt_mv_um": 8.0, "follower_area_um2": 0.5,
     "saturation_capacity_e": 10500.0, "temporal_dark_noise_e": 2.3, "prnu_percent": 0.5, "dsnu_e": 2.0,
     "dark_current": {"e_per_s": 3.0, "at_c": 27.0, "doubling_k": 8.0}, "dynamic_range_db": 71.0, "snr_max_db": 40.2,
     "die_height_mm": 2.4, "pixels": [640, 640], "die_mm": 2.4, "infrared_cut_nm": 650.0, "fill_factor": 0.8,

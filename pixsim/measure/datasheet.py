@@ -338,7 +338,7 @@ def spatial(sheet: DataSheet) -> list[Entry]:
     """DSNU1288, its parts from columns, rows and single pixels (0 if the variance estimate is not positive), and PRNU1288."""
     p, map_e, k = sheet.experiment.physics, dark_map_e(sheet.experiment), sheet.transfer.gain_dn_per_e
     dark_e = p.dark_current_e_per_s * sheet.experiment.integration_s
-    nominal = math.sqrt(p.offset_fpn_e**2 + p.column_fpn_e**2 + (p.dark_spread * dark_e) ** 2)
+    nominal = math.sqrt(p.offset_fpn_e**2 + p.column_fpn_e**2 + (p.dark_spread.deviation * dark_e) ** 2)
     dsnu = f"from this device's maps; the parameters give √(offset² + column² + (σ_DSNU · dark)²) = {nominal:.4g}"
     of_gain = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
     split = zip(PARTS, estimators.parts(sheet.dark_stack), estimators.parts(Stack(1, map_e, np.zeros_like(map_e))), strict=True)

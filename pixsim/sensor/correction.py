@@ -30,7 +30,7 @@ def correct(frame: Frame, sensor: Sensor, correction: Correction, rng: np.random
 
     With D the mean of the dark frames and F that of the flat frames, in electrons, a pixel of the picture P becomes
     (P - D) / ((F - D) / mean(F - D)). Dark rows have no light: their mean in a column is subtracted from it in every frame.
-    All frames have the exposure time of the picture.
+    All frames have the exposure time and the gain of the picture.
 
     sensor : that took the frame
     rng : of the dark rows, dark frames and flat frames, with a stream of its own for each
@@ -39,7 +39,8 @@ def correct(frame: Frame, sensor: Sensor, correction: Correction, rng: np.random
     """
     # Each has a stream, so that one kind of correction does not change the noise of another.
     rows_rng, above_picture, dark_rng, above_dark, flat_rng, above_flat = rng.spawn(6)
-    physics, time_s = sensor.physics, frame.integration_s
+    physics, time_s = sensor.physics.at_gain(frame.gain_db), frame.integration_s
+    sensor = replace(sensor, physics=physics)
     rows = _dark_rows(sensor, correction.column_clamp, rows_rng)
 
     def electrons(dn: NDArray[np.int32], rng: np.random.Generator) -> Array:
@@ -171,9 +172,9 @@ def residual_variance_e2(signal_e: float, integration_s: float, physics: PixelPh
     40000.0
     """
     p, dark_e = physics, physics.dark_current_e_per_s * integration_s
-    dark_variance = p.reset_noise_e**2 + p.read_noise_e**2 + dark_e + ROUNDING_VARIANCE_DN2 / p.dn_per_e**2
+    dark_variance = p.reset_noise_e**2 + p.read_noise_at_gain_e**2 + dark_e + ROUNDING_VARIANCE_DN2 / p.dn_per_e**2
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
-    pixels = p.offset_fpn_e**2 + (p.dsnu * dark_e) ** 2
+    pixels = p.offset_fpn_e**2 + (p.dark_spread.deviation * dark_e) ** 2
     offsets = pixels * (1 + rows) + (0.0 if correction.column_clamp else p.column_fpn_e**2)
     if correction.dark_frames:
         offsets = dark_variance * (1 + rows) / correction.dark_frames

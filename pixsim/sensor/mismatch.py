@@ -64,8 +64,8 @@ def dark_current_of_geometry_e_per_s(
 
     Raises PixsimError if a density or the perimeter is negative, or the area is not positive.
     """
-    density = area_na_per_cm2 * area_um2 + perimeter_na_per_cm * UM_PER_CM * perimeter_um
-    return 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * density
+    of_area = area_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2
+    return of_area + perimeter_na_per_cm * UM_PER_CM * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * perimeter_um
 
 
 @dataclass(frozen=True)
@@ -108,11 +108,25 @@ class DarkSpread:
         hot = self.hot_fraction * self.hot_median**2 * math.exp(2 * self.hot_spread**2)
         return self.ordinary_mean**2 * (ordinary + hot) - 1
 
+    @property
+    def deviation(self) -> float:
+        """Standard deviation over all pixels, relative to the mean: √variance, or `dsnu` without hot pixels."""
+        return math.sqrt(max(self.variance, 0.0)) if self.hot_fraction else self.dsnu
+
+    @property
+    def is_even(self) -> bool:
+        """Whether all pixels have the same current, to rounding: 1/dsnu² of smaller spreads would overflow."""
+        return bool(self.dsnu <= np.finfo(float).eps) and not self.hot_fraction
+
     def sample(self, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-        """Draw relative dark currents of a shape (...) from `rng`, their mean 1; without hot pixels as `sample_sensor` does."""
+        """Draw relative dark currents of a shape (...) from `rng`, their mean 1.
+
+        Hot pixels have a stream of their own, so that `rng` goes on as without them.
+        """
         factors = rng.gamma(self.dsnu**-2, self.dsnu**2, shape) if self.dsnu > np.finfo(float).eps else np.ones(shape)
         if self.hot_fraction:
-            hot = rng.random(shape) < self.hot_fraction
-            factors[hot] = self.hot_median * np.exp(self.hot_spread * rng.standard_normal(int(np.count_nonzero(hot))))
+            own = rng.spawn(1)[0]
+            hot = own.random(shape) < self.hot_fraction
+            factors[hot] = self.hot_median * np.exp(self.hot_spread * own.standard_normal(int(np.count_nonzero(hot))))
             factors *= self.ordinary_mean
         return factors

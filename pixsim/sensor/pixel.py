@@ -29,6 +29,7 @@ from pixsim.base.parameters import (
     pixel_of,
 )
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
+from pixsim.sensor.mismatch import DarkSpread, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
 
@@ -238,8 +239,7 @@ def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_p
 
 
 REFERENCE_TEMPERATURE_K = 300.15  # 27 °C, the temperature of quoted dark currents
-A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / ELECTRON_C  # 1 cm² = 1e8 µm²
-A_PER_CM_TO_E_PER_S_UM = 1e-4 / ELECTRON_C
+NA_PER_PA = 1e-3
 # Peak quantum efficiency of the chip whose response curve is packaged (0.35 µm).
 RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
@@ -349,8 +349,8 @@ class PixelPhysics:
     gain_e_per_dn : electrons per code at 0 dB; None: the codes above the black level span `adc_full_scale_e`
     adc_full_scale_e : signal at the ADC's top code at 0 dB; None: the full well
     read_noise_after_gain_e : temporal, after the amplifier, in electrons at 0 dB
-    hot_pixel_fraction, hot_pixel_ratio, hot_pixel_spread : of the pixels that are hot, median of their dark current over the mean
-        of the others, and standard deviation of its logarithm
+    hot_pixel_fraction, hot_pixel_median, hot_pixel_spread : of the pixels that are hot, median of their dark current over the
+        mean of the others, and standard deviation of its logarithm
     gain_db : amplification with which the pixel is read; `at_gain` sets it
     """
 
@@ -371,7 +371,7 @@ class PixelPhysics:
     adc_full_scale_e: float | None = None
     read_noise_after_gain_e: float = 0.0
     hot_pixel_fraction: float = 0.0
-    hot_pixel_ratio: float = 1.0
+    hot_pixel_median: float = 1.0
     hot_pixel_spread: float = 0.0
     gain_db: float = 0.0
 
@@ -446,20 +446,9 @@ class PixelPhysics:
         return math.hypot(self.reset_noise_e, self.read_noise_at_gain_e)
 
     @property
-    def typical_dark_share(self) -> float:
-        """Ratio of the mean dark current of the pixels that are not hot to that of all: 1/(1 + f (r e^(s²/2) - 1))."""
-        return 1 / (1 + self.hot_pixel_fraction * (self.hot_pixel_ratio * math.exp(self.hot_pixel_spread**2 / 2) - 1))
-
-    @property
-    def dark_spread(self) -> float:
-        """Standard deviation of the dark current over its mean, of all pixels; `dsnu` without hot ones.
-
-        The current of a hot pixel is that of another one, of variance (1 + dsnu²) - 1, times a log-normal factor.
-        """
-        if not self.hot_pixel_fraction:
-            return self.dsnu
-        square = 1 + self.hot_pixel_fraction * (self.hot_pixel_ratio**2 * math.exp(2 * self.hot_pixel_spread**2) - 1)
-        return math.sqrt(max((1 + self.dsnu**2) * square * self.typical_dark_share**2 - 1, 0.0))
+    def dark_spread(self) -> DarkSpread:
+        """Dark currents of the pixels relative to their mean: ordinary and hot ones."""
+        return DarkSpread(self.dsnu, self.hot_pixel_fraction, self.hot_pixel_median, self.hot_pixel_spread)
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
         if self.pixel.quantum_efficiency is not None:
@@ -573,7 +562,7 @@ MAX_PRNU = 0.3  # as `GainSpread` of the records
 
 
 def prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
-    """Return the PRNU of a photodiode of an area: as stated, or `prnu_um` over its side (Pelgrom, IEEE JSSC 24 (1989) 1433).
+    """Return the PRNU of a photodiode of an area: as stated, or `prnu_um` over its side.
 
     Raises PixsimError if the photodiode is too small for it.
     """
@@ -584,20 +573,18 @@ def prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
     if prnu is not None:
         return prnu
     assert prnu_um is not None  # the record's validator
-    side_um = math.sqrt(area_um2)
-    if prnu_um > MAX_PRNU * side_um:
-        got = (
-            f"{prnu_um:g}, which is a PRNU of {prnu_um / side_um:.3g} at {pixel.pitch_um:g} µm (a photodiode of {area_um2:.3g} µm²)"
-        )
-        hint = f"Give at most {MAX_PRNU * side_um:.3g}, or a photodiode of at least {(prnu_um / MAX_PRNU) ** 2:.3g} µm²."
+    prnu = prnu_of_area(prnu_um, area_um2)
+    if prnu > MAX_PRNU:
+        got = f"{prnu_um:g}, which is a PRNU of {prnu:.3g} at {pixel.pitch_um:g} µm (a photodiode of {area_um2:.3g} µm²)"
+        hint = f"Give at most {prnu_um * MAX_PRNU / prnu:.3g}, or a photodiode of at least {(prnu_um / MAX_PRNU) ** 2:.3g} µm²."
         raise invalid("pixel.prnu_um" if own else f"prnu_um of {technology.name}", got, f"a PRNU of at most {MAX_PRNU:g}", hint)
-    return prnu_um / side_um
+    return prnu
 
 
 def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> float:
-    """Return the spread of the pixel offsets over the full well: as stated, or the followers' σ(V_t) = A_Vt/√(W L) over the swing.
+    """Return the spread of the pixel offsets over the full well: as stated, or that of the source followers (`follower_offset_e`).
 
-    The swing is that of the pixel's node from empty to full: σ(V_t) C/q electrons, with C the mean capacitance of the node.
+    Their σ(V_t) is read over the mean capacitance of the node, so that it has the same share of the swing as of the full well.
 
     Raises PixsimError if one of the two numbers is missing, or the node's capacitance is unknown.
     """
@@ -616,32 +603,32 @@ def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> fl
         kind = "a data sheet" if technology.name == NO_TECHNOLOGY else f"the pinned photodiode of {technology.name}"
         hint = "Give dsnu_e or offset_fpn in their place, or a technology with a junction."
         raise invalid(f"{place}a_vt_mv_um", f"{kind}, whose node capacitance is unknown", "a 3T pixel", hint)
-    swing_v = process_well.full_well_e * ELECTRON_C / (process_well.mean_ff * C_PER_FF_V)
-    offset_v = 1e-3 * a_vt_mv_um / math.sqrt(gate_um2)
-    if offset_v > swing_v:
-        got = f"{a_vt_mv_um:g}, which is {offset_v:.3g} V for a gate of {gate_um2:g} µm²"
-        hint = f"Give a gate (follower_area_um2) of at least {(1e-3 * a_vt_mv_um / swing_v) ** 2:.3g} µm²."
+    share = follower_offset_e(a_vt_mv_um, gate_um2, process_well.mean_ff) / process_well.full_well_e
+    if share > 1:
+        swing_v = process_well.full_well_e / (E_PER_FC * process_well.mean_ff)
+        got = f"{a_vt_mv_um:g}, which is {share * swing_v:.3g} V for a gate of {gate_um2:g} µm²"
+        hint = f"Give a gate (follower_area_um2) of at least {gate_um2 * share**2:.3g} µm²."
         raise invalid(f"{place}a_vt_mv_um", got, f"at most the swing of the pixel, {swing_v:.3g} V", hint)
-    return offset_v / swing_v
+    return share
 
 
 def hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, float]:
-    """Return fraction, median ratio and logarithmic spread of the hot pixels.
+    """Return fraction, relative median and logarithmic spread of the hot pixels.
 
     Raises PixsimError for a fraction without a tail, and for a tail without a fraction.
     """
-    names = "hot_pixel_fraction", "hot_pixel_ratio", "hot_pixel_spread"
+    names = "hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"
     own = [getattr(pixel, name) for name in names]
-    fraction, ratio, spread = (
+    fraction, median, spread = (
         getattr(technology, name) if value is None else value for name, value in zip(names, own, strict=True)
     )
-    if fraction and ratio == 1 and not spread:
+    if fraction and median == 1 and not spread:
         name = f"hot_pixel_fraction of {technology.name}" if own[0] is None else "pixel.hot_pixel_fraction"
-        got, allowed = f"{fraction:g} with hot_pixel_ratio = 1 and hot_pixel_spread = 0", "hot pixels that differ from the others"
-        raise invalid(name, got, allowed, "Give hot_pixel_ratio and hot_pixel_spread, as 30 and 1, or leave the fraction out.")
+        got, allowed = f"{fraction:g} with hot_pixel_median = 1 and hot_pixel_spread = 0", "hot pixels that differ from the others"
+        raise invalid(name, got, allowed, "Give hot_pixel_median and hot_pixel_spread, as 30 and 1, or leave the fraction out.")
     if own[0] is None and not fraction and (tail := [name for name, value in zip(names, own, strict=True) if value is not None]):
         raise invalid(f"pixel.{tail[0]}", "no hot_pixel_fraction beside it", "both", "Give hot_pixel_fraction, as 0.001.")
-    return fraction, ratio, spread
+    return fraction, median, spread
 
 
 @checks_arguments
@@ -678,10 +665,9 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     def process_dark_e_per_s(area_um2: float) -> float:
         """Dark current of a square photodiode: that of its area, and that of its perimeter."""
         temperature_factor = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
-        of_area = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * temperature_factor
-        perimeter_um = 4 * math.sqrt(area_um2)
-        of_perimeter = technology.dark_current_perimeter_pa_per_cm * 1e-12 * A_PER_CM_TO_E_PER_S_UM * perimeter_um
-        return of_area + of_perimeter * temperature_factor
+        perimeter_na_per_cm = NA_PER_PA * technology.dark_current_perimeter_pa_per_cm
+        densities = technology.dark_current_na_per_cm2, perimeter_na_per_cm
+        return dark_current_of_geometry_e_per_s(*densities, area_um2, 4 * math.sqrt(area_um2)) * temperature_factor
 
     def offsets_e(full_well_e: float, process_well: Well) -> tuple[float, float]:
         """Spread of the offsets of pixels and of columns; DSNU1288 is that of all offsets."""
@@ -713,7 +699,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     full_well_e = process_well.full_well_e if measured_e is None else growth * measured_e
     scale = full_well_e / process_well.full_well_e  # a given full well scales the capacitance at the same swing
     offset_e, column_e = offsets_e(full_well_e, process_well)
-    hot_fraction, hot_ratio, hot_spread = hot_pixels(pixel, technology)
+    hot_fraction, hot_median, hot_spread = hot_pixels(pixel, technology)
     return PixelPhysics(
         pixel=pixel,
         technology=technology,
@@ -732,7 +718,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         adc_full_scale_e=None if pixel.adc_full_scale_e is None else growth * pixel.adc_full_scale_e,
         read_noise_after_gain_e=after_gain_e,
         hot_pixel_fraction=hot_fraction,
-        hot_pixel_ratio=hot_ratio,
+        hot_pixel_median=hot_median,
         hot_pixel_spread=hot_spread,
     )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,37 +73,23 @@ class Sensor:
 def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.Generator) -> Sensor:
     """Draw the fixed pattern of a sensor of a given `shape` (rows, columns) from `rng`.
 
-    PRNU is normal, clipped at zero. DSNU is gamma-distributed, since a normal distribution would have negative currents. Hot
-    pixels have log-normal factors besides, from a stream of their own: all other numbers are those of a sensor without them.
+    PRNU is normal, clipped at zero. DSNU is gamma-distributed, since a normal distribution would have negative currents; hot
+    pixels (`pixsim.sensor.mismatch`) have a stream of their own, so that all other maps are those of a sensor without them.
     """
-    p = physics
-    # A spread below the rounding of 1 leaves a map of ones; 1/dsnu² would overflow.
-    uneven_dark = p.dsnu > np.finfo(float).eps and p.dark_current_e_per_s > 0
+    p, dark_spread = physics, physics.dark_spread
+    uneven_dark = p.dark_current_e_per_s > 0 and not dark_spread.is_even
     gain, dark_gain, offset_e = (np.empty(shape) if uneven else None for uneven in (p.prnu, uneven_dark, p.offset_fpn_e))
 
     def draw(rows: slice, rng: np.random.Generator) -> None:
         if gain is not None:
             np.maximum(1.0 + p.prnu * rng.standard_normal(gain[rows].shape), 0.0, out=gain[rows])
         if dark_gain is not None:
-            dark_gain[rows] = rng.gamma(p.dsnu**-2, p.dsnu**2, dark_gain[rows].shape)
+            dark_gain[rows] = dark_spread.sample(dark_gain[rows].shape, rng)
         if offset_e is not None:
             offset_e[rows] = p.offset_fpn_e * rng.standard_normal(offset_e[rows].shape)
 
     by_block(draw, shape, rng)
-    column_offset_e = _gaussian_map(p.column_fpn_e, (1, shape[1]), rng)
-    if p.hot_pixel_fraction and p.dark_current_e_per_s:
-        dark_gain = np.ones(shape) if dark_gain is None else dark_gain
-        by_block(partial(_heat, dark_gain, p), shape, rng.spawn(1)[0])
-    return Sensor(p, shape, gain, dark_gain, offset_e, column_offset_e)
-
-
-def _heat(dark_gain: Array, physics: PixelPhysics, rows: slice, rng: np.random.Generator) -> None:
-    """Make some of the rows' pixels hot; the mean of the dark current over all pixels stays what it is."""
-    current = dark_gain[rows]
-    hot = rng.random(current.shape) < physics.hot_pixel_fraction
-    logarithm = physics.hot_pixel_spread * rng.standard_normal(np.count_nonzero(hot))
-    current[hot] *= physics.hot_pixel_ratio * np.exp(logarithm)
-    current *= physics.typical_dark_share
+    return Sensor(p, shape, gain, dark_gain, offset_e, _gaussian_map(p.column_fpn_e, (1, shape[1]), rng))
 
 
 def _gaussian_map(spread: float, shape: tuple[int, ...], rng: np.random.Generator) -> Array | None:
@@ -152,6 +137,7 @@ class Frame:
     mean_dark_e : mean dark charge of a pixel in this exposure
     pitch_um : centre-to-centre distance of pixels
     bits : of the ADC
+    gain_db : amplification of the exposure, which `dn_per_e` includes
     saturated_fraction : fraction of pixels whose charge reached `saturation_level_e` (light and dark, with shot noise,
         before reset noise and offsets) or whose DN is the top code
     corrected_e : (rows, columns) photo-electrons as the camera's correction estimates them; None without one
@@ -167,6 +153,7 @@ class Frame:
     bits: int
     saturated_fraction: float
     corrected_e: NDArray[np.float32] | None = field(default=None, repr=False)
+    gain_db: float = 0.0
 
     @property
     def electrons(self) -> Array:
@@ -289,7 +276,7 @@ def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: Pix
     dark_e = p.dark_current_e_per_s * integration_s
     variance_e2 = signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_at_gain_e**2
     if fixed_pattern:
-        of_dark_e2 = (p.dark_spread * dark_e) ** 2
+        of_dark_e2 = (p.dark_spread.deviation * dark_e) ** 2
         variance_e2 = variance_e2 + (p.prnu * signal_e) ** 2 + of_dark_e2 + p.offset_fpn_e**2 + p.column_fpn_e**2
     return variance_e2 * p.dn_per_e**2 + 1 / 12
 
@@ -300,7 +287,7 @@ def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
 
     The tail of hot pixels is far above the black level: it says nothing about what a clip at 0 DN cuts off.
     """
-    p, dark_e = physics, physics.dark_current_e_per_s * integration_s * physics.typical_dark_share
+    p, dark_e = physics, physics.dark_current_e_per_s * integration_s * physics.dark_spread.ordinary_mean
     temporal_e2 = dark_e + p.reset_noise_e**2 + p.read_noise_at_gain_e**2
     return math.sqrt(temporal_e2 + (p.dsnu * dark_e) ** 2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
 
@@ -355,6 +342,7 @@ def make_frame(
         pitch_um=physics.pitch_um,
         bits=physics.pixel.bits,
         saturated_fraction=saturated_fraction,
+        gain_db=exposure.gain_db,
     )
 
 

@@ -20,7 +20,7 @@ from pixsim.base.parameters import (
     Fraction,
     GainSpread,
     GateArea,
-    HotRatio,
+    HotMedian,
     HotSpread,
     Layer,
     NoiseElectrons,
@@ -91,7 +91,7 @@ class Technology(Record):
     )
     dsnu: DarkSpread = Field(description="standard deviation of the dark current over its mean, without hot pixels")
     hot_pixel_fraction: UnitInterval = Field(0.0, description="fraction of pixels that are hot")
-    hot_pixel_ratio: HotRatio = Field(1.0, description="median dark current of hot pixels, over the mean of the others")
+    hot_pixel_median: HotMedian = Field(1.0, description="median dark current of hot pixels, over the mean of the others")
     hot_pixel_spread: HotSpread = Field(
         0.0, description="standard deviation of the natural logarithm of the dark current of hot pixels"
     )

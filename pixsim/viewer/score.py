@@ -402,8 +402,7 @@ def evaluate(
     return chain.simulate("evaluate", seed)
 
 
-DSNU_NODES = 64  # of equal weight
-HOT_NODES = 8  # of the logarithm of hot pixels' currents, for each of the above: few of them are near 0 DN
+DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones
 FEW_E = 100.0  # the Poisson law is summed up to this dark charge; above, 10 σ from 0, a normal law clips nothing by itself
 POISSON_TERMS = 200  # 10 σ above `FEW_E`
 NO_NOISE_DN = 1e-9  # σ used in place of 0
@@ -436,16 +435,17 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     """
     p, gain = physics, physics.dn_per_e
     noise_dn = gain * math.sqrt(p.reset_noise_e**2 + p.read_noise_at_gain_e**2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
-    dark_e = np.array([p.dark_current_e_per_s * integration_s * p.typical_dark_share])
+    ordinary_e = p.dark_current_e_per_s * integration_s * p.dark_spread.ordinary_mean
+    dark_e = np.array([ordinary_e])
     if p.dsnu > np.finfo(float).eps:  # as `sample_sensor` takes it
         shape = p.dsnu**-2
-        dark_e = dark_e * gammaincinv(shape, (np.arange(DSNU_NODES) + 0.5) / DSNU_NODES) / shape
+        dark_e = dark_e * gammaincinv(shape, (np.arange(DARK_NODES) + 0.5) / DARK_NODES) / shape
     share = np.full(dark_e.size, 1.0 / dark_e.size)
     if p.hot_pixel_fraction:
-        factor = p.hot_pixel_ratio * np.exp(p.hot_pixel_spread * ndtri((np.arange(HOT_NODES) + 0.5) / HOT_NODES))
-        hot_e = np.outer(factor, dark_e).ravel()
-        of_hot = np.full(hot_e.size, p.hot_pixel_fraction / hot_e.size)
-        dark_e, share = np.concatenate([dark_e, hot_e]), np.concatenate([(1 - p.hot_pixel_fraction) * share, of_hot])
+        logarithm = p.hot_pixel_spread * ndtri((np.arange(DARK_NODES) + 0.5) / DARK_NODES)
+        of_hot = np.full(DARK_NODES, p.hot_pixel_fraction / DARK_NODES)
+        dark_e = np.concatenate([dark_e, ordinary_e * p.hot_pixel_median * np.exp(logarithm)])
+        share = np.concatenate([(1 - p.hot_pixel_fraction) * share, of_hot])
     is_few = dark_e <= FEW_E
     many, few = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
     counts = np.arange(POISSON_TERMS)

@@ -238,7 +238,7 @@ def test_entries_measured_within_standard_errors(sheet: DataSheet) -> None:
 
 
 LAYOUT: dict[str, float] = {"pitch_um": 6.5, "prnu_um": 0.06, "a_vt_mv_um": 8.0, "follower_area_um2": 2.0}
-HOT: dict[str, float] = {"dsnu": 0.1, "hot_pixel_fraction": 0.01, "hot_pixel_ratio": 3.0, "hot_pixel_spread": 0.1}
+HOT: dict[str, float] = {"dsnu": 0.1, "hot_pixel_fraction": 0.01, "hot_pixel_median": 3.0, "hot_pixel_spread": 0.1}
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_entries_at_gain_and_with_mismatch_within_standard_errors(options: dict[
 
 def test_datasheet_of_full_hot_pixels_says_so() -> None:
     """A fifth of the well on average: of hot pixels with 20 times as much, all are full."""
-    pixel = Pixel.model_validate({"pitch_um": 5.3, "bits": 12} | HOT | {"hot_pixel_ratio": 20.0})
+    pixel = Pixel.model_validate({"pitch_um": 5.3, "bits": 12} | HOT | {"hot_pixel_median": 20.0})
     made = make_datasheet(pixel, shape=(100, 100), stack_frames=8)
     assert 0.007 < made.full_in_the_dark < 0.013  # 1 % of 10 000, 3σ
     assert any("hot pixels: " in note and "dark current is too low" in note for note in made.notes)

@@ -74,7 +74,7 @@ def frames(physics: PixelPhysics, mean_e: float, integration_s: float, count: in
 
 
 ALL = dict(zip(SOURCES, (60_000, 60, 1, 0.02, 0.3, 0.004, 0.002), strict=True))
-HOT = {"hot_pixel_fraction": 0.03, "hot_pixel_ratio": 5.0, "hot_pixel_spread": 0.4}
+HOT = {"hot_pixel_fraction": 0.03, "hot_pixel_median": 5.0, "hot_pixel_spread": 0.4}
 # name: options and signal in e-. Each noise is the largest part of its variance, or 12 % of it (rounding).
 NOISES = {
     "photons": ({}, 10_000),
@@ -208,7 +208,7 @@ def test_sample_sensor_hot_pixels_follow_log_normal_tail():
     assert np.median(dark_gain) == pytest.approx(typical, rel=1e-12)
     square = 1 + 0.03 * (25 * math.exp(2 * 0.4**2) - 1)
     spread = math.sqrt(square * typical**2 - 1)
-    assert physics.dark_spread == pytest.approx(spread, rel=1e-12)
+    assert physics.dark_spread.deviation == pytest.approx(spread, rel=1e-12)
     assert dark_gain.mean() == pytest.approx(1.0, abs=SIGMAS * spread / 1e3)
 
 
@@ -219,7 +219,7 @@ def test_sample_sensor_hot_pixels_leave_other_maps():
     for name in ("gain", "offset_e", "column_offset_e"):
         np.testing.assert_array_equal(getattr(cold, name), getattr(hot, name))
     ratio = hot.dark_gain / cold.dark_gain
-    typical = hot.physics.typical_dark_share
+    typical = hot.physics.dark_spread.ordinary_mean
     assert 0.95 < np.isclose(ratio, typical, rtol=1e-12).mean() < 0.98
     rng = seeded(3)
     sensors.sample_sensor(cold.physics, (20, 30), rng)

@@ -17,7 +17,7 @@ PINNED = ["4t-bsi", "4t-fsi"]
 # Fields with a default that a file may leave out.
 OPTIONAL = {
     *("reset_noise_factor", "response_curve", "fill_factor_inset_features", "read_noise_after_gain_e"),
-    *("dark_current_perimeter_pa_per_cm", "hot_pixel_fraction", "hot_pixel_ratio", "hot_pixel_spread"),
+    *("dark_current_perimeter_pa_per_cm", "hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"),
     *("prnu_um", "a_vt_mv_um", "follower_area_um2"),  # in place of others
 }
 T035 = load_technology("0.35um")
@@ -173,7 +173,7 @@ def test_load_technology_mismatch_of_layout_has_ranges(tmp_path):
     added = {
         "prnu_um": (0.03, [0.02, 0.04]), "a_vt_mv_um": (8.0, [6.0, 10.0]), "follower_area_um2": (0.5, [0.4, 0.6]),
         "dark_current_perimeter_pa_per_cm": (2.0, [1.0, 5.0]), "read_noise_after_gain_e": (20.0, [10.0, 30.0]),
-        "hot_pixel_fraction": (0.001, [0.0, 0.01]), "hot_pixel_ratio": (30.0, [10.0, 90.0]), "hot_pixel_spread": (1.0, [0.5, 1.5]),
+        "hot_pixel_fraction": (0.001, [0.0, 0.01]), "hot_pixel_median": (30.0, [10.0, 90.0]), "hot_pixel_spread": (1.0, [0.5, 1.5]),
     }  # fmt: skip
     kept = [part for part in text_of_035um().split("\n\n") if not part.startswith(("[prnu]", "[offset_fpn]"))]
     text = "\n\n".join([*kept, *(f"[{name}]\n" + entry.format(*values) for name, values in added.items())])

@@ -52,7 +52,7 @@ def in_standard_errors(actual: np.ndarray, expected: float) -> float:
                 "dark_current_e_per_s": 600,
                 "read_noise_e": 12,
                 "hot_pixel_fraction": 0.3,
-                "hot_pixel_ratio": 5.0,
+                "hot_pixel_median": 5.0,
                 "hot_pixel_spread": 0.5,
             },
             id="hot pixels",
