@@ -81,6 +81,26 @@ def test_correct_leaves_the_closed_form(name: str, signal_e: float) -> None:
     assert found.var() == pytest.approx(expected, abs=4.5 * error + 2e-3 * expected)
 
 
+@pytest.mark.parametrize("name", ["dark", "flat", "dark and flat"])
+def test_correct_at_gain_leaves_the_closed_form(name: str) -> None:
+    """Dark and flat frames have the gain of the picture, whatever that of the sensor; the read noise behind it is a tenth.
+
+    Gate as above. At 0 dB the read noise would be 300 e-, and the flat level beyond the ADC's range.
+    """
+    own = pixel(dark_current_e_per_s=2e3, read_noise_after_gain_e=300.0, column_fpn=0.0)
+    correction, signal_e, exposure = Correction(**CORRECTIONS[name]), 700.0, Exposure(integration_s=TIME_S, gain_db=20.0)
+    sensor, found = sensor_of(own), []
+    frame = capture_from_rates(np.full(SHAPE, signal_e / TIME_S), sensor, exposure, stream("gain"))
+    for each in (sensor, replace(sensor, physics=own.at_gain(20.0))):
+        found.append(residual(correct(frame, each, correction, stream("correction of gain")), signal_e))
+    np.testing.assert_array_equal(*found)
+    expected = residual_variance_e2(signal_e, TIME_S, own.at_gain(20.0), correction).total
+    assert found[0].var() == pytest.approx(expected, rel=4.5 * np.sqrt(2 / found[0].size) + 4e-3)
+    assert residual_variance_e2(0.0, TIME_S, own.at_gain(20.0), Correction(dark_frames=1)).total == pytest.approx(
+        2 * (20.0**2 + 30.0**2 + own.reset_noise_e**2 + 40.0 + 1 / 12 / own.at_gain(20.0).dn_per_e ** 2), rel=1e-12
+    )
+
+
 def test_correct_removes_what_it_claims() -> None:
     """More frames than pixels have noise leave the temporal noise of the picture alone, within 1 %."""
     physics, correction = pixel(), Correction(dark_frames=200, flat_frames=200)

@@ -217,6 +217,20 @@ def test_measure_film_parts_agree_with_whole(monkeypatch):
     assert whole.delta_e[0] / 4 < parts.delta_e[0] < 4 * whole.delta_e[0]
 
 
+def test_measure_film_at_gain_is_that_of_the_amplified_pixel():
+    """Without noise behind the amplifier, 40 dB is a pixel with so many fewer electrons a code."""
+    texture = light(np.random.default_rng(4).choice([0.2, 0.8], (64, 64)).repeat(4, axis=0).repeat(4, axis=1))
+    own, g = pixsim.derive(PIXEL.model_copy(update={"pitch_um": 18.8})), 10**2
+    amplified = own.pixel.model_copy(update={"gain_e_per_dn": own.full_well_e / own.pixel.codes_dn / g})
+    cases = (own, 40.0), (pixsim.derive(amplified), 0.0), (own, 0.0)
+    at_gain, same, plain = (
+        measure_film(texture, CAMERA, [physics], Exposure(gain_db=gain_db), Display(dots=64)) for physics, gain_db in cases
+    )
+    assert at_gain.tolerated_delta_e == pytest.approx(same.tolerated_delta_e, rel=1e-6)
+    assert at_gain.delta_e == pytest.approx(same.delta_e, rel=1e-6)
+    assert at_gain.delta_e[0] != pytest.approx(plain.delta_e[0], rel=1e-4)
+
+
 def test_measure_film_too_small_is_unknown():
     film = measure_film(light(np.ones((32, 32))), CAMERA, [pixsim.derive(PIXEL)], Exposure(), Display(dots=32))
     assert math.isnan(film.largest_delta_e)
