@@ -526,7 +526,7 @@ class PixelOptions(Record):
     a_vt_mv_um: VoltageMismatch | None = Field(
         None,
         description="in place of offset_fpn, with follower_area_um2: standard deviation of the threshold voltage of the source "
-        "followers, times √follower_area_um2 (Pelgrom's A_Vt), for a 3T pixel read without double sampling",
+        "followers, times √follower_area_um2 (A_Vt of one transistor, 1/√2 of a pair's), for a 3T pixel without double sampling",
     )
     follower_area_um2: GateArea | None = Field(
         None, description="with a_vt_mv_um: gate area W·L of the source follower, the same at every pitch"

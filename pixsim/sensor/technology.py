@@ -100,7 +100,7 @@ class Technology(Record):
     )
     a_vt_mv_um: VoltageMismatch | None = Field(
         None,
-        description="in place of offset_fpn, with follower_area_um2: A_Vt of the source follower's threshold voltage, mV·µm; "
+        description="in place of offset_fpn, with follower_area_um2: A_Vt of one source follower, mV·µm; "
         "of a 3T pixel without double sampling",
     )
     follower_area_um2: GateArea | None = Field(None, description="gate area W·L of the source follower, µm², at every pitch")
