@@ -73,7 +73,15 @@ class Sight:
             ],
         }
         noise = [
-            (p.dark_current_e_per_s, p.reset_noise_e, p.read_noise_e, p.prnu, p.dsnu, p.offset_fpn_e, p.column_fpn_e)
+            (
+                p.dark_current_e_per_s,
+                p.reset_noise_e,
+                p.read_noise_at_gain_e,
+                p.prnu,
+                p.dark_spread.deviation,
+                p.offset_fpn_e,
+                p.column_fpn_e,
+            )
             for p in pixels
         ]
         white_e_per_s = [white * p.photodiode_area_um2 for white, p in zip(whites, pixels, strict=True)]

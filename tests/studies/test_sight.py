@@ -49,9 +49,18 @@ def test_film_is_measured_once_for_each_lens(monkeypatch: pytest.MonkeyPatch) ->
         assert (np.array(film.tolerated_delta_e) <= own.tolerated_delta_e).all()
 
 
-def test_film_of_the_least_noise_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("axis", "least"),
+    [
+        (PRNU, "PRNU 0"),
+        ({"name": "after", "set": "pixel.read_noise_after_gain_e", "values": [90.0, 0.0]}, "after 0"),
+        ({"name": "hot", "set": "pixel.hot_pixel_fraction", "values": [0.01, 0.0]}, "hot 0"),
+    ],
+)
+def test_film_of_the_least_noise_is_measured(axis: dict[str, Any], least: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pixsim.studies.oversampling.SURELY", 1.0)
-    assert lights_of(monkeypatch, axis=[PRNU])[2] == ["PRNU 0"]
+    hot = {"hot_pixel_median": 30.0, "hot_pixel_spread": 1.0} if axis["name"] == "hot" else {}
+    assert lights_of(monkeypatch, axis=[axis], pixel=hot)[2] == [least]
 
 
 @pytest.mark.parametrize(
