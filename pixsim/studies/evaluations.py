@@ -495,8 +495,28 @@ class Evaluations:
             for part in parts
             for technology in part.study.technologies
         }
-        renders = len({id(part.scenes.irradiance) for part in parts})
+        renders = len({id(part.scenes) for part in parts})
         self.counts = Counts(cases=len(parts), renders=renders, prepared_scenes=len(lights))
+
+    def groups(self) -> list[list[int]]:
+        """Return the numbers of the parts that are evaluated together: all, or with rounds those whose lights fit into memory.
+
+        Rounds take the same lights several times.
+        """
+        if all(part.study.target_ci_um is None for part in self.parts):
+            return [list(range(len(self.parts)))]
+        groups: list[list[int]] = []
+        lights: set[object] = set()
+        first = {id(part.scenes): number for number, part in reversed(list(enumerate(self.parts)))}
+        for number in sorted(range(len(self.parts)), key=lambda number: first[id(self.parts[number].scenes)]):
+            part = self.parts[number]
+            own = {(id(part.scenes), _light_key(part.study, part.scenes, name)) for name in part.study.technologies}
+            if not groups or len(lights | own) > self._capacity:
+                groups.append([])
+                lights = set()
+            groups[-1].append(number)
+            lights |= own
+        return groups
 
     @contextmanager
     def resumed(self) -> Iterator[None]:
@@ -537,8 +557,6 @@ class Evaluations:
                 missing -= len(rows)
                 if progress:
                     progress(1 - missing / total)
-        if self.counts.prepared_scenes > self._capacity:  # the lights of a later round will need the memory
-            self._clear()
         return [
             [
                 self._done[key] | part.case.columns
@@ -582,6 +600,11 @@ class Evaluations:
             self._clear()
             self._batch = batch
         return light_of(part.study, part.scenes, technology)
+
+    def end_group(self) -> None:
+        """Drop the lights of a group if those of the others need the memory."""
+        if self.counts.prepared_scenes > self._capacity:
+            self._clear()
 
     def _clear(self) -> None:
         for part in self.parts:

@@ -45,6 +45,7 @@ from pixsim.studies.evaluations import (
     Evaluations,
     Part,
     ResultsFile,
+    Row,
     Sampling,
     first_sampling,
     study_pitches_um,
@@ -581,24 +582,33 @@ def evaluate_cases(
 
     Returns the result of each case, and how much was computed.
     """
-    caches: dict[tuple[int, str], SceneCache] = {}
+    caches: dict[str, SceneCache] = {}
     made: list[Part] = []
     for case, (irradiance, camera, _) in zip(cases, lights, strict=True):
-        key = id(irradiance), case.study.display.content_hash
+        # The header states everything that a render depends on, so that cases of other pixels may have equal ones.
+        of_light = [irradiance.header, irradiance.shape, irradiance.pitch_um, camera.model_dump()]
+        key = content_hash([*of_light, case.study.display.content_hash])
         made.append(Part(case, caches.setdefault(key, SceneCache(irradiance, camera, case.study.display))))
     evaluations = Evaluations(made, results, workers)
     samplings = [first_sampling(part.study) for part in made]
+    rows: list[list[Row]] = [[] for _ in made]
+    curves: list[tuple[Curve, ...]] = [() for _ in made]
     with evaluations.resumed():
-        while True:
-            rows = evaluations.rows(samplings, progress())
-            curves = [
-                tuple(curve_of(part.study, technology, own) for technology in part.study.technologies)
-                for part, own in zip(made, rows, strict=True)
-            ]
-            more = [next_round(part.study, own, sampling) for part, own, sampling in zip(made, curves, samplings, strict=True)]
-            if more == samplings:
-                break
-            samplings = more
+        for group in evaluations.groups():
+            changed = group
+            while changed:
+                # Cases that have met their target stay, so that their lights are not prepared again.
+                found_rows = evaluations.rows([samplings[n] if n in changed else {} for n in range(len(made))], progress())
+                again = []
+                for number in changed:
+                    study, rows[number] = made[number].study, found_rows[number]
+                    curves[number] = tuple(curve_of(study, technology, rows[number]) for technology in study.technologies)
+                    more = next_round(study, curves[number], samplings[number])
+                    if more != samplings[number]:
+                        again.append(number)
+                    samplings[number] = more
+                changed = again
+            evaluations.end_group()
         evaluations.finish(rows)
     found = []
     for part, own, (irradiance, camera, film) in zip(made, curves, lights, strict=True):
