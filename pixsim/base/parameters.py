@@ -51,7 +51,7 @@ else:
 # Documented in the reference; the other names are internal.
 __all__ = [
     "Axis", "AxisValue", "Camera", "CameraOptions", "Condition", "Correction", "DarkCurrent", "Display", "Effort", "Exposure",
-    "PitchRange", "Pixel", "PixelOptions", "Run", "Study", "StudyScene", "pixel_of",
+    "PitchRange", "Pixel", "PixelOptions", "Run", "StackOptions", "Study", "StudyScene", "pixel_of",
 ]  # fmt: skip
 
 
@@ -421,6 +421,63 @@ class DarkCurrent(Record):
     )
 
 
+def _as_list(value: Any) -> Any:
+    """Split the text of an option, as 1.4,2.0,2.8."""
+    return value.replace(",", " ").split() if isinstance(value, str) else value
+
+
+MICROLENSES = Literal["none", "square"]
+StackHeight = Annotated[float, Field(ge=1e-3, le=1e4)]  # 1 nm ... 10 mm
+RefractiveIndex = Annotated[float, Field(ge=1, le=10)]
+SiliconDepth = Annotated[float, Field(ge=0, le=1e4)]
+DiffusionLength = Annotated[float, Field(ge=1e-3, le=1e6)]
+Crosstalk = Annotated[float, Field(ge=0, le=0.8)]  # at 0.8 a pixel has no more of its light than each of its neighbours
+StackShift = Annotated[tuple[float, float], BeforeValidator(_as_list)]
+
+
+class StackOptions(Record):
+    """What lies between the surface of a pixel and its photodiode, and how light and charge go astray there.
+
+    Values of None are those of the technology. Without any of them, a pixel collects the light that falls on its photodiode, from
+    every direction alike.
+    """
+
+    height_um: StackHeight | None = Field(
+        None, description="height of the microlens or opening above the photodiode; the same at every pitch"
+    )
+    index: RefractiveIndex | None = Field(None, description="refractive index between them")
+    microlens: MICROLENSES | None = Field(
+        None, description="'square', a lens over the whole pixel; 'none', an opening as wide as the photodiode (absent: none)"
+    )
+    shift: Literal["none", "optimal"] | None = Field(
+        None,
+        description="shift of lenses or openings towards the axis: 'none', or 'optimal', so that chief rays land on the centres of "
+        "photodiodes (absent: none)",
+    )
+    shift_um: StackShift | None = Field(None, description="in place of shift: the same x and y for all pixels")
+    refraction: Literal["exact", "paraxial"] | None = Field(
+        None, description="refraction at the surface: 'exact', or 'paraxial', tangents taken for sines (absent: exact)"
+    )
+    depletion_um: SiliconDepth | None = Field(
+        None, description="of a front-lit pixel, with diffusion_length_um: depth of the depletion region"
+    )
+    diffusion_length_um: DiffusionLength | None = Field(
+        None, description="of a front-lit pixel, with depletion_um: diffusion length of electrons below the depletion region"
+    )
+    crosstalk: Crosstalk | None = Field(
+        None, description="in place of diffusion: share of a pixel's charge that its four neighbours collect together"
+    )
+
+    @model_validator(mode="after")
+    def _states_each_quantity_once(self) -> Self:
+        if self.shift is not None and self.shift_um is not None:
+            raise ValueError("shift and shift_um state the same quantity; give one of them")
+        diffusion = [name for name in ("depletion_um", "diffusion_length_um") if getattr(self, name) is not None]
+        if self.crosstalk is not None and diffusion:
+            raise ValueError(f"crosstalk and {', '.join(diffusion)} state the same quantity; give one of them")
+        return self
+
+
 class PixelOptions(Record):
     """A pixel without its technology and pitch. Values of None are derived from the technology.
 
@@ -450,12 +507,21 @@ class PixelOptions(Record):
     quantum_efficiency: QuantumEfficiency | None = Field(
         None, description="number, CSV file or pairs of (wavelength in nm, value); replaces the technology's response curve"
     )
+    quantum_efficiency_includes: Literal["photodiode", "microlens"] | None = Field(
+        None,
+        description="with a stack, where the quantum efficiency was measured: 'photodiode', on its area; 'microlens', on the whole "
+        "pixel under a microlens (absent: the technology's; for a data sheet with a microlens, microlens)",
+    )
+    quantum_efficiency_f_number: FNumber | None = Field(
+        None, description="f-number of the light of that measurement, for 'microlens' (absent: the technology's, or 8)"
+    )
     infrared_cut_nm: Wavelength | None = Field(
         None, description="wavelength beyond which the response is zero (absent: no infrared cut)"
     )
     fill_factor_law: Literal["technology", "inset", "inset_unlimited"] = Field(
         "technology", description="fill factor against pitch: the technology's law, or one of two other fits to Chen et al. (2000)"
     )
+    stack: StackOptions | None = Field(None, description="stack between the surface and the photodiode (absent: none)")
     fill_factor: Fraction | None = Field(None, description="photodiode area over pixel area (absent: from fill_factor_law)")
     full_well_e: Well | None = Field(
         None, description="full well: charge that the pixel holds, at the highest ADC code unless gain_e_per_dn is given"
@@ -830,7 +896,9 @@ class Correction(Record):
     flat_frames: Annotated[int, Field(ge=0, le=10000)] = Field(
         0, description="frames of light that is even on the sensor, by whose mean each pixel's gain is corrected"
     )
-    flat_level: Fraction = Field(0.5, description="mean signal of the flat frames, as a fraction of saturation")
+    flat_level: Fraction = Field(
+        0.5, description="mean signal of the flat frames, as a fraction of saturation, where the pixels' stack collects most"
+    )
     column_clamp: Annotated[int, Field(ge=0, le=10000)] = Field(
         0, description="rows of dark pixels in every frame, whose mean in each column is subtracted from it"
     )
@@ -876,6 +944,11 @@ class Display(Record):
     white_cd_per_m2: Luminance | None = Field(
         None, description="scene luminance shown as display white (absent: white of the scene's emissive chart)"
     )
+    shading_correction: bool = Field(
+        True,
+        description="divide by the mean collection of the pixels' stack over the field, relative to that on axis, unless flat "
+        "frames do it",
+    )
     filters: Literal["published", "zhang1996"] = Field(
         "published", description="S-CIELAB filters: as published, or as in the code of Zhang (1996)"
     )
@@ -906,11 +979,6 @@ class Effort(Record):
     window_mm: DieWidth | None = Field(
         None, description="width of a central part of the die: the same lens and pixels on a smaller die (absent: the whole die)"
     )
-
-
-def _as_list(value: Any) -> Any:
-    """Split the text of an option, as 1.4,2.0,2.8."""
-    return value.replace(",", " ").split() if isinstance(value, str) else value
 
 
 PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
+from pixsim.sensor.collection import collected_fraction, even_light
 from pixsim.sensor.integration import M2_PER_UM2
 from pixsim.sensor.pixel import PixelPhysics
 
@@ -358,7 +359,8 @@ def daylight_e_per_lx_s(physics: PixelPhysics) -> float:
     spectrum = d65(DAYLIGHT_NM)
     electrons = physics.band_quantum_efficiency(DAYLIGHT_NM, step) * photons_per_joule(DAYLIGHT_NM) * spectrum
     lux = float((luminous_weight(DAYLIGHT_NM, step) * spectrum).sum())
-    return float(electrons.sum()) * M2_PER_UM2 * physics.photodiode_area_um2 / lux
+    area_um2 = collected_fraction(physics, even_light(DAYLIGHT_NM, electrons)) * physics.pitch_um**2
+    return float(electrons.sum()) * M2_PER_UM2 * area_um2 / lux
 
 
 def exposure_at_snr(exposure: Array, signal: Array, noise: Array, wanted: float, relative_error: float) -> Estimate:

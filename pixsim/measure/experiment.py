@@ -18,6 +18,7 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Exposure, Pixel
 from pixsim.measure.estimators import Frames, Series, pair, series
+from pixsim.sensor.collection import collected_fraction, even_light
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
@@ -100,7 +101,8 @@ class Experiment:
 
 def pixel_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
     """Electrons per photon on a whole pixel, fill factor included: η of EMVA 1288."""
-    return float(physics.quantum_efficiency(wavelength_nm)) * physics.fill_factor
+    light = even_light(np.array([wavelength_nm]), np.ones(1))
+    return float(physics.quantum_efficiency(wavelength_nm)) * collected_fraction(physics, light)
 
 
 def peak_wavelength_nm(physics: PixelPhysics) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 
 import numpy as np
@@ -84,7 +84,12 @@ def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f
 
 @checks_arguments
 def diffract_sum(
-    pictures: Iterable[tuple[ArrayLike, Array]], shape: tuple[int, int], pitch_um: float, wavelength_nm: Array, f_number: float
+    pictures: Iterable[tuple[ArrayLike, Array]],
+    shape: tuple[int, int],
+    pitch_um: float,
+    wavelength_nm: Array,
+    f_number: float | None,
+    transfer: Callable[[Array, float], Array] | None = None,
 ) -> Array:
     """Return the sum of pictures (H, W), each convolved with its white-light PSF Σ_λ weight · PSF_λ of `diffraction_otf`.
 
@@ -96,14 +101,17 @@ def diffract_sum(
     shape : (H, W)
     pitch_um : of the samples
     wavelength_nm : (B,)
-    f_number : effective, N_e = 1/(2 sin α)
+    f_number : effective, N_e = 1/(2 sin α); None: a lens without diffraction
+    transfer : (frequencies in cycles/mm, wavelength in nm) -> further MTF, 1 at frequency 0, that multiplies the lens's
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
     if wavelength_nm.ndim != 1 or not wavelength_nm.size:
         raise invalid("wavelength_nm", f"an array of shape {wavelength_nm.shape}", "(B,), at least one")
     fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
-    highest = min(np.hypot(fx[-1], fy[-1]), cutoff_cy_per_mm(wavelength_nm.min(), f_number))
+    highest = float(np.hypot(fx[-1], fy[-1]))
+    if f_number is not None:
+        highest = min(highest, float(cutoff_cy_per_mm(wavelength_nm.min(), f_number)))
     lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a shorter table would have steps too small to divide by
     table, step = _frequencies(max(highest, lowest))
     total: Array | None = None
@@ -115,7 +123,9 @@ def diffract_sum(
             spectrum = dct(plane)
             otf = np.zeros_like(table)
             for at in np.flatnonzero(weight):
-                otf += weight[at] * _otf_table(float(table[-1]), float(wavelength_nm[at]), f_number)
+                nm = float(wavelength_nm[at])
+                lens = np.ones_like(table) if f_number is None else _otf_table(float(table[-1]), nm, f_number)
+                otf += weight[at] * (lens if transfer is None else lens * transfer(table, nm))
             _filter(spectrum, fy / step, fx / step, otf)
             if total is None:
                 total = spectrum

@@ -12,7 +12,7 @@ from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.diffraction import square_aperture_mtf, white_otf
 from pixsim.report.pictures import csf_range_lp_per_mm
-from pixsim.sensor.integration import M2_PER_UM2, electrons_per_joule
+from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, electrons_per_joule
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.display import interpolation_mtf, picture_size_um
 
@@ -38,7 +38,7 @@ def mtf_terms(
     share = weight / weight.sum()
     terms = {
         "lens": white_otf(frequency_cy_per_mm, irradiance.wavelength_nm, share, camera.effective_f_number),
-        "photodiode": square_aperture_mtf(frequency_cy_per_mm, physics.photodiode_side_um),
+        "photodiode": square_aperture_mtf(frequency_cy_per_mm, physics.aperture_side_um),
     }
     if display.raster == "fixed_size":
         terms["interpolation"] = interpolation_mtf(frequency_cy_per_mm, physics.pitch_um, display.interpolation)
@@ -66,7 +66,7 @@ def mtf50_cy_per_mm(
     result: StudyResult, physics: PixelPhysics, mtf: Callable[[StudyResult, PixelPhysics, Array], Array] = system_mtf
 ) -> float:
     """Return the lowest frequency at which `mtf` (`system_mtf` or `shown_mtf`) falls to one half."""
-    frequency = np.linspace(0.0, 1e3 / physics.photodiode_side_um, 20001)  # up to the photodiode's first zero
+    frequency = np.linspace(0.0, 1e3 / physics.aperture_side_um, 20001)  # up to the aperture's first zero
     values = mtf(result, physics, frequency)
     below = int(np.argmax(values < 0.5))
     return float(np.interp(-0.5, -values[below - 1 : below + 1], frequency[below - 1 : below + 1]))
@@ -102,7 +102,8 @@ def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float 
     signal_e = (snr**2 + np.sqrt(snr**4 + 4 * snr**2 * noise_e2)) / 2
     if signal_e > physics.saturation_e:
         return np.inf
-    return float(signal_e / (sensitivity_e_per_lx_s_um2(result, physics) * physics.photodiode_area_um2))
+    area_um2 = collecting_area_um2(result.irradiance, result.camera, physics)
+    return float(signal_e / (sensitivity_e_per_lx_s_um2(result, physics) * area_um2))
 
 
 def sensitivity_e_per_lx_s_um2(result: StudyResult, physics: PixelPhysics) -> float:

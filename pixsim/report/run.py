@@ -26,7 +26,7 @@ from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
 from pixsim.report.wording import budget_lines, dark_notes, film_words, score_line, view_words
-from pixsim.sensor.integration import check_pixel_count, pixels_along, pixels_on
+from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_along, pixels_on
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import write_page
@@ -237,7 +237,8 @@ def summary_of(
     `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the border that is not scored.
     """
     physics, time_s = score.physics, score.frame.integration_s
-    white_e = white_rate(irradiance, camera, physics, display) * physics.photodiode_area_um2 * time_s
+    area_um2 = collecting_area_um2(irradiance, camera, physics)
+    white_e = white_rate(irradiance, camera, physics, display) * area_um2 * time_s
     summary = {
         **score.statistics(),
         "pixels": list(score.frame.dn.shape),

@@ -14,6 +14,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Exposure
 from pixsim.report.pictures import crops, picture_axes
+from pixsim.sensor.collection import collection_of, shading_of
 from pixsim.sensor.integration import array_size_um, pixels_on
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.readout import make_frame
@@ -196,13 +197,15 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
     if not isinstance(light, PreparedScene) or cached is None or cached.shape != whole:
         chain = chain_at(study, light, result.camera, curve.technology, pitch_um)
         frame = chain.capture(*stream_key(study, physics.technology.name, pitch_um, 0))
-        screen, white_e = chain.screen, chain.white_e_per_s * frame.integration_s
+        screen, white_e, shading = chain.screen, chain.white_e_per_s * frame.integration_s, chain.shading
     else:
-        screen, white_e = light.screen, light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s
+        screen, white_e = light.screen, light.white_e_per_s(physics) * time_s
+        collection = collection_of(physics, light.illumination, whole)
+        shading = shading_of(collection, whole, study.display, study.correction)
         # The shown picture does not depend on the saturated fraction or the mean signal.
         unknown = np.broadcast_to(0.0, cached.shape)
         frame = make_frame(
             cached.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s, gain_db=physics.gain_db)
         )
         frame = replace(frame, corrected_e=corrected_e)
-    return shown_luminance(window.of(screen.luminance(frame, white_e)), study.display)
+    return shown_luminance(window.of(screen.luminance(frame, white_e, shading)), study.display)

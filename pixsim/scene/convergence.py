@@ -187,7 +187,7 @@ def noise_of(
     """
     worst = worst_relative = 0.0
     for physics in pixels:
-        side = physics.pitch_um, physics.photodiode_side_um
+        side = physics.pitch_um, physics.aperture_side_um
         parts = measured_parts(job.size, job.pitch_um / physics.pitch_um)
         rates = [[integrate_pixels(_rate(job, half, physics, part), job.pitch_um, *side) for part in parts] for half in halves]
         even, odd = (np.concatenate([rate.ravel() for rate in half]) / weight for half in rates)

@@ -32,17 +32,17 @@ def dots_across(camera: Camera, display: Display, pitch_um: float) -> float:
 
 
 def details_across(
-    camera: Camera, photodiode_side_um: float, display: Display, pitch_um: float, of_chart: float | None = None
+    camera: Camera, aperture_side_um: float, display: Display, pitch_um: float, of_chart: float | None = None
 ) -> tuple[float, str]:
     """Return how many of the finest details that matter fit across the die, and what they are.
 
-    photodiode_side_um, pitch_um : of the smallest pixel
+    aperture_side_um, pitch_um : of the smallest pixel
     of_chart : details of a chart that fills the film; None if the scene may have any
     """
     die_um = 1e3 * camera.die_mm
     dots = dots_across(camera, display, pitch_um)
     finer = {
-        "photodiodes": die_um / photodiode_side_um,
+        "photodiodes": die_um / aperture_side_um,
         "half periods of the lens's cut-off": 2 * float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)) * camera.die_mm,
         "half dots of the display": DETAIL_PER_DOT * dots,
     }

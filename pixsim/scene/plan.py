@@ -22,6 +22,7 @@ from pixsim.scene.film import GREEN_NM
 from pixsim.scene.mitsuba import nodes_of
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
+from pixsim.sensor.collection import check_efficiency, stack_shares
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 
@@ -334,7 +335,13 @@ def make_plan(
     if resolution:
         plan = make_render_plan(scene.with_resolution(resolution), camera, pixel, **options)
     longest_s = exposure.integration_s or exposure.max_integration_s
-    more = sampling, decide_saturation(physics, longest_s), decide_noise(physics, full), decide_transforms(full)
+    more = (
+        sampling,
+        decide_stack(physics, camera, full),
+        decide_saturation(physics, longest_s),
+        decide_noise(physics, full),
+        decide_transforms(full),
+    )
     return replace(plan, resolution=resolution, decisions=(*plan.decisions, *more))
 
 
@@ -360,7 +367,7 @@ def decide_oversampling(
     if display is None or full or uniform:
         return None, Decision("oversampling", True, _sampling(camera, physics, width))
     details, name = film.details_across(
-        camera, physics.photodiode_side_um, display, physics.pitch_um, plan.chart.details if plan.chart else None
+        camera, physics.aperture_side_um, display, physics.pitch_um, plan.chart.details if plan.chart else None
     )
     words = f"{details:.4g} {name} across the die"
     if not free:
@@ -384,9 +391,35 @@ def _sampling(camera: Camera, physics: PixelPhysics, width: int) -> str:
     cutoff = float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number))
     left = float(diffraction_otf(nyquist, GREEN_NM, camera.effective_f_number))
     return (
-        f"{width} samples of {pitch_um:.3g} µm across, {physics.photodiode_side_um / pitch_um:.2g} per photodiode side; "
+        f"{width} samples of {pitch_um:.3g} µm across, {physics.aperture_side_um / pitch_um:.2g} per {_aperture(physics)}; "
         f"the lens passes {left:.0%} at their Nyquist frequency, {nyquist:.3g} of {cutoff:.3g} cy/mm"
     )
+
+
+def decide_stack(physics: PixelPhysics, camera: Camera, full: bool) -> Decision:
+    """Describe what the pixel's stack collects on axis and in the corner of the die, from green light.
+
+    Raises PixsimError if the quantum efficiency exceeds what the stack passes.
+    """
+    stack = physics.stack
+    if stack is None:
+        reason = "none given: light on the photodiode is collected from every direction"
+        return Decision("pixel stack", full, reason, "" if full else "its shares")
+    check_efficiency(physics)
+    axis, corner = stack_shares(physics, camera, GREEN_NM)
+    kind = f"microlens {stack.height_um:g} µm" if stack.microlens else f"opening {stack.height_um:g} µm"
+    slow = stack.microlens and camera.working_f_number >= stack.lossless_f_number
+    lost = "no light misses photodiodes on axis but by diffraction" if slow else "light misses photodiodes on axis"
+    reason = (
+        f"{kind} above the photodiode: the pixel itself collects {axis:.0%} of its light on axis and {corner:.0%} in the corner, "
+        f"at {GREEN_NM:g} nm" + (f"; {lost}, whose limit is f/{stack.lossless_f_number:.3g}" if stack.microlens else "")
+    )
+    return Decision("pixel stack", True, reason)
+
+
+def _aperture(physics: PixelPhysics) -> str:
+    """Return what `PixelPhysics.aperture_side_um` is the side of."""
+    return "microlens" if physics.aperture_side_um > physics.photodiode_side_um else "photodiode side"
 
 
 def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:

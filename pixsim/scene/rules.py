@@ -266,7 +266,7 @@ def decide_lens(
     """Replace the lens by a pinhole if everything in view is in focus and looks the same from every point of the lens."""
     visible = [body for body in bodies if body.in_view(camera, aspect)]
     blur = max((greatest_blur_um(camera, body) for body in visible), default=0.0)
-    side_um = derive(pixel).photodiode_side_um if pixel else 1.0
+    side_um = derive(pixel).aperture_side_um if pixel else 1.0
     blur_text = f"blur up to {blur:.3g} µm" if math.isfinite(blur) else "shapes of unknown size or at the lens"
     if full:
         return "thinlens", Decision("lens samples", True, f"nothing left out ({blur_text})")

@@ -25,15 +25,19 @@ ROUNDING_VARIANCE_DN2 = 1 / 12
 
 
 @checks_arguments
-def correct(frame: Frame, sensor: Sensor, correction: Correction, rng: np.random.Generator) -> Frame:
+def correct(
+    frame: Frame, sensor: Sensor, correction: Correction, rng: np.random.Generator, collection: Array | None = None
+) -> Frame:
     """Return a frame with `corrected_e`, its photo-electrons as the camera's correction estimates them.
 
     With D the mean of the dark frames and F that of the flat frames, in electrons, a pixel of the picture P becomes
     (P - D) / ((F - D) / mean(F - D)). Dark rows have no light: their mean in a column is subtracted from it in every frame.
-    All frames have the exposure time and the gain of the picture.
+    All frames have the exposure time and the gain of the picture. Flat frames have the shading of the pixels' stack, and so remove
+    it.
 
     sensor : that took the frame
     rng : of the dark rows, dark frames and flat frames, with a stream of its own for each
+    collection : (rows, columns) that pixels collect of even light, relative to one on axis; None: all the same
 
     Raises PixsimError if dark charge alone exceeds the level of the flat frames.
     """
@@ -50,7 +54,7 @@ def correct(frame: Frame, sensor: Sensor, correction: Correction, rng: np.random
         clamp = read_out(np.zeros(rows.shape), time_s, rows, rng)
         return np.asarray((dn - clamp.mean(axis=0, keepdims=True)) / frame.dn_per_e, float)
 
-    def mean_of(frames: int, light_e: float, rng: np.random.Generator, above: np.random.Generator) -> Array:
+    def mean_of(frames: int, light_e: Array | float, rng: np.random.Generator, above: np.random.Generator) -> Array:
         """Mean of frames of even light, in electrons."""
         light = np.broadcast_to(light_e, sensor.shape)
         total = np.zeros(sensor.shape)
@@ -65,13 +69,15 @@ def correct(frame: Frame, sensor: Sensor, correction: Correction, rng: np.random
         picture -= dark
         defects |= outliers(dark, rounding_e(physics, correction.dark_frames))
     if correction.flat_frames:
-        flat = mean_of(correction.flat_frames, flat_light_e(physics, correction, time_s), flat_rng, above_flat)
+        even: Array | float = 1.0 if collection is None else collection
+        light_e = flat_light_e(physics, correction, time_s) * (even / np.max(even))  # the brightest pixel has the stated level
+        flat = mean_of(correction.flat_frames, light_e, flat_rng, above_flat)
         if dark is not None:
             flat -= dark
-        response = flat / max(float(flat.mean()), np.finfo(float).tiny)
-        unresponsive = response < LEAST_RESPONSE
-        picture /= np.where(unresponsive, 1.0, response)
-        defects |= unresponsive | outliers(flat, rounding_e(physics, correction.flat_frames))
+        response = flat / max(float(flat.mean() / np.mean(even)), np.finfo(float).tiny)  # 1 is the mean response on axis
+        unresponsive = response < LEAST_RESPONSE * even
+        picture /= np.where(unresponsive, even, response)
+        defects |= unresponsive | outliers(flat / even, rounding_e(physics, correction.flat_frames))
     if correction.defects:
         picture = without_defects(picture, defects)
     return replace(frame, corrected_e=picture.astype(np.float32))

@@ -23,6 +23,9 @@ from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.diffraction import diffract_sum
+from pixsim.sensor.collection import Collection, Illumination, collected_fraction, collection_of, illumination
+from pixsim.sensor.crosstalk import share_with_neighbours
+from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import PixelPhysics
 
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
@@ -165,10 +168,15 @@ def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
     """Return electrons s⁻¹ µm⁻² of photodiode behind a diffracting lens, (H, W).
 
     There is one convolution per spectrum of a factored image (exact, with the white-light OTF), else one per band, and none
-    if the plan left diffraction out. Negative values from ringing remain; `mean_signal_rate` clips them after integration.
+    if the plan left diffraction out. Diffusion of charge between pixels without microlenses is part of it. Negative values from
+    ringing remain; `pixel_signal` clips them after integration.
     """
+    f_number: float | None = camera.effective_f_number
+    blur = diffusion_of(physics)
     if irradiance.header.get("diffraction") is False:
-        return ideal_rate(irradiance, physics)
+        if blur is None:
+            return ideal_rate(irradiance, physics)
+        f_number = None
     nm, weight = irradiance.wavelength_nm, electrons_per_joule(physics, irradiance)
     pictures: Iterable[tuple[NDArray[np.float32], Array]]
     if irradiance.factors:
@@ -176,9 +184,21 @@ def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
     else:
         one = np.eye(nm.size)
         pictures = ((irradiance.band(band), weight * one[band]) for band in np.flatnonzero(weight).tolist())
-    rate = diffract_sum(pictures, irradiance.shape, irradiance.pitch_um, nm, camera.effective_f_number)
+    rate = diffract_sum(pictures, irradiance.shape, irradiance.pitch_um, nm, f_number, blur)
     rate *= M2_PER_UM2
     return rate
+
+
+def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | None:
+    """Return the MTF of diffusion at frequencies and a wavelength, for a front-lit pixel without a microlens; None without it.
+
+    Under a microlens light arrives near the middle of a photodiode, and diffusion is among the shares of the neighbours.
+    """
+    stack, charge = physics.stack, physics.charge
+    if stack is None or stack.microlens or charge is None or charge.depletion_um is None or charge.diffusion_length_um is None:
+        return None
+    depletion_um, length_um = charge.depletion_um, charge.diffusion_length_um
+    return lambda frequency, nm: diffusion_mtf(frequency, absorption_per_um(nm), depletion_um, length_um)
 
 
 def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
@@ -289,10 +309,44 @@ def photodiode_edges_um(length_um: float, count: int, pitch_um: float, side_um: 
     return centre_um - side_um / 2, centre_um + side_um / 2
 
 
+def illumination_of(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Illumination:
+    """Return the directions and the mean spectrum of the light on the pixels."""
+    return illumination(camera, irradiance.wavelength_nm, electrons_per_joule(physics, irradiance), irradiance.mean_spectrum())
+
+
+def collecting_area_um2(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> float:
+    """Return the area whose light a pixel on axis collects: that of the photodiode, or what the stack passes to photodiodes."""
+    return collected_fraction(physics, illumination_of(irradiance, camera, physics)) * physics.pitch_um**2
+
+
+def pixel_signal(
+    rate: Array | Columns,
+    sample_pitch_um: float,
+    physics: PixelPhysics,
+    light: Illumination,
+    running: Array | None = None,
+    size_um: tuple[float, float] | None = None,
+) -> tuple[Array, Collection | None]:
+    """Return the mean photo-electrons per second of every pixel, (rows, columns), and what its stack does; None without a stack.
+
+    Without a stack a pixel collects the light on its photodiode. With one, the mean light on its aperture stands for that on the
+    pixel, of which it and its neighbours collect their shares.
+
+    rate, running, size_um : as for `integrate_pixels`
+    """
+    picture_um = [n * sample_pitch_um for n in rate.shape]
+    collection = collection_of(physics, light, pixels_on(size_um or picture_um, physics.pitch_um))
+    side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
+    signal = integrate_pixels(rate, sample_pitch_um, physics.pitch_um, side_um, running, size_um)
+    np.maximum(signal, 0.0, out=signal)
+    if collection is not None:
+        signal *= (physics.pitch_um / side_um) ** 2
+        signal = share_with_neighbours(signal, collection.shares)
+    return signal, collection
+
+
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:
     """Return the mean photo-electrons per second of every pixel, (rows, columns), before any non-uniformity."""
     irradiance.validate()
-    rate = diffracted_rate(irradiance, camera, physics)
-    grid_um = irradiance.pitch_um, physics.pitch_um, physics.photodiode_side_um
-    signal = integrate_pixels(rate, *grid_um, size_um=array_size_um(irradiance, camera))
-    return np.maximum(signal, 0.0, out=signal)
+    rate, light = diffracted_rate(irradiance, camera, physics), illumination_of(irradiance, camera, physics)
+    return pixel_signal(rate, irradiance.pitch_um, physics, light, size_um=array_size_um(irradiance, camera))[0]

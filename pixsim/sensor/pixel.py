@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,10 +26,13 @@ from pixsim.base.parameters import (
     WELL_RANGE_E,
     EfficiencyCurve,
     Pixel,
+    PixelOptions,
+    StackOptions,
     Study,
     pixel_of,
 )
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
+from pixsim.optics.stack import LOWEST_LENS, Stack
 from pixsim.sensor.mismatch import DarkSpread, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
@@ -44,6 +48,7 @@ ELECTRON_C = 1.602176634e-19  # SI 2019, exact
 BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
 C_PER_FF_V = 1e-15
 E_PER_FC = C_PER_FF_V / ELECTRON_C
+USUAL_F_NUMBER = 8.0  # of the light that measures a quantum efficiency, as in EMVA 1288
 FORWARD_COEFFICIENT = 0.5  # SPICE's FC, its default
 INVERSION_STEPS = 100  # of Newton, at most; 2 to 7 are needed, since Q(V) is nearly linear
 
@@ -352,6 +357,8 @@ class PixelPhysics:
     hot_pixel_fraction, hot_pixel_median, hot_pixel_spread : of the pixels that are hot, median of their dark current over the
         mean of the others, and standard deviation of its logarithm
     gain_db : amplification with which the pixel is read; `at_gain` sets it
+    stack : between the surface and the photodiode; None: a pixel collects the light on its photodiode, from every direction alike
+    charge : how charge spreads in that stack's silicon (`depletion_um`, `diffusion_length_um`, `crosstalk`)
     """
 
     pixel: Pixel
@@ -374,6 +381,8 @@ class PixelPhysics:
     hot_pixel_median: float = 1.0
     hot_pixel_spread: float = 0.0
     gain_db: float = 0.0
+    stack: Stack | None = None
+    charge: StackOptions | None = None
 
     @checks_arguments
     def at_gain(self, gain_db: float) -> PixelPhysics:
@@ -405,6 +414,23 @@ class PixelPhysics:
     def photodiode_side_um(self) -> float:
         """Side of the square photodiode, which is centred in its pixel."""
         return math.sqrt(self.fill_factor) * self.pitch_um
+
+    @property
+    def aperture_side_um(self) -> float:
+        """Side of the square through which light enters: the pitch under a microlens, else the photodiode's."""
+        return self.pitch_um if self.stack and self.stack.microlens else self.photodiode_side_um
+
+    @property
+    def efficiency_f_number(self) -> float | None:
+        """F-number at which the quantum efficiency was measured on the whole pixel under a microlens; None: on the photodiode."""
+        if self.stack is None:
+            return None
+        own, process = self.pixel, self.technology
+        of_sheet = own.quantum_efficiency is not None and (process.name == NO_TECHNOLOGY or own.data_sheet_pitch_um is not None)
+        default = ("microlens" if self.stack.microlens else "photodiode") if of_sheet else process.quantum_efficiency_includes
+        if (own.quantum_efficiency_includes or default) == "photodiode":
+            return None
+        return own.quantum_efficiency_f_number or process.quantum_efficiency_f_number or USUAL_F_NUMBER
 
     @property
     def dn_per_e(self) -> float:
@@ -631,6 +657,51 @@ def hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, floa
     return fraction, median, spread
 
 
+def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions | None:
+    """Return the stack of a pixel: its own values, and those of the technology where it has none; None if there are none at all.
+
+    Raises PixsimError if some of them are missing.
+    """
+    values = technology.stack.model_dump(exclude_none=True)
+    if pixel.stack is None and not values:
+        return None
+    own = pixel.stack.model_dump(exclude_none=True) if pixel.stack else {}
+    if "crosstalk" in own:
+        values = {name: value for name, value in values.items() if name not in ("depletion_um", "diffusion_length_um")}
+    elif "depletion_um" in own or "diffusion_length_um" in own:
+        values.pop("crosstalk", None)
+    options = StackOptions(**values | own)
+    if missing := [name for name in ("height_um", "index") if getattr(options, name) is None]:
+        hint = "Give them in [pixel.stack], or stack_… in the technology's file."
+        raise invalid("pixel.stack", f"no {' and no '.join(missing)}", "a height and an index of refraction", hint)
+    if (options.depletion_um is None) != (options.diffusion_length_um is None):
+        got = "depletion_um" if options.diffusion_length_um is None else "diffusion_length_um"
+        raise invalid("pixel.stack", f"{got} alone", "depletion_um and diffusion_length_um together, or neither of them")
+    return options
+
+
+def largest_pitch_um(pixel: PixelOptions, technology: Technology) -> float:
+    """Return the largest pitch for which a microlens is possible in a pixel's stack, h √π; infinity without a microlens.
+
+    Raises PixsimError as `stack_options` does.
+    """
+    options = stack_options(pixel, technology)
+    if options is None or options.microlens != "square" or options.height_um is None:
+        return math.inf
+    return options.height_um / LOWEST_LENS
+
+
+def stack_of(options: StackOptions, pitch_um: float, photodiode_side_um: float) -> Stack:
+    """Return the stack of a pixel. Raises PixsimError as `Stack` does."""
+    assert options.height_um is not None
+    assert options.index is not None
+    shift: tuple[float, float] | Literal["optimal"] = options.shift_um or (0.0, 0.0)
+    if options.shift == "optimal":
+        shift = "optimal"
+    lens, refraction = options.microlens == "square", options.refraction or "exact"
+    return Stack(pitch_um, min(photodiode_side_um, pitch_um), options.height_um, options.index, lens, shift, refraction)
+
+
 @checks_arguments
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     """Return the physical properties of a pixel; what its parameters do not set comes from the technology.
@@ -700,6 +771,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     scale = full_well_e / process_well.full_well_e  # a given full well scales the capacitance at the same swing
     offset_e, column_e = offsets_e(full_well_e, process_well)
     hot_fraction, hot_median, hot_spread = hot_pixels(pixel, technology)
+    charge = stack_options(pixel, technology)
     return PixelPhysics(
         pixel=pixel,
         technology=technology,
@@ -720,6 +792,8 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         hot_pixel_fraction=hot_fraction,
         hot_pixel_median=hot_median,
         hot_pixel_spread=hot_spread,
+        stack=None if charge is None else stack_of(charge, pixel.pitch_um, math.sqrt(area_um2)),
+        charge=charge,
     )
 
 

@@ -13,10 +13,14 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import checked, packaged, read_toml
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
 from pixsim.base.parameters import (
+    MICROLENSES,
     NO_TECHNOLOGY,
     AreaMismatch,
+    Crosstalk,
     DarkSpread,
+    DiffusionLength,
     Distribution,
+    FNumber,
     Fraction,
     GainSpread,
     GateArea,
@@ -26,7 +30,11 @@ from pixsim.base.parameters import (
     NoiseElectrons,
     OffsetSpread,
     Record,
+    RefractiveIndex,
     ResetFactor,
+    SiliconDepth,
+    StackHeight,
+    StackOptions,
     Study,
     UnitInterval,
     VoltageMismatch,
@@ -116,6 +124,24 @@ class Technology(Record):
     fill_factor_inset_features: Annotated[float, Field(ge=0, le=1e6)] = Field(
         0.0, description="s of the fill-factor law, in feature sizes: width lost at every pitch"
     )
+    stack_height_um: StackHeight | None = Field(
+        None, description="height of the microlens or opening above the photodiode; None: no stack unless the pixel gives one"
+    )
+    stack_index: RefractiveIndex | None = Field(None, description="refractive index of the stack")
+    stack_microlens: MICROLENSES | None = Field(None, description="'square' or 'none'")
+    stack_depletion_um: SiliconDepth | None = Field(None, description="front-lit: depth of the depletion region")
+    stack_diffusion_length_um: DiffusionLength | None = Field(
+        None, description="front-lit: diffusion length of electrons below the depletion region"
+    )
+    stack_crosstalk: Crosstalk | None = Field(
+        None, description="in place of diffusion: share of a pixel's charge that its four neighbours collect together"
+    )
+    quantum_efficiency_includes: Literal["photodiode", "microlens"] = Field(
+        "photodiode", description="area of the measurement behind the quantum efficiency, if there is a stack"
+    )
+    quantum_efficiency_f_number: FNumber | None = Field(
+        None, description="f-number of the light of that measurement, under a microlens; None: 8"
+    )
     sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
     ranges: dict[str, tuple[float, float]] = Field(
         default_factory=dict, description="field -> smallest and largest plausible value, in the field's unit"
@@ -155,6 +181,13 @@ class Technology(Record):
         return self
 
     @model_validator(mode="after")
+    def _stack_is_consistent(self) -> Self:
+        diffusion = self.stack_depletion_um, self.stack_diffusion_length_um
+        if self.stack_crosstalk is not None and diffusion != (None, None):
+            raise ValueError("stack_crosstalk and stack_depletion_um or stack_diffusion_length_um; give diffusion or its result")
+        return self
+
+    @model_validator(mode="after")
     def _ranges_hold_their_values(self) -> Self:
         for name, (low, high) in self.ranges.items():
             value = self.numbers.get(name)
@@ -177,6 +210,13 @@ class Technology(Record):
         """All numbers of the process and its junction by name; the names end in the units."""
         table = self.model_dump(exclude={"junction"}) | (self.junction.model_dump() if self.junction else {})
         return {name: value for name, value in table.items() if isinstance(value, float)}
+
+    @property
+    def stack(self) -> StackOptions:
+        """What the process states about the stack of its pixels."""
+        return StackOptions(
+            **{name: getattr(self, f"stack_{name}") for name in StackOptions.model_fields if hasattr(self, f"stack_{name}")}
+        )
 
     @property
     def content(self) -> dict[str, Any]:

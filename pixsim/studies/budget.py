@@ -428,7 +428,7 @@ class FilmSampling:
     @classmethod
     def of(cls, width: int, camera: Camera, physics: PixelPhysics, display: Display, chart: Chart | None) -> FilmSampling:
         of_chart = chart.details if chart else None
-        details, _ = details_across(camera, physics.photodiode_side_um, display, physics.pitch_um, of_chart)
+        details, _ = details_across(camera, physics.aperture_side_um, display, physics.pitch_um, of_chart)
         dots = min(dots_across(camera, display, physics.pitch_um), details)
         return cls(width / details, width / dots)
 

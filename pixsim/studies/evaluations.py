@@ -29,7 +29,7 @@ from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, content_hash, p
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
-from pixsim.sensor.pixel import PixelPhysics, physics_of, pitch_for_fill_factor_um
+from pixsim.sensor.pixel import PixelPhysics, largest_pitch_um, physics_of, pitch_for_fill_factor_um
 from pixsim.sensor.readout import Sensor, make_frame
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.show.pages import csv_text
@@ -160,7 +160,20 @@ Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors;
 
 
 def study_pitches_um(study: Study, technology: str) -> Array:
-    """Return the pitches of a technology in µm, (P,). Raises PixsimError if there are too few or the range is empty."""
+    """Return the pitches of a technology in µm, (P,).
+
+    Raises PixsimError if there are too few, the range is empty, or the stack allows no microlens on the largest pixel.
+    """
+    pitches = _asked_pitches_um(study, technology)
+    largest_um = largest_pitch_um(study.options_of(technology), technology_of(study, technology))
+    if pitches.max() > largest_um:
+        expected = f"at most {math.floor(1e4 * largest_um) / 1e4:g} µm, √π times the height of the stack of {technology}"
+        hint = "Lower pitch.max_um or values_um, raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
+        raise invalid("pitch", f"pixels up to {pitches.max():g} µm under microlenses", expected, hint)
+    return pitches
+
+
+def _asked_pitches_um(study: Study, technology: str) -> Array:
     if study.pitch.values_um is not None:
         pitches = np.unique(study.pitch.values_um)
         if pitches.size < 5:
@@ -192,9 +205,11 @@ def _any_physics(study: Study, technology: str) -> PixelPhysics:
     return physics_of(study, technology, float(study_pitches_um(study, technology).max()))
 
 
-def _light_key(study: Study, scenes: SceneCache, technology: str) -> tuple[bytes, float]:
+def _light_key(study: Study, scenes: SceneCache, technology: str) -> tuple[bytes, float, str]:
     """Return what the light behind the lens depends on, beside the irradiance, the camera and the display of `scenes`."""
-    return electrons_per_joule(_any_physics(study, technology), scenes.irradiance).tobytes(), study.pitch.largest_um
+    physics = _any_physics(study, technology)
+    charge = physics.charge.content_hash if physics.charge else ""  # diffusion is in the light behind the lens
+    return electrons_per_joule(physics, scenes.irradiance).tobytes(), study.pitch.largest_um, charge
 
 
 def chain_at(

@@ -22,6 +22,7 @@ from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM, PROGRAM_BYTES, film_bytes
 from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
 from pixsim.scene.scene import Scene
+from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.pixel import physics_of
 from pixsim.studies.engine import workers_here
@@ -187,7 +188,9 @@ def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]
     """Return the scene on the film of its first render, which is fine enough for the study's smallest photodiode, and its plan."""
     plan = study_plan(scene, camera, study)
     smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
-    finest = min(smallest, key=lambda physics: physics.photodiode_side_um)
+    for physics in smallest:
+        check_efficiency(physics)
+    finest = min(smallest, key=lambda physics: physics.aperture_side_um)
     resolution, _ = decide_oversampling(scene, plan, camera, finest, study.display, full=False)
     if resolution is None:
         return scene, plan

@@ -18,6 +18,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
 from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.pixel import photodiode_widths_um, physics_of
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
@@ -291,7 +292,8 @@ class StudyResult:
             for pitch_um, time_s in exposures:
                 physics = physics_of(self.study, curve.technology, pitch_um)
                 rate = white_rate(self.irradiance, self.camera, physics, self.study.display)
-                clips.append(dark_clip(physics, time_s, rate * physics.photodiode_area_um2 * time_s))
+                area_um2 = collecting_area_um2(self.irradiance, self.camera, physics)
+                clips.append(dark_clip(physics, time_s, rate * area_um2 * time_s))
             self._dark[curve.technology, exposures] = {name: [clip[name] for clip in clips] for name in clips[0]}
         return self._dark[curve.technology, exposures]
 

@@ -265,7 +265,12 @@ def ideal_luminance(
 
 @checks_arguments
 def frame_luminance(
-    frame: Frame, size_um: tuple[float, float], white_e: float, display: Display, edges_um: tuple[Array, Array]
+    frame: Frame,
+    size_um: tuple[float, float],
+    white_e: float,
+    display: Display,
+    edges_um: tuple[Array, Array],
+    shading: Array | None = None,
 ) -> Array:
     """Return the relative luminance of a frame on the display's dots, (H, W), mapped by position on the die.
 
@@ -275,11 +280,17 @@ def frame_luminance(
     size_um : (height, width) of the picture on the sensor
     white_e : mean electrons on axis of the scene's white, in this frame's exposure
     edges_um : of the dots' rows and columns, from `dot_edges_um`
+    shading : (rows, columns) by which the frame is divided: mean collection of the pixels relative to one on axis; None for none
 
-    Raises PixsimError if the edges do not increase.
+    Raises PixsimError if the edges do not increase, or if the shading is not one of positive numbers for the frame's pixels.
     """
     picture = frame.electrons
     picture /= white_e
+    if shading is not None:
+        if shading.shape != picture.shape or not np.all(shading > 0):
+            got = f"an array {shading.shape}" + (" with values that are not above 0" if shading.shape == picture.shape else "")
+            raise invalid("shading", got, f"positive values for each of the {picture.shape} pixels")
+        picture /= shading
     if display.raster == "one_to_one":
         return picture
     # In the order in which the transposed array is the smaller one.

@@ -16,8 +16,9 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.notes import warn
 from pixsim.base.parameters import NO_CORRECTION, Camera, Correction, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.collection import Collection, Illumination, collected_fraction, shading_of, warn_of_stack_limits
 from pixsim.sensor.correction import correct
-from pixsim.sensor.integration import array_size_um, diffracted_rate, integrate_pixels, running_integral
+from pixsim.sensor.integration import array_size_um, diffracted_rate, illumination_of, pixel_signal, running_integral
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 from pixsim.sensor.readout import MAX_BLACK, Frame, Sensor, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
 from pixsim.show.figures import new_figure
@@ -161,9 +162,9 @@ class Screen:
     ideal_lab: Array = field(repr=False)
     full: bool = False
 
-    def luminance(self, frame: Frame, white_e: float) -> Array:
+    def luminance(self, frame: Frame, white_e: float, shading: Array | None = None) -> Array:
         """Return `displays.frame_luminance` on these dots."""
-        return displays.frame_luminance(frame, self.size_um, white_e, self.display, self.dot_edges_um)
+        return displays.frame_luminance(frame, self.size_um, white_e, self.display, self.dot_edges_um, shading)
 
     def delta_e_of(self, image: Array) -> Array:
         """Return the S-CIELAB difference between a shown picture and the ideal one, (H, W)."""
@@ -177,6 +178,7 @@ class ImagingChain:
     """Everything that the frames of one pixel type share: its mean signal, exposure and screen.
 
     physics : of the pixel at the gain of the exposure
+    collection : what the pixels' stack does to their light; None without a stack
     """
 
     signal_e_per_s: Array
@@ -185,6 +187,17 @@ class ImagingChain:
     white_e_per_s: float
     screen: Screen
     correction: Correction = NO_CORRECTION
+    collection: Collection | None = None
+
+    @cached_property
+    def even(self) -> Array | None:
+        """What each pixel collects of even light, relative to one on axis, (rows, columns); None without a stack."""
+        return None if self.collection is None else self.collection.relative(self.signal_e_per_s.shape)
+
+    @cached_property
+    def shading(self) -> Array | None:
+        """By what the display divides a frame, as `shading_of`."""
+        return shading_of(self.collection, self.signal_e_per_s.shape, self.screen.display, self.correction)
 
     def simulate(self, *key: object) -> Score:
         """Return the score of a new sensor and a new frame for each key."""
@@ -203,7 +216,7 @@ class ImagingChain:
     def capture_by(self, sensor: Sensor, frame_rng: np.random.Generator, correction_rng: np.random.Generator) -> Frame:
         """Return a frame of a sensor, whose temporal noise and frames for its correction come from two generators."""
         frame = capture_from_rates(self.signal_e_per_s, sensor, self.exposure, frame_rng)
-        return correct(frame, sensor, self.correction, correction_rng) if self.correction.is_on else frame
+        return correct(frame, sensor, self.correction, correction_rng, self.even) if self.correction.is_on else frame
 
     def sensor(self, *key: object) -> Sensor:
         """Return the sensor of `capture`; it does not depend on the light."""
@@ -212,7 +225,8 @@ class ImagingChain:
     def score_frame(self, frame: Frame) -> Score:
         """Return the score of a frame as shown on the screen."""
         screen = self.screen
-        image = displays.shown_luminance(screen.luminance(frame, self.white_e_per_s * frame.integration_s), screen.display)
+        luminance = screen.luminance(frame, self.white_e_per_s * frame.integration_s, self.shading)
+        image = displays.shown_luminance(luminance, screen.display)
         # Pixels that fill the picture exactly may begin at -1e-18 µm.
         border_um = max(0.0, float(screen.dot_edges_um[0][0])), max(0.0, float(screen.dot_edges_um[1][0]))
         return Score(screen.delta_e_of(image), screen.ideal, image, frame, self.physics, border_um)
@@ -225,6 +239,7 @@ class PreparedScene:
     rate_e_per_s_um2 : (H, W) photo-electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, means over samples
     white_e_per_s_um2 : of the scene's white, on axis
     array_um : (height, width) that the pixels fill
+    illumination : directions and mean spectrum of the light
     beyond_white : fraction of the ideal image's dots that are brighter than display white
     """
 
@@ -233,7 +248,12 @@ class PreparedScene:
     white_e_per_s_um2: float
     screen: Screen
     array_um: tuple[float, float]
+    illumination: Illumination
     beyond_white: float = 0.0
+
+    def white_e_per_s(self, physics: PixelPhysics) -> float:
+        """Return the electrons per second of the scene's white in a pixel on axis."""
+        return self.white_e_per_s_um2 * (collected_fraction(physics, self.illumination) * physics.pitch_um**2)
 
     @cached_property
     def running_integral(self) -> Array | None:
@@ -288,8 +308,8 @@ def prepare_scene(
     white = displays.white_rate(irradiance, camera, physics, display)
     lab = perceived_lab(ideal, display, full)
     screen = Screen(display, displays.picture_size_um(irradiance), edges_um, ideal, lab, full)
-    array_um = array_size_um(irradiance, camera)
-    return PreparedScene(rate, irradiance.pitch_um, white, screen, array_um, fraction_beyond_white(luminance))
+    array_um, light = array_size_um(irradiance, camera), illumination_of(irradiance, camera, physics)
+    return PreparedScene(rate, irradiance.pitch_um, white, screen, array_um, light, fraction_beyond_white(luminance))
 
 
 # What the pitches of a technology share. With one_to_one, where dots are pixels, that is the irradiance only.
@@ -339,11 +359,10 @@ def chain_at_pitch(
     light: PreparedScene, physics: PixelPhysics, exposure: Exposure, correction: Correction = NO_CORRECTION
 ) -> ImagingChain:
     """Return the imaging chain of a pixel of any pitch, from light prepared for its spectral response."""
-    grid_um = light.sample_pitch_um, physics.pitch_um, physics.photodiode_side_um
-    signal_e_per_s = integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral, light.array_um)
-    np.maximum(signal_e_per_s, 0.0, out=signal_e_per_s)
-    white_e_per_s = light.white_e_per_s_um2 * physics.photodiode_area_um2
-    return ImagingChain(signal_e_per_s, physics.at_gain(exposure.gain_db), exposure, white_e_per_s, light.screen, correction)
+    rate, running = light.rate_e_per_s_um2, light.running_integral
+    signal, collection = pixel_signal(rate, light.sample_pitch_um, physics, light.illumination, running, light.array_um)
+    white_e_per_s = light.white_e_per_s(physics)
+    return ImagingChain(signal, physics.at_gain(exposure.gain_db), exposure, white_e_per_s, light.screen, correction, collection)
 
 
 def make_imaging_chain(
@@ -357,13 +376,15 @@ def make_imaging_chain(
 ) -> ImagingChain:
     """Return the imaging chain up to the noise.
 
-    Warns if the render used another camera, the display clips the scene, or numbers of a data sheet contradict one another.
+    Warns if the render used another camera, the display clips the scene, numbers of a data sheet contradict one another, or the
+    model of the pixel's stack is doubtful.
     """
     rendered = irradiance.header.get("camera")
     if rendered is not None and Camera.model_validate(rendered) != camera:
         warn("the irradiance was rendered with another camera than the one given")
     physics = derive(pixel)
     warn_of_disagreements(pixel)
+    warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
     light = prepare_scene(irradiance, camera, physics, display, full)
     warn_of_clipping(light.beyond_white)
     return chain_at_pitch(light, physics, exposure, correction)

@@ -151,7 +151,7 @@ def test_plan_flat_field_coarse_film_keeps_fall_off():
 # --- Decisions ---
 
 SUBJECTS = ["wavelength bands", "spectral rank", "spectrum tables", "bounces", "lens samples", "texture samples", "diffraction"]
-SUBJECTS += ["oversampling", "saturation", "noise stages", "repeated transforms"]
+SUBJECTS += ["oversampling", "pixel stack", "saturation", "noise stages", "repeated transforms"]
 
 
 @pytest.mark.parametrize("full", [False, True])

@@ -20,6 +20,7 @@ OPTIONAL = {
     *("dark_current_perimeter_pa_per_cm", "hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"),
     *("prnu_um", "a_vt_mv_um", "follower_area_um2"),  # in place of others
 }
+OPTIONAL |= {name for name in Technology.model_fields if name.startswith(("stack_", "quantum_efficiency_"))}
 T035 = load_technology("0.35um")
 
 

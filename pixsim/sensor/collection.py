@@ -1,0 +1,270 @@
+"""What the stack of the pixels makes of the light on them: the share that each pixel and its neighbours collect, over the field.
+
+A stack's shares (`pixsim.optics.stack`) depend on the pupil that a pixel sees, so on the place on the sensor, and under a
+microlens on the wavelength. They are weighted here with the electrons of the mean light of the picture, band by band: exact for
+light of one spectrum; a detail of another colour than the picture's mean is off by the difference of the two weighted means.
+
+A quantum efficiency that was measured on the whole pixel under its microlens already holds what the stack loses in that
+measurement. The shares are then divided by those of even light on axis at the f-number of the measurement, with a microlens.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
+from pixsim.base.notes import warn
+from pixsim.base.parameters import Camera, Correction, Display, StackOptions
+from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
+from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits
+from pixsim.optics.thin_lens import thin_lens_pupil
+from pixsim.sensor.crosstalk import shares_sum
+from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
+from pixsim.sensor.pixel import USUAL_F_NUMBER, PixelPhysics
+
+WAVELENGTHS = 9  # at which shares are computed, with a linear course between them: 1e-3 of a share from 400 to 1000 nm
+# Points of the field from the centre to an edge. Under an optimal shift shares hardly change; unshifted, they fall steeply.
+POINTS_SHIFTED, POINTS_UNSHIFTED = 5, 9
+FINE = 64  # steps across the field, between which shares are linear
+GIVEN_AT_NM = np.arange(400.0, 701.0, 50.0)  # where a quantum efficiency is checked against its own measurement
+
+
+@dataclass(frozen=True)
+class Illumination:
+    """The directions and wavelengths of the light on a sensor: a thin lens, and the mean spectrum in electrons.
+
+    weight : electrons of each wavelength, in any unit, with a positive sum
+    """
+
+    wavelength_nm: tuple[float, ...]
+    weight: tuple[float, ...]
+    f_number: float
+    image_distance_um: float
+    magnification: float
+
+    @property
+    def nodes(self) -> tuple[Array, Array]:
+        """Wavelengths at which shares are computed, (K,), and the weights of a linear course between them, with a sum of 1."""
+        nm, weight = np.array(self.wavelength_nm), np.array(self.weight)
+        nm, weight = nm[weight > 0], weight[weight > 0] / weight.sum()
+        if nm.size <= WAVELENGTHS:
+            return nm, weight
+        node = np.linspace(nm.min(), nm.max(), WAVELENGTHS)
+        hats = np.array([np.interp(nm, node, one) for one in np.eye(WAVELENGTHS)])
+        return node, np.asarray(hats @ weight)
+
+
+def illumination(camera: Camera, wavelength_nm: Array, electrons: Array, mean_spectrum: Array) -> Illumination:
+    """Return the light of a camera, with a spectrum in the unit that `electrons` turns into electrons, each (B,).
+
+    A black picture is taken as one of equal light in all bands.
+    """
+    weight = next((weight for weight in (electrons * mean_spectrum, electrons) if weight.any()), np.ones_like(electrons))
+    lens = camera.f_number, 1e3 * camera.image_distance_mm, camera.magnification
+    return Illumination(tuple(wavelength_nm.tolist()), tuple(weight.tolist()), *lens)
+
+
+def even_light(wavelength_nm: Array, weight: Array) -> Illumination:
+    """Return the light on a sensor without a lens in the set-up of EMVA 1288, f/8; weights are electrons, (B,)."""
+    return Illumination(tuple(wavelength_nm.tolist()), tuple(weight.tolist()), USUAL_F_NUMBER, math.inf, 0.0)
+
+
+@dataclass(frozen=True)
+class Collection:
+    """The shares of the light on pixels that pixels around collect, relative to the electrons of the quantum efficiency.
+
+    shares : (y, x, 5, 5) at points of the field, as `pixsim.sensor.crosstalk.share_with_neighbours` takes them
+    on_axis : their sum on the axis of the lens
+    aperture_side_um : side of the square that stands for a pixel's aperture
+    """
+
+    shares: Array
+    on_axis: float
+    aperture_side_um: float
+
+    def relative(self, shape: tuple[int, int]) -> Array:
+        """Return what each pixel of an array (rows, columns) collects of even light, relative to one on axis."""
+        return shares_sum(self.shares, shape) / self.on_axis
+
+
+def collection_of(physics: PixelPhysics, light: Illumination, shape: tuple[int, int]) -> Collection | None:
+    """Return the collection of an array of pixels (rows, columns) that is centred on the lens's axis; None without a stack.
+
+    Raises PixsimError as `Stack` and `absorption_per_um` do.
+    """
+    stack = physics.stack
+    if stack is None:
+        return None
+    check_efficiency(physics)
+    half_um = (shape[0] - 1) / 2 * physics.pitch_um, (shape[1] - 1) / 2 * physics.pitch_um
+    shares, on_axis, side_um = _collection(stack, physics.charge, physics.efficiency_f_number, light, half_um)
+    return Collection(shares, on_axis, side_um)
+
+
+def shading_of(collection: Collection | None, shape: tuple[int, int], display: Display, correction: Correction) -> Array | None:
+    """Return by what the display divides a frame, (rows, columns): `Collection.relative`; None for nothing.
+
+    Flat frames already hold it.
+    """
+    if collection is None or not display.shading_correction or correction.flat_frames:
+        return None
+    return collection.relative(shape)
+
+
+def collected_fraction(physics: PixelPhysics, light: Illumination) -> float:
+    """Return the part of even light on a pixel on axis that becomes charge with the quantum efficiency of its photodiode.
+
+    Without a stack it is the fill factor.
+    """
+    if physics.stack is None:
+        return physics.fill_factor
+    check_efficiency(physics)
+    return _collection(physics.stack, physics.charge, physics.efficiency_f_number, light, (0.0, 0.0))[1]
+
+
+def check_efficiency(physics: PixelPhysics) -> None:
+    """Raise PixsimError if a quantum efficiency of the whole pixel exceeds what the stack lets through."""
+    stack, f_number = physics.stack, physics.efficiency_f_number
+    if stack is None or f_number is None:
+        return
+    stated, passed = physics.quantum_efficiency(GIVEN_AT_NM), _measured_share(stack, physics.charge, f_number, GIVEN_AT_NM)
+    if np.any(stated > passed):
+        at = int(np.argmax(stated - passed))
+        got = f"{stated[at]:.3g} at {GIVEN_AT_NM[at]:g} nm for the whole pixel under its microlens"
+        expected = f"at most {passed[at]:.3g}, the light that this stack passes to photodiodes at f/{f_number:g}"
+        hint = (
+            "Check pixel.stack (height_um, index), or say where it was measured: quantum_efficiency_includes = 'photodiode', or "
+            "another quantum_efficiency_f_number."
+        )
+        raise invalid("quantum efficiency", got, expected, hint)
+
+
+def stack_shares(physics: PixelPhysics, camera: Camera, wavelength_nm: float) -> tuple[float, float]:
+    """Return the share of its light that a pixel itself collects, on axis and in the corner of the die; 1 without a stack."""
+    if physics.stack is None:
+        return 1.0, 1.0
+    azimuth_deg = math.degrees(math.atan2(camera.height_mm, camera.die_mm))
+    pupil = thin_lens_pupil(camera.f_number, np.array([0.0, _tan_corner(camera)]), azimuth_deg, camera.magnification)
+    axis, corner = collected_shares(physics.stack, pupil, [wavelength_nm])[:, 0, 2, 2].tolist()
+    return axis, corner
+
+
+def _tan_corner(camera: Camera) -> float:
+    return math.hypot(camera.die_mm, camera.height_mm) / 2 / camera.image_distance_mm
+
+
+@checks_arguments
+def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: Array) -> None:
+    """Warn of each limit of the stack's model that the light of a camera exceeds (`pixsim.optics.stack.model_limits`).
+
+    wavelength_nm : of the light, in any order; only those count to which the pixel responds
+    """
+    if physics.stack is None:
+        return
+    nm = wavelength_nm[physics.quantum_efficiency(wavelength_nm) > 0]
+    azimuth_deg = math.degrees(math.atan2(camera.height_mm, camera.die_mm))
+    pupil = thin_lens_pupil(camera.f_number, _tan_corner(camera), azimuth_deg, camera.magnification)
+    for text in model_limits(physics.stack, pupil, nm if nm.size else wavelength_nm):
+        warn(f"pixel.stack at {physics.pitch_um:g} µm: {text}")
+
+
+@lru_cache(maxsize=32)
+def _collection(
+    stack: Stack, charge: StackOptions | None, f_number: float | None, light: Illumination, half_um: tuple[float, float]
+) -> tuple[Array, float, float]:
+    """Return the fields of a `Collection`.
+
+    f_number : at which the quantum efficiency was measured on the whole pixel; None: on the photodiode
+    half_um : from the axis to the centres of the outermost pixels, down and across
+    """
+    nm, weight = light.nodes
+    if f_number is not None:
+        weight = weight / _measured_share(stack, charge, f_number, nm)
+    symmetric = stack.shift_um in ("optimal", (0.0, 0.0))
+    points = POINTS_SHIFTED if stack.shift_um == "optimal" else POINTS_UNSHIFTED
+    node = -np.cos(np.linspace(0.0, np.pi, 2 * points - 1))  # Chebyshev's, of the extrema: a polynomial through them is stable
+    node[points - 1] = 0.0
+    line = node[points - 1 :] if symmetric else node
+    y_um, x_um = np.meshgrid(*(half * line if half else np.zeros(1) for half in half_um), indexing="ij")
+    shares = _shares_at(stack, charge, light, y_um, x_um, nm, weight)
+    if symmetric:  # the other three quarters of the field are mirrored
+        shares = np.concatenate([shares[:0:-1, :, ::-1, :], shares], axis=0)
+        shares = np.concatenate([shares[:, :0:-1, :, ::-1], shares], axis=1)
+    on_axis = float(shares[shares.shape[0] // 2, shares.shape[1] // 2].sum())
+    for axis in range(2):
+        if shares.shape[axis] > 1:
+            shares = np.moveaxis(np.tensordot(_finer(tuple(node.tolist())), shares, (1, axis)), 0, axis)
+    shares = np.maximum(shares, 0.0)
+    pupil = thin_lens_pupil(light.f_number, 0.0, 0.0, light.magnification)
+    side_um = stack.pitch_um if stack.microlens else math.sqrt(float(np.prod(aperture_side_um(stack, pupil))))
+    shares.flags.writeable = False
+    return shares, on_axis, side_um
+
+
+@lru_cache(maxsize=4)
+def _finer(nodes: tuple[float, ...]) -> Array:
+    """Return the weights of nodes (n,) of a polynomial through them, at `FINE` equal steps from -1 to 1, (FINE + 1, n)."""
+    at, degree = np.linspace(-1.0, 1.0, FINE + 1), len(nodes) - 1
+    return np.asarray(np.linalg.solve(chebvander(np.array(nodes), degree).T, chebvander(at, degree).T).T)
+
+
+def _shares_at(
+    stack: Stack, charge: StackOptions | None, light: Illumination, y_um: Array, x_um: Array, nm: Array, weight: Array
+) -> Array:
+    """Return the weighted sum over wavelengths (K,) of the shares at places on the sensor (...), (..., 5, 5)."""
+    tangent = np.hypot(x_um, y_um) / light.image_distance_um
+    pupil = thin_lens_pupil(light.f_number, tangent, np.degrees(np.arctan2(y_um, x_um)), light.magnification)
+    if stack.microlens:
+        sine = 1 / math.hypot(1.0, 2 * light.f_number * (1 + abs(light.magnification)))
+        spread = _spread(stack, charge, sine, nm)
+        optical = collected_shares(stack, pupil, nm)
+        return np.einsum("...kij,k->...ij", optical if spread is None else spread_shares(optical, spread), weight)
+    # A bare pixel has the same shares at all wavelengths, and its diffusion is in the transform of the light.
+    optical = collected_shares(stack, pupil) * weight.sum()
+    spread = _neighbours(charge.crosstalk) if charge and charge.crosstalk else None
+    return optical if spread is None else spread_shares(optical, spread)
+
+
+def _measured_share(stack: Stack, charge: StackOptions | None, f_number: float, nm: Array) -> Array:
+    """Return the sum of the shares on axis of a whole pixel under a microlens at the f-number of a measurement, (K,).
+
+    Even light, as EMVA 1288 has it, brings a pixel what its neighbours lose to it.
+    """
+    return _measured_share_at(stack, charge, f_number, tuple(nm.tolist()))
+
+
+@lru_cache(maxsize=256)
+def _measured_share_at(stack: Stack, charge: StackOptions | None, f_number: float, wavelength_nm: tuple[float, ...]) -> Array:
+    nm = np.array(wavelength_nm)
+    lens = replace(stack, microlens=True, shift_um=(0.0, 0.0))
+    sine = numerical_aperture(f_number)
+    optical, spread = collected_shares(lens, elliptic_pupil(sine), nm), _spread(lens, charge, sine, nm)
+    return np.asarray((optical if spread is None else spread_shares(optical, spread)).sum(axis=(-2, -1)))
+
+
+def _spread(stack: Stack, charge: StackOptions | None, sine: float, nm: Array) -> Array | None:
+    """Return the shares of the charge of one photodiode under a microlens that pixels around collect, (K, 5, 5) or (5, 5)."""
+    if charge is None:
+        return None
+    if charge.crosstalk:
+        return _neighbours(charge.crosstalk)
+    if charge.depletion_um is None or charge.diffusion_length_um is None:
+        return None
+    # A square with the variance of the lens's spot of light.
+    side_um = min(stack.photodiode_side_um, math.sqrt(3) * stack.height_um * sine / stack.index)
+    return diffused_shares(stack.pitch_um, side_um, absorption_per_um(nm), charge.depletion_um, charge.diffusion_length_um)
+
+
+def _neighbours(crosstalk: float) -> Array:
+    """Return the shares of a published crosstalk: the four neighbours have it together, (5, 5)."""
+    shares = np.zeros((5, 5))
+    shares[2, 2] = 1 - crosstalk
+    shares[[1, 3, 2, 2], [2, 2, 1, 3]] = crosstalk / 4
+    return shares
