@@ -160,6 +160,18 @@ def _tan_corner(camera: Camera) -> float:
     return math.hypot(camera.die_mm, camera.height_mm) / 2 / camera.image_distance_mm
 
 
+def least_fresnel_number(physics: PixelPhysics, wavelength_nm: Array) -> float | None:
+    """Return the Fresnel number of a pixel's microlens at the longest wavelength to which it responds; None without a lens."""
+    if physics.stack is None or not physics.stack.microlens:
+        return None
+    return float(physics.stack.fresnel_number(_seen_nm(physics, wavelength_nm).max()))
+
+
+def _seen_nm(physics: PixelPhysics, wavelength_nm: Array) -> Array:
+    nm = wavelength_nm[physics.quantum_efficiency(wavelength_nm) > 0]
+    return nm if nm.size else wavelength_nm
+
+
 @checks_arguments
 def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: Array) -> None:
     """Warn of each limit of the stack's model that the light of a camera exceeds (`pixsim.optics.stack.model_limits`).
@@ -168,10 +180,9 @@ def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: A
     """
     if physics.stack is None:
         return
-    nm = wavelength_nm[physics.quantum_efficiency(wavelength_nm) > 0]
     azimuth_deg = math.degrees(math.atan2(camera.height_mm, camera.die_mm))
     pupil = thin_lens_pupil(camera.f_number, _tan_corner(camera), azimuth_deg, camera.magnification)
-    for text in model_limits(physics.stack, pupil, nm if nm.size else wavelength_nm):
+    for text in model_limits(physics.stack, pupil, _seen_nm(physics, wavelength_nm)):
         warn(f"pixel.stack at {physics.pitch_um:g} µm: {text}")
 
 

@@ -680,13 +680,19 @@ def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions |
     return options
 
 
+def has_microlens(pixel: PixelOptions, technology: Technology) -> bool:
+    """Return whether a pixel has a microlens. Raises PixsimError as `stack_options` does."""
+    options = stack_options(pixel, technology)
+    return options is not None and options.microlens == "square"
+
+
 def largest_pitch_um(pixel: PixelOptions, technology: Technology) -> float:
     """Return the largest pitch for which a microlens is possible in a pixel's stack, h √π; infinity without a microlens.
 
     Raises PixsimError as `stack_options` does.
     """
     options = stack_options(pixel, technology)
-    if options is None or options.microlens != "square" or options.height_um is None:
+    if options is None or options.height_um is None or not has_microlens(pixel, technology):
         return math.inf
     return options.height_um / LOWEST_LENS
 

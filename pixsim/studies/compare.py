@@ -29,6 +29,7 @@ from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.plan import Plan, make_plan
+from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.pixel import derive, warn_of_disagreements
 from pixsim.sensor.technology import file_label, labels_of
@@ -789,6 +790,7 @@ def chain_of(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> Im
         warn_of_disagreements(sensor.pixel)
         light = prepare_scene(image, sensor.camera, physics, prepared.settings.display, border_um=border_um)
         warn_of_clipping(light.beyond_white)
+        warn_of_stack_limits(physics, sensor.camera, image.wavelength_nm)
         return chain_at_pitch(light, physics, sensor.exposure, prepared.settings.correction)
 
 

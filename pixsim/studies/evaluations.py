@@ -28,6 +28,7 @@ from pixsim.base.files import opened, read_bytes, replacing
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, largest_pitch_um, physics_of, pitch_for_fill_factor_um
 from pixsim.sensor.readout import Sensor, make_frame
@@ -233,6 +234,13 @@ def warn_of_clipped_white(study: Study, scenes: SceneCache) -> None:
     for technology in study.technologies:
         smallest = physics_of(study, technology, float(study_pitches_um(study, technology).min()))
         warn_of_clipping(scenes.beyond_white(_light_key(study, scenes, technology), smallest, study.pitch.largest_um))
+
+
+def warn_of_stacks(study: Study, irradiance: SpectralImage, camera: Camera) -> None:
+    """Warn of the limits of each technology's stack, for its smallest pixels, which exceed them most."""
+    for technology in study.technologies:
+        smallest = physics_of(study, technology, float(study_pitches_um(study, technology).min()))
+        warn_of_stack_limits(smallest, camera, irradiance.wavelength_nm)
 
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:

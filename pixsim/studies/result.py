@@ -18,8 +18,9 @@ from pixsim.base.errors import invalid
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
 from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.collection import least_fresnel_number
 from pixsim.sensor.integration import collecting_area_um2
-from pixsim.sensor.pixel import photodiode_widths_um, physics_of
+from pixsim.sensor.pixel import has_microlens, photodiode_widths_um, physics_of
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
 from pixsim.show.pages import Column, Plate, html_cell, rows_csv
@@ -61,6 +62,7 @@ class Curve:
     statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
     fit : the fitted curve with its minimum
     label : the technology's name for readers, unique in a study
+    fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is doubtful; None without microlenses
     data_sheet : whether the sensor is described by its data sheet only, without a process
     alike_um : smallest and largest of the pitches that the film cannot tell from the best; None if it can
     at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
@@ -75,6 +77,7 @@ class Curve:
     label: str = ""
     data_sheet: bool = False
     alike_um: tuple[float, float] | None = None
+    fresnel_number: Array | None = field(default=None, repr=False)
     at: dict[str, float | int | str] = field(default_factory=dict)
     condition: str = ""
     alone: str = ""
@@ -133,6 +136,12 @@ class Curve:
         return widest
 
     @property
+    def doubtful(self) -> Array:
+        """Whether the model of the microlenses is doubtful, (pitches,): a Fresnel number below 1."""
+        none = np.full(self.pitch_um.shape, np.inf)
+        return np.asarray((none if self.fresnel_number is None else self.fresnel_number) < 1)
+
+    @property
     def sensors(self) -> Array:
         """Number of sensors of each pitch, (pitches,)."""
         return np.asarray(np.isfinite(self.delta_e).sum(axis=1))
@@ -159,6 +168,7 @@ class Curve:
             "fill_factor": self.fill_factor.tolist(),
             "mean_delta_e": mean.tolist(),
             "ci95_delta_e": ci95.tolist(),
+            **({} if self.fresnel_number is None else {"fresnel_number": self.fresnel_number.tolist()}),
         }
 
 
@@ -204,10 +214,13 @@ class StudyResult:
 
     def _labelled(self, curve: Curve, label: str) -> Curve:
         """Return a curve with its label, and the pitches that its film cannot tell apart."""
-        film = self.part_of(curve).film
-        words = curve.words
-        alike_um = film.alike_um(curve.pitch_um, curve.mean()) if film else None
-        return replace(curve, label=", ".join(filter(None, (label, words))), alike_um=alike_um)
+        part, words = self.part_of(curve), curve.words
+        alike_um = part.film.alike_um(curve.pitch_um, curve.mean()) if part.film else None
+        fresnel = None
+        if has_microlens(part.study.options_of(curve.technology), technology_of(part.study, curve.technology)):
+            nm, pitches_um = part.irradiance.wavelength_nm, curve.pitch_um.tolist()
+            fresnel = np.array([least_fresnel_number(physics_of(part.study, curve.technology, um), nm) for um in pitches_um], float)
+        return replace(curve, label=", ".join(filter(None, (label, words))), alike_um=alike_um, fresnel_number=fresnel)
 
     @checks_arguments
     def part_of(self, curve: Curve) -> StudyResult:
@@ -464,6 +477,7 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     name = literal(curve.label)
     label = f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})" if best.inside else name
     axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
+    axes.plot(curve.pitch_um[curve.doubtful], mean[curve.doubtful], look.marker, ms=4, mfc="white", mec=colour)
     axes.fill_between(curve.fit.pitch_um, curve.fit.low, curve.fit.high, color=colour, alpha=0.15, lw=0)
     axes.plot(curve.fit.pitch_um, curve.fit.delta_e, lw=1.5, **look.stroke)
     if best.inside:
@@ -530,6 +544,11 @@ def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: st
         "intervals; line: the fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval; vertical "
         "band: sizes whose error is within 1 % of the minimum."
     )
+    if any(curve.doubtful.any() for curve in curves):
+        caption += (
+            " Hollow points: the microlens has a Fresnel number below 1, where the model of its diffraction is doubtful "
+            "(column fresnel_number)."
+        )
     return Plate(name, caption, figure, curve_table(curves))
 
 
@@ -540,6 +559,8 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
         mean, ci95 = mean_and_ci95(curve.delta_e)
         columns = {"technology": np.array([curve.label] * mean.size), "pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor}
         columns |= {"mean_delta_e": mean, "ci95_delta_e": ci95} | {name: curve.mean(name) for name in OTHER_STATISTICS}
+        if any(other.fresnel_number is not None for other in curves):
+            columns["fresnel_number"] = np.full(mean.size, np.nan) if curve.fresnel_number is None else curve.fresnel_number
         for name, values in columns.items():
             table.setdefault(name, []).extend(values.tolist())
     return dict(table)

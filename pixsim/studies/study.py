@@ -50,6 +50,7 @@ from pixsim.studies.evaluations import (
     first_sampling,
     study_pitches_um,
     warn_of_clipped_white,
+    warn_of_stacks,
 )
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs, study_plan
@@ -613,6 +614,7 @@ def evaluate_cases(
     found = []
     for part, own, (irradiance, camera, film) in zip(made, curves, lights, strict=True):
         warn_of_clipped_white(part.study, part.scenes)
+        warn_of_stacks(part.study, irradiance, camera)
         own = tuple(replace(curve, at=part.case.at, condition=part.case.condition, alone=part.case.alone) for curve in own)
         result = StudyResult(part.study, own, irradiance, camera, film=film, view=view.as_dict())
         result.__dict__["scenes"] = part.scenes  # expensive to prepare again
