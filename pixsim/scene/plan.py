@@ -408,12 +408,10 @@ def decide_stack(physics: PixelPhysics, camera: Camera, full: bool) -> Decision:
     check_efficiency(physics)
     axis, corner = stack_shares(physics, camera, GREEN_NM)
     kind = f"microlens {stack.height_um:g} µm" if stack.microlens else f"opening {stack.height_um:g} µm"
-    slow = stack.microlens and camera.working_f_number >= stack.lossless_f_number
-    lost = "no light misses photodiodes on axis but by diffraction" if slow else "light misses photodiodes on axis"
-    reason = (
-        f"{kind} above the photodiode: the pixel itself collects {axis:.0%} of its light on axis and {corner:.0%} in the corner, "
-        f"at {GREEN_NM:g} nm" + (f"; {lost}, whose limit is f/{stack.lossless_f_number:.3g}" if stack.microlens else "")
-    )
+    reason = f"{kind} above the photodiode: a pixel collects {axis:.0%} of its light on axis, {corner:.0%} in the corner"
+    reason += f" ({GREEN_NM:g} nm)"
+    if stack.microlens:
+        reason += f"; from f/{stack.lossless_f_number:.3g} on, light on axis is lost by diffraction only"
     return Decision("pixel stack", True, reason)
 
 

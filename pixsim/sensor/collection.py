@@ -29,9 +29,10 @@ from pixsim.sensor.crosstalk import shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
 from pixsim.sensor.pixel import USUAL_F_NUMBER, PixelPhysics
 
-WAVELENGTHS = 9  # at which shares are computed, with a linear course between them: 1e-3 of a share from 400 to 1000 nm
+WAVELENGTHS = 7  # at which shares are computed, with a linear course between them: 1e-5 of a share from 400 to 700 nm
 # Points of the field from the centre to an edge. Under an optimal shift shares hardly change; unshifted, they fall steeply.
-POINTS_SHIFTED, POINTS_UNSHIFTED = 5, 9
+POINTS_SHIFTED, POINTS_UNSHIFTED = 5, 6
+NEGLIGIBLE = 1e-5  # neighbours' shares that are smaller everywhere are left to the pixel, since each takes as long as a large one
 FINE = 64  # steps across the field, between which shares are linear
 GIVEN_AT_NM = np.arange(400.0, 701.0, 50.0)  # where a quantum efficiency is checked against its own measurement
 
@@ -91,7 +92,9 @@ class Collection:
 
     def relative(self, shape: tuple[int, int]) -> Array:
         """Return what each pixel of an array (rows, columns) collects of even light, relative to one on axis."""
-        return shares_sum(self.shares, shape) / self.on_axis
+        total = np.zeros_like(self.shares)
+        total[:, :, 2, 2] = self.shares.sum(axis=(-2, -1))  # one term in place of 25
+        return shares_sum(total, shape) / self.on_axis
 
 
 def collection_of(physics: PixelPhysics, light: Illumination, shape: tuple[int, int]) -> Collection | None:
@@ -205,6 +208,10 @@ def _collection(
     line = node[points - 1 :] if symmetric else node
     y_um, x_um = np.meshgrid(*(half * line if half else np.zeros(1) for half in half_um), indexing="ij")
     shares = _shares_at(stack, charge, light, y_um, x_um, nm, weight)
+    few = shares.max(axis=(0, 1)) < NEGLIGIBLE
+    few[2, 2] = False
+    shares[..., 2, 2] += shares[..., few].sum(axis=-1)
+    shares[..., few] = 0.0
     if symmetric:  # the other three quarters of the field are mirrored
         shares = np.concatenate([shares[:0:-1, :, ::-1, :], shares], axis=0)
         shares = np.concatenate([shares[:, :0:-1, :, ::-1], shares], axis=1)

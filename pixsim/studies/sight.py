@@ -17,7 +17,7 @@ import numpy as np
 from pixsim.base.parameters import Camera, Study, content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.rules import Chart
-from pixsim.sensor.integration import electrons_per_joule
+from pixsim.sensor.integration import collecting_area_um2, electrons_per_joule
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.budget import FilmSampling, without_warnings
 from pixsim.viewer.display import white_header, white_rate
@@ -68,6 +68,8 @@ class Sight:
                 [
                     *(p.pitch_um, p.photodiode_side_um, p.full_well_e, p.saturation_e, p.dn_per_e),
                     *(p.pixel.bits, p.pixel.black_level_dn, p.pixel.conversion, p.pixel.well_limit),
+                    p.charge.content_hash if p.charge else "",
+                    p.efficiency_f_number,
                 ]
                 for p in pixels
             ],
@@ -84,7 +86,7 @@ class Sight:
             )
             for p in pixels
         ]
-        white_e_per_s = [white * p.photodiode_area_um2 for white, p in zip(whites, pixels, strict=True)]
+        white_e_per_s = [white * collecting_area_um2(image, camera, p) for white, p in zip(whites, pixels, strict=True)]
         return cls(content_hash(what), tuple(white_e_per_s), tuple(noise))
 
     def is_as_clear_as(self, other: Sight) -> bool:
