@@ -247,7 +247,7 @@ def test_published_crosstalk_is_what_four_neighbours_collect() -> None:
     assert plain is not None
     centre = plain.shares[0, 0]
     wanted = 0.9 * centre[2, 2] + 0.025 * (centre[1, 2] + centre[3, 2] + centre[2, 1] + centre[2, 3])
-    assert shares.shares[0, 0, 2, 2] == pytest.approx(wanted, rel=1e-12)
+    assert shares.shares[0, 0, 2, 2] == pytest.approx(wanted, abs=1e-4)  # shares below 1e-5 are left to the pixel
 
 
 def test_stack_merges_with_that_of_the_technology_field_by_field() -> None:
