@@ -182,9 +182,9 @@ class Technology(Record):
 
     @model_validator(mode="after")
     def _stack_is_consistent(self) -> Self:
-        diffusion = self.stack_depletion_um, self.stack_diffusion_length_um
-        if self.stack_crosstalk is not None and diffusion != (None, None):
-            raise ValueError("stack_crosstalk and stack_depletion_um or stack_diffusion_length_um; give diffusion or its result")
+        diffusion = [name for name in ("stack_depletion_um", "stack_diffusion_length_um") if getattr(self, name) is not None]
+        if self.stack_crosstalk is not None and diffusion:
+            raise ValueError(f"stack_crosstalk and {', '.join(diffusion)} state the same quantity; give one of them")
         return self
 
     @model_validator(mode="after")
