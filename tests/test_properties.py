@@ -304,6 +304,8 @@ def any_technology() -> st.SearchStrategy[Technology]:
 
     def of_a_kind(drawn: dict[str, Any], junction: dict[str, Any], pinned: bool) -> dict[str, Any]:
         well = drawn.pop("full_well_e_per_um2", 3e3)
+        swing_v, reset_v = sorted((junction["voltage_swing_v"], junction["reset_voltage_v"]))
+        junction = junction | {"voltage_swing_v": swing_v, "reset_voltage_v": reset_v}
         kind = {"full_well_e_per_um2": well, "junction": None} if pinned else {"junction": junction, "full_well_e_per_um2": None}
         if "prnu_um" in drawn:
             kind |= {"prnu": None, "prnu_um": min(drawn["prnu_um"], 0.1)}
@@ -313,6 +315,13 @@ def any_technology() -> st.SearchStrategy[Technology]:
             kind |= {"offset_fpn": None, "a_vt_mv_um": min(drawn["a_vt_mv_um"], 100 * math.sqrt(drawn["follower_area_um2"]))}
         if drawn.get("hot_pixel_fraction"):
             drawn.setdefault("hot_pixel_median", 30.0)
+        if any(name.startswith("stack_") for name in drawn):
+            drawn = {"stack_height_um": 4.0, "stack_index": 1.5} | drawn
+            if drawn.get("stack_microlens") == "square":  # a lower one is refused above large pixels
+                drawn["stack_height_um"] = 1e4
+            diffusion = {"stack_depletion_um", "stack_diffusion_length_um"}
+            if "stack_crosstalk" in drawn or not drawn.keys() >= diffusion:
+                drawn = {name: value for name, value in drawn.items() if name not in diffusion}
         return usual["0.35um"].content | drawn | kind
 
     return st.builds(of_a_kind, fields.map(dict), junctions, st.booleans())
