@@ -322,6 +322,18 @@ def excluded_by(names: Iterable[str]) -> set[str]:
     return excluded
 
 
+# Words of a stack that state the same quantity.
+SAME_OF_STACK = (({"shift"}, {"shift_um"}), ({"crosstalk"}, {"depletion_um", "diffusion_length_um"}))
+
+
+def stack_excluded_by(names: Iterable[str]) -> set[str]:
+    """The fields of a stack that cannot be given together with those of `names`."""
+    given, excluded = set(names), set[str]()
+    for one, other in SAME_OF_STACK:
+        excluded |= (other if given & one else set()) | (one if given & other else set())
+    return excluded - given
+
+
 def missing_of_data_sheet(given: Iterable[str]) -> list[str]:
     """The names of `DATA_SHEET` that neither stand among `given` nor under another word of `STANDS_FOR`."""
     names = set(given).union(*(STANDS_FOR[name] for name in STANDS_FOR.keys() & set(given)))
@@ -345,7 +357,7 @@ def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     for key, value in over.items():
         old = merged.get(key)
         if isinstance(old, dict) and isinstance(value, dict):
-            restated = excluded_by(value) if key == "pixel" else ()
+            restated = excluded_by(value) if key == "pixel" else stack_excluded_by(value) if key == "stack" else ()
             merged[key] = merge({name: old[name] for name in old if name not in restated}, value)
         else:
             merged[key] = value

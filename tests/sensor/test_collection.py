@@ -11,7 +11,7 @@ import pytest
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Correction, Display, Exposure, Pixel, StackOptions, Study
+from pixsim.base.parameters import Camera, Correction, Display, Exposure, Pixel, StackOptions, Study, merge
 from pixsim.light.spectral import SpectralImage
 from pixsim.measure.experiment import pixel_efficiency
 from pixsim.measure.sfr import edge_response
@@ -262,6 +262,15 @@ def test_stack_merges_with_that_of_the_technology_field_by_field() -> None:
     assert physics.charge is not None
     assert (physics.stack.height_um, physics.stack.microlens, physics.charge.crosstalk) == (8.0, False, None)
     assert derive(Pixel()).stack is None
+
+
+def test_later_layers_restate_a_stack_in_another_word() -> None:
+    base = {"pixel": {"stack": {"height_um": 4.0, "shift": "optimal", "depletion_um": 1.0, "diffusion_length_um": 9.0}}}
+    over = {"pixel": {"stack": {"shift_um": [0.1, 0.0], "crosstalk": 0.1}}}
+    assert merge(base, over)["pixel"]["stack"] == {"height_um": 4.0, "shift_um": [0.1, 0.0], "crosstalk": 0.1}
+    assert merge(over, base)["pixel"]["stack"] == base["pixel"]["stack"]
+    both = {"pixel": {"stack": {"shift": "none", "shift_um": [0.1, 0.0]}}}
+    assert merge(base, both)["pixel"]["stack"].keys() >= {"shift", "shift_um"}  # one layer that states both is refused
 
 
 @pytest.mark.parametrize(
