@@ -477,7 +477,8 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     name = literal(curve.label)
     label = f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})" if best.inside else name
     axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
-    axes.plot(curve.pitch_um[curve.doubtful], mean[curve.doubtful], look.marker, ms=4, mfc="white", mec=colour)
+    if curve.doubtful.any():
+        axes.plot(curve.pitch_um[curve.doubtful], mean[curve.doubtful], look.marker, ms=4, mfc="white", mec=colour)
     axes.fill_between(curve.fit.pitch_um, curve.fit.low, curve.fit.high, color=colour, alpha=0.15, lw=0)
     axes.plot(curve.fit.pitch_um, curve.fit.delta_e, lw=1.5, **look.stroke)
     if best.inside:
