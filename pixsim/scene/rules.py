@@ -5,10 +5,12 @@ A chart that fills the film is the picture itself, so the error is computed from
 
 from __future__ import annotations
 
+import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, Literal
+from functools import cached_property, wraps
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -29,6 +31,7 @@ TRIED_SIDE = 2048  # samples of a part of the film; its three transforms need 0.
 BORDER = 64  # samples of a part that reflection at its sides may change
 RESOLVED = 0.999  # of the variance of a chart, in the frequencies that a film has to resolve
 SPECTRUM_LINES = 128  # of a texture, whose spectrum is computed
+REMEMBERED = 64  # results of each function of charts
 DARKEST = 0.01  # of the brightest cell; errors of darker cells are relative to this
 
 
@@ -60,26 +63,57 @@ class Chart:
         return picture
 
     @cached_property
+    def digest(self) -> bytes:
+        """Hash of its content."""
+        geometry = repr((self.texels.shape, self.texels_per_sample, self.shape, self.beyond)).encode()
+        return hashlib.blake2b(np.ascontiguousarray(self.texels).data, digest_size=16).digest() + geometry
+
+    @property
     def details(self) -> float:
         """Half periods of the chart's finest detail across the film: frequencies up to it have `RESOLVED` of the variance."""
-        if self.uniform:
-            return 1.0
-        found = []
-        for axis, n in enumerate(self.texels.shape):
-            lines = np.moveaxis(self.texels, axis, 1)
-            lines = lines[:: max(1, len(lines) // SPECTRUM_LINES)]
-            # Mirrored, so that the ends meet; the frequency of index k is k/2 periods per length.
-            power = (np.abs(np.fft.rfft(np.concatenate([lines, lines[:, ::-1]], axis=1))) ** 2).sum(axis=0)[1:]
-            if not power.sum() > 0:
-                continue
-            halves = 1 + int(np.searchsorted(np.cumsum(power) / power.sum(), RESOLVED))
-            samples = n / self.texels_per_sample[axis]  # that the whole texture would cover
-            found.append(halves / samples * self.shape[1])
-        return max(found, default=1.0)
+        return finest_detail(self)
 
     @property
     def uniform(self) -> bool:
         return float(np.ptp(self.texels)) == 0.0
+
+
+Result = TypeVar("Result")
+
+
+def by_content(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Remember the last results of a function of a chart by the chart's content: the lights of a study show the same charts."""
+    results: dict[tuple[object, ...], Result] = {}
+
+    @wraps(function)
+    def call(chart: Chart, *arguments: object) -> Result:
+        key = chart.digest, *(each.tobytes() if isinstance(each, np.ndarray) else each for each in arguments)
+        if key not in results:
+            if len(results) >= REMEMBERED:
+                results.clear()
+            results[key] = function(chart, *arguments)
+        return results[key]
+
+    return call
+
+
+@by_content
+def finest_detail(chart: Chart) -> float:
+    """Return `Chart.details`."""
+    if chart.uniform:
+        return 1.0
+    found = []
+    for axis, n in enumerate(chart.texels.shape):
+        lines = np.moveaxis(chart.texels, axis, 1)
+        lines = lines[:: max(1, len(lines) // SPECTRUM_LINES)]
+        # Mirrored, so that the ends meet; the frequency of index k is k/2 periods per length.
+        power = (np.abs(np.fft.rfft(np.concatenate([lines, lines[:, ::-1]], axis=1))) ** 2).sum(axis=0)[1:]
+        if not power.sum() > 0:
+            continue
+        halves = 1 + int(np.searchsorted(np.cumsum(power) / power.sum(), RESOLVED))
+        samples = n / chart.texels_per_sample[axis]  # that the whole texture would cover
+        found.append(halves / samples * chart.shape[1])
+    return max(found, default=1.0)
 
 
 def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice) -> Any:
@@ -109,6 +143,7 @@ def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice) ->
     return csr_array((weights[inside], (rows[inside], touched[inside])), shape=(stop - first, n + 2))
 
 
+@by_content
 def samples_needed(chart: Chart, tolerance: float, most: int) -> tuple[int, float]:
     """Return the fewest samples per film cell, at most `most`, with an RMS relative error below `tolerance`, and the error."""
     if chart.uniform:
@@ -144,6 +179,7 @@ def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
     return np.asarray(map_coordinates(chart.texels, at, order=1, mode="nearest").mean(axis=1))
 
 
+@by_content
 def diffraction_effect(
     chart: Chart, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, enough: float = np.inf
 ) -> float:
