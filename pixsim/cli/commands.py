@@ -327,15 +327,16 @@ def study(
                 first = result.parts[0] if result.parts else result
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
                 report = (write_axes_report if result.parts else write_report)(result, folder, seconds, drawing, more)
-            summary = result.as_dict()
             warned = set(result.warned)  # they are on stderr
-            lines = [*map(optimum_line, result.curves), *study_view_line(result)]
-            lines += [film_words(summary["film"])] if "film" in summary else []
             if result.counts:
                 found = compromises_of(result.study, result.curves)
                 summary = axes_summary(result, found) | {"counts": asdict(result.counts)}
                 lines = axes_lines(result, found)
                 common.verbosity.note(str(result.counts))
+            else:
+                summary = result.as_dict()
+                lines = [*map(optimum_line, result.curves), *study_view_line(result)]
+                lines += [film_words(summary["film"])] if "film" in summary else []
             lines += uncertainty_lines(result.uncertainty)
             summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
             lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]

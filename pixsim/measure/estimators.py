@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
-from pixsim.sensor.collection import collected_fraction, even_light
+from pixsim.sensor.collection import collected_area_um2, even_light
 from pixsim.sensor.integration import M2_PER_UM2
 from pixsim.sensor.pixel import PixelPhysics
 
@@ -359,7 +359,7 @@ def daylight_e_per_lx_s(physics: PixelPhysics) -> float:
     spectrum = d65(DAYLIGHT_NM)
     electrons = physics.band_quantum_efficiency(DAYLIGHT_NM, step) * photons_per_joule(DAYLIGHT_NM) * spectrum
     lux = float((luminous_weight(DAYLIGHT_NM, step) * spectrum).sum())
-    area_um2 = collected_fraction(physics, even_light(DAYLIGHT_NM, electrons)) * physics.pitch_um**2
+    area_um2 = collected_area_um2(physics, even_light(DAYLIGHT_NM, electrons))
     return float(electrons.sum()) * M2_PER_UM2 * area_um2 / lux
 
 

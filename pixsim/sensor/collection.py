@@ -132,6 +132,11 @@ def collected_fraction(physics: PixelPhysics, light: Illumination) -> float:
     return _collection(physics.stack, physics.charge, physics.efficiency_f_number, light, (0.0, 0.0))[1]
 
 
+def collected_area_um2(physics: PixelPhysics, light: Illumination) -> float:
+    """Return the area whose even light becomes the charge of a pixel on axis; without a stack that of its photodiode."""
+    return collected_fraction(physics, light) * physics.pitch_um**2
+
+
 def check_efficiency(physics: PixelPhysics) -> None:
     """Raise PixsimError if a quantum efficiency of the whole pixel exceeds what the stack lets through."""
     stack, f_number = physics.stack, physics.efficiency_f_number

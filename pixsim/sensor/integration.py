@@ -23,7 +23,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.diffraction import diffract_sum
-from pixsim.sensor.collection import Collection, Illumination, collected_fraction, collection_of, illumination
+from pixsim.sensor.collection import Collection, Illumination, collected_area_um2, collection_of, illumination
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import PixelPhysics
@@ -316,7 +316,9 @@ def illumination_of(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
 
 def collecting_area_um2(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> float:
     """Return the area whose light a pixel on axis collects: that of the photodiode, or what the stack passes to photodiodes."""
-    return collected_fraction(physics, illumination_of(irradiance, camera, physics)) * physics.pitch_um**2
+    if physics.stack is None:  # needs no mean spectrum of the picture
+        return physics.photodiode_area_um2
+    return collected_area_um2(physics, illumination_of(irradiance, camera, physics))
 
 
 def pixel_signal(

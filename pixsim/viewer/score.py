@@ -16,7 +16,7 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.notes import warn
 from pixsim.base.parameters import NO_CORRECTION, Camera, Correction, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.collection import Collection, Illumination, collected_fraction, shading_of, warn_of_stack_limits
+from pixsim.sensor.collection import Collection, Illumination, collected_area_um2, shading_of, warn_of_stack_limits
 from pixsim.sensor.correction import correct
 from pixsim.sensor.integration import array_size_um, diffracted_rate, illumination_of, pixel_signal, running_integral
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
@@ -253,7 +253,7 @@ class PreparedScene:
 
     def white_e_per_s(self, physics: PixelPhysics) -> float:
         """Return the electrons per second of the scene's white in a pixel on axis."""
-        return self.white_e_per_s_um2 * (collected_fraction(physics, self.illumination) * physics.pitch_um**2)
+        return self.white_e_per_s_um2 * collected_area_um2(physics, self.illumination)
 
     @cached_property
     def running_integral(self) -> Array | None:

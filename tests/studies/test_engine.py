@@ -168,13 +168,18 @@ def test_study_killed_worker_is_replaced(toml: Path, expected: bytes, tmp_path: 
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
+def killed_study(toml: Path, out: Path, calls: int) -> list[bytes]:
+    """Rows that a study has finished when a signal kills its process in a call."""
+    command = [sys.executable, "-c", signalled(signal.SIGKILL, calls), "study", toml, "--out", out, "--jobs", "1"]
+    ended = subprocess.run(command, **CAPTURED)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr
+    return (out / "results.csv").read_bytes().splitlines()[1:]
+
+
 def test_study_killed_process_is_resumed(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """Killed with two pitches done, in the third's second sensor."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
-    command = [sys.executable, "-c", signalled(signal.SIGKILL, 10), "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
-    ended = subprocess.run(command, **CAPTURED)
-    assert ended.returncode == -signal.SIGKILL, ended.stderr
-    finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
+    finished = killed_study(toml, tmp_path / "out", 10)
     assert len(finished) == 8
     assert set(finished) < set(expected.splitlines())
     taken = []
@@ -209,10 +214,7 @@ def test_study_of_axes_killed_process_is_resumed(of_axes: tuple[Path, bytes], tm
     """Killed in the eighth task, of another light than the first; two processes go on, by the rows of both."""
     toml, expected = of_axes
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
-    command = [sys.executable, "-c", signalled(signal.SIGKILL, 16), "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
-    ended = subprocess.run(command, **CAPTURED)
-    assert ended.returncode == -signal.SIGKILL, ended.stderr
-    finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
+    finished = killed_study(toml, tmp_path / "out", 16)
     assert len(finished) == 14
     assert set(finished) < set(expected.splitlines())
     assert [path.name for path in (tmp_path / "out").iterdir() if path.name != ".pixsim.lock"] == ["results.csv"]
