@@ -454,6 +454,7 @@ class StackOptions(Record):
     every direction alike.
     """
 
+    enabled: bool = Field(True, description="false: no stack at all, whatever the technology or the other values here state")
     height_um: StackHeight | None = Field(
         None, description="height of the microlens or opening above the photodiode; the same at every pitch"
     )

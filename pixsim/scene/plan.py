@@ -403,7 +403,8 @@ def decide_stack(physics: PixelPhysics, camera: Camera, full: bool) -> Decision:
     """
     stack = physics.stack
     if stack is None:
-        reason = "none given: light on the photodiode is collected from every direction"
+        given = "none given" if physics.pixel.stack is None or physics.pixel.stack.enabled else "switched off"
+        reason = f"{given}: light on the photodiode is collected from every direction"
         return Decision("pixel stack", full, reason, "" if full else "its shares")
     check_efficiency(physics)
     axis, corner = stack_shares(physics, camera, GREEN_NM)

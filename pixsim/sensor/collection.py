@@ -23,7 +23,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Correction, Display, StackOptions
 from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
-from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits
+from pixsim.optics.stack import LOWEST_LENS, Stack, aperture_side_um, collected_shares, model_limits
 from pixsim.optics.thin_lens import thin_lens_pupil
 from pixsim.sensor.crosstalk import shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
@@ -258,7 +258,8 @@ def _shares_at(
 def _measured_share(stack: Stack, charge: StackOptions | None, f_number: float, nm: Array) -> Array:
     """Return the sum of the shares on axis of a whole pixel under a microlens at the f-number of a measurement, (K,).
 
-    Even light, as EMVA 1288 has it, brings a pixel what its neighbours lose to it.
+    Even light, as EMVA 1288 has it, brings a pixel what its neighbours lose to it. A pixel that has no microlens itself may be too
+    wide for an ideal one at its height; the lowest ideal one stands for it then, which passes all of a slow lens's light.
     """
     return _measured_share_at(stack, charge, f_number, tuple(nm.tolist()))
 
@@ -266,7 +267,8 @@ def _measured_share(stack: Stack, charge: StackOptions | None, f_number: float, 
 @lru_cache(maxsize=256)
 def _measured_share_at(stack: Stack, charge: StackOptions | None, f_number: float, wavelength_nm: tuple[float, ...]) -> Array:
     nm = np.array(wavelength_nm)
-    lens = replace(stack, microlens=True, shift_um=(0.0, 0.0))
+    height_um = max(stack.height_um, LOWEST_LENS * stack.pitch_um)
+    lens = replace(stack, microlens=True, shift_um=(0.0, 0.0), height_um=height_um)
     sine = numerical_aperture(f_number)
     optical, spread = collected_shares(lens, elliptic_pupil(sine), nm), _spread(lens, charge, sine, nm)
     return np.asarray((optical if spread is None else spread_shares(optical, spread)).sum(axis=(-2, -1)))

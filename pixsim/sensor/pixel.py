@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
-from pixsim.base.errors import invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import (
     ABSOLUTE_ZERO_C,
@@ -658,12 +658,14 @@ def hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, floa
 
 
 def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions | None:
-    """Return the stack of a pixel: its own values, and those of the technology where it has none; None if there are none at all.
+    """Return the stack of a pixel: its own values, and those of the technology where it has none.
+
+    None if there are none at all, or the pixel's own switch the stack off.
 
     Raises PixsimError if some of them are missing.
     """
-    values = technology.stack.model_dump(exclude_none=True)
-    if pixel.stack is None and not values:
+    values = technology.stack.model_dump(exclude_none=True, exclude={"enabled"})
+    if not (values if pixel.stack is None else pixel.stack.enabled):
         return None
     own = pixel.stack.model_dump(exclude_none=True) if pixel.stack else {}
     if "crosstalk" in own:
@@ -698,14 +700,17 @@ def largest_pitch_um(pixel: PixelOptions, technology: Technology) -> float:
 
 
 def stack_of(options: StackOptions, pitch_um: float, photodiode_side_um: float) -> Stack:
-    """Return the stack of a pixel. Raises PixsimError as `Stack` does."""
+    """Return the stack of a pixel. Raises PixsimError as `Stack` does, with the name of the setting."""
     assert options.height_um is not None
     assert options.index is not None
     shift: tuple[float, float] | Literal["optimal"] = options.shift_um or (0.0, 0.0)
     if options.shift == "optimal":
         shift = "optimal"
     lens, refraction = options.microlens == "square", options.refraction or "exact"
-    return Stack(pitch_um, min(photodiode_side_um, pitch_um), options.height_um, options.index, lens, shift, refraction)
+    try:
+        return Stack(pitch_um, min(photodiode_side_um, pitch_um), options.height_um, options.index, lens, shift, refraction)
+    except PixsimError as error:
+        raise PixsimError(f"pixel.stack.{error}") from None
 
 
 @checks_arguments

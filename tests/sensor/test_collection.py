@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,9 @@ from pixsim.optics.thin_lens import thin_lens_pupil
 from pixsim.sensor.collection import Illumination, collected_fraction, collection_of, even_light, stack_shares
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.integration import collecting_area_um2, illumination_of, integrate_pixels, mean_signal_rate
-from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel import derive, physics_of
+from pixsim.sensor.technology import load_technology
+from pixsim.studies.cases import cases_of
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.viewer.score import ImagingChain, make_imaging_chain
 
@@ -264,6 +267,59 @@ def test_stack_merges_with_that_of_the_technology_field_by_field() -> None:
     assert derive(Pixel()).stack is None
 
 
+# A process whose quantum efficiency was measured on whole pixels under microlenses, as those of 4T pixels are.
+LENSED = load_technology("0.35um").model_copy(
+    update={"stack_height_um": 4.0, "stack_index": 1.5, "stack_microlens": "square", "quantum_efficiency_includes": "microlens"}
+)
+
+
+def test_microlens_of_a_technology_is_switched_off_by_the_pixel() -> None:
+    """The photodiode's efficiency is that of the whole pixel over what a microlens passes of light at f/8, for a bare pixel too.
+
+    So a bare pixel has the bare share of even light over that, whatever its own shift, and loses light against the lens.
+    """
+    lens, bare = (derive(Pixel(**QUIET, stack=stack), LENSED) for stack in (None, {"microlens": "none", "shift_um": [0.1, 0.0]}))
+    light = even_light(np.array([550.0]), np.ones(1))
+    assert bare.stack is not None
+    pupil = elliptic_pupil(numerical_aperture(8.0))
+    of_lens = collected_shares(lens.stack, pupil, [550.0]).sum()
+    assert collected_fraction(lens, light) == pytest.approx(1.0, rel=1e-12)
+    assert collected_fraction(bare, light) == pytest.approx(collected_shares(bare.stack, pupil).sum() / of_lens, rel=1e-12)
+    assert bare.fill_factor * 0.9 < collected_fraction(bare, light) < bare.fill_factor / of_lens
+    assert 0.9 < of_lens < 0.99
+
+
+def test_bare_pixel_may_be_wider_than_a_microlens() -> None:
+    """The light of a measurement at f/8 passes the lowest ideal lens but for 1 to 2 %, so there is no step at its pitch."""
+    bare = {"microlens": "none"}
+    widths = 7.08, 7.1, 12.0  # an ideal lens at 4 µm may be 7.09 µm wide
+    light = even_light(np.array([550.0]), np.ones(1))
+    pixels = [derive(Pixel(pitch_um=um, fill_factor=0.4, infrared_cut_nm=720.0, stack=bare), LENSED) for um in widths]
+    plain = [replace(pixel, technology=load_technology("0.35um")) for pixel in pixels]
+    passed = [collected_fraction(one, light) / collected_fraction(other, light) for one, other in zip(plain, pixels, strict=True)]
+    assert passed[0] == pytest.approx(passed[1], rel=1e-3)
+    assert passed[1] < passed[2]
+    assert all(0.98 < part < 1 for part in passed)
+
+
+def test_stack_of_a_technology_is_switched_off_by_the_pixel() -> None:
+    """Bit for bit as the same technology without a stack, from Python, a file's table and a study's axis."""
+    image, plain = detailed_picture(), load_technology("0.35um")
+    off = derive(Pixel(**QUIET, stack={"enabled": False, "microlens": "square"}), LENSED)
+    assert off.stack is off.charge is off.efficiency_f_number is None
+    wanted = mean_signal_rate(image, CAMERA, derive(Pixel(**QUIET), plain))
+    np.testing.assert_array_equal(mean_signal_rate(image, CAMERA, off), wanted)
+    assert derive(Pixel(**QUIET, stack={"enabled": True}), LENSED) != off
+    values = [
+        {"label": "microlens", "set": {"pixel": {"stack": {"microlens": "square"}}}},
+        {"label": "bare", "set": {"pixel": {"stack": {"microlens": "none"}}}},
+        {"label": "no stack", "set": {"pixel": {"stack": {"enabled": False}}}},
+    ]
+    study = Study(name="x", axis=[{"name": "aperture", "values": values}])
+    found = [physics_of(case.study, "0.35um", 6.0, LENSED).stack for case in cases_of(study)]
+    assert [stack.microlens if stack else None for stack in found] == [True, False, None]
+
+
 def test_later_layers_restate_a_stack_in_another_word() -> None:
     base = {"pixel": {"stack": {"height_um": 4.0, "shift": "optimal", "depletion_um": 1.0, "diffusion_length_um": 9.0}}}
     over = {"pixel": {"stack": {"shift_um": [0.1, 0.0], "crosstalk": 0.1}}}
@@ -278,8 +334,11 @@ def test_later_layers_restate_a_stack_in_another_word() -> None:
     [
         ({"microlens": "square"}, r"no height_um and no index.*\[pixel\.stack\]"),
         ({"height_um": 4.0, "index": 1.5, "depletion_um": 1.0}, "depletion_um alone"),
-        ({"height_um": 3.0, "index": 1.5, "microlens": "square"}, "height_um: got 3; allowed: at least p/√π = 3.38"),
-        ({"height_um": 4.0, "index": 1.5, "shift_um": [4.0, 0.0]}, "shift_um.*at most half of pitch_um = 6"),
+        (
+            {"height_um": 3.0, "index": 1.5, "microlens": "square"},
+            r"^pixel\.stack\.height_um: got 3; allowed: at least p/√π = 3.38",
+        ),
+        ({"height_um": 4.0, "index": 1.5, "shift_um": [4.0, 0.0]}, r"^pixel\.stack\.shift_um: .*at most half of pitch_um = 6"),
     ],
 )
 def test_impossible_stacks_raise(stack: dict[str, Any], message: str) -> None:
