@@ -111,7 +111,7 @@ GOOD: dict[str, Any] = {
     "signal_e": 100.0, "statistic": "mean_delta_e", "resolution": 8, "state": lambda: scene().parse(), "options": CameraOptions(),
     "photodiode_side_um": 50.0, "height_um": 80.0,
     "planes": LIGHT.data.transpose(2, 0, 1), "fov_deg": 40.0, "aperture_radius_m": 5e-4, "focus_distance_m": 1.0, "source": "x",
-    "gain_db": 6.0,
+    "gain_db": 6.0, "mosaic": PLANE, "pattern": "rggb", "method": "bilinear",
 }  # fmt: skip
 OWN: dict[str, Any] = {
     "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),

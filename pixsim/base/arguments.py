@@ -110,7 +110,10 @@ BOUNDS = {
     "relative_luminance": INFINITE_TOO,
 }
 # Axes of arrays, by the names of arguments; other arrays may have any.
-AXES = {**dict.fromkeys(("picture", "texels", "signal_e_per_s", "luminance"), 2), **dict.fromkeys(("weight", "edges_um"), 1)}
+AXES = {
+    **dict.fromkeys(("picture", "texels", "signal_e_per_s", "luminance", "mosaic"), 2),
+    **dict.fromkeys(("weight", "edges_um"), 1),
+}
 
 
 def check_broadcast(**shapes: tuple[int, ...]) -> None:

@@ -1,0 +1,306 @@
+"""Demosaicing: one sample at each pixel of a mosaic of filters → all channels at each pixel; and what becomes of the noise.
+
+The picture continues beyond its edges by reflection about the centres of its outermost pixels, which keeps the phase of a
+Bayer pattern. A flat field stays flat up to the edge.
+
+* bilinear: the mean of the nearest two or four pixels of a channel. Bayer patterns only.
+* malvar2004: linear filters of 5 × 5 pixels. H. S. Malvar, L.-W. He and R. Cutler, ICASSP (2004) III-485. Bayer patterns only.
+* menon2007: along the direction with the smaller differences of colour, with refinement. D. Menon, S. Andriani and
+  G. Calvagno, IEEE Trans. Image Process. 16 (2007) 132. Bayer patterns only, and not linear.
+* interpolate: for any pattern. A pixel keeps the sample of its own channel. The other channels are normalised convolutions
+  (H. Knutsson and C.-F. Westin, CVPR (1993) 515): the mean of a channel's samples around, weighted by a tent that falls to zero
+  one unit cell away along y and x. On a Bayer pattern this is bilinear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.ndimage import correlate, correlate1d
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.errors import did_you_mean, invalid
+from pixsim.viewer.display import SPLINE_DEGREE, average_axis
+
+Method = Literal["bilinear", "malvar2004", "menon2007", "interpolate"]
+BAYER = {"rggb": ("RG", "GB"), "grbg": ("GR", "BG"), "gbrg": ("GB", "RG"), "bggr": ("BG", "GR")}
+MAX_CELL = 16  # pixels along a side of the unit cell
+MENON_REACH = 8  # pixels: 4 that decide on the direction, 2 for green and for red or blue, 2 of the refinement
+SPLINE_REACH = 16  # pixels, over which a cubic spline forgets its ends to 1e-9
+# Weights of |difference(x) - difference(x + 2)| around a pixel in the change along x; transposed, along y.
+MENON_CHANGES = np.array([[1, 0, 1, 0, 0], [0, 1, 0, 0, 0], [3, 0, 3, 0, 0], [0, 1, 0, 0, 0], [1, 0, 1, 0, 0]], float)
+# Filters of Malvar et al., times 8: green at red or blue; red (blue) at a green pixel in a row of red (blue); at blue (red).
+# The filter at a green pixel in a column of red (blue) is the transposed second one.
+MALVAR_GREEN = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8
+MALVAR_ROW = np.array([[0, 0, 0.5, 0, 0], [0, -1, 0, -1, 0], [-1, 4, 5, 4, -1], [0, -1, 0, -1, 0], [0, 0, 0.5, 0, 0]]) / 8
+MALVAR_CROSS = np.array([[0, 0, -1.5, 0, 0], [0, 2, 0, 2, 0], [-1.5, 0, 6, 0, -1.5], [0, 2, 0, 2, 0], [0, 0, -1.5, 0, 0]]) / 8
+
+
+@checks_arguments
+def demosaic(mosaic: Array, pattern: str | Sequence[str], method: Method = "bilinear") -> Array:
+    """Return all channels at each pixel of a mosaic, (H, W, C), in the unit of the mosaic (H, W); nothing is clipped.
+
+    The channels are R, G and B, as far as the pattern has them, then the others in the order in which its rows name them.
+
+    pattern : "rggb", "grbg", "gbrg" or "bggr", the 2 × 2 pixels at the top left, row by row; or the rows of any unit cell, a
+        capital letter a pixel, such as ("RG", "CB")
+    method : bilinear, malvar2004 (Malvar et al. 2004) or menon2007 (Menon et al. 2007) for Bayer patterns; interpolate for any
+
+    Raises PixsimError for another pattern, for a method that needs a Bayer pattern, for a mosaic smaller than the unit cell, and
+    for numbers that are not finite.
+
+    >>> demosaic(np.array([[0.2, 0.5, 0.2], [0.5, 0.9, 0.5]]), "rggb")[0].tolist()
+    [[0.2, 0.5, 0.9], [0.2, 0.5, 0.9], [0.2, 0.5, 0.9]]
+    """
+    cell = unit_cell(pattern)
+    check_method(cell, method)
+    values = np.asarray(mosaic, float)
+    if min(values.shape[0] - len(cell), values.shape[1] - len(cell[0])) < 0:
+        got = f"{values.shape[0]} × {values.shape[1]} pixels"
+        raise invalid("mosaic", got, f"at least the unit cell of {len(cell)} × {len(cell[0])} pixels")
+    if not np.isfinite(values).all():
+        raise invalid("mosaic", f"{np.count_nonzero(~np.isfinite(values))} values that are not finite", "finite numbers")
+    if method == "menon2007":
+        planes = _menon(np.pad(values, MENON_REACH, mode="reflect"), cell)[:, MENON_REACH:-MENON_REACH, MENON_REACH:-MENON_REACH]
+    elif cell in BAYER.values():
+        planes = _filtered(values, _weights(cell, method))
+    else:
+        planes = _interpolated(values, cell)
+    return np.moveaxis(planes, 0, -1)
+
+
+@checks_arguments
+def demosaic_covariance(
+    pattern: str | Sequence[str],
+    method: Method,
+    variance: ArrayLike,
+    dot_px: float | None = None,
+    interpolation: Literal["nearest", "linear", "cubic"] = "linear",
+) -> Array:
+    """Return the covariance of the demosaiced channels, (..., C, C), if the noise of the pixels is independent.
+
+    It is the mean over all pixels of a picture without its edges, or over all positions of a dot. It follows from the weights of
+    the samples: for bilinear demosaicing of equal noise of 1 the variances are 9/16, 5/8 and 9/16.
+
+    pattern, method : of `demosaic`; not menon2007, whose weights depend on the picture
+    variance : (..., C) of a pixel in each channel, any unit
+    dot_px : side, in pixels, of the display's dots over which the channels are averaged as in `frame_luminance`; None for the
+        pixels themselves
+    interpolation : between pixel centres, for dots
+
+    Raises PixsimError as `demosaic` does, for menon2007, for a variance of another shape or below 0, and for a dot of no size.
+
+    >>> np.diag(demosaic_covariance("rggb", "bilinear", [1.0, 1.0, 1.0])).tolist()
+    [0.5625, 0.625, 0.5625]
+    """
+    cell = unit_cell(pattern)
+    check_method(cell, method)
+    if method == "menon2007":
+        hint = "Take the covariance of malvar2004 or bilinear in its place."
+        raise invalid("method", "'menon2007', which has no covariance in closed form", "bilinear, malvar2004, interpolate", hint)
+    values, count = np.asarray(variance, float), len(channels_of(cell))
+    if values.ndim == 0 or values.shape[-1] != count or not (np.isfinite(values).all() and (values >= 0).all()):
+        got = f"shape {values.shape}" if values.shape[-1:] != (count,) else "numbers below 0 or not finite"
+        raise invalid("variance", got, f"(..., {count}), finite numbers not below 0, for channels {', '.join(channels_of(cell))}")
+    if dot_px is not None and not 1e-3 <= dot_px <= 1e3:
+        raise invalid("dot_px", f"{dot_px:g}", "0.001 to 1000 pixels, or None for the pixels themselves")
+    return np.asarray(np.einsum("cdk,...k->...cd", _covariance_per_variance(cell, method, dot_px, interpolation), values))
+
+
+@checks_arguments
+def unit_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
+    """Return the rows of a pattern's unit cell; the argument is that of `demosaic`.
+
+    Raises PixsimError if it is neither the name of a Bayer pattern nor rows of equal length of capital letters.
+    """
+    if isinstance(pattern, str):
+        if pattern not in BAYER:
+            hint = did_you_mean(pattern.lower(), BAYER)
+            raise invalid("pattern", f"'{pattern}'", f"{', '.join(BAYER)}, or rows such as ['RG', 'CB']", hint)
+        return BAYER[pattern]
+    cell = tuple(pattern)
+    allowed = f"rows of equal length, 1 to {MAX_CELL} × {MAX_CELL} capital letters, such as ['RG', 'CB']"
+    if not 1 <= len(cell) <= MAX_CELL or not all(1 <= len(row) <= MAX_CELL for row in cell):
+        raise invalid("pattern", list(cell), allowed)
+    if len({len(row) for row in cell}) > 1:
+        raise invalid("pattern", f"{list(cell)}, rows of {' and '.join(map(str, sorted({len(row) for row in cell})))}", allowed)
+    others = sorted({letter for row in cell for letter in row if not "A" <= letter <= "Z"})
+    if others:
+        raise invalid("pattern", f"{list(cell)} with {', '.join(map(repr, others))}", allowed)
+    return cell
+
+
+@checks_arguments
+def channels_of(cell: Sequence[str]) -> tuple[str, ...]:
+    """Return the letters of the channels of a unit cell, in the order of `demosaic`."""
+    letters = dict.fromkeys("".join(cell))
+    return (*(letter for letter in "RGB" if letter in letters), *(letter for letter in letters if letter not in "RGB"))
+
+
+@checks_arguments
+def check_method(cell: Sequence[str], method: Method) -> None:
+    """Raise PixsimError if a method cannot demosaic a unit cell."""
+    if method != "interpolate" and tuple(cell) not in BAYER.values():
+        hint = "Take 'interpolate', which works for any pattern; bin a quad pattern first to make it a Bayer pattern."
+        raise invalid("method", f"'{method}' for the pattern {list(cell)}", f"Bayer patterns: {', '.join(BAYER)}", hint)
+
+
+def _tent(size: int) -> Array:
+    """Weights (2 size - 1,) that fall linearly from 1 to 0 over a unit cell."""
+    return np.asarray(1 - np.abs(np.arange(1 - size, size)) / size)
+
+
+@lru_cache(maxsize=16)
+def _weights(cell: tuple[str, ...], method: Method) -> Array:
+    """Return the weights of a linear method, (rows, columns, C, 2 ry + 1, 2 rx + 1), for a pixel at each place of the cell."""
+    letters = np.array([list(row) for row in cell])
+    rows, columns = letters.shape
+    ry, rx = (2, 2) if method == "malvar2004" else (rows - 1, columns - 1)
+    weights = np.zeros((rows, columns, len(channels_of(cell)), 2 * ry + 1, 2 * rx + 1))
+    for y, x, (c, channel) in ((y, x, c) for y in range(rows) for x in range(columns) for c in enumerate(channels_of(cell))):
+        if letters[y, x] == channel:
+            weights[y, x, c, ry, rx] = 1.0
+        elif method == "malvar2004":
+            in_row, in_column = channel in letters[y], channel in letters[:, x]
+            cross = MALVAR_GREEN if channel == "G" else MALVAR_CROSS
+            weights[y, x, c] = cross if in_row == in_column else MALVAR_ROW if in_row else MALVAR_ROW.T
+        else:
+            around = letters[np.arange(y - ry, y + ry + 1)[:, None] % rows, np.arange(x - rx, x + rx + 1) % columns]
+            tent = (around == channel) * np.multiply.outer(_tent(rows), _tent(columns))
+            weights[y, x, c] = tent / tent.sum()
+    weights.flags.writeable = False
+    return weights
+
+
+def _filtered(mosaic: Array, weights: Array) -> Array:
+    """Return the planes (C, H, W) of a Bayer mosaic by the weights of a linear method.
+
+    Pixels at one place of the unit cell have the same weights: the mosaic is taken apart into its four phases, and what is
+    summed are whole phases, displaced.
+    """
+    height, width = mosaic.shape
+    reach = weights.shape[-1] // 2
+    padded = np.pad(mosaic, reach, mode="reflect")
+    phase = {(y, x): np.ascontiguousarray(padded[y::2, x::2]) for y in (0, 1) for x in (0, 1)}
+    planes = np.empty((weights.shape[2], height, width))
+    for y, x, c in np.ndindex(weights.shape[:3]):
+        taps, into = weights[y, x, c], planes[c, y::2, x::2]
+        total = np.zeros(into.shape)
+        for weight in np.unique(taps[taps != 0]):  # samples of equal weight are summed first
+            part = np.zeros(into.shape)
+            for dy, dx in np.argwhere(taps == weight):
+                (row, odd_row), (column, odd_column) = divmod(y + dy, 2), divmod(x + dx, 2)
+                part += phase[odd_row, odd_column][row : row + into.shape[0], column : column + into.shape[1]]
+            part *= weight
+            total += part
+        into[...] = total
+    return planes
+
+
+def _interpolated(mosaic: Array, cell: tuple[str, ...]) -> Array:
+    """Return the planes (C, H, W) of a mosaic of any pattern: own samples, else normalised convolutions."""
+    height, width = mosaic.shape
+    rows, columns = len(cell), len(cell[0])
+    letters = np.array([list(row) for row in cell])[np.arange(height)[:, None] % rows, np.arange(width) % columns]
+
+    def blurred(values: Array) -> Array:  # SciPy's "mirror" reflects about the centres of the outermost pixels
+        along_y = correlate1d(values, _tent(rows), axis=0, mode="mirror")
+        return np.asarray(correlate1d(along_y, _tent(columns), axis=1, mode="mirror"))
+
+    planes = np.empty((len(channels_of(cell)), height, width))
+    for plane, channel in zip(planes, channels_of(cell), strict=True):
+        own = letters == channel
+        np.divide(blurred(mosaic * own), blurred(own.astype(float)), out=plane)
+        np.copyto(plane, mosaic, where=own)
+    return planes
+
+
+def _menon(mosaic: Array, cell: tuple[str, ...]) -> Array:
+    """Return the planes (3, H, W) of a Bayer mosaic by Menon et al. (2007); `MENON_REACH` pixels at each edge are void."""
+    height, width = mosaic.shape
+    letters = np.array([list(row) for row in cell])[np.arange(height)[:, None] % 2, np.arange(width) % 2]
+    is_red, is_green, is_blue = letters == np.array(["R", "G", "B"])[:, None, None]
+
+    def along(axis: int, values: Array, taps: Sequence[float]) -> Array:
+        return np.asarray(correlate1d(values, taps, axis=axis, mode="mirror"))
+
+    # Green by interpolation along y and along x, and how much the difference from green changes along each.
+    greens, changes = [], []
+    for axis, weights in enumerate((MENON_CHANGES.T, MENON_CHANGES)):
+        greens.append(np.where(is_green, mosaic, along(axis, mosaic, (-0.25, 0.5, 0.5, 0.5, -0.25))))
+        difference = mosaic - greens[axis]
+        changes.append(correlate(np.abs(difference - np.roll(difference, -2, axis)), weights, mode="constant"))
+    horizontal = changes[0] >= changes[1]
+
+    def along_choice(values: Array, taps: Sequence[float]) -> Array:
+        return np.where(horizontal, along(1, values, taps), along(0, values, taps))
+
+    green = np.where(horizontal, greens[1], greens[0])
+    red, blue = np.where(is_red, mosaic, 0.0), np.where(is_blue, mosaic, 0.0)
+    beside, three = (0.5, 0.0, 0.5), (1 / 3, 1 / 3, 1 / 3)
+    for taps in (beside, three):  # the first round, and the refinement
+        if taps is three:
+            from_red, from_blue = along_choice(red - green, three), along_choice(blue - green, three)
+            green = np.where(is_red, red - from_red, np.where(is_blue, blue - from_blue, green))
+        for plane, own in ((red, is_red), (blue, is_blue)):  # at green pixels, from the two pixels of its colour beside
+            difference, in_row = plane - green, own.any(axis=1)[:, None]
+            mean = np.where(in_row, along(1, difference, beside), along(0, difference, beside))
+            np.copyto(plane, green + mean, where=is_green)
+        mean = along_choice(red - blue, taps)  # red at blue pixels, and blue at red pixels
+        red, blue = np.where(is_blue, blue + mean, red), np.where(is_red, red - mean, blue)
+    return np.stack([red, green, blue])
+
+
+@lru_cache(maxsize=64)
+def _covariance_per_variance(cell: tuple[str, ...], method: Method, dot_px: float | None, interpolation: str) -> Array:
+    """Return the covariance of the channels for a variance of 1 in the pixels of each channel, (C, C, C); the last axis is theirs.
+
+    A pixel of the mosaic leaves its noise in the pixels around, with weights that depend on its place in the unit cell. With dots,
+    neighbours weigh with the mean product of their weights in a dot.
+    """
+    weights, channels = _weights(cell, method), channels_of(cell)
+    rows, columns, _, ky, kx = weights.shape
+    y, x, dy, dx = np.ogrid[:rows, :columns, :ky, :kx]
+    left = weights[(y - dy + ky // 2) % rows, (x - dx + kx // 2) % columns, :, dy, dx]  # (rows, columns, ky, kx, C)
+    left = np.moveaxis(left, -1, 2)
+    shared = left
+    if dot_px is not None:
+        products = _dot_products(dot_px, interpolation, max(ky, kx))
+        shared = _toeplitz(products[:ky]) @ left @ _toeplitz(products[:kx])
+    each = np.einsum("yxcij,yxdij->yxcd", left, shared) / (rows * columns)
+    letters = np.array([list(row) for row in cell])
+    covariance = np.stack([each[letters == channel].sum(axis=0) for channel in channels], axis=-1)
+    covariance.flags.writeable = False
+    return covariance
+
+
+def _toeplitz(values: Array) -> Array:
+    """Return the symmetric matrix (n, n) with values (n,) on its diagonals."""
+    index = np.arange(len(values))
+    return np.asarray(values[np.abs(index[:, None] - index)])
+
+
+def _dot_products(dot_px: float, interpolation: str, count: int) -> Array:
+    """Return the products of the weights of two pixels in a dot, 0 … count - 1 pixels apart, (count,), along one axis.
+
+    They are summed over the pixels, and averaged over all positions of the dot. Between the positions at which an edge of the dot
+    crosses a pixel's centre or border, the weights are polynomials of degree 4 or less: Gauss-Legendre nodes are exact.
+    """
+    degree = SPLINE_DEGREE[interpolation]
+    reach = SPLINE_REACH if degree > 1 else 1
+    pixels = 2 * (reach + count) + int(np.ceil(dot_px)) + 1
+    knots = np.unique(np.concatenate([[0.0, 1.0], (np.array([0.0, 0.5, -dot_px, 0.5 - dot_px])) % 1]))
+    nodes, parts = np.polynomial.legendre.leggauss(5)
+    products = np.zeros(count)
+    for low, high in pairwise(knots):
+        for node, part in zip(nodes, parts, strict=True):
+            start = reach + count + (low + high + node * (high - low)) / 2
+            dot = average_axis(np.eye(pixels), 1.0, 0.0, np.array([start, start + dot_px]), degree, 0)[0]
+            products += part * (high - low) / 2 * np.array([(dot[: pixels - apart] * dot[apart:]).sum() for apart in range(count)])
+    return products
