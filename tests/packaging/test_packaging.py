@@ -95,7 +95,9 @@ def test_wheel_contains_package_and_scenes_only(shipped: dict[str, Path]):
     data = ("style.css.j2", "technologies/0.35um.toml", "studies/chen2000.toml")
     assert {"pixsim/py.typed", *(f"pixsim/data/{name}" for name in data)} <= expected
     assert {f"pixsim/data/scenes/{name}" for name in ("csf.xml", "charts/csf.exr", "spectra/macbeth/01_dark_skin.spd")} <= scenes
-    metadata = {f"{info}/{name}" for name in ("METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE")}
+    licences = ("LICENSE", "pixsim/data/camera_sensitivities/LICENSE", "pixsim/data/camera_sensitivities/NOTICE")
+    metadata = {f"{info}/{name}" for name in ("METADATA", "WHEEL", "RECORD", "entry_points.txt")}
+    metadata |= {f"{info}/licenses/{name}" for name in licences}
     assert names == expected | scenes | metadata  # neither tests nor caches
 
 
@@ -120,7 +122,7 @@ def test_metadata_state_tested_systems(shipped: dict[str, Path]):
     systems = re.findall(r"^Classifier: Operating System :: (.*)$", text, re.MULTILINE)
     assert systems == ["POSIX :: Linux"]
     assert "Requires-Python: >=3.11" in text
-    assert "License-Expression: BSD-3-Clause" in text
+    assert "License-Expression: BSD-3-Clause AND Apache-2.0\n" in text
     assert not re.search(r"^(Project-URL|Home-page|Download-URL)", text, re.MULTILINE)
 
 
