@@ -439,6 +439,7 @@ def _as_list(value: Any) -> Any:
 
 
 MICROLENSES = Literal["none", "square"]
+SHIFTS = Literal["none", "optimal"]
 StackHeight = Annotated[float, Field(ge=1e-3, le=1e4)]  # 1 nm ... 10 mm
 RefractiveIndex = Annotated[float, Field(ge=1, le=10)]
 SiliconDepth = Annotated[float, Field(ge=0, le=1e4)]
@@ -462,7 +463,7 @@ class StackOptions(Record):
     microlens: MICROLENSES | None = Field(
         None, description="'square', a lens over the whole pixel; 'none', an opening as wide as the photodiode (absent: none)"
     )
-    shift: Literal["none", "optimal"] | None = Field(
+    shift: SHIFTS | None = Field(
         None,
         description="shift of lenses or openings towards the axis: 'none', or 'optimal', so that chief rays land on the centres of "
         "photodiodes (absent: none)",
@@ -528,6 +529,11 @@ class PixelOptions(Record):
     quantum_efficiency_f_number: FNumber | None = Field(
         None, description="f-number of the light of that measurement, for 'microlens' (absent: the technology's, or 8)"
     )
+    quantum_efficiency_pitch_um: Pitch | None = Field(
+        None,
+        description="pitch of the pixel of that measurement, for 'microlens' (absent: data_sheet_pitch_um for that of a data "
+        "sheet, else the technology's, or that of each pixel)",
+    )
     infrared_cut_nm: Wavelength | None = Field(
         None, description="wavelength beyond which the response is zero (absent: no infrared cut)"
     )
@@ -567,7 +573,9 @@ class PixelOptions(Record):
         None, description="temporal read noise before the amplifier, which gain_db does not change; without reset noise"
     )
     read_noise_after_gain_e: NoiseElectrons | None = Field(
-        None, description="temporal read noise after the amplifier, in electrons at 0 dB; gain_db divides it by the amplification"
+        None,
+        description="temporal read noise after the amplifier, in electrons at 0 dB; gain_db divides it by the amplification "
+        "(absent: the technology's, or 0 beside read_noise_e)",
     )
     temporal_dark_noise_e: NoiseElectrons | None = Field(
         None,

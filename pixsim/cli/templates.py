@@ -30,7 +30,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "die_height_mm": 2.4, "pixels": [640, 640], "die_mm": 2.4, "infrared_cut_nm": 650.0, "fill_factor": 0.8,
     "f_number": 2.8, "integration_s": 0.02,
     "stack": {"height_um": 5.0, "index": 1.5, "microlens": "square", "shift": "optimal"},
-    "quantum_efficiency_includes": "microlens", "quantum_efficiency_f_number": 8.0,
+    "quantum_efficiency_includes": "microlens", "quantum_efficiency_f_number": 8.0, "quantum_efficiency_pitch_um": 1.4,
     "white_cd_per_m2": 1000.0,
     "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],
     "sensors": {"my_sensor.toml": {"pitch_um": 3.75, "technology": "4t-bsi"}},

@@ -5,13 +5,14 @@ microlens on the wavelength. They are weighted here with the electrons of the me
 light of one spectrum; a detail of another colour than the picture's mean is off by the difference of the two weighted means.
 
 A quantum efficiency that was measured on the whole pixel under its microlens already holds what the stack loses in that
-measurement. The shares are then divided by those of even light on axis at the f-number of the measurement, with a microlens.
+measurement. The shares are then divided by those of even light on axis at the f-number of the measurement, with a microlens and at
+the pitch of the pixel that was measured.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -23,7 +24,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Correction, Display, StackOptions
 from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
-from pixsim.optics.stack import LOWEST_LENS, Stack, aperture_side_um, collected_shares, model_limits
+from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits
 from pixsim.optics.thin_lens import thin_lens_pupil
 from pixsim.sensor.crosstalk import shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
@@ -107,7 +108,7 @@ def collection_of(physics: PixelPhysics, light: Illumination, shape: tuple[int, 
         return None
     check_efficiency(physics)
     half_um = (shape[0] - 1) / 2 * physics.pitch_um, (shape[1] - 1) / 2 * physics.pitch_um
-    shares, on_axis, side_um = _collection(stack, physics.charge, physics.efficiency_f_number, light, half_um)
+    shares, on_axis, side_um = _collection(stack, physics.charge, measurement(physics), light, half_um)
     return Collection(shares, on_axis, side_um)
 
 
@@ -129,7 +130,7 @@ def collected_fraction(physics: PixelPhysics, light: Illumination) -> float:
     if physics.stack is None:
         return physics.fill_factor
     check_efficiency(physics)
-    return _collection(physics.stack, physics.charge, physics.efficiency_f_number, light, (0.0, 0.0))[1]
+    return _collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0))[1]
 
 
 def collected_area_um2(physics: PixelPhysics, light: Illumination) -> float:
@@ -137,19 +138,29 @@ def collected_area_um2(physics: PixelPhysics, light: Illumination) -> float:
     return collected_fraction(physics, light) * physics.pitch_um**2
 
 
+Measurement = tuple[Stack, float]  # of a quantum efficiency: the stack of the whole pixel, and the f-number of the light
+
+
+def measurement(physics: PixelPhysics) -> Measurement | None:
+    """Return how the quantum efficiency was measured on a whole pixel; None: on the photodiode."""
+    stack, f_number = physics.efficiency_stack, physics.efficiency_f_number
+    return None if stack is None or f_number is None else (stack, f_number)
+
+
 def check_efficiency(physics: PixelPhysics) -> None:
     """Raise PixsimError if a quantum efficiency of the whole pixel exceeds what the stack lets through."""
-    stack, f_number = physics.stack, physics.efficiency_f_number
-    if stack is None or f_number is None:
+    measured = measurement(physics)
+    if measured is None:
         return
-    stated, passed = physics.quantum_efficiency(GIVEN_AT_NM), _measured_share(stack, physics.charge, f_number, GIVEN_AT_NM)
+    stated, passed = physics.quantum_efficiency(GIVEN_AT_NM), _measured_share(measured, physics.charge, GIVEN_AT_NM)
     if np.any(stated > passed):
+        stack, f_number = measured
         at = int(np.argmax(stated - passed))
-        got = f"{stated[at]:.3g} at {GIVEN_AT_NM[at]:g} nm for the whole pixel under its microlens"
+        got = f"{stated[at]:.3g} at {GIVEN_AT_NM[at]:g} nm for a whole pixel of {stack.pitch_um:g} µm under its microlens"
         expected = f"at most {passed[at]:.3g}, the light that this stack passes to photodiodes at f/{f_number:g}"
         hint = (
             "Check pixel.stack (height_um, index), or say where it was measured: quantum_efficiency_includes = 'photodiode', or "
-            "another quantum_efficiency_f_number."
+            "another quantum_efficiency_pitch_um or quantum_efficiency_f_number."
         )
         raise invalid("quantum efficiency", got, expected, hint)
 
@@ -196,16 +207,16 @@ def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: A
 
 @lru_cache(maxsize=32)
 def _collection(
-    stack: Stack, charge: StackOptions | None, f_number: float | None, light: Illumination, half_um: tuple[float, float]
+    stack: Stack, charge: StackOptions | None, measured: Measurement | None, light: Illumination, half_um: tuple[float, float]
 ) -> tuple[Array, float, float]:
     """Return the fields of a `Collection`.
 
-    f_number : at which the quantum efficiency was measured on the whole pixel; None: on the photodiode
+    measured : how the quantum efficiency was, on a whole pixel; None: on the photodiode
     half_um : from the axis to the centres of the outermost pixels, down and across
     """
     nm, weight = light.nodes
-    if f_number is not None:
-        weight = weight / _measured_share(stack, charge, f_number, nm)
+    if measured is not None:
+        weight = weight / _measured_share(measured, charge, nm)
     symmetric = stack.shift_um in ("optimal", (0.0, 0.0))
     points = POINTS_SHIFTED if stack.shift_um == "optimal" else POINTS_UNSHIFTED
     node = -np.cos(np.linspace(0.0, np.pi, 2 * points - 1))  # Chebyshev's, of the extrema: a polynomial through them is stable
@@ -255,21 +266,18 @@ def _shares_at(
     return optical if spread is None else spread_shares(optical, spread)
 
 
-def _measured_share(stack: Stack, charge: StackOptions | None, f_number: float, nm: Array) -> Array:
-    """Return the sum of the shares on axis of a whole pixel under a microlens at the f-number of a measurement, (K,).
+def _measured_share(measured: Measurement, charge: StackOptions | None, nm: Array) -> Array:
+    """Return the sum of the shares on axis of a whole pixel under a microlens, in the light of its measurement, (K,).
 
-    Even light, as EMVA 1288 has it, brings a pixel what its neighbours lose to it. A pixel that has no microlens itself may be too
-    wide for an ideal one at its height; the lowest ideal one stands for it then, which passes all of a slow lens's light.
+    Even light, as EMVA 1288 has it, brings a pixel what its neighbours lose to it.
     """
-    return _measured_share_at(stack, charge, f_number, tuple(nm.tolist()))
+    return _measured_share_at(measured, charge, tuple(nm.tolist()))
 
 
 @lru_cache(maxsize=256)
-def _measured_share_at(stack: Stack, charge: StackOptions | None, f_number: float, wavelength_nm: tuple[float, ...]) -> Array:
-    nm = np.array(wavelength_nm)
-    height_um = max(stack.height_um, LOWEST_LENS * stack.pitch_um)
-    lens = replace(stack, microlens=True, shift_um=(0.0, 0.0), height_um=height_um)
-    sine = numerical_aperture(f_number)
+def _measured_share_at(measured: Measurement, charge: StackOptions | None, wavelength_nm: tuple[float, ...]) -> Array:
+    lens, f_number = measured
+    nm, sine = np.array(wavelength_nm), numerical_aperture(f_number)
     optical, spread = collected_shares(lens, elliptic_pupil(sine), nm), _spread(lens, charge, sine, nm)
     return np.asarray((optical if spread is None else spread_shares(optical, spread)).sum(axis=(-2, -1)))
 

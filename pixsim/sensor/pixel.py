@@ -30,6 +30,7 @@ from pixsim.base.parameters import (
     StackOptions,
     Study,
     pixel_of,
+    stack_excluded_by,
 )
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.optics.stack import LOWEST_LENS, Stack
@@ -426,11 +427,39 @@ class PixelPhysics:
         if self.stack is None:
             return None
         own, process = self.pixel, self.technology
-        of_sheet = own.quantum_efficiency is not None and (process.name == NO_TECHNOLOGY or own.data_sheet_pitch_um is not None)
-        default = ("microlens" if self.stack.microlens else "photodiode") if of_sheet else process.quantum_efficiency_includes
+        of_lens = "microlens" if self.stack.microlens else "photodiode"
+        default = of_lens if self._efficiency_is_of_sheet else process.quantum_efficiency_includes
         if (own.quantum_efficiency_includes or default) == "photodiode":
             return None
         return own.quantum_efficiency_f_number or process.quantum_efficiency_f_number or USUAL_F_NUMBER
+
+    @property
+    def efficiency_stack(self) -> Stack | None:
+        """Stack of the whole pixel under a microlens whose quantum efficiency was measured; None: measured on the photodiode.
+
+        Its pitch is that of the measurement, where it is stated. A pixel without a microlens may be too wide for an ideal one at
+        its height; the lowest ideal one stands for it then, which passes all of a slow lens's light.
+        """
+        if self.stack is None or self.efficiency_f_number is None:
+            return None
+        own = self.pixel
+        stated_um = own.data_sheet_pitch_um if self._efficiency_is_of_sheet else self.technology.quantum_efficiency_pitch_um
+        pitch_um = own.quantum_efficiency_pitch_um or stated_um or self.pitch_um
+        side_um = self.stack.photodiode_side_um
+        if pitch_um != self.pitch_um:
+            fill_factor = own.fill_factor or float(fill_factor_law(pitch_um, self.technology))
+            if fill_factor < MIN_FRACTION:
+                allowed = f"above {smallest_pitch_um(self.technology):.4g} µm, the smallest pixel of {self.technology.name}"
+                raise invalid("quantum_efficiency_pitch_um", f"{pitch_um:g}", allowed)
+            side_um = math.sqrt(fill_factor) * pitch_um
+        height_um = max(self.stack.height_um, LOWEST_LENS * pitch_um)
+        return Stack(pitch_um, side_um, height_um, self.stack.index, refraction=self.stack.refraction)
+
+    @property
+    def _efficiency_is_of_sheet(self) -> bool:
+        """Whether the quantum efficiency is that of a data sheet, and not a number in place of the technology's."""
+        own = self.pixel
+        return own.quantum_efficiency is not None and (self.technology.name == NO_TECHNOLOGY or own.data_sheet_pitch_um is not None)
 
     @property
     def dn_per_e(self) -> float:
@@ -668,11 +697,8 @@ def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions |
     if not (values if pixel.stack is None else pixel.stack.enabled):
         return None
     own = pixel.stack.model_dump(exclude_none=True) if pixel.stack else {}
-    if "crosstalk" in own:
-        values = {name: value for name, value in values.items() if name not in ("depletion_um", "diffusion_length_um")}
-    elif "depletion_um" in own or "diffusion_length_um" in own:
-        values.pop("crosstalk", None)
-    options = StackOptions(**values | own)
+    restated = stack_excluded_by(own)
+    options = StackOptions(**{name: value for name, value in values.items() if name not in restated} | own)
     if missing := [name for name in ("height_um", "index") if getattr(options, name) is None]:
         hint = "Give them in [pixel.stack], or stack_… in the technology's file."
         raise invalid("pixel.stack", f"no {' and no '.join(missing)}", "a height and an index of refraction", hint)
@@ -741,7 +767,9 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     all_noise = pixel.temporal_dark_noise_e is not None
     factor = 0.0 if all_noise else given(pixel.reset_noise_factor, technology.reset_noise_factor)
     read_noise_e = given(pixel.temporal_dark_noise_e, given(pixel.read_noise_e, technology.read_noise_e))
-    after_gain_e = 0.0 if all_noise else given(pixel.read_noise_after_gain_e, technology.read_noise_after_gain_e)
+    # A pixel that states read noise alone has no other.
+    of_process = technology.read_noise_after_gain_e if pixel.read_noise_e is None else 0.0
+    after_gain_e = 0.0 if all_noise else given(pixel.read_noise_after_gain_e, of_process)
     measured_dark_e_per_s = dark_current_at_e_per_s(pixel, technology.dark_doubling_k)
 
     def process_dark_e_per_s(area_um2: float) -> float:

@@ -15,6 +15,7 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
 from pixsim.base.parameters import (
     MICROLENSES,
     NO_TECHNOLOGY,
+    SHIFTS,
     AreaMismatch,
     Crosstalk,
     DarkSpread,
@@ -29,6 +30,7 @@ from pixsim.base.parameters import (
     Layer,
     NoiseElectrons,
     OffsetSpread,
+    Pitch,
     Record,
     RefractiveIndex,
     ResetFactor,
@@ -129,6 +131,7 @@ class Technology(Record):
     )
     stack_index: RefractiveIndex | None = Field(None, description="refractive index of the stack")
     stack_microlens: MICROLENSES | None = Field(None, description="'square' or 'none'")
+    stack_shift: SHIFTS | None = Field(None, description="'none' or 'optimal'")
     stack_depletion_um: SiliconDepth | None = Field(None, description="front-lit: depth of the depletion region")
     stack_diffusion_length_um: DiffusionLength | None = Field(
         None, description="front-lit: diffusion length of electrons below the depletion region"
@@ -141,6 +144,9 @@ class Technology(Record):
     )
     quantum_efficiency_f_number: FNumber | None = Field(
         None, description="f-number of the light of that measurement, under a microlens; None: 8"
+    )
+    quantum_efficiency_pitch_um: Pitch | None = Field(
+        None, description="pitch of the pixel of that measurement, under a microlens; None: every pixel has that efficiency"
     )
     sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
     ranges: dict[str, tuple[float, float]] = Field(

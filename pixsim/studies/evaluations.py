@@ -161,24 +161,19 @@ Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors;
 
 
 def study_pitches_um(study: Study, technology: str) -> Array:
-    """Return the pitches of a technology in µm, (P,).
+    """Return the pitches of a technology in µm, (P,). A range ends where the stack allows no microlens (`largest_lens_um`).
 
-    Raises PixsimError if there are too few, the range is empty, or the stack allows no microlens on the largest pixel.
+    Raises PixsimError if there are too few, the range is empty, or the stack allows no microlens on the largest of given pitches.
     """
-    pitches = _asked_pitches_um(study, technology)
-    largest_um = largest_pitch_um(study.options_of(technology), technology_of(study, technology))
-    if pitches.max() > largest_um:
-        expected = f"at most {math.floor(1e4 * largest_um) / 1e4:g} µm, √π times the height of the stack of {technology}"
-        hint = "Lower pitch.max_um or values_um, raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
-        raise invalid("pitch", f"pixels up to {pitches.max():g} µm under microlenses", expected, hint)
-    return pitches
-
-
-def _asked_pitches_um(study: Study, technology: str) -> Array:
+    largest_um = largest_lens_um(study, technology)
     if study.pitch.values_um is not None:
         pitches = np.unique(study.pitch.values_um)
         if pitches.size < 5:
             raise invalid("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
+        if pitches.max() > largest_um:
+            expected = f"at most {largest_um:g} µm, √π times the height of the stack of {technology}"
+            hint = "Leave out larger ones, raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
+            raise invalid("pitch.values_um", f"pixels up to {pitches.max():g} µm under microlenses", expected, hint)
         return pitches
     (low, high), source = study.open_range_um, "pitch.min_um"
     if low is None:
@@ -188,9 +183,24 @@ def _asked_pitches_um(study: Study, technology: str) -> Array:
             raise invalid("pitch.min_um", got, expected, "A data sheet has no fill factors, from which it would follow.")
         low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
         source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
+    if low >= largest_um:
+        hint = "Raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
+        raise invalid(
+            "pitch",
+            f"sizes from {low:.4g} µm, {source}",
+            f"below {largest_um:g} µm, √π times the height of the stack of {technology}",
+            hint,
+        )
+    high = min(high, largest_um)
     if low >= high:
         raise invalid("pitch.max_um", high, f"above {low:.4g} µm, {source}")
     return np.geomspace(low, high, study.pitch.count).round(4)
+
+
+def largest_lens_um(study: Study, technology: str) -> float:
+    """Return the widest pixel on which a technology's stack allows a microlens, rounded down; infinity without microlenses."""
+    largest_um = largest_pitch_um(study.options_of(technology), technology_of(study, technology))
+    return largest_um if math.isinf(largest_um) else math.floor(1e4 * largest_um) / 1e4
 
 
 def light_of(study: Study, scenes: SceneCache, technology: str) -> SharedLight:

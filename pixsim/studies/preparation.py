@@ -25,8 +25,9 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.pixel import physics_of
+from pixsim.sensor.technology import label_of
 from pixsim.studies.engine import workers_here
-from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.evaluations import largest_lens_um, study_pitches_um
 from pixsim.viewer.score import SCENE_CACHE_BYTES
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
@@ -118,7 +119,8 @@ def fitted_range(study: Study, camera: Camera) -> Study:
     """Return the study with the range of its pixel sizes: that of the data sheet, and within what a frame may hold.
 
     A range that is left open begins at a quarter of the data sheet's pitch, or where the fill factor is `min_fill_factor`, and
-    ends at four times the pitch. It is shortened, with a warning, where there would be too many pixels or too few.
+    ends at four times the pitch. It is shortened, with a warning, where there would be too many pixels or too few, and where a
+    stack allows no microlens.
 
     Raises PixsimError if a pixel size that was set makes too many pixels.
     """
@@ -133,6 +135,12 @@ def fitted_range(study: Study, camera: Camera) -> Study:
         if high < wished:
             ends = f"{high:.4g} µm in place of {wished:.4g} µm"
             warn(f"the largest pixel size is {ends}: a larger one leaves fewer than {MIN_ACROSS} on the die")
+    for name in study.technologies:
+        if (lens_um := largest_lens_um(study, name)) < high:
+            warn(
+                f"the largest pixel size of {label_of(name)} is {lens_um:g} µm in place of {high:.4g} µm: its stack is too low for "
+                "a wider ideal microlens (h < p/√π); larger ones: pixel.stack.height_um, or pixel.stack.microlens = 'none'"
+            )
     if pitch.min_um is not None:
         check_smallest(pitch.min_um, camera, "pitch.min_um")
     else:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -70,6 +70,7 @@ class Sight:
                     *(p.pixel.bits, p.pixel.black_level_dn, p.pixel.conversion, p.pixel.well_limit),
                     p.charge.content_hash if p.charge else "",
                     p.efficiency_f_number,
+                    p.efficiency_stack and astuple(p.efficiency_stack),
                 ]
                 for p in pixels
             ],

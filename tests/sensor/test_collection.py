@@ -18,13 +18,13 @@ from pixsim.measure.experiment import pixel_efficiency
 from pixsim.measure.sfr import edge_response
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
-from pixsim.optics.stack import collected_shares
+from pixsim.optics.stack import Stack, collected_shares
 from pixsim.optics.thin_lens import thin_lens_pupil
 from pixsim.sensor.collection import Illumination, collected_fraction, collection_of, even_light, stack_shares
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.integration import collecting_area_um2, illumination_of, integrate_pixels, mean_signal_rate
 from pixsim.sensor.pixel import derive, physics_of
-from pixsim.sensor.technology import load_technology
+from pixsim.sensor.technology import Technology, load_technology
 from pixsim.studies.cases import cases_of
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.viewer.score import ImagingChain, make_imaging_chain
@@ -172,10 +172,43 @@ def test_efficiency_of_the_whole_pixel_is_not_counted_twice() -> None:
     assert collected_fraction(bare, light) < 0.4 * collected_fraction(physics, light)  # a fill factor of .28, where the lens has 1
 
 
+def test_efficiency_was_measured_at_its_own_pitch() -> None:
+    """The photodiode's efficiency is the same at every pitch: that of the measured pixel over what its own lens passes.
+
+    So a pixel of the stated pitch has the stated number in the light of the measurement, and a smaller one less, by the ratio of
+    what the lenses pass. A data sheet's pitch is data_sheet_pitch_um, a technology's its own, and the pixel's word goes first.
+    """
+    light, pupil = even_light(np.array([550.0]), np.ones(1)), elliptic_pupil(numerical_aperture(8.0))
+
+    def passed(pitch_um: float) -> float:
+        return float(collected_shares(Stack(pitch_um, pitch_um * math.sqrt(0.4), 4.0, 1.5), pupil, [550.0]).sum())
+
+    measured = measured_at(3.0)
+    lens = {"height_um": 4.0, "index": 1.5, "microlens": "square"}
+    sheet = {"full_well_e": 1e4, "read_noise_e": 2.0, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.5, "stack": lens}
+    plain = {"fill_factor": 0.4, "infrared_cut_nm": 720.0}
+    for pitch_um in (1.2, 3.0, 6.0):
+        wanted = pytest.approx(passed(pitch_um) / passed(3.0), rel=1e-10)
+        assert collected_fraction(derive(Pixel(pitch_um=pitch_um, **plain), measured), light) == wanted
+        assert collected_fraction(derive(Pixel(pitch_um=pitch_um, data_sheet_pitch_um=3.0, **plain, **sheet)), light) == wanted
+    own = Pixel(pitch_um=1.2, quantum_efficiency_pitch_um=6.0, **plain)
+    assert collected_fraction(derive(own, measured), light) == pytest.approx(passed(1.2) / passed(6.0), rel=1e-10)
+    assert collected_fraction(derive(Pixel(pitch_um=1.2, **plain), LENSED), light) == pytest.approx(1.0, rel=1e-10)
+    assert passed(1.2) < 0.7 * passed(6.0)  # what would be missing: light that small lenses lose by diffraction
+    layout = derive(Pixel(pitch_um=6.0), measured_at(6.5))  # a fill factor of its own
+    assert layout.efficiency_stack is not None
+    assert layout.efficiency_stack.fill_factor == pytest.approx(derive(Pixel(pitch_um=6.5)).fill_factor, rel=1e-12)
+    with pytest.raises(PixsimError, match=r"quantum_efficiency_pitch_um: got 4; allowed: above 5\.13"):
+        collected_fraction(derive(Pixel(pitch_um=6.0), measured_at(4.0)), light)
+
+
 def test_efficiency_beyond_the_stack_raises() -> None:
     sheet = {"full_well_e": 1e4, "read_noise_e": 2.0, "dark_current_e_per_s": 1.0, "fill_factor": 0.2, "bits": 12}
     pixel = Pixel(pitch_um=2.0, quantum_efficiency=0.9, **sheet, stack=LENS)
-    with pytest.raises(PixsimError, match=r"quantum efficiency.*0\.9 at .*at most 0\.\d+.*f/8.*quantum_efficiency_f_number"):
+    message = (
+        r"quantum efficiency.*0\.9 at .*of 2 µm.*at most 0\.\d+.*f/8.*quantum_efficiency_pitch_um or quantum_efficiency_f_number"
+    )
+    with pytest.raises(PixsimError, match=message):
         collected_fraction(derive(pixel), even_light(NM, np.ones(NM.size)))
     on_photodiode = pixel.model_copy(update={"quantum_efficiency_includes": "photodiode"})
     assert collected_fraction(derive(on_photodiode), even_light(NM, np.ones(NM.size))) < 0.9
@@ -273,6 +306,10 @@ LENSED = load_technology("0.35um").model_copy(
 )
 
 
+def measured_at(pitch_um: float) -> Technology:
+    return LENSED.model_copy(update={"quantum_efficiency_pitch_um": pitch_um})
+
+
 def test_microlens_of_a_technology_is_switched_off_by_the_pixel() -> None:
     """The photodiode's efficiency is that of the whole pixel over what a microlens passes of light at f/8, for a bare pixel too.
 
@@ -361,14 +398,20 @@ def test_stack_options_out_of_range_raise(fields: dict[str, Any], message: str) 
         StackOptions(**fields)
 
 
-def test_study_refuses_pitches_without_a_microlens_before_it_starts() -> None:
-    study = Study(name="x", pixel={"stack": LENS}, pitch={"max_um": 9.0})
-    with pytest.raises(PixsimError, match=r"pixels up to 9 µm under microlenses; allowed: at most 7\.0898 µm"):
-        study_pitches_um(study, "0.35um")
+def test_study_has_no_pitches_without_a_microlens() -> None:
+    """√π times 4 µm: a range ends there, given pitches beyond are refused, and so is a range that begins there."""
+    ends = study_pitches_um(Study(name="x", pixel={"stack": LENS}, pitch={"max_um": 9.0}), "0.35um")
+    assert (ends.max(), ends.size) == (7.0898, 24)
     possible = study_pitches_um(Study(name="x", pixel={"stack": LENS}, pitch={"max_um": 7.0}), "0.35um")
     assert possible.max() == 7.0
     bare = Study(name="x", pixel={"stack": LENS | {"microlens": "none"}}, pitch={"max_um": 9.0})
     assert study_pitches_um(bare, "0.35um").max() == 9.0
+    given = Study(name="x", pixel={"stack": LENS}, pitch={"values_um": [6.0, 6.5, 7.0, 8.0, 9.0]})
+    with pytest.raises(PixsimError, match=r"values_um: got pixels up to 9 µm under microlenses; allowed: at most 7\.0898 µm"):
+        study_pitches_um(given, "0.35um")
+    for pitch, source in (({"min_um": 8.0}, "8 µm, pitch.min_um"), ({"min_fill_factor": 0.5}, "8.173 µm, where 0.35um has")):
+        with pytest.raises(PixsimError, match=rf"pitch: got sizes from {source}.*below 7\.0898 µm.*microlens = 'none'"):
+            study_pitches_um(Study(name="x", pixel={"stack": LENS}, pitch=pitch), "0.35um")
 
 
 def test_doubtful_model_warns_with_numbers() -> None:

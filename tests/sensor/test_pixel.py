@@ -373,6 +373,20 @@ def test_derive_gain_saturates_at_the_lower_of_well_and_adc(gain_e_per_dn: float
     assert without.adc_range_e == without.saturation_e == without.full_well_e == 10_000.0
 
 
+def test_derive_read_noise_of_the_pixel_is_all_its_read_noise() -> None:
+    """A technology's noise after the amplifier belongs to its own read noise, and is not added to a number of the pixel."""
+    process = load_technology("4t-bsi").model_copy(update={"read_noise_e": 3.0, "read_noise_after_gain_e": 4.0})
+    pixel = {"pitch_um": 1.4, "technology": "4t-bsi"}
+    for given, wanted in (
+        ({}, 5.0),
+        ({"read_noise_e": 2.0}, 2.0),
+        ({"read_noise_e": 12.0, "read_noise_after_gain_e": 5.0}, 13.0),
+        ({"read_noise_after_gain_e": 0.0}, 3.0),
+        ({"temporal_dark_noise_e": 2.5}, 2.5),
+    ):
+        assert derive(Pixel(**pixel, **given), process).noise_floor_e == pytest.approx(wanted, rel=1e-12), given
+
+
 @pytest.mark.parametrize("pitch_um", [2.0, 4.0, 8.0])
 def test_derive_data_sheet_words_scale_with_area(pitch_um: float) -> None:
     """Well, gain and dark current scale as the area, solved once for the sheet's own pitch; noise in electrons stays."""

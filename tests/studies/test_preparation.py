@@ -18,7 +18,7 @@ from helpers.commands import assert_refused, command
 from helpers.tiny import rows, tiny
 
 import pixsim
-from pixsim.base.parameters import Run, Study
+from pixsim.base.parameters import PixelOptions, Run, Study
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.report.outline import run_outline, study_outline
 from pixsim.scene.plan import make_render_plan
@@ -119,6 +119,19 @@ def test_fitted_range_of_small_die_is_quarter_to_four_times() -> None:
     with warnings.catch_warnings(action="error"):
         study = fitted_range(sheet_study(2.0), pixsim.Camera(die_mm=2.0))
     assert (study.pitch.min_um, study.pitch.max_um) == (0.8625, 13.8)
+
+
+def test_fitted_range_ends_at_the_widest_microlens_and_says_so() -> None:
+    """√π times the height, whether four times the data sheet's pitch or a stated end lies beyond."""
+    lens = {"height_um": 5.0, "index": 1.5, "microlens": "square"}
+    for pitch, end in (({}, "13.8"), ({"max_um": 9.0}, "9")):
+        study = sheet_study(2.0, **pitch)
+        study = study.model_copy(update={"pixel": PixelOptions(**study.pixel.model_dump(exclude_unset=True) | {"stack": lens})})
+        message = rf"largest pixel size of data sheet is 8\.8622 µm in place of {end} µm: .*pixel\.stack\.microlens = 'none'"
+        with pytest.warns(UserWarning, match=message):
+            fitted = fitted_range(study, pixsim.Camera(die_mm=2.0))
+        assert study_pitches_um(fitted, "none").max() == 8.8622
+        assert fitted.pitch.largest_um == float(end)  # the scored frame is as without a stack
 
 
 def test_fitted_range_is_clipped_by_memory_and_says_so() -> None:
