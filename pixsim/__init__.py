@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from pixsim.studies.compare import compare as compare
     from pixsim.studies.study import study as study
     from pixsim.viewer import display as display, scielab as scielab
+    from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
     from pixsim.viewer.demosaic import demosaic as demosaic
     from pixsim.viewer.scielab import delta_e_map as delta_e_map
     from pixsim.viewer.score import evaluate as evaluate
@@ -60,6 +61,7 @@ _NAMES_OF = {
     "sensor.readout": "Frame capture make_sensor",
     "sensor.raw": "write_frame read_frame",
     "measure.sfr": "edge_response",
+    "viewer.colour_matrix": "colour_matrix",
     "viewer.demosaic": "demosaic",
     "viewer.scielab": "delta_e_map",
     "viewer.score": "evaluate",

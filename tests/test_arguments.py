@@ -111,7 +111,8 @@ GOOD: dict[str, Any] = {
     "signal_e": 100.0, "statistic": "mean_delta_e", "resolution": 8, "state": lambda: scene().parse(), "options": CameraOptions(),
     "photodiode_side_um": 50.0, "height_um": 80.0,
     "planes": LIGHT.data.transpose(2, 0, 1), "fov_deg": 40.0, "aperture_radius_m": 5e-4, "focus_distance_m": 1.0, "source": "x",
-    "gain_db": 6.0, "mosaic": PLANE, "pattern": "rggb", "method": "bilinear",
+    "gain_db": 6.0, "mosaic": PLANE, "pattern": "rggb", "method": "bilinear", "rgb": XYZ / 100,
+    "sensitivities": lambda: pixsim.spectral.colour_matching(np.arange(400.0, 701.0, 10.0)), "illuminant": "D55",
 }  # fmt: skip
 OWN: dict[str, Any] = {
     "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
@@ -126,6 +127,7 @@ OWN: dict[str, Any] = {
     "pixsim.base.parameters.Camera.from_lens_geometry.die_mm": 2.7,
     "pixsim.SpectralImage.factors": None, "pixsim.SpectralImage.pitch_um": 100.0,
     "pixsim.viewer.display.picture_size_um.irradiance": LIGHT, "pixsim.optics.stack_collection.index": 1.5,
+    "pixsim.colour_matrix.wavelength_nm": np.arange(400.0, 701.0, 10.0), "pixsim.colour_matrix.method": "least_delta_e",
     "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
 }  # fmt: skip
 # Optional arguments that every call has: without them it takes long, or means nothing.

@@ -21,7 +21,7 @@ from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, invalid
 
 # The public names; everything else is internal.
-__all__ = ["SpectralImage", "d65", "luminous_weight", "photons_per_joule", "photopic_efficiency"]
+__all__ = ["SpectralImage", "colour_matching", "d65", "luminous_weight", "photons_per_joule", "photopic_efficiency"]
 
 PLANCK_J_S = 6.62607015e-34  # SI 2019, exact
 LIGHT_SPEED_M_PER_S = 299792458.0
@@ -39,21 +39,34 @@ def photons_per_joule(wavelength_nm: ArrayLike) -> Array:
 
 @lru_cache
 def _photometric_table() -> Array:
-    return np.loadtxt(str(resources.files("pixsim") / "data/photopic_and_d65.csv"), delimiter=",", skiprows=3)
+    return np.loadtxt(str(resources.files("pixsim") / "data/observer_and_d65.csv"), delimiter=",", skiprows=3)
 
 
 @checks_arguments
 def photopic_efficiency(wavelength_nm: ArrayLike) -> Array:
     """Return ȳ(λ) of the CIE 1931 observer (CIE 018:2019) (...) as the wavelengths: 1 at its peak, 0 outside 360-830 nm."""
     table = _photometric_table()
-    return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 1], left=0.0, right=0.0)
+    return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
+
+
+@checks_arguments
+def colour_matching(wavelength_nm: ArrayLike) -> Array:
+    """Return x̄(λ), ȳ(λ) and z̄(λ) of the CIE 1931 observer (CIE 018:2019), (..., 3) as the wavelengths; 0 outside 360-830 nm.
+
+    Relative to the peak of ȳ, which is 1.
+
+    >>> colour_matching(555.0).tolist()
+    [0.5120501, 1.0, 0.005749999]
+    """
+    nm, table = np.asarray(wavelength_nm, float), _photometric_table()
+    return np.stack([np.interp(nm, table[:, 0], table[:, column], left=0.0, right=0.0) for column in (1, 2, 3)], axis=-1)
 
 
 @checks_arguments
 def d65(wavelength_nm: ArrayLike) -> Array:
     """Return the relative power of CIE D65 (CIE 15:2018) (...) as the wavelengths: 100 at 560 nm, 0 outside 360-830 nm."""
     table = _photometric_table()
-    return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
+    return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 4], left=0.0, right=0.0)
 
 
 @checks_arguments

@@ -26,6 +26,12 @@ from pixsim.sensor.readout import Frame
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
+# Columns are the display's primaries, those of sRGB (IEC 61966-2-1), so scaled that their sum is its white.
+PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
+_PRIMARIES_XYZ = np.array([[x / y, 1.0, (1 - x - y) / y] for x, y in PRIMARIES_XY]).T
+XYZ_FROM_RGB = _PRIMARIES_XYZ * np.linalg.solve(_PRIMARIES_XYZ, WHITE_XYZ)
+RGB_FROM_XYZ = np.linalg.inv(XYZ_FROM_RGB)
+GAMUT_TOLERANCE = 1e-9  # of a primary's largest light, for rounding
 WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # pictures divided by white stay within float64 for any sensor and exposure
 SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # quintic is only the reference for cubic displays
 B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
@@ -322,3 +328,67 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
 def to_xyz(luminance: Array) -> Array:
     """Return the XYZ of grey light on a D65 display, (H, W, 3) with white at Y = 100, for relative luminance (H, W). CIE 15."""
     return luminance[:, :, None] * WHITE_XYZ
+
+
+@checks_arguments
+def rgb_to_xyz(rgb: Array) -> Array:
+    """Return the XYZ of light on the display, (..., 3) with white at Y = 100, for its primaries R, G, B (..., 3), 1 for white.
+
+    The primaries are those of sRGB (IEC 61966-2-1:1999); R = G = B is `to_xyz` of that luminance.
+
+    rgb : light of the primaries, relative
+
+    Raises PixsimError for another shape.
+    """
+    return _in_colour(XYZ_FROM_RGB, "rgb", rgb)
+
+
+@checks_arguments
+def xyz_to_rgb(xyz: Array) -> Array:
+    """Return the light of the display's primaries, (..., 3), 1 for white, that makes XYZ (..., 3); the inverse of `rgb_to_xyz`.
+
+    Below 0 or above 1 where the display cannot show a colour. Raises PixsimError for another shape.
+    """
+    return _in_colour(RGB_FROM_XYZ, "xyz", xyz)
+
+
+@checks_arguments
+def shown_rgb(rgb: Array, display: Display) -> Array:
+    """Return the light of the primaries, (..., 3), 1 for white, as a display of finite bits and range shows `rgb` (..., 3).
+
+    Each primary has the codes of `shown_luminance`: colours outside the gamut are clipped, and high lights to white. Raises
+    PixsimError for another shape.
+    """
+    return shown_luminance(_of_three("rgb", rgb), display)
+
+
+@checks_arguments
+def out_of_gamut_share(rgb: Array) -> float:
+    """Return the share of dots, 0 to 1, whose colour the display cannot show, for the light of its primaries (..., 3), 1 for white.
+
+    Such a dot needs a primary below 0, or one above 1 in light that is not brighter than white. What is brighter is no matter of
+    the gamut. Raises PixsimError for another shape.
+
+    rgb : light of the primaries, relative
+    """
+    red, green, blue = np.moveaxis(_of_three("rgb", rgb), -1, 0)
+    relative = XYZ_FROM_RGB[1] / WHITE_XYZ[1]
+    luminance = relative[0] * red + relative[1] * green + relative[2] * blue
+    low, high = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
+    outside = (low < -GAMUT_TOLERANCE) | ((high > 1 + GAMUT_TOLERANCE) & (luminance <= 1))
+    return float(np.count_nonzero(outside) / outside.size)
+
+
+def _of_three(name: str, values: Array) -> Array:
+    if values.ndim == 0 or values.shape[-1] != 3 or not values.size:
+        raise invalid(f"{name}, shape", values.shape, "(..., 3), not empty", "Move the three values last.")
+    return values
+
+
+def _in_colour(matrix: Array, name: str, values: Array) -> Array:
+    """Return a matrix (3, 3) times values (..., 3); not by BLAS, whose rounding depends on the number of threads."""
+    planes = np.moveaxis(_of_three(name, values), -1, 0)
+    result = np.empty(values.shape)
+    for row, weights in enumerate(matrix):
+        result[..., row] = weights[0] * planes[0] + weights[1] * planes[1] + weights[2] * planes[2]
+    return result

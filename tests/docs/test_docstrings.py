@@ -49,7 +49,7 @@ KERNELS = (
         "sensor.photodiode",
         "sensor.readout",
     ),
-    *("scene.charts", "viewer.demosaic", "viewer.display", "viewer.scielab"),
+    *("scene.charts", "viewer.colour_matrix", "viewer.demosaic", "viewer.display", "viewer.scielab"),
 )
 # Public names exempt from a rule, and why.
 EXCEPTIONS = {

@@ -518,3 +518,43 @@ def test_frame_luminance_single_row_or_pixel(interpolation, shape):
     assert np.all(np.isfinite(shown))
     if interpolation != "cubic":  # a cubic overshoots; the others neither gain nor lose light
         assert shown.mean() == pytest.approx(dn.mean() / 1000, rel=1e-12)
+
+
+# --- Colour ---
+
+
+def test_rgb_to_xyz_grey_is_the_grey_display():
+    grey = np.linspace(0, 1, 12).reshape(3, 4)
+    xyz = displays.rgb_to_xyz(np.repeat(grey[:, :, None], 3, axis=2))
+    np.testing.assert_allclose(xyz, displays.to_xyz(grey), rtol=1e-12, atol=0)
+
+
+def test_rgb_to_xyz_primaries_have_the_chromaticities_of_srgb():
+    """And the display's white for all three; the luminances are those of IEC 61966-2-1 to four digits."""
+    xyz = displays.rgb_to_xyz(np.eye(3))
+    np.testing.assert_allclose(xyz[:, :2] / xyz.sum(axis=1, keepdims=True), [[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]], rtol=1e-12)
+    np.testing.assert_allclose(xyz.sum(axis=0), displays.WHITE_XYZ, rtol=1e-14)
+    np.testing.assert_allclose(xyz[:, 1], [21.26, 71.52, 7.22], atol=0.01)
+    np.testing.assert_allclose(displays.xyz_to_rgb(xyz), np.eye(3), atol=1e-14)
+
+
+def test_shown_rgb_has_the_codes_of_the_grey_display_and_clips():
+    rgb = np.array([[-0.2, 0.5, 2.0], [0.3, 0.3, 0.3]])
+    display = Display(bits=6)
+    shown = displays.shown_rgb(rgb, display)
+    assert (shown == displays.shown_luminance(rgb, display)).all()
+    assert shown[0, 0] == 0
+    assert shown[0, 2] == 1
+    assert len(set(shown[1])) == 1
+
+
+def test_out_of_gamut_share_counts_colours_not_high_lights():
+    inside = [[1.0, 0.0, 0.5], [0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [-1e-12, 1.0, 1.0]]
+    bright = [[1.5, 1.5, 1.5], [1.01, 1.0, 1.0]]
+    outside = [[-0.01, 0.5, 0.5], [1.1, 0.2, 0.2], [3.0, 3.0, -0.1]]
+    assert displays.out_of_gamut_share(np.array(inside + bright)) == 0
+    assert displays.out_of_gamut_share(np.array(outside)) == 1
+    assert displays.out_of_gamut_share(np.array([inside[:3], outside])) == 0.5
+    for values in (np.ones((3, 2)), np.ones((0, 3)), np.array(1.0)):
+        with pytest.raises(PixsimError, match="Move the three values last"):
+            displays.out_of_gamut_share(values)

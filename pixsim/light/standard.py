@@ -1,0 +1,61 @@
+"""Standard spectra for colour: CIE illuminants, and the reflectance of the 24 patches of a ColorChecker."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.errors import did_you_mean, invalid
+from pixsim.light.spectral import d65
+
+CHROMATIC_PATCHES = slice(0, 18)  # patches 1-18 of 24; the others are grey
+
+
+@lru_cache
+def _table(name: str) -> tuple[tuple[str, ...], Array]:
+    """The names of the columns of a packaged table without the first, and its numbers."""
+    path = resources.files("pixsim") / f"data/{name}.csv"
+    with path.open(encoding="utf-8") as file:
+        header = file.read().splitlines()[2]
+    return tuple(header.split(",")[1:]), np.genfromtxt(str(path), delimiter=",", skip_header=3)
+
+
+def illuminant_names() -> tuple[str, ...]:
+    """Return the names of the illuminants."""
+    return tuple(sorted([*_table("illuminants")[0], "D65"]))
+
+
+@checks_arguments
+def illuminant(name: str, wavelength_nm: ArrayLike) -> Array:
+    """Return the relative power of a CIE illuminant (CIE 15:2018) (...) as the wavelengths; 0 outside 360-780 nm.
+
+    It is linear between the points of the tables. Those of FL and LED begin at 380 nm, and that of D65 ends at 830 nm.
+
+    name : one of `illuminant_names`
+
+    Raises PixsimError for another name.
+    """
+    if name == "D65":
+        return d65(wavelength_nm)
+    names, table = _table("illuminants")
+    if name not in names:
+        raise invalid("illuminant", f"'{name}'", ", ".join(illuminant_names()), did_you_mean(name, illuminant_names()))
+    nm, power = table[:, 0], table[:, 1 + names.index(name)]
+    known = np.isfinite(power)
+    return np.interp(np.asarray(wavelength_nm, float), nm[known], power[known], left=0.0, right=0.0)
+
+
+@checks_arguments
+def patch_reflectance(wavelength_nm: ArrayLike) -> Array:
+    """Return the reflectance of the 24 patches (ISO 17321-1), 0 to 1, (24, ...) as the wavelengths.
+
+    It is linear between the points of the table, and constant outside 380-780 nm.
+    """
+    _, table = _table("colorchecker")
+    nm = np.asarray(wavelength_nm, float)
+    return np.stack([np.interp(nm, table[:, 0], column) for column in table[:, 1:].T])

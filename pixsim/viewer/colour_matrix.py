@@ -1,0 +1,323 @@
+"""The colour matrix: XYZ from the white-balanced channels of a camera, fitted over the patches of a ColorChecker.
+
+Channels are balanced: the perfect white of the lamp has 1 in each. The matrix is fitted under the lamp of the scene, with that
+lamp as white, over the 18 chromatic patches (ISO 17321-1).
+
+* least_squares: the least squared error of XYZ. White is not kept.
+* least_delta_e: white is kept, and the mean ΔE*ab (CIE 1976) of the patches is the least.
+* noise_aware: white is kept, and the mean over the patches of √(|b|² + tr J M Σ Mᵀ Jᵀ) is the least: b is the colour error, Σ the
+  covariance of the balanced channels, and J the Jacobian of CIELAB at the patch. Without noise it is least_delta_e; with noise it
+  trades saturation for amplification.
+
+That a matrix which is right in colour amplifies noise is well known, and so are fits that weigh both: P. L. Vora and C. Herley,
+ICIP (1998) 196; Y.-P. Tan and T. Acharya, ICASSP (1999) 3329 and US 2003/0194128; U. Barnhöfer, J. DiCarlo, B. Olding and
+B. Wandell, SPIE 5017 (2003) 263; S. H. Lim and A. Silverstein, CIC 12 (2004) 76. Here both parts have one unit, that of ΔE, and
+no weight is free.
+
+A mean of distances is not smooth where a patch is right. It is minimised as √(d² + ε²), for ε from 1 ΔE down to 10⁻⁷ ΔE.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.light.spectral import colour_matching
+from pixsim.light.standard import CHROMATIC_PATCHES, illuminant as power_of, patch_reflectance
+from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
+from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ
+from pixsim.viewer.scielab import delta_e, xyz_to_lab
+
+Fit = Literal["least_squares", "least_delta_e", "noise_aware"]
+STANDARD_NM = np.arange(380.0, 781.0, 5.0)  # of the tables of illuminants, patches and cameras
+MAX_STEP_NM = 20.0  # between sensitivities: above, the maxima of narrow filters would be missed
+NEEDED_NM = (400.0, 700.0)  # range of sensitivities; the observer has 99.8 % of X, Y and Z in it
+RANK_TOLERANCE = 1e-6  # smallest over largest singular value; noise gains are a million there
+MAX_NOISE_GAIN = 10.0  # of the display's linear RGB; 52 measured cameras have 1.3 to 3, stacked sensors 6 to 9
+SMI_PER_DELTA_E = 5.5  # of the sensitivity metamerism index, ISO 17321-1
+SMOOTHING_DELTA_E = (1.0, 1e-1, 1e-2, 1e-3, 1e-5, 1e-7)
+CIE_LINEAR_BELOW, CIE_SLOPE = 216 / 24389, 841 / 108
+# L*, a* and b* from f(X/Xn), f(Y/Yn) and f(Z/Zn), without the constant -16 of L*.
+LAB_FROM_F = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
+
+
+@checks_arguments
+def colour_matrix(
+    wavelength_nm: Array,
+    sensitivities: Array,
+    illuminant: str = "D55",
+    method: Literal["least_squares", "least_delta_e"] = "least_delta_e",
+) -> Array:
+    """Return the matrix, (3, C), from white-balanced channels to XYZ with Y of 1 for white, fitted over the patches of ISO 17321-1.
+
+    Sums are over 380-780 nm in steps of 5 nm, to which the sensitivities are interpolated linearly.
+
+    wavelength_nm : (B,) in increasing order, 400-700 nm or more in steps of at most 20 nm
+    sensitivities : (B, C), three channels or more, relative responses to energy; quantum efficiencies times the wavelength
+    illuminant : A, D50, D55, D65, D75, FL2, FL11 or LED-B3; D55 is the default of the standard
+    method : least_delta_e (keeps white; least mean ΔE*ab, CIE 1976) or least_squares, over patches 1-18
+
+    Raises PixsimError for wavelengths with gaps, for sensitivities of another shape, below 0 or not finite, for a channel that does
+    not respond, for channels that the lamp cannot tell apart, and for a matrix that amplifies noise more than 10 times.
+
+    >>> from pixsim.sensor.camera_data import camera_sensitivities
+    >>> colour_matrix(*camera_sensitivities("Nikon_D5100")).round(3)[1].tolist()
+    [0.272, 0.96, -0.232]
+    """
+    responses = _on_standard_grid(wavelength_nm, sensitivities)
+    power = power_of(illuminant, STANDARD_NM)
+    patches, white = chart_xyz(STANDARD_NM, power)
+    try:
+        balanced = chart_responses(STANDARD_NM, responses, power)
+        matrix = fit_matrix(balanced[CHROMATIC_PATCHES], patches[CHROMATIC_PATCHES], white, method)
+        check_noise_gains(matrix, white)
+    except PixsimError as error:
+        raise PixsimError(f"under illuminant {illuminant}: {error}") from None
+    return matrix
+
+
+@checks_arguments
+def chart_xyz(wavelength_nm: Array, power: Array) -> tuple[Array, Array]:
+    """Return XYZ of the 24 patches, (24, 3), and of the perfect white, (3,), under a lamp; white has Y = 1. CIE 15.
+
+    wavelength_nm : (B,)
+    power : (B,) of the lamp times the width of the bands, any unit
+
+    Raises PixsimError for a lamp without light that the eye sees.
+    """
+    weight = _lamp(wavelength_nm, power)[:, None] * colour_matching(wavelength_nm)
+    luminance = float(weight[:, 1].sum())
+    if not luminance > 0:
+        raise invalid("power", "a lamp without luminance", "light between 360 and 830 nm")
+    return patch_reflectance(wavelength_nm) @ weight / luminance, weight.sum(axis=0) / luminance
+
+
+@checks_arguments
+def chart_responses(wavelength_nm: Array, sensitivities: Array, power: Array) -> Array:
+    """Return the white-balanced responses of a camera to the 24 patches, (24, C), relative to the perfect white (ISO 17321-1).
+
+    wavelength_nm : (B,)
+    sensitivities : (B, C) to energy, relative
+    power : (B,) of the lamp times the width of the bands, any unit
+
+    Raises PixsimError for a channel that does not respond to the lamp.
+    """
+    lamp = _lamp(wavelength_nm, power)
+    if sensitivities.ndim != 2 or len(sensitivities) != len(lamp):
+        raise invalid("sensitivities, shape", sensitivities.shape, f"({len(lamp)}, channels)")
+    weight = lamp[:, None] * sensitivities
+    white = weight.sum(axis=0)
+    if not (white > 0).all():
+        got = f"no response of channel {np.flatnonzero(~(white > 0)).tolist()} to the lamp"
+        raise invalid("sensitivities", got, "channels that respond to it", "Leave the channel out, or choose another lamp.")
+    return np.asarray(patch_reflectance(wavelength_nm) @ weight / white)
+
+
+@checks_arguments
+def fit_matrix(
+    responses: Array, xyz: Array, white_xyz: ArrayLike, method: Fit = "least_delta_e", covariance: Array | None = None
+) -> Array:
+    """Return the matrix, (3, C), from white-balanced responses (P, C) to XYZ (P, 3) in its unit; the sources stand at the module.
+
+    responses : (P, C), 1 in each channel for the white
+    xyz : (P, 3) of the patches
+    white_xyz : (3,) of the lamp, in the unit of `xyz`
+    method : least_squares, least_delta_e or noise_aware
+    covariance : (P, C, C) of the responses to each patch, for noise_aware only
+
+    Raises PixsimError for arrays that do not belong together, negative responses or XYZ, a covariance that is missing, not
+    symmetric or has negative variances, and for fewer than three independent channels.
+
+    >>> rgb = np.vstack([np.eye(3), 1 - np.eye(3)])
+    >>> fit_matrix(rgb, rgb @ np.diag([0.9, 1.0, 1.1]), [0.9, 1.0, 1.1]).diagonal().round(6).tolist()
+    [0.9, 1.0, 1.1]
+    """
+    white = _checked_patches(responses, xyz, white_xyz)
+    noise = _checked_covariance(responses, method, covariance)
+    if method == "least_squares":
+        return np.asarray(np.linalg.lstsq(responses, xyz, rcond=RANK_TOLERANCE)[0].T)
+    target = xyz / white
+    channels = responses.shape[1]
+    # Rows of the matrix to X/Xn, Y/Yn, Z/Zn sum to 1, so that white is kept: 1/C plus what is orthogonal to (1, …, 1). Of that, the
+    # fit turns combinations that are orthonormal over the patches.
+    from_equal = responses.mean(axis=1, keepdims=True) * np.ones(3)
+    orthogonal = np.linalg.svd(np.ones((1, channels)))[2][1:]
+    basis, sizes, turns = np.linalg.svd(responses @ orthogonal.T, full_matrices=False)
+    kept = sizes > RANK_TOLERANCE * sizes[0]
+    basis, turns = basis[:, kept], turns[kept] / sizes[kept, None] @ orthogonal
+    error = _MeanError(basis, turns, from_equal, target, noise)
+    free = (basis.T @ (target - from_equal)).ravel()
+    options: dict[str, Any] = {"gtol": 1e-5, "maxiter": 300}
+    for smoothing in SMOOTHING_DELTA_E:
+        found = minimize(error, free, args=(smoothing,), method="BFGS", jac=True, options=options)
+        free, options["hess_inv0"] = found.x, (found.hess_inv + found.hess_inv.T) / 2
+    return np.asarray(white[:, None] * (1 / channels + free.reshape(-1, 3).T @ turns))
+
+
+class _MeanError:
+    """The mean error of the patches and its gradient, as functions of the free numbers of a matrix that keeps white.
+
+    basis : (P, k), what each free row adds to the patches
+    turns : (k, C), what it adds to the matrix
+    from_equal : (P, 3), X/Xn, Y/Yn, Z/Zn by the mean of the channels
+    target : (P, 3)
+    noise : (P, C, C), or None
+    """
+
+    def __init__(self, basis: Array, turns: Array, from_equal: Array, target: Array, noise: Array | None) -> None:
+        self.basis, self.turns, self.from_equal = basis, turns, from_equal
+        self.lab, slope = _f_and_slope(target)
+        self.noise = self.metric = None
+        if noise is not None:
+            jacobian = LAB_FROM_F * slope[:, None, :]
+            self.noise, self.metric = noise, np.swapaxes(jacobian, 1, 2) @ jacobian
+
+    def __call__(self, free: Array, smoothing: float) -> tuple[float, Array]:
+        rows = free.reshape(-1, 3)
+        f, slope = _f_and_slope(self.from_equal + self.basis @ rows)
+        difference = (f - self.lab) @ LAB_FROM_F.T
+        squares = np.square(difference).sum(axis=1) + smoothing**2
+        if self.noise is not None:
+            matrix = 1 / self.turns.shape[1] + rows.T @ self.turns
+            moved = self.metric @ matrix @ self.noise  # (P, 3, C), half the gradient of the variance
+            squares += (moved * matrix).sum(axis=(1, 2))
+        errors = np.sqrt(squares)
+        gradient = self.basis.T @ ((difference / errors[:, None]) @ LAB_FROM_F * slope)
+        if self.noise is not None:
+            gradient += self.turns @ (moved / errors[:, None, None]).sum(axis=0).T
+        return float(errors.mean()), gradient.ravel() / len(errors)
+
+
+def _f_and_slope(relative: Array) -> tuple[Array, Array]:
+    """Return CIELAB's f of X/Xn, Y/Yn and Z/Zn, and its derivative, in the same shape; CIE 15, linear also below 0."""
+    is_linear = relative <= CIE_LINEAR_BELOW
+    root = np.cbrt(np.where(is_linear, 1.0, relative))
+    f = np.where(is_linear, CIE_SLOPE * relative + 16 / 116, root)
+    return f, np.where(is_linear, CIE_SLOPE, 1 / (3 * np.square(root)))
+
+
+@checks_arguments
+def colour_errors(matrix: Array, responses: Array, xyz: Array, white_xyz: ArrayLike) -> Array:
+    """Return the ΔE*ab (CIE 1976) of each patch, (P,), behind a matrix (3, C).
+
+    responses, xyz, white_xyz : (P, C), (P, 3) and (3,), of `fit_matrix`
+
+    Raises PixsimError for arrays that do not belong together.
+    """
+    white = _checked_patches(responses, xyz, white_xyz)
+    if matrix.shape != (3, responses.shape[1]):
+        raise invalid("matrix, shape", matrix.shape, f"(3, {responses.shape[1]})")
+    return np.asarray(delta_e(xyz_to_lab(xyz, white), xyz_to_lab(responses @ matrix.T, white)))
+
+
+@checks_arguments
+def metamerism_index(errors_delta_e: Array) -> float:
+    """Return the sensitivity metamerism index, 100 - 5.5 · mean ΔE*ab of patches 1-18, (18,); ISO 17321-1. A number, at most 100.
+
+    The text of the standard was not read; secondary sources agree. Under D55 it is the index of the standard's annex.
+    """
+    return 100.0 - SMI_PER_DELTA_E * float(np.mean(errors_delta_e))
+
+
+@checks_arguments
+def noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "bradford") -> Array:
+    """Return the ratio by which a matrix (3, C) amplifies noise in R, G and B of the display's linear light, (3,).
+
+    It is that of independent noise of one size in the white-balanced channels: the norms of the rows of the matrix from them to
+    linear RGB, with 1 for white on both sides.
+
+    white_xyz : (3,) of the lamp, in the unit of the matrix
+    adaptation : of the lamp's white to the display's
+
+    Raises PixsimError for a matrix of another shape, and as `adaptation_matrix` does.
+    """
+    if matrix.ndim != 2 or matrix.shape[0] != 3:
+        raise invalid("matrix, shape", matrix.shape, "(3, channels)")
+    to_rgb = RGB_FROM_XYZ @ adaptation_matrix(white_xyz, WHITE_XYZ, adaptation) @ matrix
+    return np.sqrt(np.square(to_rgb).sum(axis=1))
+
+
+@checks_arguments
+def check_noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "bradford") -> None:
+    """Raise PixsimError if a matrix amplifies noise more than 10 times; the arguments are those of `noise_gains`."""
+    gains = noise_gains(matrix, white_xyz, adaptation)
+    if not gains.max() <= MAX_NOISE_GAIN:
+        got = f"noise gains of {', '.join(f'{gain:.3g}' for gain in gains)} in R, G, B"
+        hint = "The channels are nearly alike under this lamp. Choose filters that overlap less, or a lamp with a broader spectrum."
+        raise invalid("colour matrix", got, f"gains up to {MAX_NOISE_GAIN:g}", hint)
+
+
+def _lamp(wavelength_nm: Array, power: Array) -> Array:
+    """The power of a lamp (B,), checked."""
+    lamp = np.asarray(power, float)
+    if wavelength_nm.ndim != 1 or lamp.shape != wavelength_nm.shape:
+        raise invalid("power, shape", lamp.shape, f"that of wavelength_nm, {wavelength_nm.shape}, one axis")
+    if not (np.isfinite(lamp).all() and (lamp >= 0).all()):
+        raise invalid("power", "numbers below 0 or not finite", "finite numbers not below 0")
+    return lamp
+
+
+def _on_standard_grid(wavelength_nm: Array, sensitivities: Array) -> Array:
+    """Sensitivities (81, C) on the grid of the tables, checked; 0 outside the range that is given."""
+    nm = wavelength_nm
+    if nm.ndim != 1 or nm.size < 2 or not (np.diff(nm) > 0).all():
+        raise invalid("wavelength_nm", f"an array of shape {nm.shape}", "wavelengths in increasing order, one axis")
+    low, high = NEEDED_NM
+    if nm[0] > low or nm[-1] < high:
+        raise invalid("wavelength_nm", f"{nm[0]:g} to {nm[-1]:g} nm", f"at least {low:g} to {high:g} nm")
+    widest = int(np.diff(nm).argmax())
+    if nm[widest + 1] - nm[widest] > MAX_STEP_NM:
+        got = f"a gap from {nm[widest]:g} to {nm[widest + 1]:g} nm"
+        raise invalid("wavelength_nm", got, f"steps of at most {MAX_STEP_NM:g} nm", "Fill the gap, with 0 where it is dark.")
+    if sensitivities.ndim != 2 or len(sensitivities) != nm.size or sensitivities.shape[1] < 3:
+        allowed = f"({nm.size}, channels), three channels or more"
+        raise invalid("sensitivities, shape", sensitivities.shape, allowed, "Move the channels last.")
+    if not (np.isfinite(sensitivities).all() and (sensitivities >= 0).all()):
+        raise invalid("sensitivities", "numbers below 0 or not finite", "finite numbers not below 0")
+    largest = sensitivities.max()
+    if not largest > 0:
+        raise invalid("sensitivities", "0 everywhere", "a response of each channel")
+    return np.stack([np.interp(STANDARD_NM, nm, curve, left=0.0, right=0.0) for curve in sensitivities.T / largest], axis=1)
+
+
+def _checked_patches(responses: Array, xyz: Array, white_xyz: ArrayLike) -> Array:
+    """The white (3,); raises PixsimError if the arrays of `fit_matrix` do not belong together."""
+    white = np.asarray(white_xyz, float)
+    if white.shape != (3,) or not (np.isfinite(white).all() and (white > 0).all()):
+        raise invalid("white_xyz", white.tolist(), "three finite numbers above 0")
+    if responses.ndim != 2 or xyz.shape != (len(responses), 3):
+        raise invalid("responses and xyz, shapes", f"{responses.shape} and {xyz.shape}", "(patches, channels) and (patches, 3)")
+    for name, values in ("responses", responses), ("xyz", xyz):
+        if not (np.isfinite(values).all() and (values >= 0).all()):
+            raise invalid(name, "numbers below 0 or not finite", "finite numbers not below 0")
+    sizes = np.linalg.svd(responses, compute_uv=False) if responses.size else np.zeros(1)
+    rank = int((sizes > RANK_TOLERANCE * sizes[0]).sum())
+    if rank < 3:
+        got = f"{responses.shape[1]} channels of rank {rank} over {len(responses)} patches"
+        hint = "The light tells too few channels apart. Choose a lamp with a broader spectrum, or other filters."
+        raise invalid("responses", got, "three or more independent channels", hint)
+    return white
+
+
+def _checked_covariance(responses: Array, method: Fit, covariance: Array | None) -> Array | None:
+    """The covariance of `fit_matrix` for noise_aware, checked; None for other methods."""
+    if (covariance is None) == (method == "noise_aware"):
+        got = f"{'none' if covariance is None else 'one'} for '{method}'"
+        raise invalid("covariance", got, "one for 'noise_aware', and none for other methods")
+    if covariance is None:
+        return None
+    patches, channels = responses.shape
+    if covariance.shape != (patches, channels, channels):
+        raise invalid("covariance, shape", covariance.shape, f"({patches}, {channels}, {channels})")
+    values = np.asarray(covariance, float)
+    diagonal = np.diagonal(values, axis1=1, axis2=2)
+    asymmetry = np.abs(values - np.swapaxes(values, 1, 2)).max()
+    if not (np.isfinite(values).all() and (diagonal >= 0).all() and asymmetry <= 1e-9 * diagonal.max()):
+        raise invalid("covariance", "numbers that are not finite, negative variances, or an asymmetry", "symmetric matrices")
+    return values
