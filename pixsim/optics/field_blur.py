@@ -1,0 +1,496 @@
+"""Blur of a real lens, which varies over the field: wavefronts, point spread functions, and pictures blurred by them.
+
+A wavefront is known at a few distances from the axis; a point in between has the interpolated one, turned to its azimuth. Its
+point spread function (PSF) is the Fourier transform of the pupil in direction cosines at the image point, so its optical
+transfer function ends at the width of the pupil over λ. Pictures are blurred tile by tile: hat windows divide the light, each
+share is convolved with the PSF of the middle of its tile, and the sum preserves all light.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import fft, ifft, irfft2, next_fast_len, rfft, rfft2
+from scipy.special import itj0y0, j0, j1
+
+from pixsim.base.arrays import WORTH_THREADS, Array, dct, empty_planes, in_threads, inverse_dct
+from pixsim.base.errors import invalid
+from pixsim.base.machine import threads
+
+UM_PER_NM = 1e-3
+OUTLINE_ANGLES = 181  # from 0 to π; a corner of a vignetted pupil is rounded over 1°
+DEGREE = 12  # of the polynomial; 5e-4 waves are left of the phone lens
+WINDOW = 1.5  # sides of a PSF: in the window it is computed in, light from beyond folds back
+SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
+MAX_WINDOW = 4096  # film cells
+TRIED = (0.3, 0.6, 0.8, 1.0)  # of the way to the corner and to the sides of a picture, where the error of tiles is tried
+
+
+@dataclass(frozen=True)
+class PupilRays:
+    """Rays of one wavelength to an image point, in the frame of its field: axis 0 sagittal, axis 1 away from the optical axis.
+
+    cosines : (rays, 2) direction cosines over the whole stop, up to its rim, also of rays that an aperture clips
+    opd_waves : (rays,) against the reference sphere around the chief ray's image point, in waves: the PSF is that of the pupil
+        function exp(-2πi W), and light is deflected by λ ∂W/∂(direction cosine)
+    outline : (points, 2) direction cosines around the rays that pass, in the order of their angle
+    height_um : of the chief ray's image point, from the axis
+    """
+
+    cosines: Array
+    opd_waves: Array
+    outline: Array
+    height_um: float
+
+
+@dataclass(frozen=True)
+class FittedWavefronts:
+    """Wavefronts of one wavelength at distances from the axis, as numbers that are interpolated between them.
+
+    Directions are relative to the middle of the pupil, in half widths of the pupil (u sagittal, v radial).
+
+    height_um : (nodes,) from 0 on, of the wavelength that defines the field
+    numbers : (nodes, n) of each wavefront: sagittal and radial half width in direction cosines, lateral colour in µm,
+        coefficients of `powers`, radius of the outline at `OUTLINE_ANGLES` angles from the radial direction
+    residual_waves : largest rms of the OPD that the polynomials leave
+    """
+
+    wavelength_nm: float
+    height_um: Array
+    numbers: Array = field(repr=False)
+    residual_waves: float
+
+    @cached_property
+    def _spline(self) -> Callable[[float], Array]:
+        from scipy.interpolate import CubicSpline  # takes 0.3 s
+
+        if self.height_um.size == 1:
+            return lambda _: self.numbers[0]
+        mirrored = self.numbers[1:].copy()  # the opposite field has the wavefront turned by 180°
+        mirrored[:, 2] *= -1
+        mirrored[:, 3 : 3 + len(powers())] *= (-1.0) ** powers()[:, 1]
+        mirrored[:, 3 + len(powers()) :] = mirrored[:, : 2 + len(powers()) : -1]
+        heights = np.concatenate([-self.height_um[:0:-1], self.height_um])
+        spline: Callable[[float], Array] = CubicSpline(heights, np.concatenate([mirrored[::-1], self.numbers]))
+        return spline
+
+    def at(self, height_um: float) -> Array:
+        """Return the numbers at a distance from the axis."""
+        return np.asarray(self._spline(height_um))
+
+
+def powers() -> NDArray[np.intp]:
+    """Return the exponents (terms, 2) of u and v: the wavefront of a centred lens is even in u."""
+    return np.array([(a, b) for a in range(0, DEGREE + 1, 2) for b in range(DEGREE + 1 - a)])
+
+
+def fit_wavefronts(wavelength_nm: float, height_um: Array, wavefronts: Sequence[PupilRays]) -> FittedWavefronts:
+    """Return the polynomials of wavefronts at distances from the axis, (nodes,) from 0 on.
+
+    height_um : that define the field; a wavefront's own height may differ by lateral colour
+
+    Raises PixsimError if there are fewer rays than coefficients, or if a ray is not finite.
+    """
+    numbers, residual = [], 0.0
+    exponents = powers()
+    for height, front in zip(height_um, wavefronts, strict=True):
+        if len(front.opd_waves) < 2 * len(exponents) or not (
+            np.isfinite(front.opd_waves).all() and np.isfinite(front.cosines).all()
+        ):
+            got = f"{np.isfinite(front.opd_waves).sum()} rays at {height:g} µm from the axis"
+            raise invalid("wavefront", got, f"at least {2 * len(exponents)} finite rays over the stop")
+        low, high = front.cosines.min(axis=0), front.cosines.max(axis=0)
+        half, middle = (high - low) / 2, np.array([0.0, (high[1] + low[1]) / 2])
+        u, v = ((front.cosines - middle) / half).T
+        terms = u[:, None] ** exponents[:, 0] * v[:, None] ** exponents[:, 1]
+        coefficients = np.linalg.lstsq(terms, front.opd_waves, rcond=None)[0]
+        left = front.opd_waves - terms @ coefficients
+        residual = max(residual, float(np.sqrt(np.mean(left**2))))
+        around = (front.outline - middle) / half
+        angle, radius = np.arctan2(np.abs(around[:, 0]), around[:, 1]), np.hypot(*around.T)
+        order = np.argsort(angle)
+        outline = np.interp(np.linspace(0, np.pi, OUTLINE_ANGLES), angle[order], radius[order])
+        numbers.append(np.concatenate([half, [front.height_um - height], coefficients, outline]))
+    return FittedWavefronts(wavelength_nm, np.asarray(height_um, float), np.array(numbers), residual)
+
+
+def share_inside(distance: Array, slope: Array) -> Array:
+    """Return the share of a unit square's area that lies on one side of a straight edge, (...).
+
+    distance : of the square's middle from the edge, along the axis that is steeper to the edge; above 0 inside
+    slope : of the edge to the other axis, 0 to 1
+    """
+    slope = np.maximum(slope, 1e-6)
+    low, high = (1 - slope) / 2, (1 + slope) / 2
+    bent = [np.square(np.maximum(distance + shift, 0.0)) for shift in (high, low, -low, -high)]
+    return np.asarray(np.clip((bent[0] - bent[1] - bent[2] + bent[3]) / (2 * slope), 0.0, 1.0))
+
+
+def pupil_function(numbers: Array, wavelength_nm: float, azimuth: float, step: float) -> tuple[NDArray[np.complex128], float]:
+    """Return the amplitude over direction cosines in the axes of the film, and the area of the pupil in samples.
+
+    A sample is the mean over its square of the given step.
+
+    numbers : of `FittedWavefronts.at`
+    azimuth : of the image point, radians from +x (columns) to +y (rows)
+    """
+    half, shift_um = numbers[:2], numbers[2]
+    coefficients, outline = np.split(numbers[3:].astype(np.float32), [len(powers())])
+    radial, sagittal = np.array([np.cos(azimuth), np.sin(azimuth)]), np.array([-np.sin(azimuth), np.cos(azimuth)])
+    reach = np.hypot(half[1] * radial, half[0] * sagittal) * max(1.0, outline.max())
+    x, y = (np.arange(-n, n + 1) * step for n in np.ceil(reach / step + 1).astype(int))
+    u = ((x * sagittal[0] + y[:, None] * sagittal[1]) / half[0]).astype(np.float32)  # 1e-6 of a wave is lost of ten
+    v = ((x * radial[0] + y[:, None] * radial[1]) / half[1]).astype(np.float32)
+    radius = np.sqrt(u * u + v * v)
+    at = np.arctan2(np.abs(u), v) * np.float32((OUTLINE_ANGLES - 1) / np.pi)
+    below = np.minimum(at.astype(np.int32), OUTLINE_ANGLES - 2)
+    slopes = np.diff(outline, append=outline[-1:])
+    inside = outline[below] + (at - below) * slopes[below] - radius
+    waves = np.float32(half[1] * shift_um / (wavelength_nm * UM_PER_NM)) * v
+    place, even = 0, np.ones_like(u)
+    for a in range(0, DEGREE + 1, 2):  # Horner's rule in v for each power of u
+        count = DEGREE + 1 - a
+        inner = coefficients[place + count - 1] * v
+        for coefficient in coefficients[place + 1 : place + count - 1][::-1]:
+            inner += coefficient
+            inner *= v
+        inner += coefficients[place]
+        inner *= even
+        waves += inner
+        even *= u * u
+        place += count
+    rise_y, rise_x = np.gradient(waves)
+    share = (inside > 0).astype(np.float32)
+    reach = 1.5 * step / half.min()
+    cut = np.nonzero((np.abs(inside) < reach) & (radius > reach))  # by the edge
+    # The gradient of `inside`, at the edge, gives the distance to it, and so the share of a sample's area.
+    along_u, along_v = u[cut] / radius[cut], v[cut] / radius[cut]
+    turning = slopes[below[cut]] * ((OUTLINE_ANGLES - 1) / np.pi) / (inside[cut] + radius[cut])
+    rise_u, rise_v = (turning * along_v * np.sign(along_u) - along_u) / half[0], (-turning * np.abs(along_u) - along_v) / half[1]
+    inward_x, inward_y = (rise_u * sagittal[axis] + rise_v * radial[axis] for axis in (0, 1))
+    steep_x, steep_y = np.abs(inward_x), np.abs(inward_y)
+    steepest = np.maximum(steep_x, steep_y)
+    share[cut] = share_inside(inside[cut] / (steepest * step), np.minimum(steep_x, steep_y) / steepest)
+    # The part of a sample that is inside has its middle (1 - share)/2 away from that of the sample.
+    inwards = np.where(steep_x > steep_y, rise_x[cut] * np.sign(inward_x), rise_y[cut] * np.sign(inward_y))
+    waves[cut] += inwards * (1 - share[cut]) / 2
+    lit = share > 0
+    turn = np.float32(-2 * np.pi) * waves[lit]
+    size = share[lit] * mean_of_phase(rise_x[lit]) * mean_of_phase(rise_y[lit])
+    amplitude = np.zeros(share.shape, np.complex64)
+    amplitude[lit] = size * np.cos(turn) + 1j * (size * np.sin(turn))
+    return amplitude, float(share.sum(dtype=float))
+
+
+def mean_of_phase(waves: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return sin(πx)/(πx) to 1e-5 up to x = 0.5 waves, the mean of a phase that rises by x over a sample."""
+    z = np.square(np.float32(np.pi) * waves)
+    return 1 - z / 6 * (1 - z / 20 * (1 - z / 42 * (1 - z / 72)))
+
+
+@dataclass(frozen=True)
+class Light:
+    """Wavelengths that a channel sees together, by their shares of the electrons.
+
+    fronts : of each wavelength
+    share : (B,), adds up to 1
+    transfer : (frequencies in cycles/mm, wavelength in nm) -> MTF that acts behind the lens, 1 at frequency 0
+    """
+
+    fronts: Sequence[FittedWavefronts]
+    share: Array
+    transfer: Callable[[Array, float], Array] | None = None
+
+
+@dataclass(frozen=True)
+class Psf:
+    """A PSF on film cells, (cells, cells) with an odd number of cells and the chief ray's image point in the middle one.
+
+    lacking : share of the light that falls beyond these cells; the kernel adds up to 1 less this share
+    """
+
+    kernel: Array
+    lacking: float
+
+
+def even_window(light: Light, x_um: float, y_um: float, pitch_um: float, cells: int) -> int:
+    """Return an even number of cells along a side of a window in which a PSF may repeat: it resolves the pupil."""
+    height_um = math.hypot(x_um, y_um)
+    slowest = min(2 * float(front.at(height_um)[:2].min()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
+    needed = max(WINDOW * cells, SAMPLES_ACROSS / (slowest * pitch_um))
+    window = next_fast_len(math.ceil(needed / 2), real=True) * 2
+    if window > MAX_WINDOW:
+        got = f"{window * pitch_um:.4g} µm of {window} film cells"
+        raise invalid("PSF window", got, f"at most {MAX_WINDOW} cells", "Take a coarser film or a smaller f-number.")
+    return window
+
+
+def periodic_psf(light: Light, x_um: float, y_um: float, pitch_um: float, window: int) -> Array:
+    """Return the PSF of an image point on a window of film cells, (window, window), in which it repeats; it adds up to 1.
+
+    The chief ray's image point is at cell [0, 0]. The kernel acts on means over cells and gives such means: its transform is the
+    OTF up to the Nyquist frequency of the film, and 0 beyond.
+
+    window : even
+    """
+    azimuth, height_um = math.atan2(y_um, x_um), math.hypot(x_um, y_um)
+    numbers = [front.at(height_um) for front in light.fronts]
+    widest = max(2 * float(n[:2].max()) / f.wavelength_nm for n, f in zip(numbers, light.fronts, strict=True))  # cut-off
+    half, size_um = window // 2, window * pitch_um
+    fine = next_fast_len(max(window, math.ceil(2 * size_um / UM_PER_NM * widest) + 2), real=True)  # hold the intensity
+    total = np.zeros((window, half + 1), complex)
+    frequency = np.hypot(np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3))
+    pending = np.zeros((fine, fine), np.float32)
+    # A sample of the pupil is a mean over its square, which dims the outer parts of the PSF.
+    unboxed = (np.sinc(np.fft.fftfreq(fine)) ** -2).astype(np.float32)
+    for front, number, share in zip(light.fronts, numbers, light.share, strict=True):
+        pupil, area = pupil_function(number, front.wavelength_nm, azimuth, front.wavelength_nm * UM_PER_NM / size_um)
+        amplitude = ifft(ifft(pupil, fine, axis=1), fine, axis=0, overwrite_x=True)
+        intensity = amplitude.real**2 + amplitude.imag**2
+        intensity *= unboxed[:, None] * unboxed
+        intensity *= np.float32(share * fine**2 / area)
+        if light.transfer is None:
+            pending += intensity
+        else:
+            total += _low_frequencies(intensity, half) * light.transfer(frequency, front.wavelength_nm)
+    if light.transfer is None:
+        total = _low_frequencies(pending, half)
+    total[0, 0] = 1.0
+    return np.asarray(irfft2(total.astype(complex), (window, window)))
+
+
+def _low_frequencies(intensity: Array, half: int) -> NDArray[np.complex128]:
+    """Return the transform (2 half, half + 1) of a PSF up to a frequency of `half` periods; both ends of it are averaged."""
+    columns = fft(rfft(intensity, axis=1)[:, : half + 1], axis=0, overwrite_x=True)
+    low = np.concatenate([columns[:half], columns[-half:]])
+    low[half] = (columns[half] + columns[-half]) / 2
+    return np.asarray(low)
+
+
+def point_spread(light: Light, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
+    """Return the PSF of an image point, cut off to an odd number of film cells along a side.
+
+    x_um, y_um : of the image point, from the optical axis, along columns and rows
+    """
+    whole = periodic_psf(light, x_um, y_um, pitch_um, even_window(light, x_um, y_um, pitch_um, cells))
+    reach = cells // 2
+    kernel = np.roll(whole, (reach, reach), axis=(0, 1))[:cells, :cells]
+    return Psf(np.ascontiguousarray(kernel), float(1 - kernel.sum()))
+
+
+def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
+    """Return the transform of light that falls as 1/r³ beyond a radius, as that of a pupil with an edge does; 1 at frequency 0.
+
+    With z = 2πfr, z ∫_z^∞ J₀(s)/s² ds = J₀(z) - z (1 + J₁(z) - ∫_0^z J₀(s) ds).
+    """
+    z = 2 * np.pi * frequency_cy_per_mm * beyond_um * 1e-3
+    return np.asarray(j0(z) - z * (1 + j1(z) - itj0y0(z)[0]))
+
+
+def tiles_along(cells: int, spacing: int) -> tuple[int, int]:
+    """Return the tiles on each side of the middle one that film cells along a side need, and the cells that a hat covers.
+
+    If the number of cells is even, the middle of a tile is at the border of cells.
+    """
+    return math.ceil((cells - 1) / 2 / spacing), 2 * spacing - cells % 2
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A tile by its distance from the axis, in tiles along rows (x) and columns (y); `mirrored` is one in the first octant."""
+
+    x: int
+    y: int
+    swapped: bool
+
+    @property
+    def mirrored(self) -> tuple[int, int]:
+        """The place (x, y) whose PSF this tile has but for mirrors: that of x ≥ y ≥ 0 if rows and columns may change places."""
+        x, y = abs(self.x), abs(self.y)
+        return (y, x) if self.swapped else (x, y)
+
+    def turned(self, part: Array) -> Array:
+        """Return a part of a picture as it lies in the mirrored tile."""
+        part = part[:: -1 if self.y < 0 else 1, :: -1 if self.x < 0 else 1]
+        return part.T if self.swapped else part
+
+    def turned_back(self, part: Array) -> Array:
+        """Return a part of the mirrored tile as it lies in this one."""
+        part = part.T if self.swapped else part
+        return part[:: -1 if self.y < 0 else 1, :: -1 if self.x < 0 else 1]
+
+
+def tiles_alike(shape: tuple[int, ...], spacing: int) -> dict[tuple[int, int], list[Tile]]:
+    """Return the tiles of a picture (H, W) by the place of the mirrored tile whose PSF they share."""
+    (down, _), (across, _) = (tiles_along(n, spacing) for n in shape)
+    alike: dict[tuple[int, int], list[Tile]] = defaultdict(list)
+    for y in range(-down, down + 1):
+        for x in range(-across, across + 1):
+            tile = Tile(x, y, abs(y) > abs(x) and shape[0] % 2 == shape[1] % 2)
+            alike[tile.mirrored].append(tile)
+    return alike
+
+
+def _part(top: int, left: int, rows: int, columns: int) -> tuple[slice, slice]:
+    return slice(top, top + rows), slice(left, left + columns)
+
+
+@dataclass(frozen=True)
+class FieldBlur:
+    """PSFs of the middles of tiles, for a picture that is centred on the axis.
+
+    shape : (H, W) of the picture, with what is added at its sides
+    spacing : film cells from the middle of a tile to that of the next; one lies on the axis
+    psfs : by the place (x, y) of `Tile.mirrored`
+    """
+
+    shape: tuple[int, int]
+    pitch_um: float
+    spacing: int
+    psfs: dict[tuple[int, int], Psf] = field(repr=False)
+
+    @property
+    def cells(self) -> int:
+        """Film cells along a side of a PSF."""
+        return len(self.psfs[0, 0].kernel)
+
+    @property
+    def lacking(self) -> float:
+        """Largest share of the light that a PSF lacks."""
+        return max(psf.lacking for psf in self.psfs.values())
+
+    def superposed(self, picture: Array) -> tuple[Array, Array]:
+        """Return a picture of `shape` with the light of each sample spread by its PSF, (H + cells - 1, W + cells - 1), and what
+        the PSFs lack of the light of each sample, (H, W). Nothing is lost at the sides.
+        """
+        reach, step = self.cells // 2, self.spacing
+        counts, sides = zip(*(tiles_along(n, step) for n in self.shape), strict=True)
+        top, left = ((count + 1) * step - (n + 1) // 2 for count, n in zip(counts, self.shape, strict=True))
+        light = np.pad(picture, [(top, top), (left, left)])
+        result, lacked = np.zeros([n + 2 * reach for n in light.shape]), np.zeros(light.shape)
+        down, across = (1 - np.abs(np.arange(side) - (side - 1) / 2) / step for side in sides)
+        hat = down[:, None] * across
+        size = [next_fast_len(side + 2 * reach, real=True) for side in sides]
+        for place, tiles in tiles_alike(self.shape, step).items():
+            psf = self.psfs[place]
+            parts = [_part((counts[0] + tile.y) * step, (counts[1] + tile.x) * step, *sides) for tile in tiles]
+            shares = [light[part] * hat for part in parts]
+            turned = np.stack([tile.turned(share) for tile, share in zip(tiles, shares, strict=True)])
+            spectrum = rfft2(turned, size, workers=threads())
+            spectrum *= rfft2(psf.kernel, size)
+            spread = irfft2(spectrum, size, workers=threads(), overwrite_x=True)
+            for tile, part, share, blurred in zip(tiles, parts, shares, spread, strict=True):
+                back = tile.turned_back(blurred[: sides[0] + 2 * reach, : sides[1] + 2 * reach])
+                result[_part(part[0].start, part[1].start, *back.shape)] += back
+                lacked[part] += psf.lacking * share
+        height, width = self.shape
+        return result[_part(top, left, height + 2 * reach, width + 2 * reach)], lacked[_part(top, left, height, width)]
+
+    def blurred(self, picture: Array) -> Array:
+        """Return an irradiance (H, W) without blur as the lens shows it; `shape` is larger by the reach of a PSF at each side.
+
+        It goes on beyond its sides by reflection. An even scene keeps the fall-off that it has in the picture: what a point of
+        the image receives from it depends on the pupil alone.
+        """
+        return np.asarray(self._spread(picture) / self._even)
+
+    @cached_property
+    def _even(self) -> Array:
+        """What becomes of an even picture: where the mean shift of PSFs grows along the field, they move apart."""
+        reach = self.cells // 2
+        return self._spread(np.ones([n - 2 * reach for n in self.shape]))
+
+    def _spread(self, picture: Array) -> Array:
+        """Return a picture with its light spread by the PSFs, and what they lack as a veil."""
+        reach = self.cells // 2
+        full, lacked = self.superposed(np.pad(picture, reach, "symmetric"))
+        result, veil = empty_planes(*picture.shape), empty_planes(*picture.shape)
+        result[...] = full[_part(2 * reach, 2 * reach, *picture.shape)]
+        veil[...] = lacked[_part(reach, reach, *picture.shape)]
+        spectrum = dct(veil)
+        fy, fx = (np.arange(n) / (2 * n * self.pitch_um * 1e-3) for n in picture.shape)
+        spectrum *= veil_mtf(np.hypot(fy[:, None], fx), beyond_um(self.cells, self.pitch_um))
+        result += inverse_dct(spectrum)
+        return result
+
+
+def beyond_um(cells: int, pitch_um: float) -> float:
+    """Return the radius of a disc with the area of a PSF's cells."""
+    return cells * pitch_um / math.sqrt(math.pi)
+
+
+def tile_psfs(
+    light: Light, pitch_um: float, spacing: int, cells: int, places: Iterable[tuple[int, int]]
+) -> dict[tuple[int, int], Psf]:
+    """Return the PSFs of the middles of tiles at places (x, y)."""
+    wanted = list(dict.fromkeys(places))
+    found: dict[tuple[int, int], Psf] = {}
+
+    def compute(place: tuple[int, int]) -> None:
+        x_um, y_um = (count * spacing * pitch_um for count in place)
+        found[place] = point_spread(light, x_um, y_um, pitch_um, cells)
+
+    in_threads(compute, wanted, WORTH_THREADS if len(wanted) > 1 else 0)
+    return {place: found[place] for place in wanted}
+
+
+def field_blur(light: Light, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> FieldBlur:
+    """Return the blur of pictures (H, W), whose sides are extended by the reach of a PSF.
+
+    spacing : film cells from tile to tile
+    cells : of a PSF along a side, an odd number
+    """
+    wide = shape[0] + cells - 1, shape[1] + cells - 1
+    return FieldBlur(wide, pitch_um, spacing, tile_psfs(light, pitch_um, spacing, cells, tiles_alike(wide, spacing)))
+
+
+def picture_error(approximate: NDArray[np.complex128], exact: NDArray[np.complex128], pitch_um: float, aperture_um: float) -> float:
+    """Return a bound for the rms error of a blurred picture relative to its rms about the mean, from two transforms of a window.
+
+    It holds for every picture whose power spectrum does not rise with the frequency: that is a mixture of spectra which are even
+    up to some frequency, so the largest ratio of these is the bound. White noise and random dots are among them.
+
+    approximate, exact : (window, window // 2 + 1), as `rfft2` orders them
+    aperture_um : side of the square photodiodes or dots that average the picture
+    """
+    window = len(exact)
+    fy, fx = np.fft.fftfreq(window, pitch_um)[:, None], np.fft.rfftfreq(window, pitch_um)
+    box = np.sinc(fy * aperture_um) * np.sinc(fx * aperture_um)
+    weight = np.where((np.arange(exact.shape[1]) == 0) | (np.arange(exact.shape[1]) == window / 2), 1.0, 2.0) * box**2
+    order = np.argsort(np.hypot(fy, fx), axis=None, kind="stable")[1:]  # without frequency 0
+    error, power = (np.cumsum((np.abs(values) ** 2 * weight).ravel()[order]) for values in (approximate - exact, exact))
+    return float(np.sqrt((error / power).max()))
+
+
+def tile_error(light: Light, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int, aperture_um: float) -> float:
+    """Return `picture_error` of tiles where it is largest: a point amid four tiles has the mean of their PSFs, cut off.
+
+    Points from the axis to the corner of a picture (H, W), and to the middle of its sides, are tried.
+    """
+    half = [n / 2 / spacing for n in shape]
+    tried = {
+        (max(0, math.floor(part * half[1] * x - 0.5)), max(0, math.floor(part * half[0] * y - 0.5)))
+        for part in TRIED
+        for x, y in ((1, 1), (1, 0), (0, 1))
+    }
+    worst = 0.0
+    for x, y in sorted(tried):
+        middle_um = (x + 0.5) * spacing * pitch_um, (y + 0.5) * spacing * pitch_um
+        window = even_window(light, *middle_um, pitch_um, cells)
+        exact = rfft2(periodic_psf(light, *middle_um, pitch_um, window))
+        around = tile_psfs(light, pitch_um, spacing, cells, [(x + i, y + j) for i in (0, 1) for j in (0, 1)]).values()
+        kernel = sum(psf.kernel for psf in around) / 4
+        lacking = sum(psf.lacking for psf in around) / 4
+        wide = np.zeros((window, window))
+        wide[:cells, :cells] = kernel
+        frequency = np.hypot(np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3))
+        veil = lacking * veil_mtf(frequency, beyond_um(cells, pitch_um))
+        transform = rfft2(np.roll(wide, (-(cells // 2), -(cells // 2)), axis=(0, 1))) + veil
+        worst = max(worst, picture_error(transform, exact, pitch_um, aperture_um))
+    return worst

@@ -1,0 +1,219 @@
+"""Blur that varies over the field, against closed forms, superposition point by point, and conservation of light."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.special import jv
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError
+from pixsim.optics.diffraction import diffraction_otf
+from pixsim.optics.field_blur import (
+    FittedWavefronts,
+    Light,
+    PupilRays,
+    field_blur,
+    fit_wavefronts,
+    periodic_psf,
+    point_spread,
+    tile_error,
+)
+from pixsim.optics.thin_lens import thin_lens_pupil
+
+NM = 550.0
+ROUND = np.linspace(0, 2 * np.pi, 721)
+RINGS, SPOKES = 16, 48
+
+
+def fitted(
+    f_number: float, heights_mm: Array, distance_mm: float, waves: Callable[[Array, Array, float], Array], shift_um: float = 0.0
+) -> FittedWavefronts:
+    """Wavefronts of a thin lens whose OPD is a function of coordinates on the lens, in radii, and of the tangent of the field."""
+    radius = np.sqrt((np.arange(RINGS) + 1) / RINGS)  # the last ring is the rim
+    angle = np.arange(SPOKES) * (2 * np.pi / SPOKES)
+    u, v = ((radius[:, None] * turned).ravel() for turned in (np.sin(angle), np.cos(angle)))
+    fronts = []
+    for height_mm in heights_mm:
+        tangent = height_mm / distance_mm
+        outline = thin_lens_pupil(f_number, tangent, 90.0).boundary(ROUND)[0]
+        tan_alpha = 0.5 / f_number
+        # The chief ray rises away from the axis; a point of the lens on that side sends its ray at a smaller angle.
+        slopes = np.stack([tan_alpha * u, tangent + tan_alpha * v], -1)
+        cosines = slopes / np.sqrt(1 + np.square(slopes).sum(-1, keepdims=True))
+        fronts.append(PupilRays(cosines, waves(u, v, tangent), outline, 1e3 * height_mm + shift_um * tangent))
+    return fit_wavefronts(NM, 1e3 * heights_mm, fronts)
+
+
+def perfect(u: Array, v: Array, tangent: float) -> Array:
+    return 0 * u
+
+
+def otf_along(psf: Array, pitch_um: float) -> tuple[Array, Array, Array]:
+    """Frequencies in cycles/mm, and the OTF along columns and along rows."""
+    n = len(psf)
+    spectrum = np.fft.fft2(psf)[: n // 2, : n // 2]
+    return np.fft.rfftfreq(n, pitch_um * 1e-3)[: n // 2], spectrum[0], spectrum[:, 0]
+
+
+@pytest.mark.parametrize("degrees", [0.0, 20.0, 35.0])
+def test_perfect_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cosines(degrees: float) -> None:
+    f_number, distance_mm = 32.0, 10.0
+    nodes = np.linspace(0, distance_mm * math.tan(math.radians(40)), 9)
+    light = Light([fitted(f_number, nodes, distance_mm, perfect)], np.ones(1))
+    height_um = 1e3 * distance_mm * math.tan(math.radians(degrees))
+    psf = periodic_psf(light, height_um, 0.0, 4.0, 400)
+    frequency, along, across = otf_along(psf, 4.0)
+    cosine, effective = math.cos(math.radians(degrees)), math.hypot(1, 2 * f_number) / 2
+    # The image point looks along x: radially the pupil is seen cos³ as wide, sagittally cos.
+    np.testing.assert_allclose(along, diffraction_otf(frequency, NM, effective / cosine**3), atol=1e-3)
+    np.testing.assert_allclose(across, diffraction_otf(frequency, NM, effective / cosine), atol=1e-3)
+
+
+def hopkins(frequency: Array, w20: float) -> Array:
+    """OTF of a defocused circular pupil; frequency 2 is the cut-off. H. H. Hopkins, Proc. R. Soc. A 231 (1955) 91, eq. (25)."""
+    s = frequency
+    a = 4 * np.pi * w20 * s
+    beta = np.arccos(s / 2)
+    n = np.arange(1, 60)[:, None]
+    sign = (-1.0) ** (n + 1)
+    first = beta * jv(1, a) + 0.5 * np.sum(sign * np.sin(2 * n * beta) / n * (jv(2 * n - 1, a) - jv(2 * n + 1, a)), axis=0)
+    m = np.arange(0, 60)[:, None]
+    second = np.sum((-1.0) ** m * np.sin((2 * m + 1) * beta) / (2 * m + 1) * (jv(2 * m, a) - jv(2 * m + 2, a)), axis=0)
+    return 4 / (np.pi * a) * (np.cos(a * s / 2) * first - np.sin(a * s / 2) * second)
+
+
+@pytest.mark.parametrize("w20", [0.25, 0.5, 1.0, 2.0])
+def test_defocus_has_the_otf_of_hopkins(w20: float) -> None:
+    f_number = 200.0
+    light = Light([fitted(f_number, np.zeros(1), 1.0, lambda u, v, _: w20 * (u**2 + v**2))], np.ones(1))
+    pitch_um = 20.0
+    frequency, otf, _ = otf_along(periodic_psf(light, 0.0, 0.0, pitch_um, 900), pitch_um)
+    reduced = 2 * frequency * NM * 1e-6 * math.hypot(1, 2 * f_number) / 2
+    inside = (reduced > 0) & (reduced < 2)
+    np.testing.assert_allclose(otf.real[inside], hopkins(reduced[inside], w20), atol=1e-4)
+    np.testing.assert_allclose(otf.imag, 0, atol=1e-4)
+
+
+F_NUMBER, DISTANCE_MM = 8.0, 1.0
+FILM, PITCH_UM, CELLS = 256, 2.0, 33  # cells are the pixels; they resolve all that this lens passes
+
+
+def uneven(u: Array, v: Array, tangent: float) -> Array:
+    """A lens with spherical aberration, coma, astigmatism and field curvature, in waves."""
+    square = u**2 + v**2
+    return 0.3 * square**2 + 1.5 * tangent * v * square + 6 * tangent**2 * v**2 - 4 * tangent**2 * square
+
+
+@pytest.fixture(scope="module")
+def uneven_light() -> Light:
+    return Light([fitted(F_NUMBER, np.linspace(0, 0.4, 17), DISTANCE_MM, uneven)], np.ones(1))
+
+
+def superposed_at(picture: Array, points: Array) -> Array:
+    """The blurred picture at cells (n, 2) by superposition: the PSF of each lit cell is a quadrature over the lens."""
+    node, weight = np.polynomial.legendre.leggauss(14)
+    radius, angle = np.sqrt((1 + node) / 2)[:, None], np.arange(60) * (2 * np.pi / 60)
+    u, v = ((radius * turned).ravel() for turned in (np.sin(angle), np.cos(angle)))
+    weight = np.repeat(weight / weight.sum() / angle.size, angle.size)
+    tan_alpha, um = 0.5 / F_NUMBER, NM * 1e-3
+    values = []
+    for point in points:
+        first = np.maximum(point - CELLS // 2, 0)
+        lit = np.argwhere(picture[first[0] : point[0] + CELLS // 2 + 1, first[1] : point[1] + CELLS // 2 + 1]) + first
+        source = (lit - (FILM - 1) / 2)[:, ::-1]
+        outward = source / np.hypot(*source.T)[:, None]
+        away_um = (point - lit)[:, ::-1] * PITCH_UM
+        tangent = (np.hypot(*source.T) * PITCH_UM * 1e-3 / DISTANCE_MM)[:, None]
+        radial, sagittal = tangent + tan_alpha * v, tan_alpha * u
+        cosine = 1 / np.sqrt(1 + radial**2 + sagittal**2)
+        along, aside = (outward * away_um).sum(1), outward[:, 0] * away_um[:, 1] - outward[:, 1] * away_um[:, 0]
+        path_um = (radial * along[:, None] + sagittal * aside[:, None]) * cosine
+        area = weight * cosine**4  # of directions, for each part of the lens, in units of π tan²α
+        phase = np.float32(2 * np.pi * (path_um / um - uneven(u, v, tangent)))
+        amplitude = (area * np.cos(phase)).sum(1) + 1j * (area * np.sin(phase)).sum(1)
+        psf = np.abs(amplitude) ** 2 / area.sum(1) * np.pi * tan_alpha**2 / um**2  # Parseval: adds up to 1
+        values.append((picture[lit[:, 0], lit[:, 1]] * psf).sum() * PITCH_UM**2)
+    return np.array(values)
+
+
+def random_dots() -> Array:
+    return (np.random.default_rng(3).random((FILM, FILM)) < 1 / 250).astype(float)
+
+
+def contrast_chart() -> Array:
+    """Frequencies that rise to the right, contrast that rises downwards, as in the packaged csf chart, about its mean."""
+    x, y = np.arange(FILM) / FILM, np.arange(FILM)[:, None] / FILM
+    return 0.01 ** (1 - y) * np.sin(2 * np.pi * 4 * (16**x - 1) / np.log(16))
+
+
+@pytest.mark.parametrize("picture", [random_dots(), contrast_chart()], ids=["random dots", "csf"])
+def test_tiles_agree_with_superposition_within_their_bound(picture: Array, uneven_light: Light) -> None:
+    points = np.random.default_rng(5).integers(30, FILM - 30, (64, 2))
+    exact, errors = superposed_at(picture, points), []
+    for spacing in (64, 32, 16):
+        blur = field_blur(uneven_light, picture.shape, PITCH_UM, spacing, CELLS)
+        reach = CELLS // 2
+        found = blur.superposed(np.pad(picture, reach))[0][2 * reach : -2 * reach, 2 * reach : -2 * reach]
+        errors.append(np.sqrt(np.mean((found[tuple(points.T)] - exact) ** 2)) / found[30:-30, 30:-30].std())
+        bound = tile_error(uneven_light, picture.shape, PITCH_UM, spacing, CELLS, PITCH_UM)
+        assert bound / 20 < errors[-1] < bound
+    assert 1.8 < np.log2(errors[0] / errors[1]) < 2.2  # finer tiles come near the 64 samples across the pupil, 1e-3
+
+
+def test_mirrors_do_not_change_the_blur(uneven_light: Light) -> None:
+    """A picture mirrored or transposed is blurred as the mirrored blur: tiles of one octant serve all of them."""
+    picture = random_dots()[:97, :97]
+    blur = field_blur(uneven_light, picture.shape, PITCH_UM, 16, 17)
+    one = blur.blurred(picture)
+    for turned in (np.flipud, np.fliplr, np.transpose):
+        np.testing.assert_allclose(turned(blur.blurred(turned(picture))), one, atol=1e-7)  # PSFs are computed in single precision
+
+
+@pytest.mark.parametrize("shape", [(96, 96), (97, 97), (96, 65), (65, 128)])
+def test_light_is_preserved_before_it_leaves_the_picture(shape: tuple[int, int], uneven_light: Light) -> None:
+    picture = np.random.default_rng(1).random(shape)
+    blur = field_blur(uneven_light, shape, PITCH_UM, 16, 17)
+    reach = blur.cells // 2
+    full, lacked = blur.superposed(np.pad(picture, reach))
+    assert full.sum() + lacked.sum() == pytest.approx(picture.sum(), rel=1e-9)
+    assert 0.01 < lacked.sum() / picture.sum() < blur.lacking < 0.1
+    np.testing.assert_allclose(blur.blurred(np.ones(shape)), 1, rtol=1e-12)
+
+
+QUADRANTS = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
+
+
+@pytest.mark.parametrize(("x", "y"), QUADRANTS)
+def test_a_point_is_shifted_along_its_field_by_the_mean_slope_of_the_wavefront(x: int, y: int) -> None:
+    """Coma W = c t v (u² + v²) sends light outwards by the mean of λ ∂W/∂(cosine), c t λ/NA."""
+    coma, distance_mm, offset = 4.0, 1.0, 40
+    light = Light([fitted(F_NUMBER, np.linspace(0, 0.4, 9), distance_mm, lambda u, v, t: coma * t * v * (u**2 + v**2))], np.ones(1))
+    picture = np.zeros((161, 161))
+    place = 80 + offset * y, 80 + offset * x
+    picture[place] = 1.0
+    blurred = field_blur(light, picture.shape, PITCH_UM, 20, 65).superposed(np.pad(picture, 32))[0][64:-64, 64:-64]
+    rows, columns = np.arange(161)[:, None], np.arange(161)
+    found = np.array(
+        [(blurred * axis).sum() / blurred.sum() - start for axis, start in zip((columns, rows), place[::-1], strict=True)]
+    )
+    tangent = math.hypot(x, y) * offset * PITCH_UM * 1e-3 / distance_mm
+    expected_um = coma * tangent * NM * 1e-3 * 2 * F_NUMBER
+    outwards = np.array([x, y]) / math.hypot(x, y)
+    assert found @ outwards * PITCH_UM == pytest.approx(expected_um, rel=0.03)
+    assert abs(found[0] * outwards[1] - found[1] * outwards[0]) * PITCH_UM < 0.01 * expected_um
+
+
+def test_lateral_colour_moves_the_psf() -> None:
+    light = Light([fitted(F_NUMBER, np.linspace(0, 0.4, 9), 1.0, perfect, shift_um=30.0)], np.ones(1))
+    kernel = point_spread(light, 0.0, 300.0, PITCH_UM, 65).kernel
+    rows = np.arange(65) - 32
+    assert (kernel * rows[:, None]).sum() / kernel.sum() * PITCH_UM == pytest.approx(30.0 * 0.3, rel=0.01)
+    assert (kernel * rows).sum() == pytest.approx(0, abs=1e-6)
+
+
+def test_too_few_rays_are_refused() -> None:
+    front = PupilRays(np.zeros((5, 2)), np.full(5, np.nan), np.zeros((5, 2)), 0.0)
+    with pytest.raises(PixsimError, match="0 rays at 0 µm"):
+        fit_wavefronts(NM, np.zeros(1), [front])
