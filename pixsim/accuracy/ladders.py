@@ -13,7 +13,7 @@ import numpy as np
 
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.thin_lens import field_factor
+from pixsim.optics.camera_light import camera_factor
 from pixsim.scene import variant as variants
 from pixsim.scene.bands import Pulse
 from pixsim.scene.plan import Plan, make_render_plan
@@ -161,7 +161,7 @@ def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: i
     """Plain Mitsuba: 47 bands of 10 nm (360-830 nm) in one specfilm, the scene's lamps and integrator, and a sampled lens."""
     job = Renderer(scene, camera, plan, 0)
     flat = [Pulse(nm - BAND_NM / 2, nm + BAND_NM / 2, np.ones(2)) for nm in CENTRES_NM.tolist()]
-    factor = field_factor(job.size, job.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
+    factor = camera_factor(camera, job.size, job.pitch_um)
     lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius_m, "focus_distance": camera.object_distance_m}
     plain = replace(job.job, lamps=(None,), lens=job.job.lens | lens, integrator=None, tables=())
     tracer = job.traced(plain)

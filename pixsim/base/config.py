@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, reduce
 from importlib import resources
 from pathlib import Path
@@ -26,9 +26,14 @@ from pixsim.base.parameters import (
     Run,
     Spread,
     Study,
+    as_chief_ray_angles,
+    as_quantum_efficiency,
     explain,
+    is_case_name,
     merge,
     missing_of_data_sheet,
+    nested,
+    setting_path,
 )
 
 MAX_BYTES = 1 << 20
@@ -118,6 +123,9 @@ def settings_layer(path: Path) -> Layer:
         table = {**table, "pixel": pixel}
         resolved = {name: resolve_file(path, pixel[name]) for name in ("technology", "quantum_efficiency") if name in pixel}
         table = {**table, "pixel": pixel | resolved}
+    camera = table.get("camera")
+    if isinstance(camera, dict) and "chief_ray_angle" in camera:
+        table = {**table, "camera": camera | {"chief_ray_angle": resolve_file(path, camera["chief_ray_angle"])}}
     scene = table.get("scene")
     if isinstance(scene, dict) and "chart" in scene:
         table = {**table, "scene": scene | {"chart": resolve_file(path, scene["chart"])}}
@@ -331,6 +339,12 @@ def _without(table: dict[str, Any], removed: dict[str, Any]) -> dict[str, Any]:
     return left | {name: _without(table[name], removed[name]) for name in inner}
 
 
+# Settings that name files: those whose values can stand in their place, and others.
+FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
+    ("pixel", "quantum_efficiency"): as_quantum_efficiency,
+    ("camera", "chief_ray_angle"): as_chief_ray_angles,
+}
+FILES = (("scene", "file"), ("scene", "parameters", "chart"), ("pixel", "technology"), *FILES_OF_VALUES)
 SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`
 
 
@@ -349,6 +363,10 @@ def settings_text(record: Record, command: str, uncertainty: Uncertainty | None 
         kept = {number: spread.model_dump(exclude_none=True) for number, spread in spreads.items() if spread.holds(pixel, number)}
         if isinstance(pixel, dict) and kept:
             pixel["uncertainty"] = kept
+    if "axis" in table:
+        table["axis"] = [_without_files_of_axis(axis) for axis in table["axis"]]
+    for condition in table.get("condition", ()):
+        condition["set"] = _without_files(condition["set"])
     if "technologies" in table:
         table["technologies"] = [whole_path(name) for name in table["technologies"]]
     for by_name in ("process", "sensors"):
@@ -358,6 +376,31 @@ def settings_text(record: Record, command: str, uncertainty: Uncertainty | None 
         if "technology" in pixel:
             pixel["technology"] = whole_path(pixel["technology"])
     return settings_table_text(table, command)
+
+
+def _without_files(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings with values in place of the files that hold them, and the whole paths of other files."""
+    for path in FILES:
+        *above, name = path
+        node: Any = settings
+        for key in above:
+            node = node.get(key) if isinstance(node, dict) else None
+        if isinstance(node, dict) and isinstance(node.get(name), str):
+            settings = merge(settings, nested(path, FILES_OF_VALUES.get(path, whole_path)(node[name])))
+    return settings
+
+
+def _without_files_of_axis(axis: dict[str, Any]) -> dict[str, Any]:
+    """An axis without files as `_without_files` has it; files that are its plain values remain its labels.
+
+    Names that cannot be labels stay as they are.
+    """
+    values, paths = axis.get("values", ()), [setting_path(dotted) for dotted in axis.get("set", ())]
+    if any(path in FILES for path in paths) and all(isinstance(value, str) and is_case_name(value) for value in values):
+        tables = [{"label": value, "set": merged(Layer(nested(path, value)) for path in paths)} for value in values]
+        axis = {name: value for name, value in axis.items() if name != "set"} | {"values": tables}
+    shown = [each | {"set": _without_files(each["set"])} if isinstance(each, dict) else each for each in axis.get("values", ())]
+    return axis | ({"values": shown} if shown else {})
 
 
 def settings_table_text(table: Mapping[str, Any], command: str) -> str:

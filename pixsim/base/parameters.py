@@ -251,23 +251,29 @@ def as_float(value: Any) -> float:
         return math.inf if value > 0 else -math.inf
 
 
-def read_curve(path: Path) -> EfficiencyCurve:
-    """Quantum efficiency from the first two columns of a CSV file, after any title lines. ValueError if they are not a curve."""
+def read_cells(path: Path, what: str, allowed: str) -> tuple[list[tuple[int, list[str]]], str]:
+    """Rows of a CSV file that are neither blank nor comments, each with its line number, and the file's decimal mark.
+
+    Cells are stripped. Semicolons and tabs separate columns too, and then a comma is the decimal mark. ValueError if it is no text.
+    """
     try:
-        lines = read_text(path, "quantum efficiency", ALLOWED_FILE, MAX_FILE_BYTES).splitlines()
+        lines = read_text(path, what, allowed, MAX_FILE_BYTES).splitlines()
     except PixsimError as error:
         raise ValueError(str(error).removesuffix(".").partition(": ")[2]) from None
-    pairs: list[tuple[float, float]] = []
     separator = next((mark for mark in ";\t" if any(mark in line for line in lines)), ",")
-    decimal = "," if separator != "," else "."  # where another mark separates columns, a comma is the decimal mark
     try:
-        rows = list(csv.reader(lines, delimiter=separator))
+        rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
     except csv.Error as error:
-        raise ValueError(f"got '{path}' ({error}); allowed: {ALLOWED_FILE}") from None
-    for number, row in enumerate(rows, 1):
-        cells = [cell.strip() for cell in row]
-        if not any(cells) or cells[0].startswith("#"):
-            continue
+        raise ValueError(f"got '{path}' ({error}); allowed: {allowed}") from None
+    used = [(number, row) for number, row in enumerate(rows, 1) if any(row) and not row[0].startswith("#")]
+    return used, "," if separator != "," else "."
+
+
+def read_curve(path: Path) -> EfficiencyCurve:
+    """Quantum efficiency from the first two columns of a CSV file, after any title lines. ValueError if they are not a curve."""
+    rows, decimal = read_cells(path, "quantum efficiency", ALLOWED_FILE)
+    pairs: list[tuple[float, float]] = []
+    for number, cells in rows:
         try:
             pairs.append((float(cells[0].replace(decimal, ".")), float(cells[1].replace(decimal, "."))))
         except (ValueError, IndexError):
@@ -293,6 +299,73 @@ def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
     return pairs
 
 
+ChiefRayAngles = tuple[
+    tuple[float, ...], ...
+]  # (image height in mm, angle in degrees[, relative illumination]), heights increasing
+CHIEF_RAY_COLUMNS = ("image_height_mm", "deg", "relative_illumination")
+ALLOWED_CHIEF_RAYS = "a CSV file with the columns image_height_mm, deg and, if it is known, relative_illumination"
+MAX_CHIEF_RAYS = 1000  # rows; makers' tables have 10 to 100
+
+
+def as_chief_ray_angles(value: Any) -> Any:
+    """Chief ray angles as rows of numbers, from rows, or from the path of a CSV file. ValueError if it is neither."""
+    if value is None:
+        return None
+    if isinstance(value, str | Path):
+        return read_chief_rays(Path(value))
+    try:
+        rows = tuple(tuple(as_float(number) for number in row) for row in value if not isinstance(row, str))
+    except (TypeError, ValueError):
+        raise ValueError(
+            "got neither a file nor a list of rows; allowed: 'cra.csv', or rows of image height in mm and degrees, as "
+            "[[0, 0], [1.5, 12], [3, 25]]"
+        ) from None
+    return _check_chief_rays(rows, "a list")
+
+
+def read_chief_rays(path: Path) -> ChiefRayAngles:
+    """Chief ray angles from a CSV file whose first line names its columns. ValueError if they are none."""
+    rows, decimal = read_cells(path, "chief ray angles", ALLOWED_CHIEF_RAYS)
+    names = tuple(name.lower() for name in rows[0][1]) if rows else ()
+    known = CHIEF_RAY_COLUMNS[:2], CHIEF_RAY_COLUMNS
+    if sorted(names) not in map(sorted, known):
+        hint = f" Make the first line of '{path}' {','.join(known[0])} or {','.join(known[1])}."
+        raise ValueError(f"got a file without these columns; allowed: {ALLOWED_CHIEF_RAYS}.{hint}")
+    order, table = [names.index(name) for name in CHIEF_RAY_COLUMNS[: len(names)]], []
+    for number, cells in rows[1:]:
+        try:
+            table.append(tuple(float(cells[at].replace(decimal, ".")) for at in order))
+        except (ValueError, IndexError):
+            raise ValueError(f"got no {len(order)} numbers in line {number} of '{path}'; allowed: {', '.join(names)}") from None
+    return _check_chief_rays(tuple(table), f"'{path}'")
+
+
+def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
+    allowed = "2 to 1000 rows of an image height in mm and an angle in degrees, and perhaps the relative illumination, all alike"
+    if not (2 <= len(rows) <= MAX_CHIEF_RAYS and len(rows[0]) in (2, 3) and all(len(row) == len(rows[0]) for row in rows)):
+        raise ValueError(f"got {source} of {len(rows)} rows; allowed: {allowed}")
+    for number, row in enumerate(rows, 1):
+        if not all(map(math.isfinite, row)):
+            raise ValueError(f"got {source} with {row} in row {number}; allowed: finite numbers")
+        if not abs(row[1]) < 90:
+            raise ValueError(f"got {source} with {row[1]:g} degrees in row {number}; allowed: above -90 and below 90")
+        if len(row) == 3 and not 0 <= row[2] <= MAX_RELATIVE_ILLUMINATION:
+            hint = " Divide percentages by 100." if MAX_RELATIVE_ILLUMINATION < row[2] <= 100 else ""
+            got = f"{source} with a relative illumination of {row[2]:g} in row {number}"
+            raise ValueError(f"got {got}; allowed: 0 to {MAX_RELATIVE_ILLUMINATION:g}, 1 on the axis.{hint}")
+    if rows[0][:2] != (0, 0):
+        got = f"{source} that begins with {rows[0][0]:g} mm and {rows[0][1]:g} degrees"
+        raise ValueError(f"got {got}; allowed: 0 mm and 0 degrees in the first row, the axis of the lens")
+    if len(rows[0]) == 3 and rows[0][2] != 1:
+        got = f"{source} with a relative illumination of {rows[0][2]:g} on the axis"
+        raise ValueError(f"got {got}; allowed: 1 there. Divide all values by {rows[0][2]:g}.")
+    for (low, *_), (high, *_) in pairwise(rows):
+        if not low < high:
+            raise ValueError(f"got {source} with {low:g} mm followed by {high:g} mm; allowed: image heights that increase")
+    return rows
+
+
+MAX_RELATIVE_ILLUMINATION = 2.0  # a few per cent above 1 in lenses whose exit pupil grows with the field
 NO_TECHNOLOGY = "none"
 # Required of a data sheet without a technology; non-uniformities and offsets that it does not give are 0.
 DATA_SHEET = ("full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency")
@@ -373,6 +446,19 @@ QuantumEfficiency = Annotated[
                 {"type": "number", "exclusiveMinimum": 0, "maximum": 1},
                 {"type": "string", "description": "CSV file of wavelength in nm and quantum efficiency, next to the TOML file"},
                 {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}},
+            ]
+        }
+    ),
+]
+
+ChiefRays = Annotated[
+    ChiefRayAngles,
+    BeforeValidator(as_chief_ray_angles),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "string", "description": f"{ALLOWED_CHIEF_RAYS}, next to the TOML file"},
+                {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}},
             ]
         }
     ),
@@ -718,6 +804,7 @@ class Pixel(PixelOptions):
 
 
 FASTEST_WORKING_F_NUMBER = 0.5
+CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
 
 
 class Camera(Record):
@@ -738,6 +825,11 @@ class Camera(Record):
     die_height_mm: DieWidth | None = Field(None, description="height of the die (absent: that of a square die, die_mm)")
     object_distance_m: Distance = Field(1.0, description="distance from the lens to the plane in focus")
     transmittance: Fraction = Field(1.0, description="transmittance of the lens")
+    chief_ray_angle: ChiefRays | None = Field(
+        None,
+        description="CSV file of image_height_mm, deg and perhaps relative_illumination: directions of the light on pixels with a "
+        "stack, and the fall-off in place of the thin lens's if that column is there (absent: those of the thin lens)",
+    )
 
     @model_validator(mode="after")
     def _forms_an_image(self) -> Self:
@@ -753,6 +845,36 @@ class Camera(Record):
                 f"N (1 + |m|) = {self.working_f_number:g}, must be at least {FASTEST_WORKING_F_NUMBER:g}"
             )
         return self
+
+    @model_validator(mode="after")
+    def _chief_rays_reach_the_corner(self) -> Self:
+        if self.chief_ray_angle is None:
+            return self
+        corner_mm, farthest_mm = math.hypot(self.die_mm, self.height_mm) / 2, self.chief_ray_angle[-1][0]
+        if farthest_mm < corner_mm * (1 - CORNER_ROUNDING):
+            raise ValueError(
+                f"chief_ray_angle ends at an image height of {farthest_mm:g} mm; allowed: up to the corner of the die of "
+                f"{self.die_mm:g} × {self.height_mm:g} mm, {math.ceil(1e4 * corner_mm) / 1e4:g} mm. Add rows up to it, or give the "
+                "die_mm and die_height_mm of the sensor"
+            )
+        height_mm, angle_deg = max(self._angles_within(corner_mm), key=lambda row: abs(row[1]))
+        sine = math.sin(math.radians(abs(angle_deg))) + self.numerical_aperture
+        if not sine < 1:
+            raise ValueError(
+                f"chief_ray_angle is {angle_deg:.4g} degrees at {height_mm:.4g} mm; allowed: the sine of the angle and of the cone "
+                f"of light at f/{self.f_number:g} together below 1, the horizon, not {sine:.3g}. Give smaller angles or a larger "
+                "f_number"
+            )
+        return self
+
+    def _angles_within(self, height_mm: float) -> list[tuple[float, float]]:
+        """The rows of chief ray angles up to a height, and the angle there."""
+        rows = [(row[0], row[1]) for row in self.chief_ray_angle or ()]
+        within = [row for row in rows if row[0] <= height_mm]
+        if len(within) < len(rows):
+            (low, low_deg), (high, high_deg) = within[-1], rows[len(within)]
+            within.append((height_mm, low_deg + (high_deg - low_deg) * (height_mm - low) / (high - low)))
+        return within
 
     @property
     def height_mm(self) -> float:
@@ -786,6 +908,24 @@ class Camera(Record):
         Light and blur share one pupil (Abbe's sine condition): irradiance goes with sin²α, the cut-off frequency with 2 sin α/λ.
         """
         return math.hypot(self.working_f_number, 0.5)
+
+    @property
+    def numerical_aperture(self) -> float:
+        """NA = sin α of the cone of light on the axis, a ratio: 1/(2 N_e)."""
+        return 0.5 / self.effective_f_number
+
+    @property
+    def relative_illumination(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        """Image heights in mm, and the illumination there relative to the axis; None if `chief_ray_angle` states none."""
+        if self.chief_ray_angle is None or len(self.chief_ray_angle[0]) < 3:
+            return None
+        return tuple(row[0] for row in self.chief_ray_angle), tuple(row[2] for row in self.chief_ray_angle)
+
+    @checks_arguments
+    def lights_like(self, other: Camera) -> bool:
+        """Whether both give the same irradiance; its directions, which only pixels with a stack see, may differ."""
+        tables = {self.relative_illumination, other.relative_illumination}
+        return len(tables) == 1 and self.model_copy(update={"chief_ray_angle": other.chief_ray_angle}) == other
 
     @property
     def fov_deg(self) -> float:
@@ -860,6 +1000,7 @@ class CameraOptions(Record):
     )
     object_distance_m: Distance | None = Field(None, description=Camera.model_fields["object_distance_m"].description)
     transmittance: Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
+    chief_ray_angle: ChiefRays | None = Field(None, description=Camera.model_fields["chief_ray_angle"].description)
 
     @checks_arguments
     def over(self, camera: Camera) -> Camera:
@@ -1123,8 +1264,16 @@ def _is_path(dotted: str) -> str:
     return dotted
 
 
+MAX_CASE_NAME = 60
+
+
+def is_case_name(value: str) -> bool:
+    """Whether a text can be the label of a value of an axis."""
+    return len(value) <= MAX_CASE_NAME and re.fullmatch(r"[^\s=+,](?:[^=+,\x00-\x1f]*[^\s=+,])?", value) is not None
+
+
 def _case_name(value: str) -> str:
-    if not re.fullmatch(r"[^\s=+,](?:[^=+,\x00-\x1f]*[^\s=+,])?", value):
+    if not is_case_name(value):
         raise ValueError(f"got {value!r}; allowed: a name without = + and commas, and without spaces at its ends")
     return value
 
@@ -1145,7 +1294,7 @@ MAX_FLOAT = sys.float_info.max
 Settings = Annotated[dict[str, Any], AfterValidator(_settings)]
 ConditionSettings = Annotated[dict[str, Any], AfterValidator(_of_condition)]
 DottedSetting = Annotated[str, AfterValidator(_is_path)]
-CaseName = Annotated[str, Field(max_length=60), AfterValidator(_case_name)]
+CaseName = Annotated[str, Field(max_length=MAX_CASE_NAME), AfterValidator(_case_name)]
 AxisNumber = float | int | str
 
 

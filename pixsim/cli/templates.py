@@ -28,7 +28,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "saturation_capacity_e": 10500.0, "temporal_dark_noise_e": 2.3, "prnu_percent": 0.5, "dsnu_e": 2.0,
     "dark_current": {"e_per_s": 3.0, "at_c": 27.0, "doubling_k": 8.0}, "dynamic_range_db": 71.0, "snr_max_db": 40.2,
     "die_height_mm": 2.4, "pixels": [640, 640], "die_mm": 2.4, "infrared_cut_nm": 650.0, "fill_factor": 0.8,
-    "f_number": 2.8, "integration_s": 0.02,
+    "f_number": 2.8, "chief_ray_angle": [[0.0, 0.0], [1.0, 16.0], [2.0, 30.0]], "integration_s": 0.02,
     "stack": {"height_um": 5.0, "index": 1.5, "microlens": "square", "shift": "optimal"},
     "quantum_efficiency_includes": "microlens", "quantum_efficiency_f_number": 8.0, "quantum_efficiency_pitch_um": 1.4,
     "white_cd_per_m2": 1000.0,

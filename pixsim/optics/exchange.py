@@ -25,7 +25,7 @@ from pixsim.base.version import VERSION
 from pixsim.light import foreign
 from pixsim.light.exr import read_exr, read_header
 from pixsim.light.spectral import MAX_VALUE, SpectralImage
-from pixsim.optics.thin_lens import field_factor
+from pixsim.optics.camera_light import camera_factor
 
 ALLOWED_NM = (300.0, 1200.0)  # where glass transmits and silicon responds
 PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
@@ -95,8 +95,7 @@ def _from_cube(path: Path, cube: foreign.Cube, camera: Camera | None, units: str
         if camera is None:
             hint = "Give read_irradiance(path, camera), or --camera.f-number and the other camera options on the command line."
             raise invalid(f"light in '{path}'", f"radiance ({text}) without a camera", "irradiance, or radiance and a camera", hint)
-        lens = camera.image_distance_mm, camera.f_number, camera.magnification
-        light = unit.factor * camera.transmittance * field_factor(cube.data.shape[:2], sampling_um, *lens)
+        light = unit.factor * camera.transmittance * camera_factor(camera, cube.data.shape[:2], sampling_um)
         header["camera"] = camera.model_dump()
     if cube.white_cd_per_m2 is not None:
         header["luminance_cd_per_m2"] = _positive(path, "white_cd_per_m2", cube.white_cd_per_m2)

@@ -357,9 +357,9 @@ def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
     if scene := table.get("scene"):
         given = {"parameters": scene_table(folder, scene["parameters"])} if "parameters" in scene else {}
         table["scene"] = given | ({"file": whole_path(scene["file"])} if "file" in scene else {})
-    pixel = table.get("pixel", {})
-    if isinstance(curve := pixel.get("quantum_efficiency"), str):
-        table["pixel"] = pixel | {"quantum_efficiency": whole_path(curve)}
+    for part, name in (("pixel", "quantum_efficiency"), ("camera", "chief_ray_angle")):
+        if isinstance(file := table.get(part, {}).get(name), str):
+            table[part] = table[part] | {name: whole_path(file)}
     return table
 
 

@@ -13,8 +13,8 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import photons_per_joule, photopic_efficiency
+from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
-from pixsim.optics.thin_lens import field_factor
 from pixsim.scene import bands as spectral_bands, film, rules
 from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces
@@ -357,9 +357,8 @@ def decide_oversampling(
     uniform, free = plan.chart is not None and plan.chart.uniform, scene.resolution is None
     given = not free or "resolution" in scene.parameters
     # Error of taking the fall-off at the middle of a sample for its mean: it grows as the width squared, so halve the samples.
-    lens = camera.image_distance_mm, camera.f_number, camera.magnification
     n = UNIFORM_RESOLUTION
-    middle, parts = (field_factor((side, side), 1e3 * camera.die_mm / side, *lens) for side in (n, 2 * n))
+    middle, parts = (camera_factor(camera, (side, side), 1e3 * camera.die_mm / side) for side in (n, 2 * n))
     error = float(4 / 3 * np.abs(middle / parts.reshape(n, 2, n, 2).mean(axis=(1, 3)) - 1).max())
     if uniform and not full and not given and width > UNIFORM_RESOLUTION and plan.bound_e + error <= plan.tolerance_e:
         reason = f"a scene without detail: {UNIFORM_RESOLUTION} samples across resolve the fall-off of the lens"
@@ -410,7 +409,9 @@ def decide_stack(physics: PixelPhysics, camera: Camera, full: bool) -> Decision:
     axis, corner = stack_shares(physics, camera, GREEN_NM)
     kind = f"microlens {stack.height_um:g} µm" if stack.microlens else f"opening {stack.height_um:g} µm"
     reason = f"{kind} above the photodiode: a pixel collects {axis:.0%} of its light on axis, {corner:.0%} in the corner"
-    reason += f" ({GREEN_NM:g} nm)"
+    reason += (
+        f" ({GREEN_NM:g} nm)" if camera.chief_ray_angle is None else f" ({GREEN_NM:g} nm, chief rays of camera.chief_ray_angle)"
+    )
     if stack.microlens:
         reason += f"; from f/{stack.lossless_f_number:.3g} on, light on axis is lost by diffraction only"
     return Decision("pixel stack", True, reason)

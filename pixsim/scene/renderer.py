@@ -18,7 +18,8 @@ from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import WHOLE, SpectralImage
-from pixsim.optics.thin_lens import field_factor, irradiance_factor
+from pixsim.optics.camera_light import camera_factor
+from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Pulse
 from pixsim.scene.child import child_tracer
 from pixsim.scene.mitsuba import parse
@@ -183,8 +184,7 @@ class Renderer:
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
         """Return the irradiance relative to that on the axis, at the centre of each sample of some rows and columns."""
-        lens = self.camera.image_distance_mm, self.camera.f_number, self.camera.magnification
-        return field_factor(self.size, self.pitch_um, *lens, (rows, columns)) * (self.camera.transmittance / self.on_axis)
+        return camera_factor(self.camera, self.size, self.pitch_um, (rows, columns)) * (self.camera.transmittance / self.on_axis)
 
     def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[Pictures, int]:
         """Return pictures (H, W, pulses) of each light, relative to its lamp, and the samples per film cell.

@@ -90,10 +90,11 @@ class Scene:
         state = self.parse()
         sensor = sensor_node(state, self.sensor_id)[1]
         height, width = film_size(state, sensor)
-        camera = options.over(read_camera(sensor, die_mm, width / max(height, 1)))
+        own = read_camera(sensor, die_mm, width / max(height, 1))
         if options.die_height_mm is None and height != width and height > 0:
-            camera = camera.model_copy(update={"die_height_mm": camera.die_mm * height / width})
-        return camera
+            height_mm = (own.die_mm if options.die_mm is None else options.die_mm) * height / width
+            options = options.model_copy(update={"die_height_mm": height_mm})
+        return options.over(own)
 
     @checks_arguments
     def for_camera(self, camera: Camera) -> Any:

@@ -23,9 +23,9 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Correction, Display, StackOptions
+from pixsim.optics.camera_light import CameraPupil, camera_pupil
 from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits
-from pixsim.optics.thin_lens import thin_lens_pupil
 from pixsim.sensor.crosstalk import shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
 from pixsim.sensor.pixel import USUAL_F_NUMBER, PixelPhysics
@@ -33,6 +33,7 @@ from pixsim.sensor.pixel import USUAL_F_NUMBER, PixelPhysics
 WAVELENGTHS = 7  # at which shares are computed, with a linear course between them: 1e-5 of a share from 400 to 700 nm
 # Points of the field from the centre to an edge. Under an optimal shift shares hardly change; unshifted, they fall steeply.
 POINTS_SHIFTED, POINTS_UNSHIFTED = 5, 6
+POINTS_OF_TABLE = 10  # where a table of chief ray angles bends at its rows: a share is within .002, of ten rows at f/2
 NEGLIGIBLE = 1e-5  # neighbours' shares that are smaller everywhere are left to the pixel, since each takes as long as a large one
 FINE = 64  # steps across the field, between which shares are linear
 GIVEN_AT_NM = np.arange(400.0, 701.0, 50.0)  # where a quantum efficiency is checked against its own measurement
@@ -40,16 +41,14 @@ GIVEN_AT_NM = np.arange(400.0, 701.0, 50.0)  # where a quantum efficiency is che
 
 @dataclass(frozen=True)
 class Illumination:
-    """The directions and wavelengths of the light on a sensor: a thin lens, and the mean spectrum in electrons.
+    """The directions and wavelengths of the light on a sensor: the lens's pupil, and the mean spectrum in electrons.
 
     weight : electrons of each wavelength, in any unit, with a positive sum
     """
 
     wavelength_nm: tuple[float, ...]
     weight: tuple[float, ...]
-    f_number: float
-    image_distance_um: float
-    magnification: float
+    pupil: CameraPupil
 
     @property
     def nodes(self) -> tuple[Array, Array]:
@@ -69,13 +68,12 @@ def illumination(camera: Camera, wavelength_nm: Array, electrons: Array, mean_sp
     A black picture is taken as one of equal light in all bands.
     """
     weight = next((weight for weight in (electrons * mean_spectrum, electrons) if weight.any()), np.ones_like(electrons))
-    lens = camera.f_number, 1e3 * camera.image_distance_mm, camera.magnification
-    return Illumination(tuple(wavelength_nm.tolist()), tuple(weight.tolist()), *lens)
+    return Illumination(tuple(wavelength_nm.tolist()), tuple(weight.tolist()), camera_pupil(camera))
 
 
 def even_light(wavelength_nm: Array, weight: Array) -> Illumination:
     """Return the light on a sensor without a lens in the set-up of EMVA 1288, f/8; weights are electrons, (B,)."""
-    return Illumination(tuple(wavelength_nm.tolist()), tuple(weight.tolist()), USUAL_F_NUMBER, math.inf, 0.0)
+    return Illumination(tuple(wavelength_nm.tolist()), tuple(weight.tolist()), CameraPupil(USUAL_F_NUMBER, math.inf))
 
 
 @dataclass(frozen=True)
@@ -169,14 +167,10 @@ def stack_shares(physics: PixelPhysics, camera: Camera, wavelength_nm: float) ->
     """Return the share of its light that a pixel itself collects, on axis and in the corner of the die; 1 without a stack."""
     if physics.stack is None:
         return 1.0, 1.0
-    azimuth_deg = math.degrees(math.atan2(camera.height_mm, camera.die_mm))
-    pupil = thin_lens_pupil(camera.f_number, np.array([0.0, _tan_corner(camera)]), azimuth_deg, camera.magnification)
+    y_um, x_um = camera.die_um
+    pupil = camera_pupil(camera).at([0.0, x_um / 2], [0.0, y_um / 2])
     axis, corner = collected_shares(physics.stack, pupil, [wavelength_nm])[:, 0, 2, 2].tolist()
     return axis, corner
-
-
-def _tan_corner(camera: Camera) -> float:
-    return math.hypot(camera.die_mm, camera.height_mm) / 2 / camera.image_distance_mm
 
 
 def least_fresnel_number(physics: PixelPhysics, wavelength_nm: Array) -> float | None:
@@ -199,8 +193,9 @@ def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: A
     """
     if physics.stack is None:
         return
-    azimuth_deg = math.degrees(math.atan2(camera.height_mm, camera.die_mm))
-    pupil = thin_lens_pupil(camera.f_number, _tan_corner(camera), azimuth_deg, camera.magnification)
+    y_um, x_um = camera.die_um
+    towards_corner = np.linspace(0.0, 0.5, FINE + 1)  # a table's largest angle need not be in the corner
+    pupil = camera_pupil(camera).at(x_um * towards_corner, y_um * towards_corner)
     for text in model_limits(physics.stack, pupil, _seen_nm(physics, wavelength_nm)):
         warn(f"pixel.stack at {physics.pitch_um:g} µm: {text}")
 
@@ -219,6 +214,7 @@ def _collection(
         weight = weight / _measured_share(measured, charge, nm)
     symmetric = stack.shift_um in ("optimal", (0.0, 0.0))
     points = POINTS_SHIFTED if stack.shift_um == "optimal" else POINTS_UNSHIFTED
+    points = points if light.pupil.chief_ray_angle is None else POINTS_OF_TABLE
     node = -np.cos(np.linspace(0.0, np.pi, 2 * points - 1))  # Chebyshev's, of the extrema: a polynomial through them is stable
     node[points - 1] = 0.0
     line = node[points - 1 :] if symmetric else node
@@ -236,8 +232,7 @@ def _collection(
         if shares.shape[axis] > 1:
             shares = np.moveaxis(np.tensordot(_finer(tuple(node.tolist())), shares, (1, axis)), 0, axis)
     shares = np.maximum(shares, 0.0)
-    pupil = thin_lens_pupil(light.f_number, 0.0, 0.0, light.magnification)
-    side_um = stack.pitch_um if stack.microlens else math.sqrt(float(np.prod(aperture_side_um(stack, pupil))))
+    side_um = stack.pitch_um if stack.microlens else math.sqrt(float(np.prod(aperture_side_um(stack, light.pupil.at(0.0, 0.0)))))
     shares.flags.writeable = False
     return shares, on_axis, side_um
 
@@ -253,11 +248,9 @@ def _shares_at(
     stack: Stack, charge: StackOptions | None, light: Illumination, y_um: Array, x_um: Array, nm: Array, weight: Array
 ) -> Array:
     """Return the weighted sum over wavelengths (K,) of the shares at places on the sensor (...), (..., 5, 5)."""
-    tangent = np.hypot(x_um, y_um) / light.image_distance_um
-    pupil = thin_lens_pupil(light.f_number, tangent, np.degrees(np.arctan2(y_um, x_um)), light.magnification)
+    pupil = light.pupil.at(x_um, y_um)
     if stack.microlens:
-        sine = 1 / math.hypot(1.0, 2 * light.f_number * (1 + abs(light.magnification)))
-        spread = _spread(stack, charge, sine, nm)
+        spread = _spread(stack, charge, light.pupil.numerical_aperture, nm)
         optical = collected_shares(stack, pupil, nm)
         return np.einsum("...kij,k->...ij", optical if spread is None else spread_shares(optical, spread), weight)
     # A bare pixel has the same shares at all wavelengths, and its diffusion is in the transform of the light.

@@ -136,7 +136,7 @@ def matched_cameras(cameras: Sequence[Camera], match: Match, window_mm: float | 
         seen = [reference, *(_with_view_of(reference, camera) for camera in cameras[1:])]
     elif match == "lens":
         dies = ({"die_mm": camera.die_mm, "die_height_mm": camera.die_height_mm} for camera in cameras)
-        seen = [Camera(**reference.model_dump() | die) for die in dies]
+        seen = [reference.model_copy(update=die) for die in dies]  # cropped below to a field that all of them have
     else:
         seen = list(cameras)
     seen[0] = seen[0].window(window_mm)
@@ -152,7 +152,12 @@ def _with_view_of(reference: Camera, camera: Camera) -> Camera:
     if camera.die_mm == reference.die_mm:  # without rounding
         lens = {}
     die = {"die_mm": camera.die_mm, "die_height_mm": camera.die_height_mm}
-    return Camera(**reference.model_dump() | lens | die)
+    seen = Camera(**reference.model_dump(exclude={"chief_ray_angle"}) | lens | die)
+    if reference.chief_ray_angle is None:
+        return seen
+    grown = camera.die_mm / reference.die_mm  # the same lens, made larger or smaller
+    rows = tuple((grown * height_mm, *rest) for height_mm, *rest in reference.chief_ray_angle)
+    return seen.model_copy(update={"chief_ray_angle": rows})  # it need reach only the field that is cropped from this one
 
 
 def _cropped(camera: Camera, width: float, height: float) -> Camera:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import (
+    FILES,
     SETTINGS_FILE,
     Uncertainty,
     checked,
@@ -180,9 +181,6 @@ def _resolve_files(table: dict[str, Any], path: Path) -> None:
 def _tables(value: Any) -> list[dict[str, Any]]:
     """Return the tables of a list; none of anything else, which is refused later."""
     return [each for each in value if isinstance(each, dict)] if isinstance(value, list) else []
-
-
-FILES = ("scene", "file"), ("scene", "parameters", "chart"), ("pixel", "quantum_efficiency"), ("pixel", "technology")
 
 
 def _resolved_values(axis: dict[str, Any], path: Path) -> list[Any]:

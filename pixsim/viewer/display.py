@@ -19,7 +19,8 @@ from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage, d65
-from pixsim.optics.thin_lens import field_factor, irradiance_factor
+from pixsim.optics.camera_light import camera_factor
+from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.integration import M2_PER_UM2, MAX_PIXELS, electrons_per_joule, ideal_rate, integrate_axis, pixels_on
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame
@@ -62,7 +63,7 @@ def white_header(irradiance: SpectralImage, camera: Camera, display: Display) ->
     """
     if display.white_cd_per_m2 or "luminance_cd_per_m2" in irradiance.header:
         return {}
-    factor = field_factor(irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
+    factor = camera_factor(camera, irradiance.shape, irradiance.pitch_um)
     luminance = irradiance.illuminance_lx()
     luminance /= factor
     luminance /= camera.transmittance

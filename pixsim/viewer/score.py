@@ -380,7 +380,7 @@ def make_imaging_chain(
     model of the pixel's stack is doubtful.
     """
     rendered = irradiance.header.get("camera")
-    if rendered is not None and Camera.model_validate(rendered) != camera:
+    if rendered is not None and not Camera.model_validate(rendered).lights_like(camera):
         warn("the irradiance was rendered with another camera than the one given")
     physics = derive(pixel)
     warn_of_disagreements(pixel)

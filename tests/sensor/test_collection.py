@@ -16,10 +16,10 @@ from pixsim.base.parameters import Camera, Correction, Display, Exposure, Pixel,
 from pixsim.light.spectral import SpectralImage
 from pixsim.measure.experiment import pixel_efficiency
 from pixsim.measure.sfr import edge_response
+from pixsim.optics.camera_light import CameraPupil, camera_pupil
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, collected_shares
-from pixsim.optics.thin_lens import thin_lens_pupil
 from pixsim.sensor.collection import Illumination, collected_fraction, collection_of, even_light, stack_shares
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.integration import collecting_area_um2, illumination_of, integrate_pixels, mean_signal_rate
@@ -98,11 +98,16 @@ def test_low_opening_is_a_bare_photodiode() -> None:
     assert np.abs(found / wanted - 1).max() > 1e-6
 
 
-@pytest.mark.parametrize("name", STACKS)
-def test_shares_between_points_agree_with_the_kernel(name: str) -> None:
+# Chief ray angles of a phone's lens, which fall again towards the corner.
+ANGLES_DEG = (0.0, 4.7, 9.5, 14.2, 18.7, 22.9, 26.6, 29.6, 31.8, 32.9, 32.6)
+PHONE = [(0.34 * row / 10, angle_deg) for row, angle_deg in enumerate(ANGLES_DEG)]
+
+
+@pytest.mark.parametrize(("name", "table"), [*((name, None) for name in STACKS), ("lens", PHONE), ("optimal", PHONE)])
+def test_shares_between_points_agree_with_the_kernel(name: str, table: Any) -> None:
     """All bands and a direct pupil at places between the nodes: the polynomial over the field, 7 wavelengths, and linear steps."""
     physics = derive(Pixel(**QUIET, stack=STACKS[name] | {"crosstalk": None, "depletion_um": None, "diffusion_length_um": None}))
-    camera, image = Camera(die_mm=0.48, focal_length_mm=0.8, f_number=2.0), even_picture()
+    camera, image = Camera(die_mm=0.48, focal_length_mm=0.8, f_number=2.0, chief_ray_angle=table), even_picture()
     light, shape = illumination_of(image, camera, physics), (81, 81)
     collection = collection_of(physics, light, shape)
     assert collection is not None
@@ -111,17 +116,35 @@ def test_shares_between_points_agree_with_the_kernel(name: str) -> None:
     weight = np.array(light.weight) / np.sum(light.weight)
     for row, column in ((40, 40), (3, 77), (22, 51), (80, 80), (60, 13)):
         y, x = (6e-3 * (at - 40) for at in (row, column))
-        pupil = thin_lens_pupil(
-            2.0, math.hypot(x, y) / camera.image_distance_mm, math.degrees(math.atan2(y, x)), camera.magnification
-        )
+        pupil = camera_pupil(camera).at(1e3 * x, 1e3 * y)
         wanted = weight @ collected_shares(physics.stack, pupil, NM).sum(axis=(-2, -1))
-        assert even[row, column] == pytest.approx(wanted, abs=1e-3), (row, column)
+        assert even[row, column] == pytest.approx(wanted, abs=2e-3 if table else 1e-3), (row, column)
+
+
+def test_directions_of_a_table_reach_signal_shading_and_plan() -> None:
+    """A telecentric table leaves no shading in a fast lens; steep angles shade more than those of the thin lens."""
+    flat, steep = (
+        WIDE.model_copy(update={"chief_ray_angle": table}) for table in (((0.0, 0.0), (1.0, 0.0)), ((0.0, 0.0), (0.34, 50.0)))
+    )
+    pixel = Pixel(**QUIET, stack=LENS)
+    thin, even, shaded = (chain(pixel, camera=camera).even for camera in (WIDE, flat, steep))
+    assert thin is not None
+    assert even is not None
+    assert shaded is not None
+    np.testing.assert_allclose(even, 1.0, atol=1e-9)
+    assert shaded.min() < thin.min() - 0.02 < 0.95
+    physics = derive(pixel)
+    (_, wide), (axis, corner), (_, worst) = (stack_shares(physics, camera, 550.0) for camera in (WIDE, flat, steep))
+    assert axis == pytest.approx(corner, abs=1e-12)
+    assert worst < wide < corner
+    with pytest.warns(UserWarning, match=r"the optimal shift reaches [34]\.\d+ µm, more than half of the pitch of 6 µm"):
+        chain(Pixel(**QUIET, stack=LENS | {"shift": "optimal", "height_um": 8.0}), camera=steep)
 
 
 def test_nodes_of_wavelengths_keep_the_mean_wavelength() -> None:
     weight = np.random.default_rng(1).uniform(0, 1, 300)
     nm = np.linspace(400, 1000, 300)
-    node, share = Illumination(tuple(nm), tuple(weight), 2.0, 1e3, 0.0).nodes
+    node, share = Illumination(tuple(nm), tuple(weight), CameraPupil(2.0, 1e3)).nodes
     assert node.size == 7
     assert share.sum() == pytest.approx(1, abs=1e-13)
     assert share @ node == pytest.approx(weight @ nm / weight.sum(), rel=1e-13)

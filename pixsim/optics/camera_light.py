@@ -1,0 +1,74 @@
+"""The light of a camera over its sensor: from which directions it comes, and how it falls off towards the corners.
+
+Both are those of a thin lens (`pixsim.optics.thin_lens`), unless the camera has a table of chief ray angles. Then the exit pupil
+is the same disc, as wide on the axis, but seen at the table's angle: its semi-axes in direction cosines are about NA cos CRA, and
+NA cos³CRA along the field. The fall-off remains Foote's, of the field angle seen from the lens, unless the table has one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.parameters import Camera, ChiefRayAngles
+from pixsim.light.spectral import WHOLE
+from pixsim.optics.pupil import Pupil, numerical_aperture
+from pixsim.optics.thin_lens import field_factor, irradiance_factor, thin_lens_pupil
+
+
+@dataclass(frozen=True)
+class CameraPupil:
+    """The pupil of a camera as points of its sensor see it; hashable.
+
+    f_number : nominal, for focus at infinity
+    image_distance_um : from the lens to the sensor; infinite for a pupil that is the same everywhere
+    magnification : image over object size
+    chief_ray_angle : `Camera.chief_ray_angle`
+    """
+
+    f_number: float
+    image_distance_um: float
+    magnification: float = 0.0
+    chief_ray_angle: ChiefRayAngles | None = None
+
+    @property
+    def numerical_aperture(self) -> float:
+        """NA = sin α on the axis, with tan α = 1/(2 N (1 + |m|))."""
+        return numerical_aperture(self.f_number * (1 + abs(self.magnification)))
+
+    @checks_arguments
+    def at(self, x_um: ArrayLike, y_um: ArrayLike) -> Pupil:
+        """Return the pupils at points of the sensor, (...) as x (columns) and y (rows) broadcast, from the axis."""
+        x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
+        radius_um, azimuth_deg = np.hypot(x, y), np.degrees(np.arctan2(y, x))
+        if self.chief_ray_angle is None:
+            tangent = radius_um / self.image_distance_um
+        else:
+            height_mm, angle_deg = np.array([row[:2] for row in self.chief_ray_angle]).T
+            tangent = np.tan(np.radians(np.interp(1e-3 * radius_um, height_mm, angle_deg)))
+        return thin_lens_pupil(self.f_number, tangent, azimuth_deg, self.magnification)
+
+
+def camera_pupil(camera: Camera) -> CameraPupil:
+    """Return the pupil of a camera."""
+    return CameraPupil(camera.f_number, 1e3 * camera.image_distance_mm, camera.magnification, camera.chief_ray_angle)
+
+
+@checks_arguments
+def camera_factor(camera: Camera, shape: tuple[int, int], pitch_um: float, part: tuple[slice, slice] = (WHOLE, WHOLE)) -> Array:
+    """Return the irradiance on the sensor over the radiance of the scene, (H, W) sr, at each sample of a grid on the axis.
+
+    It is `field_factor`; with a relative illumination in `Camera.chief_ray_angle`, that of the axis times it, linear between its
+    image heights. The transmittance is not part of it.
+
+    shape, pitch_um, part : as for `field_factor`
+    """
+    if camera.relative_illumination is None:
+        return field_factor(shape, pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification, part)
+    y_mm, x_mm = (1e-3 * pitch_um * ((np.arange(n) + 0.5) - n / 2)[span] for n, span in zip(shape, part, strict=True))
+    relative = np.interp(np.hypot(x_mm, y_mm[:, None]), *camera.relative_illumination)
+    return np.asarray(relative * irradiance_factor(camera.f_number, 0.0, camera.magnification))
