@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage as SpectralImage
     from pixsim.measure.sfr import edge_response as edge_response
     from pixsim.optics.exchange import read_irradiance as read_irradiance, write_npz as write_npz
+    from pixsim.optics.lens import load_lens as load_lens
     from pixsim.report.study import write_report as write_report
     from pixsim.scene import charts as charts
     from pixsim.scene.charts import make_chart as make_chart, write_chart as write_chart
@@ -53,6 +54,7 @@ _NAMES_OF = {
     "light.spectral": "SpectralImage",
     "light.exr": "read_exr write_exr",
     "optics.exchange": "read_irradiance write_npz",
+    "optics.lens": "load_lens",
     "scene.charts": "make_chart write_chart",
     "scene.scene": "load_scene",
     "scene.renderer": "render",

@@ -113,6 +113,8 @@ GOOD: dict[str, Any] = {
     "planes": LIGHT.data.transpose(2, 0, 1), "fov_deg": 40.0, "aperture_radius_m": 5e-4, "focus_distance_m": 1.0, "source": "x",
     "gain_db": 6.0, "mosaic": PLANE, "pattern": "rggb", "method": "bilinear", "rgb": XYZ / 100,
     "sensitivities": lambda: pixsim.spectral.colour_matching(np.arange(400.0, 701.0, 10.0)), "illuminant": "D55",
+    "file": "cooke_triplet", "field_deg": 10.0, "stop_x": 0.0, "stop_y": 0.0, "x_mm": 1.0, "y_mm": 1.0,
+    "factor": 2.0, "height_mm": 1.0, "azimuth_deg": 30.0,
 }  # fmt: skip
 OWN: dict[str, Any] = {
     "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
@@ -128,6 +130,9 @@ OWN: dict[str, Any] = {
     "pixsim.SpectralImage.factors": None, "pixsim.SpectralImage.pitch_um": 100.0,
     "pixsim.viewer.display.picture_size_um.irradiance": LIGHT, "pixsim.optics.stack_collection.index": 1.5,
     "pixsim.colour_matrix.wavelength_nm": np.arange(400.0, 701.0, 10.0), "pixsim.colour_matrix.method": "least_delta_e",
+    **dict.fromkeys((f"pixsim.optics.lens.Lens.{name}.wavelength_nm" for name in (
+        "first_order", "field_of_height", "image_circle_mm", "fresnel_transmittance")), 550.0),
+    "pixsim.optics.lens.Lens.stopped_down.f_number": 8.0,
     "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
 }  # fmt: skip
 # Optional arguments that every call has: without them it takes long, or means nothing.
@@ -138,6 +143,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
     "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "EdgeResponse": edge, "Score": score, "Scene": scene,
     "Plan": plan, "Frame": lambda: FRAME, "Sensor": lambda: SENSOR, "RawFrame": lambda: pixsim.read_frame,
+    "Lens": lambda: pixsim.load_lens("cooke_triplet"),
 }  # fmt: skip
 # Built by pixsim only, from parts that are not public, or called above with a whole study.
 NOT_CALLED = {

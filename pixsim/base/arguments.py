@@ -105,6 +105,9 @@ BOUNDS = {
     **dict.fromkeys(("depletion_um", "perimeter_um", "prnu_um", "threshold_mv_um"), NOT_NEGATIVE),
     **dict.fromkeys(("area_na_per_cm2", "perimeter_na_per_cm"), NOT_NEGATIVE),
     "numerical_aperture": FRACTION,
+    "entrance_pupil_diameter_mm": POSITIVE,
+    "object_distance_mm": Bounds(0, open_low=True, infinite=True),
+    **dict.fromkeys(("stop_x", "stop_y"), Bounds(-2, 2)),  # over the stop's radius: a square grid, no lengths
     "tan_field": INFINITE_TOO,  # infinite for light parallel to the sensor
     "level_dn": INFINITE_TOO,
     "relative_luminance": INFINITE_TOO,

@@ -1,0 +1,957 @@
+"""A real lens: what its prescription does to light, by paraxial and by real rays.
+
+Conventions: lengths in mm; the field angle is that of the chief ray in object space to the axis, in the y-z plane, light going
+to +y, where the image lies too. Points of the stop are (x, y) over the height that the real axial ray from the edge of the
+paraxial entrance pupil has there, at the primary wavelength: the stop is a real disc, and it is filled at every field. An
+object at a finite distance is a plane; its distance counts from the paraxial entrance pupil, in which the camera stands.
+
+The optical path difference is W = (path of the chief ray - path of the ray)/λ, from the incident wave to the reference sphere
+around the chief ray's image point, whose radius reaches to the paraxial exit pupil on the axis (both of the primary
+wavelength). A transverse error is -R λ ∂W/∂(exit pupil); with waves exp(+ikz) the pupil function is exp(-2πi W).
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, fields as dataclass_fields, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fields
+from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
+from pixsim.optics.glass import AIR
+from pixsim.optics.prescription import Prescription, read_prescription
+from pixsim.optics.pupil import Directions
+from pixsim.optics.ray_trace import Rays, at_plane, met, paraxial, rays_from, refracted, trace, turned_round
+
+MM_PER_NM = 1e-6
+DEGREE = 11  # of the polynomial from the stop to the entrance pupil: within 1e-9 of its radius for a Cooke triplet at 20°
+RINGS, SPOKES = 8, 13  # of rays to which that polynomial is fitted, on half of the stop
+AIMED = 1e-9  # distance from the wanted point of the stop, over the stop's radius: 1e-7 waves at 100 waves of tilt
+AIM_STEPS = 30
+BLOCK = 1 << 13  # rays at a time, so that they fit into a core's cache
+SPOKES_OF_OUTLINE = 256  # of light at an image point: exact for a round pupil, 1e-5 of the area for a vignetted one
+MAX_SPOKES = 4096
+ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = 60, 1e-12, 1e-12  # of edges in direction cosines, and of field angles in degrees
+STEEPEST_DEG, FIELDS_TRIED = 89.0, 179
+WIDEST = 1e-9  # relative: an f-number in a few digits is the lens's own
+FOCUS_STEP_MM = 1e-3
+INSIDE = 1 + 1e-12  # of the stop's edge
+Bases = tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]  # monomials odd and even in x, with their derivatives
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """Paraxial data at one wavelength, with the object at infinity and the entrance pupil's diameter of the prescription.
+
+    focal_length_mm : effective focal length
+    back_focal_length_mm : from the last vertex to the paraxial focus
+    entrance_pupil_diameter_mm, exit_pupil_diameter_mm : of the stop's images
+    entrance_pupil_from_first_vertex_mm : positive behind the first vertex
+    exit_pupil_from_image_mm : negative in front of the image plane; infinite if the lens is telecentric there
+    f_number : focal length over entrance pupil diameter
+    """
+
+    focal_length_mm: float
+    back_focal_length_mm: float
+    entrance_pupil_diameter_mm: float
+    entrance_pupil_from_first_vertex_mm: float
+    exit_pupil_diameter_mm: float
+    exit_pupil_from_image_mm: float
+    f_number: float
+
+
+@dataclass(frozen=True)
+class ChiefRay:
+    """The ray through the centre of the stop, in the image plane.
+
+    height_mm : on the side of the image, positive for positive fields, (...)
+    angle_deg : to the axis in image space, (...)
+    """
+
+    height_mm: Array
+    angle_deg: Array
+
+
+@dataclass(frozen=True)
+class Wavefront:
+    """Rays of one or more fields and wavelengths (C,) through points of the stop (P,), in the image plane.
+
+    opd_waves : (C, P); NaN if the ray meets no image
+    passed : (C, P), whether the ray gets through the clear apertures
+    x_mm, y_mm : (C, P), from the chief ray's point
+    cosines : (C, P, 2), along x and y, in image space
+    stop_x, stop_y : (C, P), where the rays meet the stop, over its radius
+    chief_y_mm : (C,), of the chief ray's point
+    chief_cosine : (C,), its direction cosine along y
+    """
+
+    opd_waves: Array
+    passed: NDArray[np.bool_]
+    x_mm: Array
+    y_mm: Array
+    cosines: Array
+    stop_x: Array
+    stop_y: Array
+    chief_y_mm: Array
+    chief_cosine: Array
+
+
+@checks_arguments
+def load_lens(file: str) -> Lens:
+    """Load a lens: a packaged one by its name (cooke_triplet, double_gauss, phone, singlet), or a `.toml` or `.zmx` file.
+
+    The lens is as the file has it: the object at infinity, the file's image plane and scale.
+
+    file : name or path
+
+    Raises PixsimError for a file that is missing, damaged or binary, and for what pixsim does not trace, as an unknown glass.
+
+    >>> round(float(load_lens("cooke_triplet").first_order(550.0).focal_length_mm), 6)
+    49.999783
+    """
+    return lens_of(read_prescription(file))
+
+
+def lens_of(prescription: Prescription) -> Lens:
+    """Return the lens of a prescription. Raises PixsimError if it has no focus, or if its axial rays do not get through."""
+    bare = Lens(prescription, 1.0, 0.0)
+    focal = bare.first_order(prescription.primary_nm).focal_length_mm
+    if not 0 < focal < math.inf:
+        got = f"a focal length of {focal:g} mm"
+        raise invalid(f"lens '{prescription.name}'", got, "a positive focal length, of a lens that makes a real image")
+    value = prescription.aperture_value
+    if prescription.aperture == "f_number":
+        value = focal / value
+    elif prescription.aperture == "stop_diameter":
+        value = value / abs(bare._front(prescription.primary_nm)[0])
+    lens = Lens(prescription, value, 0.0)
+    lens.stop_semi_diameter_mm  # noqa: B018 raises if the marginal ray does not reach the stop
+    if prescription.field_of_view == "angle_deg":
+        return replace(lens, max_field_deg=prescription.field_value)
+    if prescription.field_of_view == "paraxial_image_height":
+        return replace(lens, max_field_deg=math.degrees(math.atan(prescription.field_value / focal)))
+    return replace(lens, max_field_deg=lens.field_of_height(prescription.field_value, prescription.primary_nm))
+
+
+@checks_fields
+@dataclass(frozen=True)
+class Lens:
+    """A lens that can be traced.
+
+    prescription : surfaces and glasses
+    entrance_pupil_diameter_mm : of the paraxial entrance pupil at the primary wavelength
+    max_field_deg : the largest field angle for which the lens is made
+    object_distance_mm : of the object plane from the entrance pupil
+    """
+
+    prescription: Prescription
+    entrance_pupil_diameter_mm: float
+    max_field_deg: float
+    object_distance_mm: float = math.inf
+
+    @cached_property
+    def _aims(self) -> dict[tuple[float, float], tuple[float, Array]]:
+        """Field and wavelength -> chief ray and polynomials of `_aim`."""
+        return {}
+
+    @property
+    def primary_nm(self) -> float:
+        """The wavelength of first-order data, in nm."""
+        return self.prescription.primary_nm
+
+    # Paraxial ------------------------------------------------------------------------------------------------------------
+
+    @checks_arguments
+    def first_order(self, wavelength_nm: float) -> FirstOrder:
+        """Return paraxial data at a wavelength. Raises PixsimError if it is outside the range of a glass."""
+        surfaces, indices = self.prescription.surfaces, self._indices(np.array([wavelength_nm]))
+        height, angle = paraxial(surfaces, indices, np.array([1.0]), np.array([0.0]))
+        scale, distance = self._front(wavelength_nm)
+        stop = self.prescription.stop
+        from_stop, slope = paraxial(surfaces[stop:], indices[stop:], np.array([0.0]), np.array([1.0]))
+        behind = np.asarray(indices[-1])
+        with np.errstate(divide="ignore"):
+            focal, back = -1 / angle, -height / angle * behind
+            exit_from_last = -from_stop / slope * behind
+            exit_diameter = np.abs(scale * self.entrance_pupil_diameter_mm / slope)
+        return FirstOrder(
+            float(focal[0]),
+            float(back.flat[0]),
+            self.entrance_pupil_diameter_mm,
+            distance,
+            float(exit_diameter[0]),
+            float(exit_from_last.flat[0]) - surfaces[-1].thickness_mm,
+            float(np.abs(focal[0])) / self.entrance_pupil_diameter_mm,
+        )
+
+    def _front(self, wavelength_nm: float) -> tuple[float, float]:
+        """Return the height in the stop over that in the entrance pupil, and the pupil's distance from the first vertex in mm.
+
+        Raises PixsimError if the entrance pupil is at infinity.
+        """
+        stop = self.prescription.stop
+        surfaces, indices = self.prescription.surfaces[:stop], self._indices(np.array([wavelength_nm]))
+        to_stop = surfaces[-1].thickness_mm / indices[stop] if surfaces else 0.0
+
+        def at_stop(height: float, angle: float) -> float:
+            y, n_u = paraxial(surfaces, indices, np.array([height]), np.array([angle]))
+            return float((y + to_stop * n_u).flat[0])
+
+        scale = at_stop(1.0, 0.0)
+        if not scale:
+            raise invalid(f"lens '{self.prescription.name}'", "an entrance pupil at infinity", "one at a finite distance")
+        return scale, at_stop(0.0, 1.0) / scale
+
+    def _indices(self, wavelength_nm: Array) -> list[float | Array]:
+        """Return the index in front of the lens and behind each surface: 1 for air, (C, 1) for glasses, or numbers if C is 1."""
+        known: dict[str, float | Array] = {AIR.name: 1.0}
+        for name, glass in self.prescription.glasses.items():
+            known[name] = glass.index(wavelength_nm)[:, None] if wavelength_nm.size > 1 else float(glass.index(wavelength_nm)[0])
+        return [1.0, *(known[surface.glass.name] for surface in self.prescription.surfaces)]
+
+    # Aiming at the stop --------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def stop_semi_diameter_mm(self) -> float:
+        """Radius of the stop in mm: where the real axial ray from the edge of the paraxial entrance pupil meets it."""
+        primary, edge = np.array([self.primary_nm]), np.array([[self.entrance_pupil_diameter_mm / 2]])
+        at_infinity = replace(self, object_distance_mm=math.inf)
+        _, at_stop = at_infinity._to_stop(np.zeros(1), primary, np.zeros((1, 1)), edge)
+        if not np.isfinite(at_stop[0, 0]):
+            where = at_infinity._failure(0.0, self.primary_nm, 0.0, float(edge[0, 0]))
+            raise invalid(f"lens '{self.prescription.name}'", f"a marginal ray that {where}", "an aperture that lets it pass")
+        return float(abs(at_stop[0, 0]))
+
+    @cached_property
+    def _entrance_pupil_mm(self) -> float:
+        """Distance of the paraxial entrance pupil from the first vertex at the primary wavelength."""
+        return self._front(self.primary_nm)[1]
+
+    def _launched(self, field_deg: Array, x: Array, y: Array) -> Rays:
+        """Return rays at fields (C,) through points (C, P) of the entrance pupil in mm, with their paths from the object.
+
+        Paths are relative to that through the centre of the entrance pupil.
+        """
+        angle = np.radians(field_deg)[:, None]
+        at = np.full((1, 1), self._entrance_pupil_mm)
+        if math.isinf(self.object_distance_mm):
+            rays = rays_from(x, y, at, np.zeros((1, 1)), np.sin(angle), np.cos(angle))
+            return replace(rays, path_mm=y * np.sin(angle))
+        far, below = self.object_distance_mm, -self.object_distance_mm * np.tan(angle)
+        length, to_centre = np.sqrt(x * x + (y - below) ** 2 + far * far), np.sqrt(below * below + far * far)
+        rays = rays_from(x, y, at, x / length, (y - below) / length, far / length)
+        return replace(rays, path_mm=(x * x + y * y - 2 * y * below) / (length + to_centre))
+
+    def _to_stop(self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return where rays through points (C, P) of the entrance pupil meet the stop, in mm, both (C, P)."""
+        front, indices = self.prescription.surfaces[: self.prescription.stop + 1], self._indices(wavelength_nm)
+        start = self._launched(field_deg, x, y)
+        *_, rays = start, *trace(start, front[:-1], indices)
+        if len(front) > 1:
+            rays = replace(rays, z=rays.z - front[-2].thickness_mm)
+        with np.errstate(all="ignore"):
+            rays = met(rays, front[-1], indices[len(front) - 1])
+        return rays.x, rays.y
+
+    def _chief_height(self, field_deg: Array, wavelength_nm: Array) -> Array:
+        """Return the height in the entrance pupil of rays to the centre of the stop, (C,) in mm; NaN if there is none.
+
+        Secants from the axis: fields are approached in steps where a direct start fails.
+        """
+        start = np.zeros_like(field_deg)
+        found = self._secants(field_deg, wavelength_nm, start)
+        lost = np.flatnonzero(~np.isfinite(found))
+        if lost.size:
+            for share in np.linspace(0.125, 1.0, 15):
+                start[lost] = self._secants(share * field_deg[lost], wavelength_nm[lost], start[lost])
+            found[lost] = start[lost]
+        return found
+
+    def _secants(self, field_deg: Array, wavelength_nm: Array, start: Array) -> Array:
+        def miss(y: Array) -> Array:
+            return self._to_stop(field_deg, wavelength_nm, np.zeros((y.size, 1)), y[:, None])[1][:, 0]
+
+        step = 1e-3 * self.entrance_pupil_diameter_mm
+        y, before = start + step, start
+        error, error_before = miss(y), miss(before)
+        limit = 1e-3 * AIMED * self.stop_semi_diameter_mm
+        for _ in range(AIM_STEPS):
+            with np.errstate(all="ignore"):
+                moving = (np.abs(error) > limit) & (error != error_before)
+                change = np.where(moving, error * (y - before) / (error - error_before), 0.0)
+            if not moving.any():
+                break
+            before, error_before = y, error
+            y = y - change
+            error = miss(y)
+        return np.where(np.abs(error) <= AIMED * self.stop_semi_diameter_mm, y, np.nan)
+
+    def _aim(self, field_deg: Array, wavelength_nm: Array) -> tuple[Array, Array]:
+        """Return chief heights (C,) in mm and polynomials (C, terms, 2) from the stop to the entrance pupil, from a cache."""
+        keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
+        if new := sorted(set(keys) - self._aims.keys()):
+            fields, wavelengths = (np.array(part) for part in zip(*new, strict=True))
+            if len(self._aims) > 1 << 14:
+                self._aims.clear()
+            self._aims.update(zip(new, zip(*self._new_aims(fields, wavelengths), strict=True), strict=True))
+        chief, terms = zip(*(self._aims[key] for key in keys), strict=True)
+        return np.array(chief), np.stack(terms)
+
+    def _new_aims(self, field_deg: Array, wavelength_nm: Array) -> tuple[list[float], list[Array]]:
+        chief = self._chief_height(field_deg, wavelength_nm)
+        radius = np.sin(np.pi / 2 * (np.arange(RINGS) + 1) / RINGS)[:, None]
+        angle = np.pi * (np.arange(SPOKES) / (SPOKES - 1) - 0.5)
+        x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+        # The slopes at the chief ray give the first guess.
+        step = 1e-2 * self.entrance_pupil_diameter_mm
+        near_x = np.stack([np.full_like(chief, step), np.zeros_like(chief)], axis=1)
+        near_y = np.stack([chief, chief + step], axis=1)
+        at_x, at_y = self._to_stop(field_deg, wavelength_nm, near_x, near_y)
+        slope_x, slope_y = (step * self.stop_semi_diameter_mm / part[:, None] for part in (at_x[:, 0], at_y[:, 1]))
+        inverse = np.zeros((chief.size, x.size, 2, 2))
+        inverse[..., 0, 0], inverse[..., 1, 1] = slope_x, slope_y
+        guess = slope_x * x, chief[:, None] + slope_y * y
+        across, along = self._solved(field_deg, wavelength_nm, x, y, *guess, inverse)
+        (odd, *_), (even, *_) = _bases(x, y)
+        terms = np.zeros((chief.size, even.shape[1], 2))
+        whole = np.isfinite(across).all(axis=1) & np.isfinite(along).all(axis=1)
+        terms[whole, : odd.shape[1], 0] = across[whole] @ np.linalg.pinv(odd).T
+        terms[whole, :, 1] = along[whole] @ np.linalg.pinv(even).T
+        for index in np.flatnonzero(~whole):  # some points of the stop are not reached, as behind the rim of a lens
+            seen = np.isfinite(across[index]) & np.isfinite(along[index])
+            terms[index, : odd.shape[1], 0] = np.linalg.lstsq(odd[seen], across[index, seen], rcond=1e-10)[0]
+            terms[index, :, 1] = np.linalg.lstsq(even[seen], along[index, seen], rcond=1e-10)[0]
+        return chief.tolist(), list(terms)
+
+    def _solved(
+        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, across: Array, along: Array, inverse: Array
+    ) -> tuple[Array, Array]:
+        """Return points of the entrance pupil (C, P) in mm whose rays meet points (P,) of the stop; NaN if there are none.
+
+        Broyden's method (Math. Comp. 19, 577, 1965) from `across`, `along`, with the derivatives of the entrance pupil by the
+        stop, `inverse` (C, P, 2, 2).
+        """
+        semi = self.stop_semi_diameter_mm
+
+        def misses(across: Array, along: Array) -> Array:
+            at_x, at_y = self._to_stop(field_deg, wavelength_nm, across, along)
+            return np.stack([at_x / semi - x, at_y / semi - y], axis=-1)
+
+        error = misses(across, along)
+        for _ in range(AIM_STEPS):
+            moving = np.abs(error).max(axis=-1) > AIMED / 10
+            if not moving.any():
+                break
+            step = np.where(moving[..., None], -(inverse * error[..., None, :]).sum(axis=-1), 0.0)
+            across, along = across + step[..., 0], along + step[..., 1]
+            after = misses(across, along)
+            turned = (inverse * (after - error)[..., None, :]).sum(axis=-1)
+            back = (step[..., None] * inverse).sum(axis=-2)
+            with np.errstate(all="ignore"):
+                update = (step - turned)[..., None] * (back / (step * turned).sum(axis=-1, keepdims=True))[..., None, :]
+            usable = moving & np.isfinite(update).all(axis=(-1, -2))
+            inverse = inverse + np.where(usable[..., None, None], update, 0.0)
+            error = after
+        lost = ~(np.abs(error).max(axis=-1) <= AIMED)
+        return np.where(lost, np.nan, across), np.where(lost, np.nan, along)
+
+    # Real rays -----------------------------------------------------------------------------------------------------------
+
+    def _to_image(self, field_deg: Array, wavelength_nm: Array, x_mm: Array, y_mm: Array) -> tuple[Rays, Array, Array]:
+        """Return rays through points (C, P) of the entrance pupil in the image plane, and where they meet the stop, in mm."""
+        surfaces, indices = self.prescription.surfaces, self._indices(wavelength_nm)
+        start = self._launched(field_deg, x_mm, y_mm)
+        for number, rays in enumerate(trace(start, surfaces, indices)):
+            if number == self.prescription.stop:
+                at_x, at_y = rays.x, rays.y
+        return at_plane(rays, surfaces[-1].thickness_mm, indices[-1]), at_x, at_y
+
+    def _chief_or_nan(self, field_deg: Array, wavelength_nm: Array) -> tuple[Rays, Array]:
+        """Return the chief rays in the image plane, (C, 1), and their heights in the entrance pupil (C,); NaN if lost."""
+        height, _ = self._aim(field_deg, wavelength_nm)
+        rays, _, _ = self._to_image(field_deg, wavelength_nm, np.zeros((height.size, 1)), height[:, None])
+        return rays, height
+
+    def _chief(self, field_deg: Array, wavelength_nm: Array) -> Rays:
+        """Return the chief rays in the image plane, (C, 1). Raises PixsimError if one does not get there."""
+        rays, height = self._chief_or_nan(field_deg, wavelength_nm)
+        lost = ~np.isfinite(rays.path_mm[:, 0])
+        if lost.any():
+            index = int(np.argmax(lost))
+            angle, at = float(field_deg[index]), float(height[index])
+            start = at if math.isfinite(at) else self._nearest_chief(angle, float(wavelength_nm[index]))
+            where = self._failure(angle, float(wavelength_nm[index]), 0.0, start)
+            got = f"{angle:g}, where the chief ray {where} ({wavelength_nm[index]:g} nm)"
+            raise invalid("field_deg", got, f"fields that the lens images; it is made for {self.max_field_deg:g} degrees")
+        return rays
+
+    def _nearest_chief(self, field_deg: float, wavelength_nm: float) -> float:
+        """Return the height in the entrance pupil of the chief ray of the largest smaller field that has one, in mm."""
+        for share in np.linspace(0.95, 0.0, 20):
+            height = self._chief_height(np.array([share * field_deg]), np.array([wavelength_nm]))[0]
+            if math.isfinite(height):
+                return float(height)
+        return 0.0
+
+    def _failure(self, field_deg: float, wavelength_nm: float, x: float, y: float) -> str:
+        """Return where the ray through a point of the entrance pupil ends, for a message."""
+        rays = self._launched(np.array([field_deg]), np.array([[x]]), np.array([[y]]))
+        indices, surfaces = self._indices(np.array([wavelength_nm])), self.prescription.surfaces
+        for number, surface in enumerate(surfaces):
+            if number:
+                rays = replace(rays, z=rays.z - surfaces[number - 1].thickness_mm)
+            with np.errstate(all="ignore"):
+                rays = met(rays, surface, indices[number])
+                if not np.isfinite(rays.x).all():
+                    return f"misses surface {number + 1}"
+                rays = refracted(rays, surface, indices[number], indices[number + 1])
+            if not np.isfinite(rays.n).all():
+                return f"is totally reflected at surface {number + 1}"
+        return "does not reach the stop's centre"
+
+    @checks_arguments
+    def chief_ray(self, field_deg: ArrayLike, wavelength_nm: ArrayLike) -> ChiefRay:
+        """Return the ray through the centre of the stop: its height in the image plane in mm, and its angle, both (...).
+
+        field_deg, wavelength_nm : broadcast together to (...)
+
+        Raises PixsimError if a ray misses a surface or is totally reflected, which it names.
+        """
+        shape, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        rays = self._chief(fields, wavelengths)
+        angle = np.degrees(np.arctan2(rays.m[:, 0], rays.n[:, 0]))
+        return ChiefRay(rays.y[:, 0].reshape(shape)[()], angle.reshape(shape)[()])
+
+    @checks_arguments
+    def opd_waves(self, field_deg: ArrayLike, wavelength_nm: ArrayLike, stop_x: ArrayLike, stop_y: ArrayLike) -> Array:
+        """Return the optical path difference in waves of its own wavelength, (...); NaN outside the stop.
+
+        Rays that a clear aperture stops have one too.
+
+        field_deg, wavelength_nm, stop_x, stop_y : broadcast together to (...); points of the stop over its radius
+
+        Raises PixsimError if a ray within the stop misses a surface or is totally reflected, which it names.
+        """
+        shape, *whole = _in_line(field_deg=field_deg, wavelength_nm=wavelength_nm, stop_x=stop_x, stop_y=stop_y)
+        conditions = np.broadcast(np.asarray(field_deg), np.asarray(wavelength_nm))
+        points = np.broadcast(np.asarray(stop_x), np.asarray(stop_y))
+        outer, inner = ((1,) * (len(shape) - len(part.shape)) + part.shape for part in (conditions, points))
+        if all(one == 1 or other == 1 for one, other in zip(outer, inner, strict=True)):
+            _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+            _, x, y = _in_line(stop_x=stop_x, stop_y=stop_y)
+            opd = self._opd(fields, wavelengths, x, y).reshape((*outer, *inner))
+            order = [axis + part for axis in range(len(shape)) for part in (0, len(shape))]
+            return np.asarray(opd.transpose(order).reshape(shape))[()]
+        fields, wavelengths, x, y = whole
+        opd = np.empty(fields.size)
+        pairs, which = np.unique(np.stack([fields, wavelengths]), axis=1, return_inverse=True)
+        for index, (one_field, one_wavelength) in enumerate(pairs.T):
+            chosen = which.ravel() == index
+            opd[chosen] = self._opd(np.array([one_field]), np.array([one_wavelength]), x[chosen], y[chosen])[0]
+        return np.asarray(opd.reshape(shape))[()]
+
+    def _opd(self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array) -> Array:
+        """Return OPD of fields and wavelengths (C,) at points (P,) of the stop, (C, P); mirror images are traced once."""
+        inside = np.hypot(x, y) <= INSIDE
+        opd = np.full((field_deg.size, x.size), np.nan)
+        points, which = np.unique(np.abs(x[inside]) + 1j * y[inside], return_inverse=True)
+        if points.size:
+            found = self.wavefront(field_deg, wavelength_nm, points.real, points.imag).opd_waves
+            if not np.isfinite(found).all():
+                condition, point = (int(part) for part in np.argwhere(~np.isfinite(found))[0])
+                where = self._lost_ray(field_deg[condition], wavelength_nm[condition], points[point].real, points[point].imag)
+                got = f"a ray at field_deg = {field_deg[condition]:g} through ({points[point].real:.3g}, {points[point].imag:.3g})"
+                hint = "Stop the lens down, take a smaller field, or leave these points out."
+                raise invalid("stop_x and stop_y", f"{got} of the stop that {where}", "rays that reach the image", hint)
+            opd[:, inside] = found[:, which.ravel()]
+        return opd
+
+    def _lost_ray(self, field_deg: float, wavelength_nm: float, x: float, y: float) -> str:
+        """Return where the ray to a point of the stop ends, for a message."""
+        _, terms = self._aim(np.array([field_deg]), np.array([wavelength_nm]))
+        (odd, *_), (even, *_) = _bases(np.array([x]), np.array([y]))
+        across, along = float(odd[0] @ terms[0, : odd.shape[1], 0]), float(even[0] @ terms[0, :, 1])
+        where = self._failure(field_deg, wavelength_nm, across, along)
+        return where if "surface" in where else "no ray in front of the lens reaches"
+
+    @checks_arguments
+    def wavefront(self, field_deg: ArrayLike, wavelength_nm: ArrayLike, stop_x: ArrayLike, stop_y: ArrayLike) -> Wavefront:
+        """Return rays of fields and wavelengths through points of the stop, in the image plane.
+
+        field_deg, wavelength_nm : broadcast together, then in one line, (C,)
+        stop_x, stop_y : over the stop's radius, broadcast together, then in one line, (P,)
+
+        Raises PixsimError if a chief ray does not reach the image.
+        """
+        _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        _, x, y = _in_line(stop_x=stop_x, stop_y=stop_y)
+        chief = self._chief(fields, wavelengths)
+        bases = _bases(x, y)
+        parts: list[Wavefront] = []
+        each = max(1, BLOCK // max(x.size, 1))
+        for first in range(0, max(fields.size, 1), each):
+            some = slice(first, first + each)
+            parts.append(self._block(fields[some], wavelengths[some], x, y, bases, _part(chief, some)))
+        names = (part.name for part in dataclass_fields(Wavefront))
+        return (
+            parts[0] if len(parts) == 1 else Wavefront(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        )
+
+    def _block(self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, bases: Bases, chief: Rays) -> Wavefront:
+        _, terms = self._aim(field_deg, wavelength_nm)
+        across, along = (terms[:, : basis[0].shape[1], axis] @ basis[0].T for axis, basis in enumerate(bases))
+        rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
+        semi = self.stop_semi_diameter_mm
+        off = np.maximum(np.abs(at_x / semi - x), np.abs(at_y / semi - y))
+        if np.any(~(off <= AIMED)):  # the polynomial is not good enough; its derivatives are
+            inverse = np.empty((*across.shape, 2, 2))
+            for axis, basis in enumerate(bases):
+                for by in (0, 1):
+                    inverse[..., axis, by] = terms[:, : basis[0].shape[1], axis] @ basis[1 + by].T
+            across, along = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse)
+            rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
+        return self._wavefront_of(rays, at_x, at_y, chief, wavelength_nm)
+
+    @checks_arguments
+    def unaimed_wavefront(self, field_deg: ArrayLike, wavelength_nm: ArrayLike, x_mm: ArrayLike, y_mm: ArrayLike) -> Wavefront:
+        """Return rays through points of the paraxial entrance pupil at the primary wavelength, as programs without aiming do.
+
+        The chief ray is the one through its centre; off the axis it does not meet the centre of the stop.
+
+        field_deg, wavelength_nm : broadcast together, then in one line, (C,)
+        x_mm, y_mm : broadcast together, then in one line, (P,)
+
+        Raises PixsimError for a field of 90° and more.
+        """
+        _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        _, x, y = _in_line(x_mm=x_mm, y_mm=y_mm)
+        chief, _, _ = self._to_image(fields, wavelengths, np.zeros((1, 1)), np.zeros((1, 1)))
+        return self._wavefront_of(*self._to_image(fields, wavelengths, x[None], y[None]), chief, wavelengths)
+
+    def _wavefront_of(self, rays: Rays, at_x: Array, at_y: Array, chief: Rays, wavelength_nm: Array) -> Wavefront:
+        """Return the wavefront of rays (C, P) in the image plane, which met the stop at these points, against chief rays (C, 1)."""
+        index = np.asarray(self._indices(wavelength_nm)[-1])
+        off_x, off_y = rays.x, rays.y - chief.y
+        # From the image plane back to the reference sphere, less the radius; the radius is negative if the pupil lies behind.
+        from_image = self.first_order(self.primary_nm).exit_pupil_from_image_mm
+        radius = -np.copysign(np.hypot(chief.y, from_image), from_image)
+        along_ray = off_x * rays.l + off_y * rays.m
+        square = along_ray * along_ray - off_x * off_x - off_y * off_y
+        with np.errstate(all="ignore"):
+            root = np.copysign(np.sqrt(radius * radius + square), radius)
+            back = along_ray + (square / (radius + root) if math.isfinite(from_image) else 0.0)
+        opd = (chief.path_mm - rays.path_mm + index * back) / (MM_PER_NM * wavelength_nm[:, None])
+        semi, cosines = self.stop_semi_diameter_mm, np.stack([rays.l, rays.m], axis=-1)
+        return Wavefront(opd, rays.passed, off_x, off_y, cosines, at_x / semi, at_y / semi, chief.y[:, 0], chief.m[:, 0])
+
+    # Light at a point of the image ---------------------------------------------------------------------------------------
+
+    def _widths(self, height_mm: Array, wavelength_nm: Array, across: Array, along: Array) -> Array:
+        """Return how far from the axis light of some directions is at its widest place, over what may pass there, (C, P).
+
+        1 at the edge of the stop or of a clear aperture; infinite for a ray that misses a surface or is totally reflected.
+
+        height_mm : (C,) of the image point
+        across, along : (C, P), direction cosines of the light in image space, which is traced backwards
+        """
+        surfaces = turned_round(self.prescription.surfaces)
+        indices = self._indices(wavelength_nm)[::-1]
+        last = len(surfaces) - 1 - self.prescription.stop
+        with np.errstate(invalid="ignore"):
+            ahead = np.sqrt(1 - across * across - along * along)
+        behind = np.full((1, 1), -self.prescription.surfaces[-1].thickness_mm)
+        start = rays_from(np.zeros((1, 1)), height_mm[:, None], behind, -across, -along, ahead)
+        widest = np.zeros(across.shape)
+        for number, (surface, rays) in enumerate(zip(surfaces, trace(start, surfaces, indices), strict=True)):
+            limits = [self.stop_semi_diameter_mm] if number == last else []
+            if surface.clips and surface.semi_diameter_mm is not None:
+                limits.append(surface.semi_diameter_mm)
+            if limits:
+                widest = np.maximum(widest, np.hypot(rays.x, rays.y) / min(limits))
+        return np.where(np.isfinite(rays.n) & np.isfinite(widest), widest, np.inf)
+
+    @checks_arguments
+    def outline(self, field_deg: ArrayLike, wavelength_nm: ArrayLike, spokes: int = SPOKES_OF_OUTLINE) -> Outline:
+        """Return the outline of the directions that light comes from at the chief rays' image points.
+
+        The directions are those whose rays, traced backwards from that point, pass the stop and all clear apertures.
+
+        field_deg, wavelength_nm : broadcast together, then in one line, (C,)
+        spokes : number of points of the outline, a multiple of 4
+
+        Raises PixsimError if a chief ray does not reach the image.
+        """
+        if spokes % 4 or not 0 < spokes <= MAX_SPOKES:
+            raise invalid("spokes", spokes, f"a multiple of 4, at most {MAX_SPOKES}")
+        _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        return self._outline(fields, wavelengths, spokes)
+
+    def _outline(self, field_deg: Array, wavelength_nm: Array, spokes: int) -> Outline:
+        chief = self._chief(field_deg, wavelength_nm)
+        height, chief_cosine = chief.y[:, 0], chief.m[:, 0]
+        angle = (np.arange(spokes // 2) + 0.5) * (2 * np.pi / spokes) - np.pi / 2  # the half with x > 0
+        cosine, sine = np.cos(angle), np.sin(angle)
+        centre = self._middle(field_deg, wavelength_nm, height, chief_cosine)
+        dark = np.isnan(centre)
+        centre = np.where(dark, chief_cosine, centre)
+
+        def excess(radius: Array) -> Array:
+            return self._widths(height, wavelength_nm, radius * cosine, centre[:, None] + radius * sine) - 1
+
+        horizon = -centre[:, None] * sine + np.sqrt(1 - (centre[:, None] * cosine) ** 2)
+        low, below = np.zeros(horizon.shape), np.full(horizon.shape, -1.0)
+        high = np.minimum(horizon, 0.75 / self.first_order(self.primary_nm).f_number)
+        above = excess(high)
+        while np.any(inside := (above <= 0) & (high < horizon)):
+            low, below = np.where(inside, high, low), np.where(inside, above, below)
+            high = np.where(inside, np.minimum(horizon, 1.5 * high), high)
+            above = np.where(inside, excess(high), above)
+        radius = np.where(dark[:, None], 0.0, _root(excess, low, below, high, above))
+        both = np.concatenate([radius, radius[:, ::-1]], axis=1)  # the mirror image: x < 0, from +y back to -y
+        return Outline(np.stack([np.zeros_like(centre), centre], axis=-1), both, chief_cosine)
+
+    def _middle(self, field_deg: Array, wavelength_nm: Array, height: Array, chief_cosine: Array) -> Array:
+        """Return a direction cosine along y from which light reaches each image point (C,); NaN where there is none."""
+        grid = np.linspace(-0.95, 0.95, 21)
+        waves = self.wavefront(field_deg, wavelength_nm, np.zeros(grid.size), grid)
+        along = np.where(waves.passed & np.isfinite(waves.opd_waves), waves.cosines[..., 1], np.nan)
+        with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
+            middle = (np.nanmin(along, axis=1) + np.nanmax(along, axis=1)) / 2
+        candidates = np.concatenate([middle[:, None], chief_cosine[:, None], along], axis=1)
+        width = self._widths(height, wavelength_nm, np.zeros_like(candidates), candidates)
+        width[:, 2:] += 1e-3  # the middle, where it passes
+        best = np.argmin(width, axis=1)
+        rows = np.arange(best.size)
+        chosen = np.where(width[:, 0] < 1, middle, candidates[rows, best])
+        return np.where(width[rows, best] < 1, chosen, np.nan)
+
+    @checks_arguments
+    def projected_solid_angle_sr(self, field_deg: ArrayLike, wavelength_nm: ArrayLike) -> Array:
+        """Return irradiance over the scene's radiance at image points, (...), in sr, without losses in the glass.
+
+        It is the area, in direction cosines, of the directions at the chief ray's image point whose rays, traced backwards, pass
+        the stop and all clear apertures. For a thin lens it is `irradiance_factor` (Foote, 1915).
+
+        field_deg, wavelength_nm : broadcast together to (...)
+
+        Raises PixsimError if a chief ray does not reach the image.
+        """
+        shape, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        area = self._outline(fields, wavelengths, SPOKES_OF_OUTLINE).area
+        return np.asarray(area.reshape(shape)[()])
+
+    @checks_arguments
+    def relative_illumination(self, field_deg: ArrayLike, wavelength_nm: float | None = None) -> Array:
+        """Return irradiance on the image relative to that on the axis, (...), for a scene of uniform radiance.
+
+        wavelength_nm : the primary one by default
+
+        Raises PixsimError as `projected_solid_angle_sr` does.
+        """
+        wavelength = self.primary_nm if wavelength_nm is None else wavelength_nm
+        return np.asarray(self.projected_solid_angle_sr(field_deg, wavelength) / self.projected_solid_angle_sr(0.0, wavelength))
+
+    @checks_arguments
+    def directions(
+        self, field_deg: ArrayLike, wavelength_nm: ArrayLike, azimuth_deg: ArrayLike, rings: int = 24, spokes: int = 48
+    ) -> Directions:
+        """Return the directions of the light at image points (...), as a microlens sees them.
+
+        field_deg, wavelength_nm, azimuth_deg : broadcast together to (...); azimuths of the image points from the axis, from +x
+            (columns) to +y (rows)
+        rings, spokes : numbers of quadrature nodes within the outline; spokes a multiple of 4
+
+        Raises PixsimError if no light reaches one of the points.
+        """
+        if not 0 < rings <= MAX_SPOKES:
+            raise invalid("rings", rings, f"1 to {MAX_SPOKES}")
+        shape, fields, wavelengths, turn = _in_line(field_deg=field_deg, wavelength_nm=wavelength_nm, azimuth_deg=azimuth_deg)
+        outline = self.outline(fields, wavelengths, spokes)
+        node, share = np.polynomial.legendre.leggauss(rings)
+        radius = np.sqrt((1 + node) / 2)[:, None] * outline.radius[:, None, :]
+        sideways = (outline.centre[:, 0, None, None] + radius * np.cos(outline.angle)).reshape(turn.size, -1)
+        outward = (outline.centre[:, 1, None, None] + radius * np.sin(outline.angle)).reshape(turn.size, -1)
+        weight = np.broadcast_to(share[:, None] * outline.radius[:, None, :] ** 2, radius.shape)
+        cosine, sine = np.cos(np.radians(turn))[:, None], np.sin(np.radians(turn))[:, None]
+        cosines = np.stack([outward * cosine + sideways * sine, outward * sine - sideways * cosine], axis=-1)
+        chief = outline.chief_cosine[:, None] * np.concatenate([cosine, sine], axis=1)
+        return Directions(cosines.reshape(*shape, -1, 2), weight.reshape(*shape, -1), chief.reshape(*shape, 2))
+
+    # What a lens designer asks for ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def paraxial_height_mm(self) -> float:
+        """Paraxial image height over the tangent of the field angle at the primary wavelength, in mm.
+
+        The focal length for an object at infinity; for another, the magnification times the object's distance.
+        """
+        if math.isinf(self.object_distance_mm):
+            return self.first_order(self.primary_nm).focal_length_mm
+        indices, from_vertex = self._indices(np.array([self.primary_nm])), self.object_distance_mm - self._entrance_pupil_mm
+        _, angle = paraxial(self.prescription.surfaces, indices, np.array([from_vertex]), np.array([1.0]))
+        return float(-self.object_distance_mm / angle[0])
+
+    @checks_arguments
+    def distortion(self, field_deg: ArrayLike, wavelength_nm: float | None = None) -> Array:
+        """Return the chief ray's height over the paraxial image height, minus 1, a ratio (...); 0 on the axis.
+
+        wavelength_nm : of the chief ray, the primary one by default; the paraxial height is that of the primary
+
+        Raises PixsimError as `chief_ray` does.
+        """
+        angle = np.asarray(field_deg, float)
+        height = self.chief_ray(angle, self.primary_nm if wavelength_nm is None else wavelength_nm).height_mm
+        ideal = self.paraxial_height_mm * np.tan(np.radians(angle))
+        return np.asarray(np.divide(height, ideal, out=np.ones(np.shape(ideal)), where=ideal != 0) - 1)[()]
+
+    @checks_arguments
+    def foci_mm(self, field_deg: ArrayLike, wavelength_nm: ArrayLike) -> tuple[Array, Array]:
+        """Return the tangential and the sagittal focus of rays near the chief ray, mm behind the image plane, both (...).
+
+        field_deg, wavelength_nm : broadcast together to (...)
+
+        Raises PixsimError as `chief_ray` does.
+        """
+        shape, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        near = 1e-3  # of the stop's radius: third-order aberrations shift the focus by 1e-6 of what they do at its edge
+        waves = self.wavefront(fields, wavelengths, np.array([0.0, 0.0, near]), np.array([near, -near, 0.0]))
+        ahead = np.sqrt(1 - np.square(waves.cosines).sum(axis=-1))
+        slope_x, slope_y = waves.cosines[..., 0] / ahead, waves.cosines[..., 1] / ahead
+        tangential = -(waves.y_mm[:, 0] - waves.y_mm[:, 1]) / (slope_y[:, 0] - slope_y[:, 1])
+        sagittal = -waves.x_mm[:, 2] / slope_x[:, 2]
+        return np.asarray(tangential.reshape(shape)[()]), np.asarray(sagittal.reshape(shape)[()])
+
+    @checks_arguments
+    def field_of_height(self, height_mm: float, wavelength_nm: float) -> float:
+        """Return the number of degrees of the field angle whose chief ray has this height in the image plane.
+
+        Raises PixsimError if no field has: the point lies beyond the image circle.
+        """
+        fields, heights = self._imaged(wavelength_nm)
+        height = abs(height_mm)
+        above = int(np.searchsorted(heights, height))
+        if above == heights.size:
+            expected = f"at most {heights[-1]:.4g}, where the chief rays of the lens end"
+            raise invalid("height_mm", f"{height_mm:g}, beyond the image circle", expected)
+        if above == 0:
+            return 0.0
+        low, high = (np.array([fields[index]]) for index in (above - 1, above))
+        ends = (np.array([heights[index] - height]) for index in (above - 1, above))
+        (below, beyond), wavelength = ends, np.array([wavelength_nm])
+        found = _root(lambda at: self._chief_or_nan(at, wavelength)[0].y[:, 0] - height, low, below, high, beyond)
+        return math.copysign(float(found[0]), height_mm)
+
+    @checks_arguments
+    def image_circle_mm(self, wavelength_nm: float) -> float:
+        """Return the largest image height that light reaches, in mm, to about 1 % of the field angle."""
+        fields, heights = self._imaged(wavelength_nm)
+        lit = self._outline(fields, np.full(fields.size, wavelength_nm), 32).area > 0
+        return float(heights[lit][-1]) if lit.any() else 0.0
+
+    def _imaged(self, wavelength_nm: float) -> tuple[Array, Array]:
+        """Return fields in degrees from the axis on that have a chief ray, and their image heights, which grow, in mm."""
+        fields = np.linspace(0.0, STEEPEST_DEG, FIELDS_TRIED)
+        rays, _ = self._chief_or_nan(fields, np.full(fields.size, wavelength_nm))
+        growing = np.concatenate([[True], np.diff(rays.y[:, 0]) > 0])
+        count = fields.size if growing.all() else int(np.argmin(growing))
+        return fields[:count], rays.y[:count, 0]
+
+    @checks_arguments
+    def fresnel_transmittance(self, wavelength_nm: float) -> float:
+        """Return the fraction of light on the axis that uncoated surfaces let through, for information."""
+        indices = [float(np.asarray(index).flat[0]) for index in self._indices(np.array([wavelength_nm]))]
+        return math.prod(4 * one * other / (one + other) ** 2 for one, other in pairwise(indices))
+
+    # Changed lenses ------------------------------------------------------------------------------------------------------
+
+    @checks_arguments
+    def scaled(self, factor: float) -> Lens:
+        """Return the lens with every length times `factor`, but the object's distance. Raises PixsimError unless it is above 0.
+
+        factor : a ratio of lengths
+        """
+        if not factor > 0:
+            raise invalid("factor", f"{factor:g}", "a finite number above 0")
+        scaled = self.prescription.scaled(factor)
+        return replace(self, prescription=scaled, entrance_pupil_diameter_mm=factor * self.entrance_pupil_diameter_mm)
+
+    @checks_arguments
+    def stopped_down(self, f_number: float) -> Lens:
+        """Return the lens with a smaller stop. Raises PixsimError, which names the widest f-number, for a larger one."""
+        first = self.first_order(self.primary_nm)
+        if not first.f_number * (1 - WIDEST) <= f_number < math.inf:
+            expected = f"at least {first.f_number:.6g}, the widest of '{self.prescription.name}', and finite"
+            raise invalid("f_number", f"{f_number:g}", expected)
+        return replace(self, entrance_pupil_diameter_mm=min(first.focal_length_mm / f_number, first.entrance_pupil_diameter_mm))
+
+    @checks_arguments
+    def refocused(
+        self,
+        focus: Literal["paraxial", "axis", "field"] = "axis",
+        object_distance_mm: float = math.inf,
+        field_deg: float | None = None,
+    ) -> Lens:
+        """Return the lens with its image plane moved to the focus of an object plane.
+
+        focus : "paraxial" at the primary wavelength; "axis", of least rms wavefront on the axis over the file's wavelengths;
+            "field", the same over the picture up to `field_deg`, without the tilts, which move details and do not blur them
+        object_distance_mm : of the object plane from the entrance pupil
+        field_deg : half the diagonal of the picture; the lens's largest field by default
+
+        Raises PixsimError if there is no real image, or if rays do not reach it.
+        """
+        lens = replace(self, object_distance_mm=object_distance_mm)
+        lens = lens._moved(lens._paraxial_focus_mm())
+        if focus == "paraxial":
+            return lens
+        largest = (self.max_field_deg if field_deg is None else field_deg) if focus == "field" else 0.0
+        for _ in range(2):  # the second step corrects for what the first one left of a far start
+            lens = lens._moved(lens._best_focus_mm(largest))
+        return lens
+
+    def _moved(self, shift_mm: float) -> Lens:
+        """Return the lens with its image plane moved. Raises PixsimError if it would lie in front of the last surface."""
+        *others, last = self.prescription.surfaces
+        distance = last.thickness_mm + shift_mm
+        if not 0 <= distance < math.inf:
+            got = f"{self.object_distance_mm:g}, whose image is {distance:.4g} mm behind the last surface"
+            raise invalid("object_distance_mm", got, "a distance with a real image", "Move the object away from the lens.")
+        surfaces = (*others, replace(last, thickness_mm=distance))
+        return replace(self, prescription=replace(self.prescription, surfaces=surfaces))
+
+    def _paraxial_focus_mm(self) -> float:
+        """Return where the object plane is in focus, in mm behind the image plane."""
+        surfaces, indices = self.prescription.surfaces, self._indices(np.array([self.primary_nm]))
+        start = np.array([1.0]), np.array([0.0])
+        if math.isfinite(self.object_distance_mm):
+            start = np.array([self.object_distance_mm - self._entrance_pupil_mm]), np.array([1.0])
+        height, angle = paraxial(surfaces, indices, *start)
+        back = -height / angle * np.asarray(indices[-1]).ravel()
+        return float(back[0]) - surfaces[-1].thickness_mm
+
+    def _best_focus_mm(self, largest_deg: float) -> float:
+        """Return the shift of the image plane in mm that leaves the least mean square of the wavefront.
+
+        Over points of the stop that pass, the file's wavelengths, and the picture's area up to a field; in it, W changes by
+        ∂W/∂z = n (N - N_chief - (L, M - M_chief)·(chief's slope))/λ, and a tilt goes with the picture.
+        """
+        node, share = np.polynomial.legendre.leggauss(4)
+        if not largest_deg:
+            node, share = np.array([-1.0]), np.array([2.0])
+        fields = np.degrees(np.arctan(math.tan(math.radians(largest_deg)) * np.sqrt((1 + node) / 2)))
+        wavelengths = self.prescription.wavelengths_nm
+        fields, weight = (np.repeat(part, len(wavelengths)) for part in (fields, share / 2))
+        wavelength = np.tile(np.array(wavelengths), node.size)
+        radius = np.sqrt((np.arange(8) + 0.5) / 8)[:, None]
+        angle = (np.arange(24) + 0.5) * (np.pi / 24) - np.pi / 2
+        x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+        waves = self.wavefront(fields, wavelength, x, y)
+        change = self._moved(FOCUS_STEP_MM).wavefront(fields, wavelength, x, y).opd_waves - waves.opd_waves
+        top = bottom = 0.0
+        for index in range(fields.size):
+            seen = waves.passed[index] & np.isfinite(waves.opd_waves[index]) & np.isfinite(change[index])
+            along = waves.cosines[index, seen, 1]
+            basis = np.stack([np.ones(along.size), *([along] if largest_deg else [])], axis=1)
+            if along.size <= basis.shape[1]:
+                continue
+            both = np.stack([waves.opd_waves[index, seen], change[index, seen] / FOCUS_STEP_MM], axis=1)
+            both = both - basis @ np.linalg.lstsq(basis, both, rcond=None)[0]
+            top += weight[index] * float((both[:, 0] * both[:, 1]).mean())
+            bottom += weight[index] * float((both[:, 1] ** 2).mean())
+        if not bottom:
+            raise invalid(f"lens '{self.prescription.name}'", "no rays that reach the image", "a lens that lets light through")
+        return -top / bottom
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Directions of light at image points (C,): star-shaped areas of direction cosines.
+
+    centre : (C, 2), a direction cosine of light along x and y, with the image point on +y
+    radius : (C, spokes), from the centre to the edge; 0 where no light comes
+    chief_cosine : (C,), of the chief ray along y
+    """
+
+    centre: Array
+    radius: Array
+    chief_cosine: Array
+
+    @property
+    def angle(self) -> Array:
+        """Azimuths of the spokes in radians from +x towards +y, (spokes,): from -y by way of +x and +y round to -y."""
+        count = self.radius.shape[1]
+        return np.asarray((np.arange(count) + 0.5) * (2 * np.pi / count) - np.pi / 2)
+
+    @property
+    def area(self) -> Array:
+        """Area in direction cosines, (C,), in sr."""
+        return np.asarray(np.square(self.radius).mean(axis=1) * np.pi)
+
+
+def _root(function: Callable[[Array], Array], low: Array, below: Array, high: Array, above: Array) -> Array:
+    """Return roots (...) of a function: regula falsi of Illinois; halving where it is infinite.
+
+    low, high : brackets; where there is no sign change, an end of the last bracket is returned
+    below, above : values there, at most 0 and above 0
+    """
+    side, at, value = np.zeros(low.shape), low, below
+    for _ in range(ROOT_STEPS):
+        if not np.any((high - low > ROOT_WIDTH) & (np.abs(value) > ROOT_VALUE)):
+            break
+        with np.errstate(all="ignore"):
+            at = np.where(np.isfinite(above), low - below * (high - low) / (above - below), (low + high) / 2)
+        at = np.clip(at, low, high)
+        value = function(at)
+        inside = value <= 0
+        # The end that stays twice counts half.
+        above = np.where(inside & (side > 0), above / 2, above)
+        below = np.where(~inside & (side < 0), below / 2, below)
+        low, below = np.where(inside, at, low), np.where(inside, value, below)
+        high, above = np.where(inside, high, at), np.where(inside, above, value)
+        side = np.where(inside, 1.0, -1.0)
+    return at
+
+
+def _part(rays: Rays, some: slice) -> Rays:
+    return Rays(*(getattr(rays, name)[some] for name in ("x", "y", "z", "l", "m", "n", "path_mm", "passed")))
+
+
+def _conditions(field_deg: ArrayLike, wavelength_nm: ArrayLike) -> tuple[tuple[int, ...], Array, Array]:
+    """Return the shape that fields and wavelengths broadcast to, and both in one line."""
+    shape, fields, wavelengths = _in_line(field_deg=field_deg, wavelength_nm=wavelength_nm)
+    if not np.all(np.abs(fields) < 90):
+        raise invalid("field_deg", f"{fields.flat[np.argmax(~(np.abs(fields) < 90))]:g}", "above -90 and below 90 degrees")
+    return shape, fields, wavelengths
+
+
+def _in_line(**parts: ArrayLike) -> tuple[Any, ...]:
+    """Return the shape that arguments broadcast to, and each in one line of finite numbers; their names are for messages."""
+    check_broadcast(**{name: np.shape(value) for name, value in parts.items()})
+    for name, value in parts.items():
+        array = np.asarray(value, float)
+        if not (array.size and np.isfinite(array).all()):
+            got = f"{array.flat[np.argmin(np.isfinite(array))]:g}" if array.size else "an empty array"
+            raise invalid(name, got, "finite numbers, at least one")
+    arrays = np.broadcast_arrays(*(np.asarray(value, float) for value in parts.values()))
+    return arrays[0].shape, *(array.ravel() for array in arrays)
+
+
+def _bases(x: Array, y: Array) -> Bases:
+    """Return, for the monomials odd in x and those even in x: values and derivatives by x and by y at points (P,), (P, terms)."""
+    powers_x, powers_y = (np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y))
+    bases = []
+    for start in (1, 0):
+        i, j = np.array([(i, j) for i in range(start, DEGREE + 1, 2) for j in range(DEGREE + 1 - i)]).T
+        value = powers_x[i] * powers_y[j]
+        by_x = i[:, None] * powers_x[np.maximum(i - 1, 0)] * powers_y[j]
+        by_y = j[:, None] * powers_x[i] * powers_y[np.maximum(j - 1, 0)]
+        bases.append((value.T, by_x.T, by_y.T))
+    return bases[0], bases[1]

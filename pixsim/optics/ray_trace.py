@@ -1,0 +1,203 @@
+"""Real rays through centred surfaces, and paraxial ones: vectorised, in float64.
+
+A ray is a point (x, y, z) with direction cosines (l, m, n), n > 0, relative to the vertex of the surface that it has met last.
+Rays of a batch may have any shape (...). A ray that misses a surface, or is totally reflected, is NaN from there on.
+The formulas are those of G. H. Spencer and M. V. R. K. Murty (J. Opt. Soc. Am. 52, 672, 1962).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.arrays import Array
+from pixsim.optics.glass import AIR
+from pixsim.optics.prescription import Surface
+
+NEWTON_STEPS = 30  # an aspheric surface takes 4 to 6
+CONVERGED = 1e-12  # step along a ray, relative to 1 mm or to the ray's height
+EDGE = 1e-12  # relative: a ray on the edge of a clear aperture passes
+
+
+@dataclass
+class Rays:
+    """Rays (...) at a surface.
+
+    x, y, z : mm, (...), from the vertex of the surface
+    l, m, n : direction cosines, (...)
+    path_mm : optical path, index times length, (...)
+    passed : whether no clear aperture has stopped the ray, (...)
+    """
+
+    x: Array
+    y: Array
+    z: Array
+    l: Array  # noqa: E741 the field's letter
+    m: Array
+    n: Array
+    path_mm: Array
+    passed: NDArray[np.bool_]
+
+
+def rays_from(x: Array, y: Array, z: Array, l: Array, m: Array, n: Array) -> Rays:  # noqa: E741
+    """Return rays through points (...) in mm along direction cosines (...), which broadcast together."""
+    shape = np.broadcast_shapes(*(part.shape for part in (x, y, z, l, m, n)))
+    x, y, z, l, m, n = (np.broadcast_to(part, shape) for part in (x, y, z, l, m, n))  # noqa: E741
+    return Rays(x, y, z, l, m, n, np.zeros(shape), np.ones(shape, bool))
+
+
+def turned_round(surfaces: Sequence[Surface]) -> list[Surface]:
+    """Return the surfaces as light meets them that travels back from the image; the last thickness is 0.
+
+    The glass of each is the medium that follows on the way back, with air in front of the lens.
+    """
+    media = [AIR, *(surface.glass for surface in surfaces)]
+    gaps = [0.0, *(surface.thickness_mm for surface in surfaces)]
+    return [
+        replace(
+            surface,
+            curvature_per_mm=-surface.curvature_per_mm,
+            asphere=tuple((power, -value) for power, value in surface.asphere),
+            thickness_mm=gaps[index],
+            glass=media[index],
+        )
+        for index, surface in reversed(list(enumerate(surfaces)))
+    ]
+
+
+def trace(rays: Rays, surfaces: Sequence[Surface], indices: Sequence[float | Array]) -> Iterator[Rays]:
+    """Trace rays, and yield them behind each surface in turn.
+
+    rays : relative to the vertex of the first surface
+    indices : of the medium in front of the first surface, and behind each surface
+    """
+    with np.errstate(all="ignore"):
+        for number, surface in enumerate(surfaces):
+            if number:
+                rays = replace(rays, z=rays.z - surfaces[number - 1].thickness_mm)
+            rays = refracted(met(rays, surface, indices[number]), surface, indices[number], indices[number + 1])
+            yield rays
+
+
+def met(rays: Rays, surface: Surface, index: float | Array) -> Rays:
+    """Return rays at a surface, in front of it: where its conic is met in closed form, then Newton's steps to its asphere."""
+    c, k = surface.curvature_per_mm, surface.conic
+    ray_l, ray_m, ray_n = rays.l, rays.m, rays.n
+    t = -rays.z / ray_n  # to the plane of the vertex, so that what follows is small
+    x, y = rays.x + t * ray_l, rays.y + t * ray_m
+    if not c:
+        step = np.zeros_like(t)
+    else:
+        middle = ray_n - c * (x * ray_l + y * ray_m)
+        height = c * (x * x + y * y)
+        root = np.sqrt(middle * middle - c * (1 + k * ray_n * ray_n) * height)
+        step = height / (middle + root)
+        # The conic's other sheet, or the far side of its sphere, is no part of the surface.
+        on_sheet = (1 + k) * c * step * ray_n < 1
+        if not on_sheet.all():
+            step = np.where(on_sheet, step, np.nan)
+    if surface.asphere:
+        step = _aspheric_step(surface, x, y, ray_l, ray_m, ray_n, step)
+    x, y, z = x + step * ray_l, y + step * ray_m, step * ray_n
+    path = rays.path_mm + index * (t + step)
+    passed = rays.passed
+    if surface.clips and surface.semi_diameter_mm is not None:
+        passed = passed & (x * x + y * y <= (surface.semi_diameter_mm * (1 + EDGE)) ** 2)
+    return Rays(x, y, z, ray_l, ray_m, ray_n, path, passed)
+
+
+def _aspheric_step(surface: Surface, x: Array, y: Array, l: Array, m: Array, n: Array, start: Array) -> Array:  # noqa: E741
+    """Return the way from the plane of the vertex to the surface along rays, from the way to its conic."""
+    step = np.where(np.isfinite(start), start, 0.0)
+    for _ in range(NEWTON_STEPS):
+        x_at, y_at = x + step * l, y + step * m
+        sag, slope = sag_and_slope(surface, x_at * x_at + y_at * y_at)
+        change = (step * n - sag) / (n - slope * (x_at * l + y_at * m))
+        step -= change
+        if not np.any(np.abs(change) > CONVERGED * (1 + np.abs(x_at) + np.abs(y_at))):  # False for NaN
+            break
+    else:
+        step = np.where(np.abs(change) <= CONVERGED * (1 + np.abs(x_at) + np.abs(y_at)), step, np.nan)
+    return np.asarray(step)
+
+
+def sag_and_slope(surface: Surface, square: Array) -> tuple[Array, Array]:
+    """Return the sag z in mm and its slope dz/dr over r in 1/mm at squared radii r² (...) in mm², in their shape.
+
+    NaN beyond the end of the conic.
+    """
+    c, k = surface.curvature_per_mm, surface.conic
+    root = np.sqrt(1 - (1 + k) * c * c * square)
+    sag, slope = c * square / (1 + root), c / root
+    if surface.asphere:
+        value, derivative = _series(surface.asphere, square)
+        sag, slope = sag + square * value, slope + derivative
+    return sag, slope
+
+
+def _series(asphere: Sequence[tuple[int, float]], square: Array) -> tuple[Array, Array]:
+    """Return Σ A_j r^(j-2) and Σ j A_j r^(j-2) by Horner's rule, in r² if all powers are even."""
+    step = 2 if all(power % 2 == 0 for power, _ in asphere) else 1
+    base = square if step == 2 else np.sqrt(square)
+    terms = dict(asphere)
+    powers = range(max(terms), 1, -step)
+    value = np.full_like(square, terms[powers[0]])
+    derivative = np.full_like(square, powers[0] * terms[powers[0]])
+    for power in powers[1:]:
+        value *= base
+        derivative *= base
+        if term := terms.get(power, 0.0):
+            value += term
+            derivative += power * term
+    return value, derivative
+
+
+def refracted(rays: Rays, surface: Surface, before: float | Array, behind: float | Array) -> Rays:
+    """Return rays behind a surface on which they lie: Snell's law in vectors."""
+    if before is behind or (np.ndim(before) == np.ndim(behind) == 0 and before == behind):
+        return rays
+    c, k = surface.curvature_per_mm, surface.conic
+    ratio = before / behind
+    if not c and not surface.asphere:
+        cosine, normal = rays.n, None
+    else:
+        if surface.asphere:
+            _, slope = sag_and_slope(surface, rays.x * rays.x + rays.y * rays.y)
+        else:
+            slope = c / (1 - (1 + k) * c * rays.z)
+        normal_x, normal_y = -slope * rays.x, -slope * rays.y
+        normal = 1 / np.sqrt(1 + normal_x * normal_x + normal_y * normal_y)
+        cosine = (rays.n + normal_x * rays.l + normal_y * rays.m) * normal
+    # Γ = cos t - μ cos i; a root of a negative number is total reflection.
+    gamma = np.sqrt(1 - ratio * ratio * (1 - cosine * cosine)) - ratio * cosine
+    l, m, n = ratio * rays.l, ratio * rays.m, ratio * rays.n  # noqa: E741
+    if normal is None:
+        n = n + gamma
+    else:
+        gamma = gamma * normal
+        l, m, n = l + gamma * normal_x, m + gamma * normal_y, n + gamma  # noqa: E741
+    return Rays(rays.x, rays.y, rays.z, l, m, n, rays.path_mm, rays.passed)
+
+
+def at_plane(rays: Rays, z_mm: float, index: float | Array) -> Rays:
+    """Return rays at a plane across the axis, behind the last surface, relative to it."""
+    with np.errstate(all="ignore"):
+        t = (z_mm - rays.z) / rays.n
+        x, y = rays.x + t * rays.l, rays.y + t * rays.m
+        return Rays(x, y, np.zeros_like(t), rays.l, rays.m, rays.n, rays.path_mm + index * t, rays.passed)
+
+
+def paraxial(surfaces: Sequence[Surface], indices: Sequence[float | Array], height: Array, angle: Array) -> tuple[Array, Array]:
+    """Trace paraxial rays from the vertex of the first surface to that of the last; return height and n·angle behind it.
+
+    height : at the first vertex, (...), in mm
+    angle : index times slope in front of it, (...), a number
+    """
+    for number, surface in enumerate(surfaces):
+        if number:
+            height = height + surfaces[number - 1].thickness_mm / indices[number] * angle
+        angle = angle - height * surface.paraxial_curvature_per_mm * (indices[number + 1] - indices[number])
+    return height, angle
