@@ -13,7 +13,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import photons_per_joule, photopic_efficiency
-from pixsim.optics.camera_light import camera_factor
+from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.scene import bands as spectral_bands, film, rules
 from pixsim.scene.bands import Bands, Fit, Witness
@@ -22,10 +22,12 @@ from pixsim.scene.film import GREEN_NM
 from pixsim.scene.mitsuba import nodes_of
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
-from pixsim.sensor.collection import check_efficiency, stack_shares
+from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
+from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 
+STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction (rules.py).
 BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
 LUMINANCE_SLACK = 5.0  # times the tolerance: error of the luminance of strongly coloured surfaces
@@ -63,6 +65,7 @@ class Plan:
     resolution : samples across the film that this plan is for, if they differ from those of the scene
     sampler : plugin of Mitsuba
     given_spp : whether an option sets `spp`
+    full : whether nothing may be left out
     """
 
     lights: tuple[Light, ...]
@@ -83,6 +86,7 @@ class Plan:
     sampler: str = "multijitter"
     given_spp: bool = False
     exact: bool = False
+    full: bool = False
 
     @property
     def passes(self) -> int:
@@ -111,6 +115,18 @@ class Plan:
     def bound_e(self) -> float:
         """Bound for the relative error of the mean electrons, summed over all decisions."""
         return sum(decision.bound_e for decision in self.decisions)
+
+    @property
+    def spare_e(self) -> float:
+        """What the other decisions leave of the tolerance for the pixels' stack; 0 if nothing may be left out.
+
+        The film of a scene without detail takes its part where the plan does not choose it.
+        """
+        others = [decision for decision in self.decisions if decision.subject != STACK]
+        chosen = self.chart is None or not self.chart.uniform or any(decision.subject == FILM for decision in others)
+        if self.full or not chosen or not all(decision.bounded for decision in others):
+            return 0.0
+        return max(0.0, self.tolerance_e - sum(decision.bound_e for decision in others))
 
     @property
     def bounded(self) -> bool:
@@ -211,6 +227,7 @@ def make_render_plan(
         chart=chart,
         tolerance_e=tolerance_e,
         warnings=tuple(warnings),
+        full=full,
     )
     return _without_samples(plan) if exact and not full else plan
 
@@ -335,14 +352,10 @@ def make_plan(
     if resolution:
         plan = make_render_plan(scene.with_resolution(resolution), camera, pixel, **options)
     longest_s = exposure.integration_s or exposure.max_integration_s
-    more = (
-        sampling,
-        decide_stack(physics, camera, full),
-        decide_saturation(physics, longest_s),
-        decide_noise(physics, full),
-        decide_transforms(full),
-    )
-    return replace(plan, resolution=resolution, decisions=(*plan.decisions, *more))
+    after = (decide_saturation(physics, longest_s), decide_noise(physics, full), decide_transforms(full))
+    plan = replace(plan, resolution=resolution, decisions=(*plan.decisions, sampling, *after))
+    stack = decide_stack(physics, camera, plan.spare_e, full)
+    return replace(plan, decisions=(*plan.decisions[: -len(after)], stack, *after))
 
 
 def decide_oversampling(
@@ -362,25 +375,25 @@ def decide_oversampling(
     error = float(4 / 3 * np.abs(middle / parts.reshape(n, 2, n, 2).mean(axis=(1, 3)) - 1).max())
     if uniform and not full and not given and width > UNIFORM_RESOLUTION and plan.bound_e + error <= plan.tolerance_e:
         reason = f"a scene without detail: {UNIFORM_RESOLUTION} samples across resolve the fall-off of the lens"
-        return UNIFORM_RESOLUTION, Decision("oversampling", False, reason, f"{UNIFORM_RESOLUTION}² of {width}² samples", error)
+        return UNIFORM_RESOLUTION, Decision(FILM, False, reason, f"{UNIFORM_RESOLUTION}² of {width}² samples", error)
     if display is None or full or uniform:
-        return None, Decision("oversampling", True, _sampling(camera, physics, width))
+        return None, Decision(FILM, True, _sampling(camera, physics, width))
     details, name = film.details_across(
         camera, physics.aperture_side_um, display, physics.pitch_um, plan.chart.details if plan.chart else None
     )
     words = f"{details:.4g} {name} across the die"
     if not free:
-        return None, Decision("oversampling", True, f"{_sampling(camera, physics, width)}; {words}; as set by --resolution")
+        return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}; as set by --resolution")
     most = film.largest_film(height / width, plan.planes, plan.cells_in_time)
     needed = film.SAMPLES_PER_DETAIL * details
     if width >= min(needed, most):
-        return None, Decision("oversampling", True, f"{_sampling(camera, physics, width)}; {words}")
+        return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}")
     chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, most)
     pictures = f"{plan.planes} picture{'s' * (plan.planes > 1)}"
     limits = f", the limit for {pictures} ({film.MAX_ACROSS} across, 2 GiB, {plan.most_samples:.2g} rays)"
     limit = limits if needed > most else ""
     sampling = _sampling(camera, physics, chosen)
-    return chosen, Decision("oversampling", True, f"{sampling}, not {width} as in the scene: {words}{limit}")
+    return chosen, Decision(FILM, True, f"{sampling}, not {width} as in the scene: {words}{limit}")
 
 
 def _sampling(camera: Camera, physics: PixelPhysics, width: int) -> str:
@@ -395,8 +408,10 @@ def _sampling(camera: Camera, physics: PixelPhysics, width: int) -> str:
     )
 
 
-def decide_stack(physics: PixelPhysics, camera: Camera, full: bool) -> Decision:
+def decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: bool) -> Decision:
     """Describe what the pixel's stack collects on axis and in the corner of the die, from green light.
+
+    It is left out, but for one scale of all pixels, where the bound of that (`scale_error`) is at most `spare_e`.
 
     Raises PixsimError if the quantum efficiency exceeds what the stack passes.
     """
@@ -404,7 +419,7 @@ def decide_stack(physics: PixelPhysics, camera: Camera, full: bool) -> Decision:
     if stack is None:
         given = "none given" if physics.pixel.stack is None or physics.pixel.stack.enabled else "switched off"
         reason = f"{given}: light on the photodiode is collected from every direction"
-        return Decision("pixel stack", full, reason, "" if full else "its shares")
+        return Decision(STACK, full, reason, "" if full else "its shares")
     check_efficiency(physics)
     axis, corner = stack_shares(physics, camera, GREEN_NM)
     kind = f"microlens {stack.height_um:g} µm" if stack.microlens else f"opening {stack.height_um:g} µm"
@@ -414,7 +429,10 @@ def decide_stack(physics: PixelPhysics, camera: Camera, full: bool) -> Decision:
     )
     if stack.microlens:
         reason += f"; from f/{stack.lossless_f_number:.3g} on, light on axis is lost by diffraction only"
-    return Decision("pixel stack", True, reason)
+    error = scale_error(physics, camera_pupil(camera), half_sizes_um(physics, pixels_on(camera.die_um, physics.pitch_um)), spare_e)
+    if error is None:
+        return Decision(STACK, True, reason)
+    return Decision(STACK, False, f"{reason}; it is one scale for all pixels", "its neighbours' light and its shading", error)
 
 
 def _aperture(physics: PixelPhysics) -> str:

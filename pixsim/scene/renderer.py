@@ -304,7 +304,12 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     decisions = [f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions]
     header: dict[str, Any] = {"scene": scene.path.name, "scene_hash": scene.content_hash, "parameters": scene.shown_parameters}
     header |= {"camera": camera.model_dump(), "seed": seed, "spp": spp, "variant": scene.choice.variant, "plan": decisions}
-    header |= {"bound_e": plan.bound_e if plan.bounded else None, "diffraction": plan.diffraction, "pixsim": VERSION}
+    header |= {
+        "bound_e": plan.bound_e if plan.bounded else None,
+        "spare_e": plan.spare_e,
+        "diffraction": plan.diffraction,
+        "pixsim": VERSION,
+    }
     spectra = [light.lamp.spectrum for light in plan.lights]
     if len(spectra) == 1 and spectra[0] is not None:
         header["lamp_w_per_m2_sr_nm"] = spectra[0].cell_means(plan.bands.edges_nm).tolist()

@@ -44,11 +44,13 @@ class Illumination:
     """The directions and wavelengths of the light on a sensor: the lens's pupil, and the mean spectrum in electrons.
 
     weight : electrons of each wavelength, in any unit, with a positive sum
+    spare_e : relative error of the mean electrons that leaving parts of a stack out may cause
     """
 
     wavelength_nm: tuple[float, ...]
     weight: tuple[float, ...]
     pupil: CameraPupil
+    spare_e: float = 0.0
 
     @property
     def nodes(self) -> tuple[Array, Array]:
@@ -62,13 +64,17 @@ class Illumination:
         return node, np.asarray(hats @ weight)
 
 
-def illumination(camera: Camera, wavelength_nm: Array, electrons: Array, mean_spectrum: Array) -> Illumination:
+def illumination(
+    camera: Camera, wavelength_nm: Array, electrons: Array, mean_spectrum: Array, spare_e: float = 0.0
+) -> Illumination:
     """Return the light of a camera, with a spectrum in the unit that `electrons` turns into electrons, each (B,).
+
+    spare_e : as in `Illumination`
 
     A black picture is taken as one of equal light in all bands.
     """
     weight = next((weight for weight in (electrons * mean_spectrum, electrons) if weight.any()), np.ones_like(electrons))
-    return Illumination(tuple(wavelength_nm.tolist()), tuple(weight.tolist()), camera_pupil(camera))
+    return Illumination(tuple(wavelength_nm.tolist()), tuple(weight.tolist()), camera_pupil(camera), spare_e)
 
 
 def even_light(wavelength_nm: Array, weight: Array) -> Illumination:
@@ -89,6 +95,11 @@ class Collection:
     on_axis: float
     aperture_side_um: float
 
+    @property
+    def is_scale(self) -> bool:
+        """Whether every pixel collects the same share of its own light, and nothing else."""
+        return self.shares.shape[:2] == (1, 1) and float(self.shares.sum()) == float(self.shares[0, 0, 2, 2])
+
     def relative(self, shape: tuple[int, int]) -> Array:
         """Return what each pixel of an array (rows, columns) collects of even light, relative to one on axis."""
         total = np.zeros_like(self.shares)
@@ -105,9 +116,37 @@ def collection_of(physics: PixelPhysics, light: Illumination, shape: tuple[int, 
     if stack is None:
         return None
     check_efficiency(physics)
-    half_um = (shape[0] - 1) / 2 * physics.pitch_um, (shape[1] - 1) / 2 * physics.pitch_um
-    shares, on_axis, side_um = _collection(stack, physics.charge, measurement(physics), light, half_um)
-    return Collection(shares, on_axis, side_um)
+    half_um = half_sizes_um(physics, shape)
+    if scale_error(physics, light.pupil, half_um, light.spare_e) is not None:
+        shares, on_axis, side_um = _collection(stack, physics.charge, measurement(physics), light, (0.0, 0.0))
+        scale = np.zeros_like(shares)
+        scale[:, :, 2, 2] = on_axis
+        return Collection(scale, on_axis, side_um)
+    return Collection(*_collection(stack, physics.charge, measurement(physics), light, half_um))
+
+
+def half_sizes_um(physics: PixelPhysics, shape: tuple[int, int]) -> tuple[float, float]:
+    """Return how far the outermost pixels of an array (rows, columns) are from its middle, down and across."""
+    return (shape[0] - 1) / 2 * physics.pitch_um, (shape[1] - 1) / 2 * physics.pitch_um
+
+
+def scale_error(physics: PixelPhysics, pupil: CameraPupil, half_um: tuple[float, float], allowed: float) -> float | None:
+    """Return the error of the mean electrons if a stack is one scale for all pixels; None if it exceeds what is allowed.
+
+    Then each pixel collects what one on axis collects of even light, and nothing of its neighbours' light. The error is the
+    largest difference of that sum over the field, and the largest sum of neighbours' shares, relative to it, at any wavelength
+    to which the pixel responds.
+    """
+    if physics.stack is None or not allowed > 0:
+        return None
+    seen_nm = tuple(sorted(_seen_nm(physics, GIVEN_AT_NM).tolist(), reverse=True))
+    error = 0.0
+    # Diffraction is largest at the longest wavelength, and seen on the axis already: most stacks need no more.
+    for nm, half in ((seen_nm[:1], (0.0, 0.0)), (seen_nm, half_um)):
+        error = _scale_error(physics.stack, physics.charge, pupil, nm, half)
+        if error > allowed:
+            return None
+    return error
 
 
 def shading_of(collection: Collection | None, shape: tuple[int, int], display: Display, correction: Correction) -> Array | None:
@@ -115,7 +154,7 @@ def shading_of(collection: Collection | None, shape: tuple[int, int], display: D
 
     Flat frames already hold it.
     """
-    if collection is None or not display.shading_correction or correction.flat_frames:
+    if collection is None or collection.is_scale or not display.shading_correction or correction.flat_frames:
         return None
     return collection.relative(shape)
 
@@ -212,14 +251,8 @@ def _collection(
     nm, weight = light.nodes
     if measured is not None:
         weight = weight / _measured_share(measured, charge, nm)
-    symmetric = stack.shift_um in ("optimal", (0.0, 0.0))
-    points = POINTS_SHIFTED if stack.shift_um == "optimal" else POINTS_UNSHIFTED
-    points = points if light.pupil.chief_ray_angle is None else POINTS_OF_TABLE
-    node = -np.cos(np.linspace(0.0, np.pi, 2 * points - 1))  # Chebyshev's, of the extrema: a polynomial through them is stable
-    node[points - 1] = 0.0
-    line = node[points - 1 :] if symmetric else node
-    y_um, x_um = np.meshgrid(*(half * line if half else np.zeros(1) for half in half_um), indexing="ij")
-    shares = _shares_at(stack, charge, light, y_um, x_um, nm, weight)
+    symmetric, node, y_um, x_um = _places(stack, light.pupil, half_um)
+    shares = _shares_at(stack, charge, light.pupil, y_um, x_um, nm, weight)
     few = shares.max(axis=(0, 1)) < NEGLIGIBLE
     few[2, 2] = False
     shares[..., 2, 2] += shares[..., few].sum(axis=-1)
@@ -237,6 +270,34 @@ def _collection(
     return shares, on_axis, side_um
 
 
+def _places(stack: Stack, pupil: CameraPupil, half_um: tuple[float, float]) -> tuple[bool, Array, Array, Array]:
+    """Return where shares are computed: whether a quarter of the field tells the others, the nodes from -1 to 1, and y and x."""
+    symmetric = stack.shift_um in ("optimal", (0.0, 0.0))
+    points = POINTS_SHIFTED if stack.shift_um == "optimal" else POINTS_UNSHIFTED
+    points = points if pupil.chief_ray_angle is None else POINTS_OF_TABLE
+    node = -np.cos(np.linspace(0.0, np.pi, 2 * points - 1))  # Chebyshev's, of the extrema: a polynomial through them is stable
+    node[points - 1] = 0.0
+    line = node[points - 1 :] if symmetric else node
+    y_um, x_um = np.meshgrid(*(half * line if half else np.zeros(1) for half in half_um), indexing="ij")
+    return symmetric, node, y_um, x_um
+
+
+@lru_cache(maxsize=256)
+def _scale_error(
+    stack: Stack, charge: StackOptions | None, pupil: CameraPupil, wavelength_nm: tuple[float, ...], half_um: tuple[float, float]
+) -> float:
+    """Return the largest of `scale_error` over wavelengths and places."""
+    _, _, y_um, x_um = _places(stack, pupil, half_um)
+    worst = 0.0
+    for nm in wavelength_nm if stack.microlens else wavelength_nm[:1]:
+        shares = _shares_at(stack, charge, pupil, y_um, x_um, np.array([nm]), np.ones(1))
+        on_axis = _shares_at(stack, charge, pupil, np.zeros(1), np.zeros(1), np.array([nm]), np.ones(1)).sum()
+        total = shares.sum(axis=(-2, -1))
+        neighbours = total - shares[..., 2, 2]
+        worst = max(worst, float((np.abs(total - on_axis).max() + neighbours.max()) / on_axis))
+    return worst
+
+
 @lru_cache(maxsize=4)
 def _finer(nodes: tuple[float, ...]) -> Array:
     """Return the weights of nodes (n,) of a polynomial through them, at `FINE` equal steps from -1 to 1, (FINE + 1, n)."""
@@ -245,16 +306,16 @@ def _finer(nodes: tuple[float, ...]) -> Array:
 
 
 def _shares_at(
-    stack: Stack, charge: StackOptions | None, light: Illumination, y_um: Array, x_um: Array, nm: Array, weight: Array
+    stack: Stack, charge: StackOptions | None, pupil: CameraPupil, y_um: Array, x_um: Array, nm: Array, weight: Array
 ) -> Array:
     """Return the weighted sum over wavelengths (K,) of the shares at places on the sensor (...), (..., 5, 5)."""
-    pupil = light.pupil.at(x_um, y_um)
+    seen = pupil.at(x_um, y_um)
     if stack.microlens:
-        spread = _spread(stack, charge, light.pupil.numerical_aperture, nm)
-        optical = collected_shares(stack, pupil, nm)
+        spread = _spread(stack, charge, pupil.numerical_aperture, nm)
+        optical = collected_shares(stack, seen, nm)
         return np.einsum("...kij,k->...ij", optical if spread is None else spread_shares(optical, spread), weight)
     # A bare pixel has the same shares at all wavelengths, and its diffusion is in the transform of the light.
-    optical = collected_shares(stack, pupil) * weight.sum()
+    optical = collected_shares(stack, seen) * weight.sum()
     spread = _neighbours(charge.crosstalk) if charge and charge.crosstalk else None
     return optical if spread is None else spread_shares(optical, spread)
 

@@ -311,7 +311,10 @@ def photodiode_edges_um(length_um: float, count: int, pitch_um: float, side_um: 
 
 def illumination_of(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Illumination:
     """Return the directions and the mean spectrum of the light on the pixels."""
-    return illumination(camera, irradiance.wavelength_nm, electrons_per_joule(physics, irradiance), irradiance.mean_spectrum())
+    stated = irradiance.header.get("spare_e")
+    spare_e = stated if isinstance(stated, float) and 0 < stated < 1 else 0.0  # a file may state anything
+    electrons = electrons_per_joule(physics, irradiance)
+    return illumination(camera, irradiance.wavelength_nm, electrons, irradiance.mean_spectrum(), spare_e)
 
 
 def collecting_area_um2(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> float:

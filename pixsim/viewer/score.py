@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -309,6 +309,7 @@ def prepare_scene(
     lab = perceived_lab(ideal, display, full)
     screen = Screen(display, displays.picture_size_um(irradiance), edges_um, ideal, lab, full)
     array_um, light = array_size_um(irradiance, camera), illumination_of(irradiance, camera, physics)
+    light = replace(light, spare_e=0.0) if full else light
     return PreparedScene(rate, irradiance.pitch_um, white, screen, array_um, light, fraction_beyond_white(luminance))
 
 

@@ -20,6 +20,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
+from pixsim.viewer.score import make_imaging_chain
 
 PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
@@ -168,6 +169,34 @@ def test_make_plan_decisions_have_reasons(name, full):
     assert len(table["wavelength_nm"]) == len(table["band_width_nm"]) == plan.bands.width_nm.size
     assert sum(table["band_width_nm"]) == pytest.approx(470)
     assert table["passes"] == sum(len(light.fit.passes) for light in plan.lights) <= table["passes_full"]
+
+
+BARE = {"height_um": 8.0, "index": 1.5, "shift": "optimal"}
+
+
+def test_decide_stack_says_what_it_left_out_and_the_evaluation_does_it() -> None:
+    """A slow lens, whose narrow cones of light meet photodiodes alike everywhere; not a fast one, a small tolerance, or --full."""
+    scene, slow, pixel = load("csf", resolution=64), pixsim.Camera(f_number=45.0), pixsim.Pixel(pitch_um=10.0, stack=BARE)
+    plan = make_plan(scene, slow, pixel)
+    line = decision(plan, "pixel stack")
+    assert not line.kept
+    assert 0 < line.bound_e < plan.bound_e < plan.tolerance_e
+    assert "opening 8 µm above the photodiode" in line.reason
+    assert "one scale for all pixels" in line.reason
+    for camera, options in ((pixsim.Camera(f_number=1.4), {}), (slow, {"tolerance_e": 1e-5}), (slow, {"full": True})):
+        other = make_plan(scene, camera, pixel, **options)
+        assert decision(other, "pixel stack").kept
+        assert decision(other, "pixel stack").bound_e == 0
+    assert make_plan(scene, slow, pixel, full=True).spare_e == 0
+    for stack, why in ((None, "none given"), ({"enabled": False}, "switched off")):
+        without = decision(make_plan(scene, slow, pixsim.Pixel(stack=stack)), "pixel stack")
+        assert (without.kept, without.bound_e, without.reason.partition(":")[0]) == (False, 0, why)
+    image = pixsim.render(scene, slow, plan=plan)
+    assert image.header["spare_e"] == plan.spare_e
+    for left, light in ((True, image), (False, pixsim.render(scene, slow, full=True))):
+        made = make_imaging_chain(light, slow, pixel, pixsim.Exposure(), pixsim.Display())
+        assert made.collection is not None
+        assert made.collection.is_scale == left
 
 
 def test_decide_noise_names_zero_sources():

@@ -20,9 +20,17 @@ from pixsim.optics.camera_light import CameraPupil, camera_pupil
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, collected_shares
-from pixsim.sensor.collection import Illumination, collected_fraction, collection_of, even_light, stack_shares
+from pixsim.sensor.collection import (
+    Illumination,
+    collected_fraction,
+    collection_of,
+    even_light,
+    half_sizes_um,
+    scale_error,
+    stack_shares,
+)
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
-from pixsim.sensor.integration import collecting_area_um2, illumination_of, integrate_pixels, mean_signal_rate
+from pixsim.sensor.integration import collecting_area_um2, illumination_of, integrate_pixels, mean_signal_rate, pixels_on
 from pixsim.sensor.pixel import derive, physics_of
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.studies.cases import cases_of
@@ -139,6 +147,40 @@ def test_directions_of_a_table_reach_signal_shading_and_plan() -> None:
     assert worst < wide < corner
     with pytest.warns(UserWarning, match=r"the optimal shift reaches [34]\.\d+ µm, more than half of the pitch of 6 µm"):
         chain(Pixel(**QUIET, stack=LENS | {"shift": "optimal", "height_um": 8.0}), camera=steep)
+
+
+# Nothing is lost but on the way: a slow lens whose chief rays land on the centres; and a wide pixel under its microlens.
+SLOW = Camera(die_mm=0.48, f_number=16.0)
+SCALES: list[tuple[dict[str, Any], float]] = [
+    ({"stack": STACKS["bare"] | {"shift": "optimal"}}, 1e-3),
+    ({"stack": LENS | {"height_um": 8.5, "shift": "optimal"}, "pitch_um": 15.0, "fill_factor": 0.7}, 1e-2),
+]
+
+
+@pytest.mark.filterwarnings("ignore:100% of the ideal image")
+@pytest.mark.parametrize(("fields", "tolerance"), SCALES)
+def test_stack_that_loses_nothing_is_left_out_within_its_bound(fields: dict[str, Any], tolerance: float) -> None:
+    """The error of the mean electrons, over those of the brightest pixel, is at most the bound; without tolerance there is none."""
+    pixel, image = Pixel(**QUIET | fields), detailed_picture()
+    physics = derive(pixel)
+    bound = scale_error(physics, camera_pupil(SLOW), half_sizes_um(physics, pixels_on(SLOW.die_um, pixel.pitch_um)), tolerance)
+    assert bound is not None
+    assert 1e-6 < bound <= tolerance
+    assert scale_error(physics, camera_pupil(SLOW), (200.0, 200.0), bound / 2) is None
+    image.header["spare_e"] = tolerance
+    found, whole = chain(pixel, image, SLOW), chain(pixel, image, SLOW, full=True)
+    assert found.collection is not None
+    assert whole.collection is not None
+    assert found.collection.is_scale
+    assert not whole.collection.is_scale
+    assert found.shading is None
+    assert whole.shading is not None
+    assert found.white_e_per_s == pytest.approx(whole.white_e_per_s, rel=1e-12)
+    error = np.abs(found.signal_e_per_s - whole.signal_e_per_s).max() / whole.signal_e_per_s.max()
+    assert bound / 100 < error <= bound
+    for stated in (0.0, -1.0, 2.0, "1e-2", None, True):  # files may state anything
+        image.header["spare_e"] = stated
+        np.testing.assert_array_equal(chain(pixel, image, SLOW).signal_e_per_s, whole.signal_e_per_s)
 
 
 def test_nodes_of_wavelengths_keep_the_mean_wavelength() -> None:
