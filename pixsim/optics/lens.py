@@ -16,7 +16,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields as dataclass_fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -36,6 +36,8 @@ DEGREE = 11  # of the polynomial from the stop to the entrance pupil: within 1e-
 RINGS, SPOKES = 8, 13  # of rays to which that polynomial is fitted, on half of the stop
 AIMED = 1e-9  # distance from the wanted point of the stop, over the stop's radius: 1e-7 waves at 100 waves of tilt
 AIM_STEPS = 30
+APPROACHES = 12  # to a field whose chief ray is not found from the axis
+KEPT_INDICES = 256  # sets of wavelengths
 BLOCK = 1 << 13  # rays at a time, so that they fit into a core's cache
 SPOKES_OF_OUTLINE = 256  # of light at an image point: exact for a round pupil, 1e-5 of the area for a vignetted one
 MAX_SPOKES = 4096
@@ -44,7 +46,7 @@ STEEPEST_DEG, FIELDS_TRIED = 89.0, 179
 WIDEST = 1e-9  # relative: an f-number in a few digits is the lens's own
 FOCUS_STEP_MM = 1e-3
 INSIDE = 1 + 1e-12  # of the stop's edge
-Bases = tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]  # monomials odd and even in x, with their derivatives
+Bases = tuple[Array, Array]  # monomials odd in x, and those even in x
 
 
 @dataclass(frozen=True)
@@ -158,8 +160,13 @@ class Lens:
     object_distance_mm: float = math.inf
 
     @cached_property
-    def _aims(self) -> dict[tuple[float, float], tuple[float, Array]]:
-        """Field and wavelength -> chief ray and polynomials of `_aim`."""
+    def _chief_heights(self) -> dict[tuple[float, float], float]:
+        """Field and wavelength -> height of `_chief_height`."""
+        return {}
+
+    @cached_property
+    def _aims(self) -> dict[tuple[float, float], Array]:
+        """Field and wavelength -> polynomials of `_aim`."""
         return {}
 
     @property
@@ -212,10 +219,20 @@ class Lens:
 
     def _indices(self, wavelength_nm: Array) -> list[float | Array]:
         """Return the index in front of the lens and behind each surface: 1 for air, (C, 1) for glasses, or numbers if C is 1."""
+        key = wavelength_nm.tobytes()
+        if key in self._known_indices:
+            return self._known_indices[key]
         known: dict[str, float | Array] = {AIR.name: 1.0}
         for name, glass in self.prescription.glasses.items():
             known[name] = glass.index(wavelength_nm)[:, None] if wavelength_nm.size > 1 else float(glass.index(wavelength_nm)[0])
-        return [1.0, *(known[surface.glass.name] for surface in self.prescription.surfaces)]
+        if len(self._known_indices) >= KEPT_INDICES:
+            self._known_indices.clear()
+        return self._known_indices.setdefault(key, [1.0, *(known[surface.glass.name] for surface in self.prescription.surfaces)])
+
+    @cached_property
+    def _known_indices(self) -> dict[bytes, list[float | Array]]:
+        """Wavelengths -> indices of `_indices`, which every trace asks for."""
+        return {}
 
     # Aiming at the stop --------------------------------------------------------------------------------------------------
 
@@ -229,6 +246,11 @@ class Lens:
             where = at_infinity._failure(0.0, self.primary_nm, 0.0, float(edge[0, 0]))
             raise invalid(f"lens '{self.prescription.name}'", f"a marginal ray that {where}", "an aperture that lets it pass")
         return float(abs(at_stop[0, 0]))
+
+    @cached_property
+    def _exit_pupil_from_image_mm(self) -> float:
+        """Where the reference spheres begin on the axis."""
+        return self.first_order(self.primary_nm).exit_pupil_from_image_mm
 
     @cached_property
     def _entrance_pupil_mm(self) -> float:
@@ -262,18 +284,19 @@ class Lens:
         return rays.x, rays.y
 
     def _chief_height(self, field_deg: Array, wavelength_nm: Array) -> Array:
-        """Return the height in the entrance pupil of rays to the centre of the stop, (C,) in mm; NaN if there is none.
-
-        Secants from the axis: fields are approached in steps where a direct start fails.
-        """
-        start = np.zeros_like(field_deg)
-        found = self._secants(field_deg, wavelength_nm, start)
-        lost = np.flatnonzero(~np.isfinite(found))
-        if lost.size:
-            for share in np.linspace(0.125, 1.0, 15):
-                start[lost] = self._secants(share * field_deg[lost], wavelength_nm[lost], start[lost])
-            found[lost] = start[lost]
-        return found
+        """Return the height in the entrance pupil of rays to the centre of the stop, (C,) in mm; NaN if there is none."""
+        keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
+        if new := sorted(set(keys) - self._chief_heights.keys()):
+            fields, wavelengths = (np.array(part) for part in zip(*new, strict=True))
+            found = self._secants(fields, wavelengths, np.zeros(fields.size))
+            # Fields are approached in steps where a direct start fails.
+            if (lost := np.flatnonzero(~np.isfinite(found))).size:
+                near = np.zeros(lost.size)
+                for share in np.linspace(1 / APPROACHES, 1.0, APPROACHES):
+                    near = self._secants(share * fields[lost], wavelengths[lost], near)
+                found[lost] = near
+            self._chief_heights.update(zip(new, found.tolist(), strict=True))
+        return np.array([self._chief_heights[key] for key in keys])
 
     def _secants(self, field_deg: Array, wavelength_nm: Array, start: Array) -> Array:
         def miss(y: Array) -> Array:
@@ -294,22 +317,16 @@ class Lens:
             error = miss(y)
         return np.where(np.abs(error) <= AIMED * self.stop_semi_diameter_mm, y, np.nan)
 
-    def _aim(self, field_deg: Array, wavelength_nm: Array) -> tuple[Array, Array]:
-        """Return chief heights (C,) in mm and polynomials (C, terms, 2) from the stop to the entrance pupil, from a cache."""
+    def _aim(self, field_deg: Array, wavelength_nm: Array) -> Array:
+        """Return polynomials (C, terms, 2) from the stop to the entrance pupil in mm, from a cache."""
         keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
         if new := sorted(set(keys) - self._aims.keys()):
-            fields, wavelengths = (np.array(part) for part in zip(*new, strict=True))
-            if len(self._aims) > 1 << 14:
-                self._aims.clear()
-            self._aims.update(zip(new, zip(*self._new_aims(fields, wavelengths), strict=True), strict=True))
-        chief, terms = zip(*(self._aims[key] for key in keys), strict=True)
-        return np.array(chief), np.stack(terms)
+            self._aims.update(zip(new, self._new_aims(*(np.array(part) for part in zip(*new, strict=True))), strict=True))
+        return np.stack([self._aims[key] for key in keys])
 
-    def _new_aims(self, field_deg: Array, wavelength_nm: Array) -> tuple[list[float], list[Array]]:
+    def _new_aims(self, field_deg: Array, wavelength_nm: Array) -> list[Array]:
         chief = self._chief_height(field_deg, wavelength_nm)
-        radius = np.sin(np.pi / 2 * (np.arange(RINGS) + 1) / RINGS)[:, None]
-        angle = np.pi * (np.arange(SPOKES) / (SPOKES - 1) - 0.5)
-        x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+        x, y, (odd, even), (fit_odd, fit_even) = _nodes()
         # The slopes at the chief ray give the first guess.
         step = 1e-2 * self.entrance_pupil_diameter_mm
         near_x = np.stack([np.full_like(chief, step), np.zeros_like(chief)], axis=1)
@@ -320,16 +337,15 @@ class Lens:
         inverse[..., 0, 0], inverse[..., 1, 1] = slope_x, slope_y
         guess = slope_x * x, chief[:, None] + slope_y * y
         across, along = self._solved(field_deg, wavelength_nm, x, y, *guess, inverse)
-        (odd, *_), (even, *_) = _bases(x, y)
         terms = np.zeros((chief.size, even.shape[1], 2))
         whole = np.isfinite(across).all(axis=1) & np.isfinite(along).all(axis=1)
-        terms[whole, : odd.shape[1], 0] = across[whole] @ np.linalg.pinv(odd).T
-        terms[whole, :, 1] = along[whole] @ np.linalg.pinv(even).T
+        terms[whole, : odd.shape[1], 0] = across[whole] @ fit_odd.T
+        terms[whole, :, 1] = along[whole] @ fit_even.T
         for index in np.flatnonzero(~whole):  # some points of the stop are not reached, as behind the rim of a lens
             seen = np.isfinite(across[index]) & np.isfinite(along[index])
             terms[index, : odd.shape[1], 0] = np.linalg.lstsq(odd[seen], across[index, seen], rcond=1e-10)[0]
             terms[index, :, 1] = np.linalg.lstsq(even[seen], along[index, seen], rcond=1e-10)[0]
-        return chief.tolist(), list(terms)
+        return list(terms)
 
     def _solved(
         self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, across: Array, along: Array, inverse: Array
@@ -376,7 +392,7 @@ class Lens:
 
     def _chief_or_nan(self, field_deg: Array, wavelength_nm: Array) -> tuple[Rays, Array]:
         """Return the chief rays in the image plane, (C, 1), and their heights in the entrance pupil (C,); NaN if lost."""
-        height, _ = self._aim(field_deg, wavelength_nm)
+        height = self._chief_height(field_deg, wavelength_nm)
         rays, _, _ = self._to_image(field_deg, wavelength_nm, np.zeros((height.size, 1)), height[:, None])
         return rays, height
 
@@ -476,8 +492,8 @@ class Lens:
 
     def _lost_ray(self, field_deg: float, wavelength_nm: float, x: float, y: float) -> str:
         """Return where the ray to a point of the stop ends, for a message."""
-        _, terms = self._aim(np.array([field_deg]), np.array([wavelength_nm]))
-        (odd, *_), (even, *_) = _bases(np.array([x]), np.array([y]))
+        terms = self._aim(np.array([field_deg]), np.array([wavelength_nm]))
+        odd, even = _bases(np.array([x]), np.array([y]))
         across, along = float(odd[0] @ terms[0, : odd.shape[1], 0]), float(even[0] @ terms[0, :, 1])
         where = self._failure(field_deg, wavelength_nm, across, along)
         return where if "surface" in where else "no ray in front of the lens reaches"
@@ -506,16 +522,16 @@ class Lens:
         )
 
     def _block(self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, bases: Bases, chief: Rays) -> Wavefront:
-        _, terms = self._aim(field_deg, wavelength_nm)
-        across, along = (terms[:, : basis[0].shape[1], axis] @ basis[0].T for axis, basis in enumerate(bases))
+        terms = self._aim(field_deg, wavelength_nm)
+        across, along = (terms[:, : basis.shape[1], axis] @ basis.T for axis, basis in enumerate(bases))
         rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         semi = self.stop_semi_diameter_mm
         off = np.maximum(np.abs(at_x / semi - x), np.abs(at_y / semi - y))
         if np.any(~(off <= AIMED)):  # the polynomial is not good enough; its derivatives are
             inverse = np.empty((*across.shape, 2, 2))
-            for axis, basis in enumerate(bases):
-                for by in (0, 1):
-                    inverse[..., axis, by] = terms[:, : basis[0].shape[1], axis] @ basis[1 + by].T
+            for by, slopes in enumerate(_slopes(x, y)):
+                for axis, basis in enumerate(slopes):
+                    inverse[..., axis, by] = terms[:, : basis.shape[1], axis] @ basis.T
             across, along = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse)
             rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         return self._wavefront_of(rays, at_x, at_y, chief, wavelength_nm)
@@ -541,7 +557,7 @@ class Lens:
         index = np.asarray(self._indices(wavelength_nm)[-1])
         off_x, off_y = rays.x, rays.y - chief.y
         # From the image plane back to the reference sphere, less the radius; the radius is negative if the pupil lies behind.
-        from_image = self.first_order(self.primary_nm).exit_pupil_from_image_mm
+        from_image = self._exit_pupil_from_image_mm
         radius = -np.copysign(np.hypot(chief.y, from_image), from_image)
         along_ray = off_x * rays.l + off_y * rays.m
         square = along_ray * along_ray - off_x * off_x - off_y * off_y
@@ -944,14 +960,31 @@ def _in_line(**parts: ArrayLike) -> tuple[Any, ...]:
     return arrays[0].shape, *(array.ravel() for array in arrays)
 
 
+EXPONENTS = tuple(
+    np.array([(i, j) for i in range(start, DEGREE + 1, 2) for j in range(DEGREE + 1 - i)]).T for start in (1, 0)
+)  # of the monomials x^i y^j odd in x and even in x
+
+
 def _bases(x: Array, y: Array) -> Bases:
-    """Return, for the monomials odd in x and those even in x: values and derivatives by x and by y at points (P,), (P, terms)."""
+    """Return the monomials odd in x and those even in x at points (P,), both (P, terms)."""
     powers_x, powers_y = (np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y))
-    bases = []
-    for start in (1, 0):
-        i, j = np.array([(i, j) for i in range(start, DEGREE + 1, 2) for j in range(DEGREE + 1 - i)]).T
-        value = powers_x[i] * powers_y[j]
-        by_x = i[:, None] * powers_x[np.maximum(i - 1, 0)] * powers_y[j]
-        by_y = j[:, None] * powers_x[i] * powers_y[np.maximum(j - 1, 0)]
-        bases.append((value.T, by_x.T, by_y.T))
-    return bases[0], bases[1]
+    odd, even = ((powers_x[i] * powers_y[j]).T for i, j in EXPONENTS)
+    return odd, even
+
+
+def _slopes(x: Array, y: Array) -> tuple[Bases, Bases]:
+    """Return the derivatives of the monomials of `_bases`, by x and by y."""
+    powers_x, powers_y = (np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y))
+    by_x = [(i[:, None] * powers_x[np.maximum(i - 1, 0)] * powers_y[j]).T for i, j in EXPONENTS]
+    by_y = [(j[:, None] * powers_x[i] * powers_y[np.maximum(j - 1, 0)]).T for i, j in EXPONENTS]
+    return (by_x[0], by_x[1]), (by_y[0], by_y[1])
+
+
+@cache
+def _nodes() -> tuple[Array, Array, Bases, Bases]:
+    """Return points of half of the stop, the monomials there, and the matrices (terms, points) that fit polynomials to values."""
+    radius = np.sin(np.pi / 2 * (np.arange(RINGS) + 1) / RINGS)[:, None]
+    angle = np.pi * (np.arange(SPOKES) / (SPOKES - 1) - 0.5)
+    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    odd, even = _bases(x, y)
+    return np.asarray(x), np.asarray(y), (odd, even), (np.asarray(np.linalg.pinv(odd)), np.asarray(np.linalg.pinv(even)))

@@ -44,9 +44,8 @@ class Rays:
 
 def rays_from(x: Array, y: Array, z: Array, l: Array, m: Array, n: Array) -> Rays:  # noqa: E741
     """Return rays through points (...) in mm along direction cosines (...), which broadcast together."""
-    shape = np.broadcast_shapes(*(part.shape for part in (x, y, z, l, m, n)))
-    x, y, z, l, m, n = (np.broadcast_to(part, shape) for part in (x, y, z, l, m, n))  # noqa: E741
-    return Rays(x, y, z, l, m, n, np.zeros(shape), np.ones(shape, bool))
+    x, y, z, l, m, n = np.broadcast_arrays(x, y, z, l, m, n)  # noqa: E741
+    return Rays(x, y, z, l, m, n, np.zeros(x.shape), np.ones(x.shape, bool))
 
 
 def turned_round(surfaces: Sequence[Surface]) -> list[Surface]:
