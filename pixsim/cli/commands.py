@@ -598,6 +598,10 @@ def chart(
     width: Annotated[int | None, Parameter(help="Width in texels.")] = None,
     height: Annotated[int | None, Parameter(help="Height in texels.")] = None,
     die_mm: Annotated[float | None, Parameter(help="Width of the die that the chart fills (csf) [default: 2.7136].")] = None,
+    colour_axis: Annotated[
+        Literal["red-green", "blue-yellow"] | None,
+        Parameter(help="Write a scene, .xml, whose chart (csf) changes in colour at constant luminance, with its three slides."),
+    ] = None,
     linear: Annotated[bool, Parameter(help="The picture is linear in light, not sRGB.")] = False,
     aspect: Annotated[
         float | None, Parameter(help="Width over height of the die for a picture; a grey border fills the rest [default: 1].")
@@ -610,11 +614,24 @@ def chart(
 
     Example: pixsim chart picture.png -o picture.exr
 
+    Example: pixsim chart csf --colour-axis red-green -o red_green.xml
+
     A picture becomes its luminance, linear in light: 0.2126 R + 0.7152 G + 0.0722 B of decoded sRGB. -D chart=picture.png does
     the same.
+
+    With --colour-axis, one opponent channel of S-CIELAB changes, and the other two are constant. `pixsim run red_green.xml` renders
+    the scene.
     """
     from pixsim.scene import charts, own_chart
 
+    if colour_axis is not None:
+        if kind != "csf" or linear or aspect is not None:
+            raise invalid("--colour-axis", f"with {kind}{', --linear or --aspect' if kind == 'csf' else ''}", "the chart csf")
+        result = write_colour_axis(colour_axis, output, width, height, die_mm)
+        contrasts = ", ".join(f"{name} {value:+.3f}" for name, value in result["contrasts"].items())
+        line = f"{output} with slides {', '.join(result['slides'])}; contrasts up to {contrasts}"
+        show(result, json, f"{line}; opponent channel ±{result['opponent_amplitude']:.3f} of white's luminance channel")
+        return
     share = 0.0
     if Path(kind).suffix.lower() in own_chart.SUFFIXES:
         if not (width is height is die_mm is None):
@@ -631,6 +648,23 @@ def chart(
     result = {"file": str(output), "kind": Path(kind).name, "width": texels.shape[1], "height": texels.shape[0], "border": share}
     border = f", {100 * share:.3g} % of them a grey border that keeps the picture's aspect" if share else ""
     show(result, json, f"{result['width']} × {result['height']} texels in {output}{border}")
+
+
+def write_colour_axis(axis: str, output: Path, width: int | None, height: int | None, die_mm: float | None) -> dict[str, Any]:
+    """Write the CSF chart that changes one opponent channel of S-CIELAB; what the command shows."""
+    from pixsim.scene import colour_chart
+    from pixsim.viewer.scielab import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
+
+    # The channels are positive for green and for blue.
+    channel, sign = {"red-green": (1, -1), "blue-yellow": (2, 1)}[axis]
+    change = colour_chart.modulation(sign * XYZ_FROM_OPPONENT[:, channel])
+    title = f"The contrast-sensitivity chart of Chen et al. (2000), {axis} at constant luminance."
+    slides = colour_chart.write_colour_chart(output, change, title, width, height, die_mm)
+    contrasts = dict(zip(colour_chart.PRIMARIES, change.contrasts.tolist(), strict=True))
+    opponent = OPPONENT_FROM_XYZ @ (change.xyz * colour_chart.MEAN * max(map(abs, contrasts.values())))
+    white = OPPONENT_FROM_XYZ[0] @ colour_chart.primaries_xyz().sum(axis=1)
+    result = {"file": str(output), "kind": "csf", "colour_axis": axis, "slides": [path.name for path in slides]}
+    return {**result, "contrasts": contrasts, "opponent_amplitude": abs(float(opponent[channel] / white))}
 
 
 @app.command

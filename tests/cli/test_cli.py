@@ -172,6 +172,13 @@ INVALID = {
     "chart flat -o gone/x.exr": ["gone/x.exr", "can be written"],
     "chart flat -o x.png": ["x.png", ".exr"],
     "chart flat --width 1 -o x.exr": ["1", "2 to"],
+    "chart flat --colour-axis red-green -o x.xml": ["--colour-axis: got with flat; allowed: the chart csf"],
+    "chart csf --colour-axis red-green -o x.exr": ["x.exr", "ends in .xml"],
+    "chart csf --colour-axis red-green -o gone/x.xml": ["gone/x.xml", "can be written"],
+    "chart csf --colour-axis red-green -o $x.xml": ["$x.xml", "without $"],
+    "chart csf --colour-axis green -o x.xml": ["--colour-axis", "red-green"],
+    "chart csf --colour-axis red-green --linear -o x.xml": ["--colour-axis", "--linear"],
+    "chart csf --colour-axis red-green --height 1 -o x.xml": ["1", "2 to"],
 }
 
 
@@ -344,6 +351,18 @@ def test_chart_writes_make_chart(kind: str, desk: Path) -> None:
     channels, _ = read_channels("x.exr")
     assert list(channels) == ["Y"]
     np.testing.assert_array_equal(channels["Y"], pixsim.make_chart(kind, 96, 64))
+
+
+@pytest.mark.parametrize(("axis", "first"), [("red-green", "red"), ("blue-yellow", "blue")])
+def test_chart_colour_axis_states_its_modulation(axis: str, first: str, desk: Path) -> None:
+    code, out, _ = command(f"chart csf --colour-axis {axis} -o x.xml --width 96 --height 64 --json")
+    result = json.loads(out)
+    assert code == 0
+    assert result["slides"] == ["x_red.exr", "x_green.exr", "x_blue.exr"]
+    assert {path.name for path in desk.glob("x*")} == {"x.xml", *result["slides"]}
+    assert result["contrasts"][first] == pytest.approx(0.951, abs=1e-3)  # of the grey chart
+    assert max(result["contrasts"].values()) == result["contrasts"][first]
+    assert 0.05 < result["opponent_amplitude"] < 0.5
 
 
 @pytest.mark.parametrize("statement", ["import pixsim; pixsim.Camera()", "import pixsim.cli; pixsim.cli.main()"])

@@ -1,0 +1,214 @@
+"""The contrast-sensitivity chart in colour: a change of colour in place of luminance, as a scene with three slide projectors.
+
+Mitsuba has no lamp whose texture and spectrum are both free, but for the spot: each primary of a display shines through a slide
+onto a white screen that fills the die. So the light is three spectra times three pictures. The projectors stand so far away that
+light on the screen is even to 4e-4.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
+from pixsim.base.files import replacing
+from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W, colour_matching, d65, grid_nm
+from pixsim.scene.charts import LUMINANCE_CD_PER_M2, csf_contrast, make_chart, write_chart
+
+PRIMARIES = ("red", "green", "blue")
+MEAN = sum(LUMINANCE_CD_PER_M2) / (2 * LUMINANCE_CD_PER_M2[1])  # of each slide, as of the grey chart
+PROJECTOR_M = 30.0  # from the screen
+BEAM = 1.5  # half width of a slide over that of the screen: its corners are at √2
+SCENE = """<!-- {title}
+     Three projectors shine the primaries of a display through slides onto a white screen; all slides at 1 are D65 of 1000 cd/m2.
+     The camera looks along +z, up is +y. Row 0 of a slide is up and column 0 is left. pixsim sets the parameters of the camera
+     and of the screen, so that the chart fills the die. Made by pixsim chart. -->
+<scene version="3.0.0">
+    <default name="white_cd_per_m2" value="{white_cd_per_m2:g}"/>
+    <default name="chart_half_width" value="0.350145791"/>
+    <default name="chart_half_height" value="0.350145791"/>
+    <default name="resolution" value="1024"/>
+    <default name="spp" value="16"/>
+    <default name="fov" value="38.594975"/>
+    <default name="aperture_radius" value="0.0004825"/>
+    <default name="focus_distance" value="1"/>
+
+    <integrator type="path">
+        <integer name="max_depth" value="2"/>
+    </integrator>
+
+    <sensor type="thinlens" id="camera">
+        <float name="fov" value="$fov"/>
+        <float name="aperture_radius" value="$aperture_radius"/>
+        <float name="focus_distance" value="$focus_distance"/>
+        <transform name="to_world">
+            <lookat origin="0, 0, 0" target="0, 0, 1" up="0, 1, 0"/>
+        </transform>
+        <sampler type="multijitter">
+            <integer name="sample_count" value="$spp"/>
+        </sampler>
+        <film type="hdrfilm">
+            <integer name="width" value="$resolution"/>
+            <integer name="height" value="$resolution"/>
+            <string name="pixel_format" value="luminance"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+
+    <shape type="rectangle" id="screen">
+        <transform name="to_world">
+            <scale x="$chart_half_width" y="$chart_half_height"/>
+            <rotate y="1" angle="180"/>
+            <translate z="$focus_distance"/>
+        </transform>
+        <bsdf type="diffuse">
+            <spectrum name="reflectance" value="1"/>
+        </bsdf>
+    </shape>
+{projectors}
+</scene>
+"""
+PROJECTOR = """
+    <emitter type="spot" id="{name}">
+        <transform name="to_world">
+            <scale x="$chart_half_width" y="$chart_half_height"/>
+            <translate z="-{distance:g}"/>
+            <translate z="$focus_distance"/>
+        </transform>
+        <spectrum name="intensity" value="{intensity}"/>
+        <float name="cutoff_angle" value="{cutoff_deg:.9g}"/>
+        <float name="beam_width" value="{beam_deg:.9g}"/>
+        <texture type="bitmap" name="texture">
+            <string name="filename" value={slide}/>
+            <boolean name="raw" value="true"/>
+            <string name="wrap_mode" value="clamp"/>
+            <transform name="to_uv">
+                <scale x="-{beam:g}" y="-{beam:g}"/>
+                <translate x="{centre:g}" y="{centre:g}"/>
+            </transform>
+        </texture>
+    </emitter>"""
+
+
+@dataclass(frozen=True)
+class Modulation:
+    """A change of colour around the grey of half the white, in the light of the primaries R, G and B, 1 for white.
+
+    shares : (3,) change of each primary over that of the one that changes most
+    xyz : (3,) change of XYZ for `shares`, relative to white's Y
+    """
+
+    shares: Array
+    xyz: Array
+
+    @property
+    def contrasts(self) -> Array:
+        """Michelson contrast of each slide where that of the chart is largest, (3,); negative where it falls as the first rises."""
+        return self.shares * float(csf_contrast(1.0))
+
+
+@lru_cache
+def primaries() -> tuple[Array, Array]:
+    """Return wavelengths in nm, (B,), and the radiance of the primaries at full power, (B, 3) W m⁻² sr⁻¹ nm⁻¹.
+
+    Their sum has the chromaticity of D65 and 1000 cd/m².
+    """
+    table = np.loadtxt(str(resources.files("pixsim") / "data/display_primaries.csv"), delimiter=",", skiprows=3)
+    nm, observer = grid_nm(), colour_matching(grid_nm())
+    xyz = np.stack([np.interp(nm, table[:, 0], power, left=0.0, right=0.0) @ observer for power in table[:, 1:].T], axis=1)
+    white = d65(nm) @ observer
+    white *= LUMINANCE_CD_PER_M2[1] / (LUMINOUS_EFFICACY_LM_PER_W * white[1])
+    return table[:, 0], table[:, 1:] * np.linalg.solve(xyz, white)
+
+
+def primaries_xyz() -> Array:
+    """Return the XYZ of the primaries at full power, (3, 3), a column each, with Y of 1 for their sum."""
+    nm, radiance = primaries()
+    xyz = np.stack([np.interp(grid_nm(), nm, each) @ colour_matching(grid_nm()) for each in radiance.T], axis=1)
+    return xyz / xyz[1].sum()
+
+
+@checks_arguments
+def modulation(change_xyz: ArrayLike) -> Modulation:
+    """Return the modulation of the primaries along a change of XYZ (3,), in any unit, whose sign counts.
+
+    Raises PixsimError for a change that is not three finite numbers, or zero.
+    """
+    change = np.asarray(change_xyz, float)
+    if change.shape != (3,) or not np.isfinite(change).all() or not change.any():
+        raise invalid("change_xyz", change.tolist(), "three finite numbers, not all 0")
+    shares = np.linalg.solve(primaries_xyz(), change)
+    shares /= np.abs(shares).max()
+    return Modulation(shares, primaries_xyz() @ shares)
+
+
+@checks_arguments
+def slide(share: float, grey: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the slide of a primary, (H, W), whose contrast is `share`, -1 to 1, times that of the grey chart (H, W)."""
+    return (MEAN + share * (grey.astype(float) - MEAN)).astype(np.float32)
+
+
+@checks_arguments
+def write_colour_chart(
+    path: str | os.PathLike[str],
+    change: Modulation,
+    title: str,
+    width: int | None = None,
+    height: int | None = None,
+    die_mm: float | None = None,
+) -> Sequence[Path]:
+    """Write the CSF chart as a scene, `path`, with a slide of each primary beside it, and return the paths of the slides.
+
+    path : ends in .xml
+    change : of colour where the grey chart changes luminance
+    title : of the scene, a comment in it
+    width, height, die_mm : of `make_chart`
+
+    Raises PixsimError for another ending, a name that Mitsuba would read as a parameter, a size outside 2 to 32768 texels, and
+    where a file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".xml":
+        raise invalid("colour chart", f"'{path}'", "a scene, a name that ends in .xml", "Its slides are written beside it.")
+    if "$" in path.name:
+        raise invalid("colour chart", f"'{path}'", "a name without $, which begins a parameter of a scene")
+    grey = make_chart("csf", width, height, die_mm)
+    slides = [path.with_name(f"{path.stem}_{name}.exr") for name in PRIMARIES]
+    nm, radiance = primaries()
+    intensities = math.pi * PROJECTOR_M**2 * radiance  # of a screen that reflects all light: L = E/π, E = I/r²
+    cutoff_deg = math.degrees(math.atan(BEAM / PROJECTOR_M))
+    projectors = [
+        PROJECTOR.format(
+            name=name,
+            distance=PROJECTOR_M,
+            intensity=", ".join(f"{at:g}:{value:.6g}" for at, value in zip(nm, intensity, strict=True)),
+            cutoff_deg=cutoff_deg,
+            beam_deg=0.999 * cutoff_deg,
+            slide=quoteattr(file.name),
+            beam=BEAM,
+            centre=(1 + BEAM) / 2,
+        )
+        for name, file, intensity in zip(PRIMARIES, slides, intensities.T, strict=True)
+    ]
+    comment = re.sub("--+", "-", title)  # two hyphens would end it
+    text = SCENE.format(title=comment, white_cd_per_m2=LUMINANCE_CD_PER_M2[1], projectors="\n".join(projectors))
+    try:
+        with replacing(path) as partial:
+            for share, file in zip(change.shares.tolist(), slides, strict=True):
+                write_chart(file, slide(share, grey))
+            partial.write_bytes(text.encode("ascii", "xmlcharrefreplace"))
+    except OSError as error:
+        raise invalid("output file", f"'{path}' ({error.strerror or error})", "a path that can be written") from None
+    return slides
