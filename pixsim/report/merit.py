@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.diffraction import square_aperture_mtf, white_otf
+from pixsim.optics.diffraction import diffraction_otf, square_aperture_mtf, white_otf
+from pixsim.optics.stack import aperture_mtf, aperture_side_um
 from pixsim.report.pictures import csf_range_lp_per_mm
-from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, electrons_per_joule
+from pixsim.sensor.collection import kernel_on_axis
+from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, diffusion_of, electrons_per_joule, illumination_of
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.display import interpolation_mtf, picture_size_um
 
 if TYPE_CHECKING:
     from pixsim.studies.result import StudyResult
 
+Value = TypeVar("Value", Array, float)
+OF_DISPLAY = ("interpolation", "dot")
 MPE30_INTEGRATION_S = 0.030  # that of Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000)
 
 
@@ -29,20 +34,50 @@ def mtf_terms(
 
     The lens term is white-light diffraction, weighted by the scene's light and the pixel's response. The first two terms are
     those of Chen et al. (2000), section 2.2. The last two belong to the display: its interpolation between pixel centres, and
-    the mean over a dot. A `one_to_one` display has neither.
+    the mean over a dot. A `one_to_one` display has neither. In the place of the photodiode, pixels with a stack have that of
+    `stack_mtf_terms`.
     """
     response = electrons_per_joule(physics, irradiance)
     weight = response * irradiance.mean_spectrum()
     if not weight.any():  # a black picture: assume equal light in all bands
         weight = response
     share = weight / weight.sum()
-    terms = {
-        "lens": white_otf(frequency_cy_per_mm, irradiance.wavelength_nm, share, camera.effective_f_number),
-        "photodiode": square_aperture_mtf(frequency_cy_per_mm, physics.aperture_side_um),
-    }
+    terms = {"lens": white_otf(frequency_cy_per_mm, irradiance.wavelength_nm, share, camera.effective_f_number)}
+    if physics.stack is None:
+        terms["photodiode"] = square_aperture_mtf(frequency_cy_per_mm, physics.photodiode_side_um)
+    else:
+        terms |= stack_mtf_terms(irradiance, camera, physics, frequency_cy_per_mm)
     if display.raster == "fixed_size":
         terms["interpolation"] = interpolation_mtf(frequency_cy_per_mm, physics.pitch_um, display.interpolation)
         terms["dot"] = square_aperture_mtf(frequency_cy_per_mm, picture_size_um(irradiance)[1] / display.dots)
+    return terms
+
+
+def stack_mtf_terms(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, frequency_cy_per_mm: Array
+) -> dict[str, Array]:
+    """Return the MTF of each term of a pixel's stack along an axis, for light on the axis of the lens, (...) as the frequencies.
+
+    microlens, or opening : of the aperture, the pitch under a microlens, else the opening where it meets the photodiode
+    crosstalk : of the shares that the pixels around collect
+    diffusion : of charge between bare pixels; it changes with the wavelength, as the lens, and so is a ratio to the lens's term
+    """
+    stack, light = physics.stack, illumination_of(irradiance, camera, physics)
+    assert stack is not None
+    frequency = np.asarray(frequency_cy_per_mm, float)
+    aperture = aperture_mtf(stack, light.pupil.at(0.0, 0.0), frequency.ravel()).reshape(frequency.shape)
+    along = kernel_on_axis(physics, light).sum(axis=0)
+    phase = 2e-3j * np.pi * physics.pitch_um * frequency[..., None] * (np.arange(along.size) - along.size // 2)
+    crosstalk = np.minimum(np.abs(np.exp(phase) @ along) / along.sum(), 1.0)  # but for rounding
+    terms = {"microlens" if stack.microlens else "opening": aperture, "crosstalk": crosstalk}
+    if (blur := diffusion_of(physics)) is not None:
+        weight = np.array(light.weight) / np.sum(light.weight)
+        lens = [diffraction_otf(frequency, nm, camera.effective_f_number) for nm in light.wavelength_nm]
+        blurred = sum(
+            part * otf * blur(np.abs(frequency), nm) for part, otf, nm in zip(weight, lens, light.wavelength_nm, strict=True)
+        )
+        alone = sum(part * otf for part, otf in zip(weight, lens, strict=True))
+        terms["diffusion"] = np.divide(blurred, alone, out=np.zeros(frequency.shape), where=np.asarray(alone) > 0)
     return terms
 
 
@@ -52,9 +87,14 @@ def study_mtf_terms(result: StudyResult, physics: PixelPhysics, frequency_cy_per
 
 
 def system_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array) -> Array:
-    """Return the MTF from scene to sensor: lens times photodiode, as in the paper's Figure 2b."""
+    """Return the MTF from scene to sensor: lens times photodiode, as in the paper's Figure 2b, or what takes its place."""
     terms = study_mtf_terms(result, physics, frequency_cy_per_mm)
-    return terms["lens"] * terms["photodiode"]
+    return np.asarray(math.prod(of_sensor(terms).values()))
+
+
+def of_sensor(terms: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the terms from scene to sensor."""
+    return {name: mtf for name, mtf in terms.items() if name not in OF_DISPLAY}
 
 
 def shown_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array) -> Array:
@@ -66,7 +106,11 @@ def mtf50_cy_per_mm(
     result: StudyResult, physics: PixelPhysics, mtf: Callable[[StudyResult, PixelPhysics, Array], Array] = system_mtf
 ) -> float:
     """Return the lowest frequency at which `mtf` (`system_mtf` or `shown_mtf`) falls to one half."""
-    frequency = np.linspace(0.0, 1e3 / physics.aperture_side_um, 20001)  # up to the aperture's first zero
+    side_um = physics.aperture_side_um
+    if physics.stack is not None:
+        light = illumination_of(result.irradiance, result.camera, physics)
+        side_um = float(aperture_side_um(physics.stack, light.pupil.at(0.0, 0.0))[0])
+    frequency = np.linspace(0.0, 1e3 / side_um, 20001)  # up to the aperture's first zero
     values = mtf(result, physics, frequency)
     below = int(np.argmax(values < 0.5))
     return float(np.interp(-0.5, -values[below - 1 : below + 1], frequency[below - 1 : below + 1]))
@@ -83,9 +127,11 @@ def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
     """Return sentences on the contrast left by each term at `detail_frequency_lp_per_mm`."""
     frequency, name = detail_frequency_lp_per_mm(irradiance, physics.pitch_um)
     terms = {term: float(mtf) for term, mtf in mtf_terms(irradiance, camera, physics, display, np.array(frequency)).items()}
-    sensor = terms["lens"] * terms["photodiode"]
-    words = f"At {frequency:.3g} lp/mm, {name}, the MTF of the lens is {terms['lens']:.3f} and that of the photodiode "
-    words += f"{terms['photodiode']:.3f}: together they reduce the contrast by {100 * (1 - sensor):.0f} %. "
+    left, *others = (f"{term} {'is ' * (term == 'lens')}{terms[term]:.3f}" for term in of_sensor(terms))
+    *some, last = (f"that of the {words}" for words in others)
+    words = f"At {frequency:.3g} lp/mm, {name}, the MTF of the {', '.join([left, *some])} and {last}: "
+    sensor = math.prod(of_sensor(terms).values())
+    words += f"together they reduce the contrast by {100 * (1 - sensor):.0f} %. "
     if "dot" not in terms:
         return words + "The display shows each pixel as one dot and reduces it no further."
     of_display = terms["interpolation"] * terms["dot"]

@@ -149,6 +149,17 @@ def scale_error(physics: PixelPhysics, pupil: CameraPupil, half_um: tuple[float,
     return error
 
 
+def kernel_on_axis(physics: PixelPhysics, light: Illumination) -> Array:
+    """Return the shares of light on axis that pixels around collect, (5, 5), as those of a `Collection`.
+
+    Raises PixsimError without a stack.
+    """
+    if physics.stack is None:
+        raise invalid("pixel.stack", "none", "a stack, which has such shares")
+    check_efficiency(physics)
+    return np.asarray(_collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0))[0][0, 0])
+
+
 def shading_of(collection: Collection | None, shape: tuple[int, int], display: Display, correction: Correction) -> Array | None:
     """Return by what the display divides a frame, (rows, columns): `Collection.relative`; None for nothing.
 

@@ -54,8 +54,16 @@ LOOKS = (
 )
 COLOURS = tuple(look.colour for look in LOOKS)
 # Blur terms look the same in every figure, and differ from the first looks, which show pixel sizes.
-TERM_NAMES = ("lens (diffraction)", "photodiode", "{} interpolation on the display", "display dot")
-TERM_LOOKS = LOOKS[4:8]
+TERMS = {
+    "lens": ("lens (diffraction)", LOOKS[4]),
+    "photodiode": ("photodiode", LOOKS[5]),
+    "microlens": ("microlens, as wide as the pixel", LOOKS[5]),
+    "opening": ("opening over the photodiode", LOOKS[5]),
+    "crosstalk": ("crosstalk", LOOKS[8]),
+    "diffusion": ("diffusion of charge", LOOKS[9]),
+    "interpolation": ("{} interpolation on the display", LOOKS[6]),
+    "dot": ("display dot", LOOKS[7]),
+}
 MANY_POINTS = 50  # a line with more points gets a marker at every fifth of its length
 ISO_SMOOTHING_DOTS = 8.0  # about one cycle at the middle frequencies, since ΔE peaks in each dark bar
 
@@ -141,7 +149,8 @@ def label_axes(axes: Axes, where: PictureAxes) -> None:
 
 def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str) -> Array:
     """Draw the terms of `merit.mtf_terms` against x, with a legend, and their product, which is returned."""
-    for mtf, name, look in zip(terms.values(), TERM_NAMES, TERM_LOOKS, strict=False):
+    for term, mtf in terms.items():
+        name, look = TERMS[term]
         axes.plot(x, mtf, markevery=1 if x.size < MANY_POINTS else x.size // 5, ms=4, label=name.format(interpolation), **look.line)
     product = np.prod(list(terms.values()), axis=0)
     axes.plot(x, product, lw=2.5, color="black", label="product of all")

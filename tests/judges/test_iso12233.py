@@ -39,7 +39,8 @@ from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.measure.sfr import BINS_A_PIXEL, NYQUIST_CY_PER_PX, TAPER, EdgeResponse, edge_response
 from pixsim.scene import charts
-from pixsim.sensor.integration import electrons_per_joule, mean_signal_rate
+from pixsim.sensor.collection import kernel_on_axis
+from pixsim.sensor.integration import electrons_per_joule, illumination_of, mean_signal_rate
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import capture, capture_from_rates, sample_sensor
 
@@ -235,6 +236,27 @@ def test_sfr_with_noise_is_unbiased() -> None:
 def test_quickmtf_agrees() -> None:
     pytest.importorskip("quickMTF", reason="the second estimator, quickMTF, is in the test extra")
     assert not not_met(second_rows(BOUNDED))
+
+
+LENSED = {"height_um": 8.0, "index": 1.5, "microlens": "square", "shift": "optimal", "crosstalk": 0.15}
+
+
+@pytest.mark.parametrize("angle_deg", ANGLES_DEG)
+def test_sfr_of_microlensed_pixels_is_sinc_times_transform_of_the_kernel(angle_deg: float) -> None:
+    """The aperture is the pitch, whatever the fill factor, and the kernel is that of the shares on axis."""
+    setting = Setting(angle_deg, 2.8, 6.5)
+    image, camera, physics = irradiance_of(BOUNDED, setting), camera_of(2.8), derive(Pixel(pitch_um=6.5, stack=LENSED))
+    edge = edge_response(mean_signal_rate(image, camera, physics))
+    below = edge.frequency_cy_per_px <= NYQUIST_CY_PER_PX
+    frequency, turn = edge.frequency_cy_per_px[below], np.radians(angle_deg)
+    shares, offset = kernel_on_axis(physics, illumination_of(image, camera, physics)), np.arange(-2.0, 3.0)
+    normal = np.cos(turn) * offset + np.sin(turn) * offset[:, None]
+    kernel = np.abs((shares * np.exp(-2j * np.pi * frequency[:, None, None] * normal)).sum(axis=(1, 2))) / shares.sum()
+    side = 6.5 / physics.photodiode_side_um  # a photodiode as wide as the pitch has the MTF of the microlens
+    wanted = truth(setting, BOUNDED, frequency, side=side) * kernel
+    np.testing.assert_allclose(edge.sfr[below], wanted, atol=GATE)
+    assert np.abs(wanted - truth(setting, BOUNDED, frequency)).max() > 10 * GATE
+    assert np.abs(wanted / kernel - wanted).max() > 5 * GATE
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -10,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pixsim.base.parameters import Camera, Pixel, Study, pixel_of
+from pixsim.base.parameters import Camera, Pixel, StackOptions, Study, pixel_of
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.report.merit import (
@@ -24,6 +25,7 @@ from pixsim.report.merit import (
     system_mtf,
 )
 from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
+from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.claims import (
@@ -185,6 +187,46 @@ def test_study_mtf_terms_at_33_lp_per_mm() -> None:
     assert float(shown_mtf(result, derive(pixel), at)) == pytest.approx(0.906 * 0.977 * 0.858 * 0.950, abs=2e-3)
     # Silicon sees the red of daylight, which is diffracted more; about 0.25 % of contrast for 10 nm.
     assert 0.895 < float(study_mtf_terms(chen2000()[0], derive(pixel), at)["lens"]) < 0.905
+
+
+STACK = {"height_um": 8.0, "index": 1.5, "shift": "optimal"}
+
+
+def test_mtf_terms_of_a_stack() -> None:
+    """Under a microlens the pitch's sinc and the transform of the crosstalk; a bare pixel's opening where it meets the photodiode.
+
+    At Nyquist, crosstalk c of four neighbours leaves 1 - c along an axis: c/4 each, of which two are up and down.
+    """
+    spectrum = np.where(np.arange(65) == 31, 1.0, 0.0)
+    result, pixel = chen2000(spectrum)
+    nyquist = np.array([0.0, 1e3 / 13.0])
+    plain = study_mtf_terms(result, derive(pixel), nyquist)
+
+    def terms(**stack: object) -> dict[str, Array]:
+        return study_mtf_terms(result, derive(pixel.model_copy(update={"stack": StackOptions(**STACK | stack)})), nyquist)
+
+    lens, shared = terms(microlens="square"), terms(microlens="square", crosstalk=0.2)
+    assert list(lens) == ["lens", "microlens", "crosstalk", "interpolation", "dot"]
+    np.testing.assert_allclose(lens["microlens"], [1, 2 / np.pi], atol=1e-12)
+    np.testing.assert_array_equal(lens["lens"], plain["lens"])
+    assert 0.9 < lens["crosstalk"][1] < 1
+    assert lens["crosstalk"][0] == pytest.approx(1, abs=1e-15)
+    assert shared["crosstalk"][1] / lens["crosstalk"][1] == pytest.approx(1 - 0.2, abs=0.01)  # (1 - c) + c/4 (2 cos π + 2)
+    bare = terms()
+    assert list(bare)[:3] == ["lens", "opening", "crosstalk"]
+    low = terms(height_um=1e-3)
+    np.testing.assert_allclose(low["opening"], plain["photodiode"], atol=1e-5)  # h NA/n w = 2e-5
+    assert bare["opening"][1] > low["opening"][1] + 0.005  # what meets is narrower
+    diffused = terms(depletion_um=1.0, diffusion_length_um=10.0)["diffusion"]
+    wanted = diffusion_mtf(nyquist, absorption_per_um(555.0), 1.0, 10.0)
+    np.testing.assert_allclose(diffused, wanted, rtol=1e-12)
+    product = math.prod(float(item[1]) for name, item in shared.items() if name in ("lens", "microlens", "crosstalk"))
+    stacked = derive(pixel.model_copy(update={"stack": StackOptions(**STACK, microlens="square", crosstalk=0.2)}))
+    assert float(system_mtf(result, stacked, nyquist)[1]) == pytest.approx(product, rel=1e-12)
+    words = blur_words(result.irradiance, result.camera, stacked, result.study.display)
+    assert re.search(
+        r"the MTF of the lens is 0\.\d+, that of the microlens 0\.\d+ and that of the crosstalk 0\.\d+: together", words
+    )
 
 
 def test_blur_words_hold_the_terms() -> None:
