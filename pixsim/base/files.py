@@ -156,11 +156,10 @@ def listed_files(folder: Path) -> Listed | None:
 
     Names that lead out of the folder are left out.
     """
-    path = folder / PROVENANCE
-    if not os.path.lexists(path):
+    if not os.path.lexists(folder / PROVENANCE):
         return {}
     try:
-        content = json.loads(read_text(path, "provenance", "JSON", MAX_PROVENANCE))
+        content = _provenance(folder)
         if "pixsim" not in content["versions"]:
             return None
         listed = content.get("files", {})
@@ -171,6 +170,10 @@ def listed_files(folder: Path) -> Listed | None:
         }
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
+
+
+def _provenance(folder: Path) -> Any:
+    return json.loads(read_text(folder / PROVENANCE, "provenance", "JSON", MAX_PROVENANCE))
 
 
 def _is_inside(folder: Path, name: str) -> bool:
@@ -255,6 +258,25 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
                     if above != Path():
                         (folder / above).rmdir()
         write_provenance(others | now)
+
+
+MADE_FROM = "made_from"  # in provenance.json: command -> hash of all that its files were made from
+
+
+def are_kept(folder: Path, command: str, made_from: str) -> bool:
+    """Whether a folder holds all files that a command has made from the same content, and nobody has changed them.
+
+    made_from : hash of all that they are made from
+    """
+    own = {name: entry for name, entry in (listed_files(folder) or {}).items() if entry["command"] == command}
+    if not own or _provenance(folder).get(MADE_FROM) != {command: made_from}:
+        return False
+    return all(len(entry["digests"]) == 1 and is_own(folder / name, entry) for name, entry in own.items())
+
+
+def write_made_from(folder: Path, command: str, made_from: str) -> None:
+    """State in the provenance of files that a command has just published what they were made from, for `are_kept`."""
+    write_json(folder / PROVENANCE, _provenance(folder) | {MADE_FROM: {command: made_from}})
 
 
 def write_new(path: Path, text: str) -> None:

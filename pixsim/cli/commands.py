@@ -272,9 +272,11 @@ def study(
     Example: pixsim study pixel-size --axis camera.f_number=2,2.8,4 --quick
 
     Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), provenance.json and report.html. The same
-    command continues an interrupted study; `pixsim study settings.toml` repeats it.
+    command continues an interrupted study, and draws no report again that would show the same; `pixsim study settings.toml`
+    repeats it.
     """
     from pixsim.report.axes import axes_files, axes_lines, axes_summary, write_axes_report
+    from pixsim.report.kept import keep_or_write
     from pixsim.report.outline import long_lines, outline_lines, study_outline
     from pixsim.report.study import report_files, write_report
     from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
@@ -326,7 +328,8 @@ def study(
                 stage("report")
                 first = result.parts[0] if result.parts else result
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
-                report = (write_axes_report if result.parts else write_report)(result, folder, seconds, drawing, more)
+                write = write_axes_report if result.parts else write_report
+                report = keep_or_write(result, folder, lambda: write(result, folder, seconds, drawing, more))
             warned = set(result.warned)  # they are on stderr
             if result.counts:
                 found = compromises_of(result.study, result.curves)

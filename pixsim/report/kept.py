@@ -1,0 +1,91 @@
+"""A study's report that is kept: nothing is drawn again when its folder holds the report of an equal result, unchanged."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from pixsim.base import cache
+from pixsim.base.files import DEPENDENCIES, are_kept, digest_of, output_folder, versions, write_made_from
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.technology import technology_of
+from pixsim.studies.result import StudyResult
+
+DRAWING = ("Jinja2", "MarkupSafe", "Pillow", "contourpy", "kiwisolver")  # packages that decide on the bytes, besides DEPENDENCIES
+# Fields that are not compared: how a result was computed, as the wall times tell too; and what follows from the other fields.
+LEFT_OUT = ("counts", "likeliest", "width_um")
+
+
+def keep_or_write(result: StudyResult, folder: Path, write: Callable[[], Path]) -> Path:
+    """Return the report of a study, from `write` unless the folder holds that of an equal result.
+
+    The report is written again if anything differs that it shows or is made with: the result, the settings, the sources and
+    the versions of pixsim and what it draws with; or if one of its files is missing or was changed. The wall times in a report
+    that is kept are those of the command that wrote it.
+    """
+    with output_folder(folder):
+        made_from = digest_of_report(result)
+        if are_kept(folder, "study", made_from):
+            return folder / "report.html"
+        report = write()
+        write_made_from(folder, "study", made_from)
+        return report
+
+
+def digest_of_report(result: StudyResult) -> str:
+    """Hash of everything that the files of a study's report are made from, but the wall times."""
+    digest = hashlib.blake2b(digest_size=16)
+    studies = [result.study, *(part.study for part in result.parts)]
+    technologies = [[technology_of(study, name) for name in study.technologies] for study in studies]
+    for text in _texts([_environment(), technologies, result], digest.update):
+        digest.update(f"{len(text)}:{text}".encode(errors="surrogatepass"))
+    return digest.hexdigest()
+
+
+def _environment() -> list[object]:
+    """Return what decides on the files besides the result: the code, its templates, the versions, and Matplotlib's settings."""
+    templates = sorted(Path(str(resources.files("pixsim") / "data")).glob("*.j2"))
+    asked = [os.environ.get("MATPLOTLIBRC", ""), ".", os.environ.get("MPLCONFIGDIR", "")]
+    settings = [place for name in asked if name for place in (Path(name), Path(name) / "matplotlibrc") if place.is_file()]
+    code = cache.version_fingerprint(*DEPENDENCIES, *DRAWING)
+    return [code, versions(), *(digest_of(path) for path in (*templates, *settings))]
+
+
+def _texts(value: Any, update: Callable[[Any], object]) -> Iterator[str]:
+    """Yield texts that tell a value from others; the content of arrays goes to `update`.
+
+    Raises TypeError for a value of another kind: what it holds would not be compared.
+    """
+    if value is None or isinstance(value, bool | int | float | str | np.generic | os.PathLike):
+        yield repr(value)
+    elif isinstance(value, np.ndarray):
+        yield f"{value.dtype} {value.shape}"
+        update(np.ascontiguousarray(value).data)
+    elif isinstance(value, SpectralImage):
+        light = value.factors or value.data  # a picture in a file has them in memory only while they are read
+        yield from _texts([value.wavelength_nm, value.band_width_nm, value.within, value.pitch_um, value.header, light], update)
+    elif isinstance(value, Mapping):
+        yield f"table of {len(value)}"
+        for key, content in value.items():
+            yield repr(key)
+            yield from _texts(content, update)
+    elif isinstance(value, list | tuple | set | frozenset):
+        yield f"list of {len(value)}"
+        for content in sorted(value, key=repr) if isinstance(value, set | frozenset) else value:
+            yield from _texts(content, update)
+    elif isinstance(value, BaseModel):
+        yield type(value).__name__
+        yield from _texts([dict(value), value.model_fields_set], update)
+    elif is_dataclass(value):
+        yield type(value).__name__
+        yield from _texts({each.name: getattr(value, each.name) for each in fields(value) if each.name not in LEFT_OUT}, update)
+    else:
+        raise TypeError(f"a report made from {type(value).__name__}, whose content is not known")

@@ -1,0 +1,214 @@
+"""A report is kept if and only if it would be drawn from equal content, and its files are as they were written."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from helpers.tiny import tiny, tiny_toml
+
+import pixsim
+from pixsim.base.files import PROVENANCE, publishing, write_made_from
+from pixsim.report import kept, study as report_of_study
+from pixsim.report.kept import digest_of_report, keep_or_write
+from pixsim.studies.evaluations import Counts
+from pixsim.studies.result import StudyResult
+
+FILES = {"report.html": "page", "summary.json": "{}", "figures/curve.svg": "<svg/>"}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
+    folder = tmp_path_factory.mktemp("kept")
+    return pixsim.study(tiny(), folder, jobs=1), folder
+
+
+class Report:
+    """A report of a few bytes, and how often it was written."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.written = folder, 0
+
+    def write(self) -> Path:
+        self.written += 1
+        with publishing(self.folder, "study", {"seconds": {"render": float(self.written)}}) as unfinished:
+            (unfinished / "figures").mkdir()
+            for name, text in FILES.items():
+                (unfinished / name).write_text(text, encoding="utf-8")
+        return self.folder / "report.html"
+
+    def of(self, result: StudyResult) -> bool:
+        """Return whether the report of a result is written now."""
+        before = self.written
+        assert keep_or_write(result, self.folder, self.write) == self.folder / "report.html"
+        return self.written > before
+
+
+@pytest.fixture
+def report(made: tuple[StudyResult, Path], tmp_path: Path) -> Iterator[Report]:
+    report = Report(tmp_path)
+    assert report.of(made[0])
+    yield report
+    assert report.written <= 2
+    assert not report.of(made[0]) or not report.of(made[0]), "a report that was written is then kept"
+
+
+def test_keep_or_write_equal_result_is_kept(made: tuple[StudyResult, Path], report: Report) -> None:
+    """Of the same study computed again: nothing in the folder is touched."""
+    before = {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in report.folder.rglob("*")}
+    assert not report.of(pixsim.study(tiny(), made[1], jobs=1))
+    assert {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in report.folder.rglob("*")} == before
+
+
+def next_number(values: Any) -> Any:
+    """Return an array whose last value is the next number of its type."""
+    changed = np.array(values)
+    changed.flat[-1] = np.nextafter(changed.flat[-1], changed.dtype.type(np.inf))
+    return changed
+
+
+def other_light(result: StudyResult, **header: object) -> StudyResult:
+    """Return the result with another header, or else with light that differs in one bit."""
+    light = result.irradiance
+    assert light.factors
+    spectra, pictures = light.factors
+    changed = {"factors": (spectra, pictures if header else next_number(pictures)), "within": light.within}
+    image = pixsim.SpectralImage(light.wavelength_nm, light.band_width_nm, light.pitch_um, **changed, header=light.header | header)
+    return replace(result, irradiance=image)
+
+
+def other_curve(result: StudyResult, **changes: Callable[[Any], Any]) -> StudyResult:
+    curve = result.curves[0]
+    return replace(result, curves=(replace(curve, **{name: change(getattr(curve, name)) for name, change in changes.items()}),))
+
+
+CHANGES: dict[str, Callable[[StudyResult], StudyResult]] = {
+    "a setting": lambda result: replace(result, study=result.study.model_copy(update={"title": "another"})),
+    "a setting of a table": lambda result: replace(
+        result, study=result.study.model_copy(update={"display": result.study.display.model_copy(update={"gamma": 1.8})})
+    ),
+    "the camera": lambda result: replace(result, camera=result.camera.model_copy(update={"f_number": 2.9})),
+    "the light": other_light,
+    "the header of the light": lambda result: other_light(result, more=1),
+    "a row": lambda result: other_curve(
+        result, statistics=lambda values: values | {"max_delta_e": next_number(values["max_delta_e"])}
+    ),
+    "the fit": lambda result: other_curve(result, fit=lambda fit: replace(fit, delta_e=next_number(fit.delta_e))),
+    "a label": lambda result: other_curve(result, condition=lambda _: "by night"),
+    "the film's error": lambda result: replace(result, film=None),
+    "settings.toml": lambda result: replace(result, settings_toml=result.settings_toml + "\n"),
+    "a warning": lambda result: replace(result, warned=(*result.warned, "mind this")),
+    "an error budget": lambda result: replace(result, budget={"tolerance": 0.1}),
+    "the case of an axis": lambda result: replace(result, parts=(result,)),
+    "sensor types": lambda result: replace(result, uncertainty=(result.curves[0].fit.optimum,)),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_keep_or_write_other_content_is_written(name: str, made: tuple[StudyResult, Path], report: Report) -> None:
+    changed = CHANGES[name](made[0])
+    assert report.of(changed)
+    assert not report.of(changed)
+
+
+def test_keep_or_write_other_counts_are_kept(made: tuple[StudyResult, Path], report: Report) -> None:
+    """What was computed and what was known before is of the run, as its wall times are."""
+    assert not report.of(replace(made[0], counts=Counts(1, 1, 1)))
+
+
+def forget(folder: Path) -> None:
+    (folder / PROVENANCE).unlink()
+    for name in FILES:  # without it nobody knows that they are pixsim's
+        (folder / name).unlink()
+
+
+def half_published(folder: Path) -> None:
+    """As a process leaves it that was killed while it moved its files: each may be the old or the new one."""
+    content = json.loads((folder / PROVENANCE).read_text())
+    content["files"]["report.html"]["digests"].append("0" * 32)
+    (folder / PROVENANCE).write_text(json.dumps(content))
+
+
+def other_command(folder: Path) -> None:
+    with publishing(folder, "run") as unfinished:
+        (unfinished / "report.html").write_text("of a run")
+
+
+FATES: dict[str, Callable[[Path], object]] = {
+    "a missing file": lambda folder: (folder / "figures/curve.svg").unlink(),
+    "no provenance": forget,
+    "an unfinished command": half_published,
+    "the files of another command": other_command,
+    "content of something else": lambda folder: write_made_from(folder, "study", "0" * 32),
+}
+
+
+@pytest.mark.parametrize("fate", FATES)
+def test_keep_or_write_other_files_are_written(fate: str, made: tuple[StudyResult, Path], report: Report) -> None:
+    FATES[fate](report.folder)
+    assert report.of(made[0])
+    assert {name: (report.folder / name).read_text() for name in FILES} == FILES
+
+
+def test_keep_or_write_edited_file_is_refused(made: tuple[StudyResult, Path], report: Report) -> None:
+    """As by every command that would replace it."""
+    (report.folder / "summary.json").write_text("mine")
+    with pytest.raises(pixsim.PixsimError, match=r"summary\.json, not written by pixsim or changed since"):
+        report.of(made[0])
+    assert (report.folder / "summary.json").read_text() == "mine"
+    (report.folder / "summary.json").write_text(FILES["summary.json"])
+    assert not report.of(made[0])
+
+
+@pytest.mark.parametrize("what", ["a template", "a version", "Matplotlib's settings"])
+def test_keep_or_write_other_code_is_written(
+    what: str, made: tuple[StudyResult, Path], report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = digest_of_report(made[0])
+    with monkeypatch.context() as patch:
+        if what == "a template":
+            digests = kept.digest_of
+            patch.setattr(kept, "digest_of", lambda path: "other" if path.name == "report.html.j2" else digests(path))
+        elif what == "a version":
+            patch.setattr(kept, "versions", lambda: {"pixsim": "another"})
+        else:
+            (tmp_path / "matplotlibrc").write_text("lines.linewidth: 3")
+            patch.setenv("MATPLOTLIBRC", str(tmp_path))
+        assert digest_of_report(made[0]) != before
+        assert report.of(made[0])
+    assert digest_of_report(made[0]) == before
+
+
+def test_digest_of_report_unknown_kind_raises(made: tuple[StudyResult, Path]) -> None:
+    with pytest.raises(TypeError, match="a report made from object"):
+        digest_of_report(replace(made[0], budget={"what": object()}))
+
+
+AXIS = {"axis": [{"name": "lens", "set": "camera.f_number", "values": [2.0, 2.8]}], "render_noise": 30.0}
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(("more", "option"), [({}, ""), (AXIS, ""), ({}, "--uncertainty 8 --yes")], ids=["plain", "axis", "types"])
+def test_study_command_again_draws_nothing(
+    more: dict[str, Any], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tiny.toml").write_text(tiny_toml(**more), encoding="utf-8")
+    line = f"study {tmp_path / 'tiny.toml'} --out {tmp_path / 'out'} --jobs 1 {option}"
+    first = command(line)
+    assert first[0] == 0, first
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+
+    def drawn(*_: object) -> None:
+        raise AssertionError("a section is drawn")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(report_of_study, "draw_section", drawn)
+        again = command(line)
+    assert again[:2] == first[:2]
+    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before
