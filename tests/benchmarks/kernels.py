@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import convolve
 from scipy.signal import fftconvolve
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -31,6 +32,7 @@ from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.readout import capture_from_rates, sample_sensor
 from pixsim.viewer import scielab
+from pixsim.viewer.demosaic import demosaic
 from pixsim.viewer.display import WHITE_XYZ, frame_luminance
 from pixsim.viewer.scielab import PUBLISHED_GAUSSIANS
 from pixsim.viewer.score import ImagingChain, chain_at_pitch, prepare_scene
@@ -126,6 +128,14 @@ def plain_evaluation(chain: ImagingChain, mean_e: np.ndarray, white_e: float, se
     return plain_delta_e(chain.screen.ideal[..., None] * WHITE_XYZ, image[..., None] * WHITE_XYZ)
 
 
+def plain_bilinear(mosaic: np.ndarray) -> np.ndarray:
+    """Bilinear demosaicing of RGGB by one convolution a channel."""
+    y, x = np.indices(mosaic.shape) % 2
+    cross, square = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4, np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4
+    masks = ((y == 0) & (x == 0), square), (y != x, cross), ((y == 1) & (x == 1), square)
+    return np.stack([convolve(mosaic * mask, kernel, mode="mirror") for mask, kernel in masks], axis=-1)
+
+
 def row(name: str, target_s: float | None, work: Work, plain: Work, repeats: int = 11) -> None:
     seconds, plain_s = median_s(work, repeats), seconds_of(plain)
     met = "" if target_s is None else f"{target_s:7.3f} {'yes' if seconds <= target_s else 'NO':>4}"
@@ -138,6 +148,10 @@ def targets() -> None:
     for n, target_s in ((512, 0.06), (1024, 0.25)):
         pair = np.random.default_rng(n).uniform(1, 100, (2, n, n, 3))
         row(f"S-CIELAB of a pair, {n}²", target_s, partial(scielab.delta_e_map, *pair, **view), partial(plain_delta_e, *pair))
+    mosaic = np.random.default_rng(2).uniform(0, 1, (1024, 1024))
+    assert np.allclose(plain_bilinear(mosaic), demosaic(mosaic, "rggb"), atol=1e-12)
+    for method, target in (("bilinear", 0.12), ("malvar2004", 0.25), ("menon2007", None)):
+        row(f"demosaicing, {method}, 1024²", target, partial(demosaic, mosaic, "rggb", method), partial(plain_bilinear, mosaic))
     film, physics, general = chart(1024), derive(Pixel(pitch_um=5.3)), bands(1024)
     one, many = partial(diffracted_rate, film, CAMERA, physics), partial(diffracted_rate, general, CAMERA, physics)
     row("diffraction, 31 bands of one spectrum, 1024²", 0.15, one, partial(plain_optics, film))
