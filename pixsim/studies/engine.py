@@ -9,9 +9,11 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pixsim.base import cache
@@ -33,6 +35,7 @@ NAMED_TASKS = 4  # named in an error message
 SUSPECTS = 2  # calls per job that are running or queued
 CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # to wait for a cluster's first worker
+AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
 
 @dataclass(frozen=True)
@@ -210,26 +213,21 @@ def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, 
 
 
 def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int) -> Iterator[Reply[Result]]:
-    """Run calls on local processes, with shared data in memory-mapped files: one copy for all, made when its first call is due.
+    """Run calls on local processes, with shared data in memory-mapped files: one copy for all.
 
     (joblib would do so by itself, but waits a second at the end for workers to release them.)
     """
-    from joblib import Parallel, delayed, dump, parallel_config
+    from joblib import Parallel, delayed, parallel_config
 
-    with temporary_folder() as folder:
-        paths: dict[int, str] = {}
-        makers = {index: id(make) for index, (_, make) in calls.items()}
-        left = Counter(makers.values())
+    with temporary_folder() as folder, closing(SharedFiles(folder, [make for _, make in calls.values()])) as files:
+        makers = {index: make for index, (_, make) in calls.items()}
+        left = Counter(map(id, makers.values()))
 
         def numbered(taken: Callable[[], AbstractContextManager[None]]) -> Iterator[Any]:
             for index, (task, make) in list(calls.items()):
-                if id(make) not in paths:
-                    paths[id(make)] = str(folder / f"{len(paths)}.joblib")
-                    with taken():
-                        content = make()
-                        with disk_faults_named(folder, folder, lambda: "TMPDIR sets another folder for temporary files."):
-                            dump(content, paths[id(make)])
-                yield delayed(_numbered_from)(function, index, task, paths[id(make)])
+                with taken():
+                    path = files.path(make)
+                yield delayed(_numbered_from)(function, index, task, path)
 
         watched: dict[str, Any] = {"initializer": watch_parent, "initargs": (os.getpid(),)}
         with parallel_config("loky", inner_max_num_threads=1, **watched):
@@ -240,13 +238,65 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
                 # `yield from` would close them itself, with a warning of the calls that are given up.
                 for reply in results:
                     yield reply
-                    left[makers[reply[0]]] -= 1
-                    if not left[makers[reply[0]]]:  # shared data that no call needs any more
-                        with suppress(OSError):
-                            os.unlink(paths[makers[reply[0]]])
+                    make = makers[reply[0]]
+                    left[id(make)] -= 1
+                    if not left[id(make)]:
+                        files.drop(make)
             finally:
                 with warnings.catch_warnings(action="ignore"):
                     results.close()
+
+
+class SharedFiles:
+    """Files of shared data, each made once: the first when it is asked for, the next ones in the background until then.
+
+    Those that wait have `AHEAD_BYTES` together, or are one.
+
+    makes : the functions that make them, in the order of their first calls
+    """
+
+    def __init__(self, folder: Path, makes: Sequence[Callable[[], Any]]) -> None:
+        self._folder = folder
+        self._next = {id(make): make for make in makes}
+        self._paths: dict[int, Path] = {}
+        self._ahead: dict[int, Future[Path]] = {}
+        self._thread = ThreadPoolExecutor(1, "pixsim ahead")
+
+    def path(self, make: Callable[[], Any]) -> str:
+        """Return the path of the file that holds what a function makes."""
+        if id(make) not in self._paths:
+            if id(make) in self._ahead:
+                self._paths[id(make)] = self._ahead.pop(id(make)).result()
+            else:
+                self._paths[id(make)] = self._made(self._next.pop(id(make)))
+        self._make_ahead()
+        return str(self._paths[id(make)])
+
+    def _make_ahead(self) -> None:
+        """Begin with the next file, if none is being made and those that wait leave room."""
+        waiting = self._ahead.values()
+        if not self._next or not all(future.done() and not future.exception() for future in waiting):
+            return
+        if sum(future.result().stat().st_size for future in waiting) < AHEAD_BYTES:
+            first = next(iter(self._next))
+            self._ahead[first] = self._thread.submit(self._made, self._next.pop(first))
+
+    def _made(self, make: Callable[[], Any]) -> Path:
+        from joblib import dump
+
+        path, content = self._folder / f"{id(make)}.joblib", make()
+        with disk_faults_named(self._folder, self._folder, lambda: "TMPDIR sets another folder for temporary files."):
+            dump(content, path)
+        return path
+
+    def drop(self, make: Callable[[], Any]) -> None:
+        """Delete a file that no call needs any more."""
+        with suppress(OSError):
+            self._paths[id(make)].unlink()
+
+    def close(self) -> None:
+        """Wait for the file that is being made."""
+        self._thread.shutdown(cancel_futures=True)
 
 
 WATCH_S = 1.0  # between two looks at the parent

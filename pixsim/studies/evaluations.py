@@ -13,7 +13,7 @@ import math
 import os
 import shutil
 import threading
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -572,12 +572,33 @@ class Evaluations:
         finally:
             _recent.__dict__.clear()  # in this process; a worker keeps its last chain until its next task
 
-    def rows(self, samplings: Sequence[Sampling], progress: Progress | None = None) -> list[list[Row]]:
-        """Return the rows of each part's sampling, in its order, computing those that are missing.
+    def rows(self, samplings: Sequence[Sampling], progress: Progress | None = None) -> Generator[tuple[int, list[Row]]]:
+        """Yield the number of each part that has a sampling with its rows, in their order, as soon as all of them are known.
 
         Raises PixsimError if the file cannot be written; finished rows stay in it.
         """
         batches = self._batches(samplings)
+        keys = [
+            [
+                key
+                for technology, sensors in sampling.items()
+                for pitch_um, count in sensors.items()
+                for key in part.fingerprints.keys(technology, pitch_um, range(count)).values()
+            ]
+            for part, sampling in zip(self.parts, samplings, strict=True)
+        ]
+        unknown = [set(own) - self._done.keys() for own in keys]
+        parts_of: dict[str, list[int]] = {}
+        for number, own in enumerate(unknown):
+            for key in own:
+                parts_of.setdefault(key, []).append(number)
+
+        def known(numbers: Iterable[int]) -> Iterator[tuple[int, list[Row]]]:
+            for number in numbers:
+                if keys[number] and not unknown[number]:
+                    yield number, [self._done[key] | self.parts[number].case.columns for key in keys[number]]
+
+        yield from known(range(len(keys)))
         missing = total = sum(len(task.keys) for calls in batches for task, _ in calls)
         # A cluster gets the lights of all calls at once; processes of this machine get each one when it is due.
         together = batches if self._workers.client else [[call for calls in batches for call in calls]]
@@ -590,15 +611,10 @@ class Evaluations:
                 missing -= len(rows)
                 if progress:
                     progress(1 - missing / total)
-        return [
-            [
-                self._done[key] | part.case.columns
-                for technology, sensors in sampling.items()
-                for pitch_um, count in sensors.items()
-                for key in part.fingerprints.keys(technology, pitch_um, range(count)).values()
-            ]
-            for part, sampling in zip(self.parts, samplings, strict=True)
-        ]
+                changed = {number: None for row in rows for number in parts_of.pop(row["key"])}
+                for number in changed:
+                    unknown[number] -= {row["key"] for row in rows}
+                yield from known(changed)
 
     def _batches(self, samplings: Sequence[Sampling]) -> list[list[tuple[Task, Callable[[], SharedLight]]]]:
         """Return the tasks that are missing, each evaluation once, with the function that makes their light.
@@ -623,7 +639,9 @@ class Evaluations:
             }
             calls = [(task, makers[light]) for light in chosen for task in groups[light]]
             if len(chosen) > 1:
-                calls.sort(key=lambda call: call[0].place)
+                # The tasks of the very first light keep the workers busy while the next ones are made.
+                begin = None if batches or self._workers.jobs == 1 else makers[chosen[0]]
+                calls.sort(key=lambda call: (call[1] is not begin, call[0].place))
             batches.append(calls)
         return batches
 

@@ -6,6 +6,7 @@ Each type is a case of the study, with numbers of its own, evaluated at a few pi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from pixsim.base.progress import Progress
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.claims import scaling_rows
 from pixsim.studies.engine import Workers
-from pixsim.studies.evaluations import Evaluations, Part, Sampling, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, Part, Row, Sampling, study_pitches_um
 from pixsim.studies.indices import total_indices
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.uncertainty import (
@@ -122,20 +123,20 @@ def draw_types(
             parts.append(Part(Case(one, {"case": number, "draw": draw}), scenes, stored=False))
             samplings.append(few)
     evaluations = Evaluations(parts, folder / TYPES_FILE, workers)
+    count = len(sample.draws)
+    rows: list[list[Row]] = [[] for _ in parts]
+    curves: list[list[Curve]] = [[] for _ in parts]
     with evaluations.resumed():
-        rows = evaluations.rows(samplings, progress())
+        with closing(evaluations.rows(samplings, progress())) as found_rows:
+            for number, own_rows in found_rows:  # the workers go on while a curve is fitted
+                rows[number] = own_rows
+                curves[number] = [curve_of(parts[number].study, name, own_rows) for name in samplings[number]]
         evaluations.finish(rows)
     found = []
-    count = len(sample.draws)
     for number, base in enumerate(bases):
-        own_rows = rows[number * count : (number + 1) * count]
-        own_parts = parts[number * count : (number + 1) * count]
-        curves = [
-            [curve_of(part.study, curve.technology, each) for curve in base.curves]
-            for part, each in zip(own_parts, own_rows, strict=True)
-        ]
         for place, curve in enumerate(base.curves):
-            outcomes = [_outcome(of_type, place, base, asked) for of_type in curves]
+            of_types = curves[number * count : (number + 1) * count]
+            outcomes = [_outcome(of_type, place, base, asked) for of_type in of_types]
             inputs = sample if asked.total else sample_of(sample, curve.technology)
             found.append(summarise(inputs, outcomes, asked.draws, study.seed, curve.label if len(result.curves) > 1 else ""))
     return found

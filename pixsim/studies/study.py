@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -597,15 +597,16 @@ def evaluate_cases(
             changed = group
             while changed:
                 # Cases that have met their target stay, so that their lights are not prepared again.
-                found_rows = evaluations.rows([samplings[n] if n in changed else {} for n in range(len(made))], progress())
+                wanted = [samplings[number] if number in changed else {} for number in range(len(made))]
                 again = []
-                for number in changed:
-                    study, rows[number] = made[number].study, found_rows[number]
-                    curves[number] = tuple(curve_of(study, technology, rows[number]) for technology in study.technologies)
-                    more = next_round(study, curves[number], samplings[number])
-                    if more != samplings[number]:
-                        again.append(number)
-                    samplings[number] = more
+                with closing(evaluations.rows(wanted, progress())) as found_rows:
+                    for number, own_rows in found_rows:  # the workers go on while a curve is fitted
+                        study, rows[number] = made[number].study, own_rows
+                        curves[number] = tuple(curve_of(study, technology, own_rows) for technology in study.technologies)
+                        more = next_round(study, curves[number], samplings[number])
+                        if more != samplings[number]:
+                            again.append(number)
+                        samplings[number] = more
                 changed = again
             evaluations.end_group()
         evaluations.finish(rows)

@@ -23,6 +23,7 @@ from pixsim.base import cache
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Axis, Study, merge, nested, pixel_of
 from pixsim.cli.options import axes_of
+from pixsim.studies import evaluations, study as study_module
 from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number, combinations
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study, prepare, warn_of_idle_axes
@@ -413,6 +414,17 @@ def test_study_sensors_are_drawn_once_for_all_lights(tmp_path: Path, monkeypatch
     pixsim.study(small(axis=[LIGHTS | {"count": 3}], resolution=64), tmp_path, jobs=1)
     assert len(rows(tmp_path)) == 3 * 5 * 2
     assert len(drawn) == len(set(drawn)) == 5 * 2
+
+
+def test_study_curves_are_fitted_while_others_are_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process fits the curve of a light, of which one at a time fits into memory, before the evaluations of the next one."""
+    order: list[str] = []
+    fit, evaluate = study_module.curve_of, evaluations.evaluate_task
+    monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 1)
+    monkeypatch.setattr(study_module, "curve_of", lambda *given: order.append("fit") or fit(*given))
+    monkeypatch.setattr(evaluations, "evaluate_task", lambda *given: order.append("evaluate") or evaluate(*given))
+    pixsim.study(small(axis=[LIGHTS | {"count": 2}], resolution=64), tmp_path, jobs=1)
+    assert order == 2 * [*(5 * ["evaluate"]), "fit"]
 
 
 @pytest.mark.slow  # test_engine starts workers

@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+import joblib
 import numpy as np
 import pytest
 from helpers.processes import HANG_S, signalled
@@ -28,7 +29,7 @@ import pixsim
 from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.studies import engine, evaluations
-from pixsim.studies.engine import Workers, results_of, workers_for
+from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
 from pixsim.studies.study import load_study
 from pixsim.viewer.score import ImagingChain
 
@@ -72,6 +73,32 @@ def test_results_of_yields_every_call_once(jobs: int) -> None:
     actual = sorted(results_of(double, [(task, first if task % 2 else second) for task in range(20)], Workers(jobs)))
     assert jobs == 1 or sorted(made) == ["first", "second"], "what is shared is made once"
     assert actual == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
+
+
+@pytest.mark.parametrize(("room_bytes", "most"), [(1, 3), (1 << 20, 4)])
+def test_shared_files_are_made_ahead_as_far_as_there_is_room(
+    room_bytes: int, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In little room one file waits. Each is made once, in order, whether it was asked for or not."""
+    monkeypatch.setattr(engine, "AHEAD_BYTES", room_bytes)
+    made: list[int] = []
+    makes = [partial(lambda number: made.append(number) or np.full(9, number), number) for number in range(4)]
+    with contextlib.closing(SharedFiles(tmp_path, makes)) as files:
+        for number in range(most - 1):
+            deadline = time.monotonic() + HANG_S
+            while number + 1 not in made and time.monotonic() < deadline:
+                files.path(makes[min(number, 1)])
+        assert joblib.load(files.path(makes[1]))[0] == 1
+    assert made == list(range(most))
+    files.drop(makes[1])
+    assert len(list(tmp_path.iterdir())) == most - 1
+
+
+def test_shared_files_error_is_raised_when_the_file_is_asked_for(tmp_path: Path) -> None:
+    with contextlib.closing(SharedFiles(tmp_path, [int, broken := partial(int, "none"), float])) as files:
+        files.path(int), files.path(int)
+        with pytest.raises(ValueError, match="none"):
+            files.path(broken)
 
 
 def test_results_of_dead_worker_is_retried(tmp_path: Path) -> None:
