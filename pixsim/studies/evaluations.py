@@ -157,6 +157,7 @@ class ResultsFile:
 
 
 REPEATS_PER_TASK = 8  # evaluations after which a worker reports
+FILES_OF_MEMORY = 2  # lights in files, for each that is stored in memory: fewer batches draw the same sensors again
 Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors; both in order
 
 
@@ -619,7 +620,7 @@ class Evaluations:
     def _batches(self, samplings: Sequence[Sampling]) -> list[list[tuple[Task, Callable[[], SharedLight]]]]:
         """Return the tasks that are missing, each evaluation once, with the function that makes their light.
 
-        The lights of a batch fit into memory together. Its tasks with the same sensors follow one another.
+        The lights of a batch fit together into memory, or into some files. Its tasks with the same sensors follow one another.
         """
         groups: dict[object, list[Task]] = {}
         lights: dict[object, tuple[Part, str]] = {}
@@ -632,10 +633,13 @@ class Evaluations:
                     done |= set(task.keys.values())
                     groups.setdefault(light, []).append(task)
         batches: list[list[tuple[Task, Callable[[], SharedLight]]]] = []
-        for first in range(0, len(groups), self._capacity):
-            chosen = list(groups)[first : first + self._capacity]
+        # Processes of this machine have lights in files, and share them.
+        size = self._capacity * (FILES_OF_MEMORY if self._workers.jobs > 1 else 1)
+        for first in range(0, len(groups), size):
+            chosen = list(groups)[first : first + size]
             makers: dict[object, Callable[[], SharedLight]] = {
-                light: partial(self._light, first, *lights[light]) for light in chosen
+                light: partial(self._light, first if len(chosen) <= self._capacity else number, *lights[light])
+                for number, light in enumerate(chosen, first)
             }
             calls = [(task, makers[light]) for light in chosen for task in groups[light]]
             if len(chosen) > 1:
@@ -646,7 +650,7 @@ class Evaluations:
         return batches
 
     def _light(self, batch: int, part: Part, technology: str) -> SharedLight:
-        """Return a light of a batch; those of the batch before are dropped."""
+        """Return a light; those of another batch are dropped. In a batch that does not fit into memory, each counts as one."""
         if batch != self._batch:
             self._clear()
             self._batch = batch

@@ -72,7 +72,7 @@ class FilmError:
 
     @property
     def for_other_noise(self) -> FilmError:
-        """The error of a film that is surely met, for the same sight with less light or more noise: that tenth."""
+        """The error of a film that is surely met, for the same sight with less light, more noise or more blur: that tenth."""
         return replace(self, delta_e=(SURELY * TOLERATED_DELTA_E,) * len(self.delta_e))
 
     @property

@@ -1,8 +1,9 @@
 """What the pixels of a study's cases see on their films: of those that see the same, the film of the clearest is measured.
 
 The error of a film is detail that its samples miss, and noise hides detail. So where a film is fine enough in one case by a wide
-margin (`FilmError.surely_met`), it is so in all cases that see the same picture with less light or more noise. Measured on films of
-1024 samples with 3 sensors, 3 lenses, 4 displays and 1 to 1000 cd/m²: errors of 1e-6 to 3e-4 ΔE, in no order by light.
+margin (`FilmError.surely_met`), it is so in all cases that see the same picture with less light, more noise or more blur by
+diffraction. Measured on films of 1024 samples with 3 sensors, 3 lenses, 4 displays and 1 to 1000 cd/m²: errors of 1e-6 to 3e-4 ΔE,
+in no order by light.
 """
 
 from __future__ import annotations
@@ -30,12 +31,15 @@ ROUNDING = 10.0**-DIGITS
 class Sight:
     """What pixels see of a picture on its film.
 
-    what : hash of the picture relative to display white, of lens, display, exposure, correction and pixels without their noise
+    what : hash of the picture relative to display white, of the camera without its f-number, of display, exposure, correction and
+        pixels without their noise
+    f_number : a larger one blurs the picture more; 0 for pixels with a stack, which see the angles of light: theirs is in `what`
     white_e_per_s : photo-electrons of display white, for each pixel
     noise : for each pixel, its dark current and the standard deviations of its noise and its fixed pattern
     """
 
     what: str
+    f_number: float
     white_e_per_s: tuple[float, ...]
     noise: tuple[tuple[float, ...], ...]
 
@@ -54,12 +58,15 @@ class Sight:
         light = [
             electrons_per_joule(physics, image) * image.factors[0] / white for physics, white in zip(pixels, whites, strict=True)
         ]
+        # A chart without the light's fall-off, which has no detail; a stack collects light by its angle.
+        by_lens = chart is not None and not any(p.stack for p in pixels)
+        picture = chart.digest if chart and by_lens else np.ascontiguousarray(image.planes).data
         what: dict[str, Any] = {
-            "picture": hashlib.blake2b(np.ascontiguousarray(image.planes).data, digest_size=16).hexdigest(),
+            "picture": hashlib.blake2b(picture, digest_size=16).hexdigest(),
             "film": [image.shape, image.pitch_um, image.header.get("diffraction")],
             "light": [(values / values.max()).round(DIGITS).tolist() for values in light],
             "brightest": [f"{values.max():.{DIGITS}g}" for values in light],
-            "camera": camera.model_dump(),
+            "camera": camera.model_dump(exclude={"f_number"} if by_lens else set()),
             "display": display.model_dump(exclude={"white_cd_per_m2"}),
             "exposure": [exposure.model_dump(), study.correction.model_dump()],
             # In a time that is set, bright light saturates pixels; an automatic one leaves them below their well.
@@ -88,20 +95,26 @@ class Sight:
             for p in pixels
         ]
         white_e_per_s = [white * collecting_area_um2(image, camera, p) for white, p in zip(whites, pixels, strict=True)]
-        return cls(content_hash(what), tuple(white_e_per_s), tuple(noise))
+        return cls(content_hash(what), camera.f_number if by_lens else 0.0, tuple(white_e_per_s), tuple(noise))
+
+    @property
+    def order(self) -> tuple[Any, ...]:
+        """A place for sorting, which is not behind those of sights that this is as clear as."""
+        return self.f_number, [-white for white in self.white_e_per_s], self.noise
 
     def is_as_clear_as(self, other: Sight) -> bool:
-        """Return whether this shows the same as the other, with no less light and no more noise."""
+        """Return whether this shows the same as the other, with no less light, and no more noise or blur."""
         brighter = np.array(self.white_e_per_s) >= np.array(other.white_e_per_s) * (1 - ROUNDING)
         cleaner = np.array(self.noise) <= np.array(other.noise) * (1 + ROUNDING)
-        return self.what == other.what and bool(brighter.all() and cleaner.all())
+        sharper = self.f_number <= other.f_number
+        return self.what == other.what and sharper and bool(brighter.all() and cleaner.all())
 
 
 def clearest(sights: Mapping[str, Sight]) -> dict[str, str]:
     """Return for each name the name of a sight that is as clear and shows the same, from as few different ones as possible."""
-    by_light = sorted(sights, key=lambda name: ([-white for white in sights[name].white_e_per_s], sights[name].noise))
+    clear_first = sorted(sights, key=lambda name: sights[name].order)
     chosen: dict[str, str] = {}
-    for name in by_light:
+    for name in clear_first:
         others = (other for other in dict.fromkeys(chosen.values()) if sights[other].is_as_clear_as(sights[name]))
         chosen[name] = next(others, name)
     return chosen

@@ -36,10 +36,10 @@ def lights_of(patch: pytest.MonkeyPatch, **over: Any) -> tuple[list[Case], list[
     return list(cases), render_all(cases, None, lambda _: lambda *_: None, Workers(1), store=lambda image: image), measured
 
 
-def test_film_is_measured_once_for_each_lens(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_film_is_measured_for_the_brightest_light_and_the_sharpest_lens(monkeypatch: pytest.MonkeyPatch) -> None:
     cases, lights, measured = lights_of(monkeypatch, axis=[LIGHT, LENS], resolution=512)
-    assert measured == ["light 1000, lens 2.8", "light 1000, lens 8"]
-    assert [film.delta_e == (SURELY * TOLERATED_DELTA_E,) * 3 for _, _, film in lights] == [True, True, False, False]
+    assert measured == ["light 1000, lens 2.8"]
+    assert [film.delta_e == (SURELY * TOLERATED_DELTA_E,) * 3 for _, _, film in lights] == [True, True, False, True]
     for case, (image, _, film) in zip(cases, lights, strict=True):
         alone, _, own = render_for(case.study)
         assert image.header == alone.header
@@ -75,6 +75,9 @@ def test_film_of_the_least_noise_is_measured(axis: dict[str, Any], least: str, m
         ),  # a darker picture on the same display
         (False, {"axis": [LIGHT | {"set": "display.samples_per_deg", "values": [10.0, 12.0]}]}),
         (False, {"axis": [LIGHT | {"set": "pixel.fill_factor", "values": [0.2, 0.3]}]}),
+        (True, {"axis": [LENS]}),
+        (False, {"axis": [LENS], "pixel": {"stack": {"height_um": 3.0, "index": 1.5}}}),  # which sees the angles of the light
+        (False, {"axis": [LENS | {"set": "camera.focal_length_mm", "values": [3.8, 4.0]}]}),
     ],
 )
 def test_film_of_another_sight_is_measured(is_same: bool, over: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,8 +91,8 @@ def test_film_that_is_not_surely_fine_is_measured_in_each_case(monkeypatch: pyte
 
 
 def test_clearest_has_most_light_and_least_noise() -> None:
-    def sight(white: float, noise: float, what: str = "a") -> Sight:
-        return Sight(what, (white, 2 * white), ((noise, 1.0), (noise, 2.0)))
+    def sight(white: float, noise: float, what: str = "a", f_number: float = 2.0) -> Sight:
+        return Sight(what, f_number, (white, 2 * white), ((noise, 1.0), (noise, 2.0)))
 
     sights = {
         "dim": sight(1, 1),
@@ -97,6 +100,8 @@ def test_clearest_has_most_light_and_least_noise() -> None:
         "brightest": sight(10, 3),
         "other": sight(99, 0, "b"),
         "noisy": sight(2, 5),
+        "blurred": sight(10, 3, f_number=4.0),
+        "blurred, but brighter": sight(11, 3, f_number=4.0),
     }
     assert clearest(sights) == {
         "dim": "bright",
@@ -104,4 +109,6 @@ def test_clearest_has_most_light_and_least_noise() -> None:
         "brightest": "brightest",
         "other": "other",
         "noisy": "brightest",
+        "blurred": "brightest",
+        "blurred, but brighter": "blurred, but brighter",
     }
