@@ -11,8 +11,9 @@ lamp as white, over the 18 chromatic patches (ISO 17321-1).
 
 That a matrix which is right in colour amplifies noise is well known, and so are fits that weigh both: P. L. Vora and C. Herley,
 ICIP (1998); Y.-P. Tan and T. Acharya, US patent application 2003/0194128; S. H. Lim and A. Silverstein, CIC 12 (2004) 76. Here
-both parts have one unit, that of ΔE, and no weight is free. Observers mind noise less than its ΔE per pixel says, by 40 % or more
-(H. Kuniba and R. S. Berns, CIC 16 (2008) 232): the covariance should be that of what they see, of means over a dot.
+both parts have one unit, that of ΔE, and no weight is free. To observers, noise had 40 % or less of the effect of a colour
+difference of the same ΔE (H. Kuniba and R. S. Berns, CIC 16 (2008) 232): the covariance should be that of what they see, of means
+over a dot.
 
 A mean of distances is not smooth where a patch is right. It is minimised as √(d² + ε²), for ε from 1 ΔE down to 10⁻⁷ ΔE.
 """

@@ -30,6 +30,7 @@ from pixsim.viewer.display import SPLINE_DEGREE, average_axis
 
 Method = Literal["bilinear", "malvar2004", "menon2007", "interpolate"]
 BAYER = {"rggb": ("RG", "GB"), "grbg": ("GR", "BG"), "gbrg": ("GB", "RG"), "bggr": ("BG", "GR")}
+MAX_VALUE = 1e300  # sums of these do not overflow
 MAX_CELL = 16  # pixels along a side of the unit cell
 MENON_REACH = 8  # pixels: 4 that decide on the direction, 2 for green and for red or blue, 2 of the refinement
 SPLINE_REACH = 16  # pixels, over which a cubic spline forgets its ends to 1e-9
@@ -64,8 +65,8 @@ def demosaic(mosaic: Array, pattern: str | Sequence[str], method: Method = "bili
     if min(values.shape[0] - len(cell), values.shape[1] - len(cell[0])) < 0:
         got = f"{values.shape[0]} × {values.shape[1]} pixels"
         raise invalid("mosaic", got, f"at least the unit cell of {len(cell)} × {len(cell[0])} pixels")
-    if not np.isfinite(values).all():
-        raise invalid("mosaic", f"{np.count_nonzero(~np.isfinite(values))} values that are not finite", "finite numbers")
+    if wrong := np.count_nonzero(~(np.abs(values) <= MAX_VALUE)):
+        raise invalid("mosaic", f"{wrong} values that are not finite or too large", f"finite numbers up to {MAX_VALUE:g}")
     if method == "menon2007":
         planes = _menon(np.pad(values, MENON_REACH, mode="reflect"), cell)[:, MENON_REACH:-MENON_REACH, MENON_REACH:-MENON_REACH]
     elif cell in BAYER.values():

@@ -162,6 +162,8 @@ def test_invalid_mosaic_or_variance_raises() -> None:
         demosaic(np.ones((4, 3)), QUAD, "interpolate")
     with pytest.raises(PixsimError, match="mosaic: got 1 values that are not finite"):
         demosaic(np.where(np.eye(3) * [1, 0, 0], np.nan, 1.0), "rggb")
+    with pytest.raises(PixsimError, match="too large"):
+        demosaic(np.full((4, 4), -1e301), "rggb", "malvar2004")
     for variance, says in ([1.0, 2.0], "R, G, B"), ([1.0, -1.0, 0.0], "below 0"), (1.0, "shape"):
         with pytest.raises(PixsimError, match=says):
             demosaic_covariance("rggb", "bilinear", variance)
