@@ -21,7 +21,7 @@ from pixsim.studies.conditions import Compromise, Regret, compromises_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
-from pixsim.studies.result import StudyResult, alike_words, interval_words, within_words
+from pixsim.studies.result import StudyResult, alike_words, fresnel_column, interval_words, within_words
 
 SHOWN_CASES = 4  # with a report of their own
 SHOWN_COMPROMISES = 6  # with a figure of their own
@@ -112,7 +112,7 @@ def optima_table(result: StudyResult) -> dict[str, Column]:
         row |= {"inside": str(best.inside), "mean_delta_e": best.mean_delta_e}
         for name, value in row.items():
             table.setdefault(name, []).append("" if value is None else value)
-    return dict(table)
+    return dict(table) | fresnel_column(result.curves, [curve.optimum.pitch_um for curve in result.curves])
 
 
 def axes_lines(result: StudyResult, compromises: Sequence[Compromise]) -> list[str]:

@@ -25,7 +25,7 @@ from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_
 from pixsim.show.pages import Column, Plate
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
-from pixsim.studies.result import Curve, StudyResult, interval_columns, with_ends
+from pixsim.studies.result import DOUBTFUL, Curve, StudyResult, fresnel_column, interval_columns, with_ends
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -208,6 +208,11 @@ class Line:
         cutoffs = [float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)) for camera in self.cameras]
         return 1e3 / (2 * np.array(cutoffs))
 
+    @property
+    def doubtful_um(self) -> Array:
+        """The pitch below which the model of the microlenses is doubtful, for each curve; NaN without microlenses."""
+        return np.array([np.nan if curve.doubtful_below_um is None else curve.doubtful_below_um for curve in self.curves])
+
 
 class Grid:
     """The curves of a study by their technology, condition and values of the axes that are not moved alone.
@@ -287,7 +292,7 @@ def case_columns(result: StudyResult, curves: Sequence[Curve], axes: Sequence[st
 OWN_COLUMNS = (
     *("technology", "condition", "axis", "value", "optimum_um", "interval_low_um", "interval_high_um", "inside", "alike"),
     *("mean_delta_e", "mean_delta_e_low", "mean_delta_e_high", "pitch_um", "within_1_percent_low_um", "within_1_percent_high_um"),
-    "cutoff_pitch_um",
+    *("cutoff_pitch_um", "fresnel_number"),
 )
 
 
@@ -316,6 +321,7 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
         "mean_delta_e": [each.mean_delta_e for each in best],
         "mean_delta_e_low": [each.mean_delta_e_interval[0] for each in best],
         "mean_delta_e_high": [each.mean_delta_e_interval[1] for each in best],
+        **fresnel_column(curves, [each.pitch_um for each in best]),
     }
 
 
@@ -499,6 +505,7 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
         "Points of one value stand side by side." if len(lines) > 1 else "",
         open_words(curves),
         hollow_words(curves, "Hollow"),
+        doubtful_words(curves),
         left_out,
         without(grid.scales),
     )
@@ -541,6 +548,14 @@ def hollow_words(curves: Sequence[Curve], mark: str) -> str:
     return f"{mark}: {', or '.join(why)}." if why else ""
 
 
+def doubtful_words(curves: Sequence[Curve]) -> str:
+    """Return where the model of the microlenses is doubtful, if that is among the sizes tried."""
+    limits_um = [curve.doubtful_below_um for curve in curves if curve.doubtful.any() and curve.doubtful_below_um is not None]
+    if not limits_um:
+        return ""
+    return f"Below {span(*(f'{value:.3g}' for value in (min(limits_um), max(limits_um))))} µm {DOUBTFUL}."
+
+
 def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
     """Plot the fitted mean ΔE over pixel size and axis, with the optimum, its 1 % valley and the lens's limit."""
     from matplotlib.cm import ScalarMappable
@@ -581,8 +596,9 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
     )
     bar.ax.minorticks_off()
     cutoff_um = np.concatenate([line.cutoff_um for line in lines])
-    in_view = bool(((cutoff_um >= low_um) & (cutoff_um <= high_um)).any())
-    shown = RIDGE if in_view else RIDGE[:-1]
+    limits_um = cutoff_um, np.concatenate([line.doubtful_um for line in lines])
+    in_view = [True, True, *(bool(((sizes >= low_um) & (sizes <= high_um)).any()) for sizes in limits_um)]
+    shown = [each for each, seen in zip(RIDGE, in_view, strict=True) if seen]
     handles = [Line2D([], [], label=label, **style, **haloed(halo)) for label, style, halo in shown]
     figure.legend(
         handles=handles, fontsize=SMALL_PT, loc="outside lower center", ncols=3, facecolor="0.75", handlelength=LEGEND_LINE
@@ -592,6 +608,7 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
         trends("the least mean ΔE", lines, seen_delta_e, scale),
         f"Fitted mean ΔE over pixel size and {scale.name}, with the optimum and the sizes within 1 % of its error.",
         cutoff_words(cutoff_um, low_um, high_um),
+        doubtful_words(curves),
         hollow_words(curves, "Hollow points"),
         held_words,
         left_out,
@@ -600,11 +617,13 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
     return Plate(name, caption, figure, map_table(grid, lines))
 
 
-# The optimum, the 1 % valley and the lens's limit: label, style, and colour of the halo that makes it visible on any colour.
+# The optimum, the 1 % valley, and the limits of the lens and of the microlenses' model: label, style, and colour of the halo that
+# makes it visible on any colour.
 RIDGE: tuple[tuple[str, dict[str, Any], str], ...] = (
     ("optimum", {"color": "white", "ls": "-", "lw": 1.4, "marker": "o", "ms": 4.5, "mec": "white", "mfc": "black"}, "black"),
     ("within 1 % of its error", {"color": "white", "ls": (0, (4, 2)), "lw": 1.2}, "black"),
     ("Nyquist frequency = lens's cut-off", {"color": "black", "ls": (0, (1, 1.2)), "lw": 1.8}, "white"),
+    ("microlens: Fresnel number 1", {"color": "black", "ls": "-", "lw": 1.0}, "white"),
 )
 
 
@@ -616,15 +635,16 @@ def haloed(colour: str) -> dict[str, Any]:
 
 
 def draw_ridge(axes: Axes, scale: Scale, line: Line) -> None:
-    """Draw the optimum, the 1 % valley and the lens's limit over a map: lines along numbers, a step for each category."""
+    """Draw the optimum, the 1 % valley and the limits over a map: lines along numbers, a step for each category."""
     within_um = np.array([with_ends(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
     sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
-    (_, ridge, halo), (_, valley, valley_halo), (_, limit, limit_halo) = RIDGE
+    (_, ridge, halo), (_, valley, valley_halo), (_, limit, limit_halo), (_, doubt, doubt_halo) = RIDGE
     line_only = {key: value for key, value in ridge.items() if not key.startswith("m")}
     for sizes, style, around in (
         (sizes_um, line_only, halo),
         *((edge_um, valley, valley_halo) for edge_um in within_um.T),
         (line.cutoff_um, limit, limit_halo),
+        (line.doubtful_um, doubt, doubt_halo),
     ):
         if scale.numeric:
             across = scale.edges if len(sizes) == 1 else scale.places
@@ -759,6 +779,7 @@ def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
         "within_1_percent_low_um": low_um,
         "within_1_percent_high_um": high_um,
         "cutoff_pitch_um": cutoffs_um,
+        **fresnel_column(curves, pitch_um),
     }
     return grid.columns(curves) | more
 
@@ -797,6 +818,7 @@ def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
         *(extremes(label, own, (across, up)) for label, own in blocks),
         f"Optimal pixel size and least mean ΔE over {across.name} and {up.name}.",
         hollow_words(curves, "Hatched"),
+        doubtful_words(curves),
         held_words,
         left_out,
         without([across, up]),
@@ -923,6 +945,7 @@ def alone_plate(result: StudyResult) -> Plate | None:
         *(strongest(group, scales) for group in groups),
         "Each axis moved alone about the base (vertical line, grey: its 95 % interval); a wider bar means a stronger influence.",
         hollow_words(curves, "Hollow points"),
+        doubtful_words(curves),
         left_out,
     )
     table: dict[str, Column] = case_columns(result, curves, [])

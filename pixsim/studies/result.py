@@ -142,6 +142,18 @@ class Curve:
         return np.asarray((none if self.fresnel_number is None else self.fresnel_number) < 1)
 
     @property
+    def doubtful_below_um(self) -> float | None:
+        """Pitch below which the model of the microlenses is doubtful: a Fresnel number of 1; None without microlenses."""
+        if self.fresnel_number is None:
+            return None
+        return float(self.pitch_um[0] / np.sqrt(self.fresnel_number[0]))
+
+    @checks_arguments
+    def fresnel_at(self, pitch_um: float) -> float | None:
+        """Return the Fresnel number of the microlens at any pitch, to whose square it is proportional; None without microlenses."""
+        return None if self.doubtful_below_um is None else (pitch_um / self.doubtful_below_um) ** 2
+
+    @property
     def sensors(self) -> Array:
         """Number of sensors of each pitch, (pitches,)."""
         return np.asarray(np.isfinite(self.delta_e).sum(axis=1))
@@ -546,11 +558,19 @@ def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: st
         "band: sizes whose error is within 1 % of the minimum."
     )
     if any(curve.doubtful.any() for curve in curves):
-        caption += (
-            " Hollow points: the microlens has a Fresnel number below 1, where the model of its diffraction is doubtful "
-            "(column fresnel_number)."
-        )
+        caption += f" Hollow points: {DOUBTFUL}."
     return Plate(name, caption, figure, curve_table(curves))
+
+
+DOUBTFUL = "the microlens has a Fresnel number below 1, where the model of its diffraction is doubtful (column fresnel_number)"
+
+
+def fresnel_column(curves: Sequence[Curve], pitch_um: Sequence[float]) -> dict[str, Column]:
+    """Return the column of Fresnel numbers of curves at a pitch each, empty without microlenses; none if no curve has some."""
+    numbers = [curve.fresnel_at(size) for curve, size in zip(curves, pitch_um, strict=True)]
+    return (
+        {"fresnel_number": ["" if each is None else each for each in numbers]} if any(each is not None for each in numbers) else {}
+    )
 
 
 def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:

@@ -11,6 +11,8 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
+from pixsim.report.axes import optima_table
+from pixsim.report.maps import axis_plates
 from pixsim.studies.result import curve_table, delta_e_against_pitch
 
 LENS = {"height_um": 100.0, "index": 1.5, "microlens": "square", "shift": "optimal"}
@@ -38,6 +40,33 @@ def test_study_marks_sizes_where_the_model_is_doubtful(tmp_path: Path) -> None:
     hollow = [line for line in plate.figure.axes[0].lines if line.get_markerfacecolor() == "white" and len(line.get_xdata()) == 3]
     assert len(hollow) == 1
     np.testing.assert_array_equal(hollow[0].get_xdata(), PITCHES_UM[:3])
+
+
+def test_study_of_bare_and_lensed_pixels_marks_the_lensed_ones(tmp_path: Path) -> None:
+    """In the table of optima, the tables and captions of maps, and the curve's numbers of summary.json; bare ones have none."""
+    axis = {"name": "aperture", "set": "pixel.stack.microlens", "values": ["none", "square"]}
+    pixel = {"stack": {key: value for key, value in LENS.items() if key != "microlens"}, "infrared_cut_nm": 650.0}
+    study = tiny(name="aperture", resolution=96, pitch={"values_um": PITCHES_UM}, pixel=pixel, axis=[axis])
+    with warnings.catch_warnings(action="ignore"):
+        result = pixsim.study(study, tmp_path / "out", jobs=1)
+    bare, lensed = result.curves
+    assert bare.fresnel_number is bare.doubtful_below_um is bare.fresnel_at(7.0) is None
+    assert lensed.doubtful_below_um is not None
+    assert 9.0 < lensed.doubtful_below_um < 15.0
+    assert lensed.fresnel_number is not None
+    assert lensed.fresnel_at(7.0) == pytest.approx(lensed.fresnel_number[1], rel=1e-12)
+    assert "fresnel_number" not in bare.as_dict()
+    table = optima_table(result)["fresnel_number"]
+    assert table[0] == ""
+    assert table[1] == pytest.approx((lensed.optimum.pitch_um / lensed.doubtful_below_um) ** 2)
+    for plate in axis_plates(result):
+        below = f"Below {lensed.doubtful_below_um:.3g} µm the microlens has a Fresnel number below 1"
+        assert below in plate.caption
+        numbers = dict(zip(plate.table["aperture"], plate.table["fresnel_number"], strict=True))
+        assert numbers["none"] == ""
+        assert float(numbers["square"]) > 0
+    (labels,) = ([text.get_text() for text in plate.figure.legends[0].get_texts()] for plate in axis_plates(result)[1:])
+    assert "microlens: Fresnel number 1" in labels
 
 
 def test_study_refuses_a_wrong_stack_before_it_renders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
