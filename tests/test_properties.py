@@ -249,7 +249,7 @@ MESSAGE = re.compile(
     r"got .+; allowed: .+|no real image forms|must be at least (?:0\.5|1e-06)|is not below the highest code|"
     r"state the same quantity|Give full_well_e|exceeds \w+ = |keeps a charge: "
 )
-EXPECTED_WARNING = ".*(brighter than display white|Usual causes)"
+EXPECTED_WARNING = ".*(brighter than display white|Usual causes|pixel\\.stack at )"
 
 
 @contextmanager

@@ -443,8 +443,8 @@ class PixelPhysics:
         if self.stack is None or self.efficiency_f_number is None:
             return None
         own = self.pixel
-        stated_um = own.data_sheet_pitch_um if self._efficiency_is_of_sheet else self.technology.quantum_efficiency_pitch_um
-        pitch_um = own.quantum_efficiency_pitch_um or stated_um or self.pitch_um
+        sheet_um = own.data_sheet_pitch_um if self._efficiency_is_of_sheet else self.technology.quantum_efficiency_pitch_um
+        pitch_um = own.quantum_efficiency_pitch_um or sheet_um or self.pitch_um
         side_um = self.stack.photodiode_side_um
         if pitch_um != self.pitch_um:
             fill_factor = own.fill_factor or float(fill_factor_law(pitch_um, self.technology))
@@ -452,7 +452,8 @@ class PixelPhysics:
                 allowed = f"above {smallest_pitch_um(self.technology):.4g} µm, the smallest pixel of {self.technology.name}"
                 raise invalid("quantum_efficiency_pitch_um", f"{pitch_um:g}", allowed)
             side_um = math.sqrt(fill_factor) * pitch_um
-        height_um = max(self.stack.height_um, LOWEST_LENS * pitch_um)
+        stated_um = self.charge.height_um if self.charge else None  # a wide microlens lies higher
+        height_um = max(stated_um or self.stack.height_um, LOWEST_LENS * pitch_um)
         return Stack(pitch_um, side_um, height_um, self.stack.index, refraction=self.stack.refraction)
 
     @property
@@ -715,26 +716,36 @@ def has_microlens(pixel: PixelOptions, technology: Technology) -> bool:
 
 
 def largest_pitch_um(pixel: PixelOptions, technology: Technology) -> float:
-    """Return the largest pitch for which a microlens is possible in a pixel's stack, h √π; infinity without a microlens.
+    """Return the largest pitch for which a microlens is possible at the height that a pixel gives, h √π.
+
+    Infinity without a microlens, and with a technology's height, which wide lenses exceed (`stack_of`).
 
     Raises PixsimError as `stack_options` does.
     """
-    options = stack_options(pixel, technology)
-    if options is None or options.height_um is None or not has_microlens(pixel, technology):
+    if pixel.stack is None or pixel.stack.height_um is None or not has_microlens(pixel, technology):
         return math.inf
-    return options.height_um / LOWEST_LENS
+    return pixel.stack.height_um / LOWEST_LENS
 
 
-def stack_of(options: StackOptions, pitch_um: float, photodiode_side_um: float) -> Stack:
-    """Return the stack of a pixel. Raises PixsimError as `Stack` does, with the name of the setting."""
-    assert options.height_um is not None
+def stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) -> Stack:
+    """Return the stack of a pixel from the `stack_options` of it.
+
+    The height of a technology is that of its small pixels. A microlens on a wider one than h √π lies higher, at the lowest
+    possible height, since makers would not build one that cannot focus.
+
+    Raises PixsimError as `Stack` does, with the name of the setting.
+    """
+    height_um, pitch_um = options.height_um, pixel.pitch_um
+    assert height_um is not None
     assert options.index is not None
+    if options.microlens == "square" and (pixel.stack is None or pixel.stack.height_um is None):
+        height_um = max(height_um, LOWEST_LENS * pitch_um)
     shift: tuple[float, float] | Literal["optimal"] = options.shift_um or (0.0, 0.0)
     if options.shift == "optimal":
         shift = "optimal"
     lens, refraction = options.microlens == "square", options.refraction or "exact"
     try:
-        return Stack(pitch_um, min(photodiode_side_um, pitch_um), options.height_um, options.index, lens, shift, refraction)
+        return Stack(pitch_um, min(photodiode_side_um, pitch_um), height_um, options.index, lens, shift, refraction)
     except PixsimError as error:
         raise PixsimError(f"pixel.stack.{error}") from None
 
@@ -831,7 +842,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         hot_pixel_fraction=hot_fraction,
         hot_pixel_median=hot_median,
         hot_pixel_spread=hot_spread,
-        stack=None if charge is None else stack_of(charge, pixel.pitch_um, math.sqrt(area_um2)),
+        stack=None if charge is None else stack_of(charge, pixel, math.sqrt(area_um2)),
         charge=charge,
     )
 

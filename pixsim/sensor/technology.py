@@ -127,7 +127,9 @@ class Technology(Record):
         0.0, description="s of the fill-factor law, in feature sizes: width lost at every pitch"
     )
     stack_height_um: StackHeight | None = Field(
-        None, description="height of the microlens or opening above the photodiode; None: no stack unless the pixel gives one"
+        None,
+        description="height of the microlens or opening above the photodiode; microlenses wider than √π times it lie at 1/√π of "
+        "their pitch; None: no stack unless the pixel gives one",
     )
     stack_index: RefractiveIndex | None = Field(None, description="refractive index of the stack")
     stack_microlens: MICROLENSES | None = Field(None, description="'square' or 'none'")

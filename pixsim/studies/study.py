@@ -49,6 +49,7 @@ from pixsim.studies.evaluations import (
     Row,
     Sampling,
     first_sampling,
+    largest_lens_um,
     study_pitches_um,
     warn_of_clipped_white,
     warn_of_stacks,
@@ -451,7 +452,9 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
     """
     scene, camera = scene_for(study, variant)
-    largest, tried = [physics_of(study, study.technologies[0], study.pitch.max_um)], measured_pixels(study)
+    first = study.technologies[0]
+    largest_um = min(study.pitch.max_um, largest_lens_um(study, first))
+    largest, tried = [physics_of(study, first, largest_um)], measured_pixels(study)
     scene, plan = first_film(study, scene, camera)
     plan_of = partial(study_plan, camera=camera, study=study)
     options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress}

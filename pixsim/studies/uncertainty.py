@@ -23,7 +23,7 @@ from pixsim.base.arguments import brief, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
 from pixsim.base.config import spreads_of_study
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.parameters import MIN_FRACTION, PixelOptions, Record, Spread, Study, excluded_by
+from pixsim.base.parameters import MIN_FRACTION, PixelOptions, Record, Spread, StackOptions, Study, excluded_by, stack_excluded_by
 from pixsim.sensor.technology import Junction, Technology, label_of, technology_of
 from pixsim.show.figures import COLOURS, literal, new_figure
 from pixsim.show.pages import Column, Plate, rows_csv
@@ -240,9 +240,18 @@ def unknowns_of_study(study: Study, uncertainty: Mapping[str, Mapping[str, Sprea
             unknowns += unknowns_of_sheet(study.sensors[name], spreads[name], name)
         pixel = study.options_of(name)
         given = {field for field in type(pixel).model_fields if getattr(pixel, field) is not None}
-        given = given.union(study.process.get(name, {}), excluded_by(given))
+        given = given.union(study.process.get(name, {}), excluded_by(given), given_for_process(pixel))
         unknowns += unknowns_of_technology(technology_of(study, name), name, sorted(given))
     return unknowns
+
+
+def given_for_process(pixel: PixelOptions) -> set[str]:
+    """Return the numbers of a technology that a pixel replaces by other names: of its stack, and with its read noise."""
+    replaced = set() if pixel.read_noise_e is None else {"read_noise_after_gain_e"}
+    if pixel.stack is None:
+        return replaced
+    own = set(StackOptions.model_fields) if not pixel.stack.enabled else set(pixel.stack.model_dump(exclude_none=True))
+    return replaced | {f"stack_{name}" for name in own | stack_excluded_by(own)}
 
 
 @checks_arguments

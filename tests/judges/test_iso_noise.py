@@ -34,20 +34,21 @@ NOISE_GATE, LIGHT_GATE, SATURATION_GATE, SPEED_GATE = 0.005, 0.002, 0.002, 0.02
 SIDE = 400
 WELL_SHARES = 0.02, 0.13, 0.6
 Case = tuple[str, float, int, int]  # technology, pitch in µm, bits, frames
-CASES: tuple[Case, ...] = (("0.35um", 5.3, 12, 16), ("0.35um", 15.0, 14, 16), ("4t-bsi", 1.2, 12, 64))
+CASES: tuple[Case, ...] = (("0.35um", 5.3, 12, 16), ("0.35um", 15.0, 14, 16), ("4t-bsi", 1.4, 12, 64))
 MORE_CASES: tuple[Case, ...] = (("0.35um", 6.5, 12, 16), ("0.5um", 9.0, 12, 16), ("0.25um", 5.0, 12, 16),
                                 ("0.18um", 3.0, 12, 16), ("4t-fsi", 2.2, 12, 128))  # fmt: skip
 
 
 def pixel_of(case: Case) -> Pixel:
-    return Pixel(technology=case[0], pitch_um=case[1], bits=case[2])
+    """Without a stack, so that the light on the photodiode is what these formulas have."""
+    return Pixel(technology=case[0], pitch_um=case[1], bits=case[2], stack={"enabled": False})
 
 
 def injected_dn(experiment: Experiment, signal_e: float) -> tuple[float, float]:
     """Temporal and fixed-pattern noise of a device in DN, from its parameters and maps."""
     p = experiment.physics
     dark_e = p.dark_current_e_per_s * experiment.integration_s
-    temporal_e2 = signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2
+    temporal_e2 = signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2 + p.read_noise_after_gain_e**2
     assert experiment.sensor.gain is not None
     pattern_e = dark_map_e(experiment) + signal_e * experiment.sensor.gain
     return math.sqrt(temporal_e2 * p.dn_per_e**2 + 1 / 12), float(pattern_e.std() * p.dn_per_e)

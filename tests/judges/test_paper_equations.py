@@ -73,7 +73,7 @@ def measured_db(physics: PixelPhysics, side: int, *key: object) -> dict[str, flo
 def equations_db(physics: PixelPhysics) -> dict[str, float]:
     """Equations (1) and (2) in dB, implemented independently."""
     dark_e, well_e = physics.dark_current_e_per_s * SECONDS, physics.full_well_e
-    variance_e2 = physics.reset_noise_e**2 + physics.read_noise_e**2 + dark_e
+    variance_e2 = physics.reset_noise_e**2 + physics.read_noise_e**2 + physics.read_noise_after_gain_e**2 + dark_e
     decibels = {"DR": 20 * math.log10((well_e - dark_e) / math.sqrt(variance_e2))}
     for share in WELL_SHARES:
         decibels[f"SNR at {100 * share:g} %"] = 20 * math.log10(share * well_e / math.sqrt(variance_e2 + share * well_e))

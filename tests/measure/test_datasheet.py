@@ -191,7 +191,7 @@ def test_make_experiment_too_few_bits_raises(pixel: dict[str, float]) -> None:
 
 def test_make_experiment_default_wavelength_is_peak_response() -> None:
     for technology in ("0.35um", "4t-bsi"):
-        physics = derive(Pixel(technology=technology, infrared_cut_nm=650))
+        physics = derive(Pixel(technology=technology, infrared_cut_nm=650, stack={"enabled": False}))
         peak = peak_wavelength_nm(physics)
         everywhere = physics.quantum_efficiency(np.arange(300.0, 1100.0))
         assert pixel_efficiency(physics, peak) == pytest.approx(everywhere.max() * physics.fill_factor)

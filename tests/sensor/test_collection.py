@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, collected_shares
 from pixsim.sensor.collection import (
     Illumination,
+    check_efficiency,
     collected_fraction,
     collection_of,
     even_light,
@@ -31,7 +33,7 @@ from pixsim.sensor.collection import (
 )
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.integration import collecting_area_um2, illumination_of, integrate_pixels, mean_signal_rate, pixels_on
-from pixsim.sensor.pixel import derive, physics_of
+from pixsim.sensor.pixel import PixelPhysics, derive, physics_of, smallest_pitch_um
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.studies.cases import cases_of
 from pixsim.studies.evaluations import study_pitches_um
@@ -389,6 +391,78 @@ def test_microlens_of_a_technology_is_switched_off_by_the_pixel() -> None:
     assert collected_fraction(bare, light) == pytest.approx(collected_shares(bare.stack, pupil).sum() / of_lens, rel=1e-12)
     assert bare.fill_factor * 0.9 < collected_fraction(bare, light) < bare.fill_factor / of_lens
     assert 0.9 < of_lens < 0.99
+
+
+PINNED = {"4t-bsi": 1.4, "4t-fsi": 6.0}  # pitches of the sensors behind the packaged 4T processes
+
+
+@pytest.mark.parametrize(("name", "pitch_um"), PINNED.items())
+def test_packaged_stacks_pass_the_stated_efficiency(name: str, pitch_um: float) -> None:
+    """A whole pixel of the sensor behind the file has the stated efficiency at f/8; so it must have at all ends of all ranges.
+
+    The photodiode's is larger by what the lens loses, which is little there: 0.9 to 1 as makers state it for lenses over fill
+    factors of 0.3 and more.
+    """
+    technology = load_technology(name)
+    pixel = Pixel(technology=name, pitch_um=pitch_um)
+    assert technology.quantum_efficiency_pitch_um == pitch_um
+    for nm in (450.0, 550.0, 650.0):
+        stated = float(derive(pixel).quantum_efficiency(nm))
+        assert pixel_efficiency(derive(pixel), nm) == pytest.approx(stated, rel=1e-10)
+        assert stated < stated / passed_by_lens(derive(pixel), nm) < stated / 0.9
+    numbers = "peak_quantum_efficiency", "stack_height_um", "stack_index", "fill_factor_limit", "fill_factor_zero_pitch_features"
+    for ends in product(*(technology.ranges[number] for number in numbers)):
+        check_efficiency(derive(pixel, technology.with_numbers(dict(zip(numbers, ends, strict=True)), "ends")))
+
+
+def passed_by_lens(physics: PixelPhysics, nm: float) -> float:
+    """Share of even light at f/8 that a pixel's own stack passes to photodiodes."""
+    assert physics.stack is not None
+    return float(collected_shares(physics.stack, elliptic_pupil(numerical_aperture(8.0)), [nm]).sum())
+
+
+@pytest.mark.parametrize("name", PINNED)
+def test_packaged_stacks_lose_light_as_published_pixels_do(name: str) -> None:
+    """Effective fill factors at f/2.8: lenses make 90 % or more of 30 to 60 % (data sheets); bare pixels keep below it.
+
+    On the way to the wavelength lenses no longer help.
+    """
+    light = Illumination((550.0,), (1.0,), CameraPupil(2.8, math.inf))
+
+    def effective(pitch_um: float, microlens: str) -> float:
+        given = {"quantum_efficiency_includes": "photodiode", "stack": {"microlens": microlens}}
+        return collected_fraction(derive(Pixel(technology=name, pitch_um=pitch_um, **given)), light)
+
+    for pitch_um in (3.0, 6.0):
+        fill_factor = derive(Pixel(technology=name, pitch_um=pitch_um)).fill_factor
+        assert 0.9 < effective(pitch_um, "square") < 1.0
+        assert 0.7 * fill_factor < effective(pitch_um, "none") < fill_factor
+    small_um = smallest_pitch_um(load_technology(name)) * 1.4
+    assert effective(small_um, "square") < 0.8
+
+
+@pytest.mark.parametrize("name", PINNED)
+def test_microlens_of_a_technology_is_as_high_as_it_must_be(name: str) -> None:
+    """Its height is that of small pixels; the lens of a wide one lies at p/√π, its lowest place. A pixel's own height is kept."""
+    technology = load_technology(name)
+    height_um = technology.numbers["stack_height_um"]
+    widest_um = height_um * math.sqrt(math.pi)
+
+    def stack(pitch_um: float, **given: Any) -> Stack:
+        found = derive(Pixel(technology=name, pitch_um=pitch_um, stack=given)).stack
+        assert found is not None
+        return found
+
+    assert stack(0.99 * widest_um).height_um == height_um
+    assert stack(15.0).height_um == pytest.approx(15.0 / math.sqrt(math.pi), rel=1e-12)
+    assert stack(15.0, microlens="none").height_um == height_um
+    assert stack(15.0, height_um=9.0).height_um == 9.0
+    measured = [derive(Pixel(technology=name, pitch_um=pitch_um)).efficiency_stack for pitch_um in (1.7, 15.0)]
+    assert measured[0] == measured[1], "the sensor behind the file is the same one"
+    with pytest.raises(PixsimError, match=r"pixel\.stack\.height_um: got 4; allowed: at least p/√π = 8\.46"):
+        stack(15.0, height_um=4.0)
+    study = Study(name="x", technologies=[name])
+    assert study_pitches_um(study, name).max() == study.pitch.max_um == 15.0
 
 
 def test_bare_pixel_may_be_wider_than_a_microlens() -> None:

@@ -438,7 +438,9 @@ def test_capture_equals_its_stages(options):
     offset += [p.column_fpn_e * rng.standard_normal((1, 30))] if p.column_fpn_e else []
     rng = np.random.default_rng(3)
     level = np.minimum(rng.poisson(mean_e * gain + dark).astype(float), p.full_well_e)
-    level = level + np.hypot(p.reset_noise_e, p.read_noise_e) * rng.standard_normal(mean_e.shape)
+    level = level + np.hypot(p.reset_noise_e, np.hypot(p.read_noise_e, p.read_noise_after_gain_e)) * rng.standard_normal(
+        mean_e.shape
+    )
     for item in offset:
         level = level + item
     dn = np.clip(np.rint(level * p.dn_per_e + p.pixel.black_level_dn), 0, 2**p.pixel.bits - 1)

@@ -18,7 +18,7 @@ PINNED = ["4t-bsi", "4t-fsi"]
 OPTIONAL = {
     *("reset_noise_factor", "response_curve", "fill_factor_inset_features", "read_noise_after_gain_e"),
     *("dark_current_perimeter_pa_per_cm", "hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"),
-    *("prnu_um", "a_vt_mv_um", "follower_area_um2"),  # in place of others
+    *("prnu", "prnu_um", "a_vt_mv_um", "follower_area_um2"),  # one in place of another
 }
 OPTIONAL |= {name for name in Technology.model_fields if name.startswith(("stack_", "quantum_efficiency_"))}
 T035 = load_technology("0.35um")

@@ -419,7 +419,12 @@ def test_study_of_a_draw_has_its_numbers(tmp_path) -> None:
     assert quantities[""] == {"read_noise_e"}
     assert quantities["0.35um"] == set(load_technology("0.35um").ranges) - {"dsnu"}, "the study sets it"
     assert quantities[str(sheet)] == {"full_well_e"}
-    assert quantities[str(mixed)] == set(load_technology("4t-bsi").ranges), "DSNU by its own uncertainty"
+    given = {"prnu_um", "read_noise_e", "read_noise_after_gain_e"}  # by the data sheet's PRNU, and by [pixel]
+    assert quantities[str(mixed)] == set(load_technology("4t-bsi").ranges) - given, "DSNU by its own uncertainty"
+    for stack, known in (({"enabled": False}, {"height_um", "index", "crosstalk"}), ({"height_um": 3.0}, {"height_um"})):
+        own = Study(name="b", technologies=["4t-bsi"], pixel={"stack": stack})
+        left = set(load_technology("4t-bsi").ranges) - {f"stack_{name}" for name in known}
+        assert {unknown.quantity for unknown in unknowns_of_study(own)} == left
     base = study.model_dump(mode="json", exclude_unset=True)
     for draw in sample_types(unknowns, 8).draws:
         drawn = Study.model_validate(merge(base, settings_of(study, unknowns, draw)))

@@ -117,7 +117,7 @@ def test_dark_clip_matches_shown_black_area() -> None:
     camera, display = Camera(die_mm=0.64), Display(dots=16, bits=16, white_cd_per_m2=1000.0)
     exposure = Exposure(integration_s=5e-4)
     dark = SpectralImage([550.0], 10.0, 40.0, data=np.zeros((16, 16, 1)), header={"diffraction": False})
-    pixel = Pixel(technology="4t-bsi", pitch_um=1.6, column_fpn=0)
+    pixel = Pixel(technology="4t-bsi", pitch_um=1.6, column_fpn=0, stack={"enabled": False})
     physics = derive(pixel)
     white_e = white_rate(dark, camera, physics, display) * physics.photodiode_area_um2 * 5e-4
     clip = dark_clip(physics, 5e-4, white_e)
