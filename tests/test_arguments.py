@@ -129,6 +129,7 @@ OWN: dict[str, Any] = {
     "pixsim.base.parameters.Camera.from_lens_geometry.die_mm": 2.7,
     "pixsim.SpectralImage.factors": None, "pixsim.SpectralImage.pitch_um": 100.0,
     "pixsim.viewer.display.picture_size_um.irradiance": LIGHT, "pixsim.optics.stack_collection.index": 1.5,
+    "pixsim.Camera.lights_like.other": CAMERA,
     "pixsim.colour_matrix.wavelength_nm": np.arange(400.0, 701.0, 10.0), "pixsim.colour_matrix.method": "least_delta_e",
     **dict.fromkeys((f"pixsim.optics.lens.Lens.{name}.wavelength_nm" for name in (
         "first_order", "field_of_height", "image_circle_mm", "fresnel_transmittance")), 550.0),
