@@ -379,10 +379,24 @@ def dark(sheet: DataSheet) -> list[Entry]:
     return entries
 
 
-def highest_dn(physics: PixelPhysics) -> float:
-    """Full scale in DN: the ADC's top code, or the level of a full well below it."""
-    black, top = physics.pixel.black_level_dn, float(2**physics.pixel.bits - 1)
-    return top if physics.adc_range_e <= physics.full_well_e else black + physics.full_well_e * physics.dn_per_e
+def mean_offset_e(experiment: Experiment) -> float:
+    """Mean offset of the device's pixels: that of a few columns need not be 0."""
+    offsets = experiment.sensor.offset_e, experiment.sensor.column_offset_e
+    return float(sum(each.mean() for each in offsets if each is not None))
+
+
+def highest_dn(experiment: Experiment) -> float:
+    """Full scale of the device in DN: the ADC's top code, or the level of a full well below it."""
+    p = experiment.physics
+    full_e = p.full_well_e + mean_offset_e(experiment)
+    return float(2**p.pixel.bits - 1) if p.adc_range_e <= full_e else p.pixel.black_level_dn + full_e * p.dn_per_e
+
+
+def largest_light_e(experiment: Experiment) -> float:
+    """Mean photo-electrons at the full scale of the device: what its mean dark charge and offset leave of well and ADC range."""
+    p, gain = experiment.physics, experiment.sensor.dark_gain
+    dark_e = p.dark_current_e_per_s * experiment.integration_s * (1.0 if gain is None else float(gain.mean()))
+    return min(p.full_well_e, p.adc_range_e - mean_offset_e(experiment)) - dark_e
 
 
 def noise(sheet: DataSheet) -> list[Entry]:
@@ -398,7 +412,7 @@ def noise(sheet: DataSheet) -> list[Entry]:
     dark_noise = Estimate(
         math.sqrt(sheet.dark_stack.temporal_dn2), math.sqrt(dark_dn2 / 2 / sheet.pixels / (sheet.dark_stack.frames - 1))
     )
-    full_dn = Estimate(highest_dn(p) - sheet.dark.mean_dn)
+    full_dn = Estimate(highest_dn(e) - sheet.dark.mean_dn)
     at = "from the parameters, at 13 % of saturation"
     return [
         line(NOISE, "temporal noise", "σ_temp", "DN", temporal, math.sqrt(temporal_dn2), at),
@@ -407,7 +421,7 @@ def noise(sheet: DataSheet) -> list[Entry]:
         line(NOISE, "signal over total noise at 13 %", "Q", "dB", decibel(signal / total),
              20 * math.log10(k * signal_e / math.sqrt(temporal_dn2 + fixed_dn2)), "from the parameters and this device's maps"),
         line(NOISE, "dynamic range", "DR_ISO", "dB", decibel(full_dn / dark_noise),
-             20 * math.log10(k * (p.saturation_e - dark_e) / math.sqrt(dark_dn2)), "full scale over temporal dark noise")
+             20 * math.log10(k * largest_light_e(e) / math.sqrt(dark_dn2)), "full scale over temporal dark noise")
     ]  # fmt: skip
 
 
@@ -416,13 +430,12 @@ def speed(sheet: DataSheet) -> list[Entry]:
     e, rising, p = sheet.experiment, sheet.rising, sheet.experiment.physics
     per_lx_s = estimators.daylight_e_per_lx_s(p)
     lx_s_per_photon = e.efficiency / per_lx_s
-    top = Estimate(highest_dn(p) - sheet.dark.mean_dn)
+    top = Estimate(highest_dn(e) - sheet.dark.mean_dn)
     filling = top / sheet.transfer.responsivity_dn_per_p * lx_s_per_photon
-    dark_e = p.dark_current_e_per_s * e.integration_s
     of_daylight = f"CIE D65, {per_lx_s:.4g} e- per lx·s"
     entries = [
         line(SPEED, "saturation-based speed", "S_sat", "", Estimate(estimators.SATURATION_SPEED_LX_S) / filling,
-             estimators.SATURATION_SPEED_LX_S * per_lx_s / (p.saturation_e - dark_e), f"78 / H_sat; {of_daylight}")
+             estimators.SATURATION_SPEED_LX_S * per_lx_s / largest_light_e(e), f"78 / H_sat; {of_daylight}")
     ]  # fmt: skip
     lx_s, mean = rising.at[:-1] * lx_s_per_photon, rising.mean_dn[:-1] - sheet.dark.mean_dn
     deviation = np.sqrt(rising.frame_variance_dn2[:-1])

@@ -7,10 +7,12 @@ import pytest
 
 from pixsim import optics
 from pixsim.accuracy import stability
-from pixsim.accuracy.stability import photodiode
+from pixsim.accuracy.stability import photodiode, sensor
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.stack import stack_collection
 from pixsim.sensor.integration import electrons_per_joule, integrate_pixels, mean_signal_rate, pixel_count
 from pixsim.sensor.photodiode import collected_charge_e
+from pixsim.sensor.pixel import PixelPhysics
 
 
 def padded(picture, pitch_um, nm, weight, f_number):
@@ -66,3 +68,24 @@ def test_cases_with_wrong_charge_fail(monkeypatch):
     assert all(case.passed for case in photodiode.constant_capacitance())
     monkeypatch.setattr(photodiode, "collected_charge_e", lambda i, t, d: (1 + 1e-7) * collected_charge_e(i, t, d))
     assert not all(case.passed for case in photodiode.constant_capacitance())
+
+
+def test_cases_of_a_stack_with_a_wrong_pupil_fail(monkeypatch):
+    """2 % in the f-number, which collects more than étendue allows."""
+    assert all(case.passed for case in sensor.stacks())
+
+    def slower(*sizes, f_number, **more):
+        return stack_collection(*sizes, f_number=1.02 * f_number, **more)
+
+    monkeypatch.setattr(sensor, "stack_collection", slower)
+    failed = [case.name for case in sensor.stacks() if not case.passed]
+    assert len(failed) >= 2
+    assert "light beyond étendue at f/0.5, from the lowest microlens on" in failed
+
+
+def test_cases_of_gain_with_noise_on_the_wrong_side_fail(monkeypatch):
+    assert all(case.passed for case in sensor.gains())
+    monkeypatch.setattr(
+        PixelPhysics, "read_noise_at_gain_e", property(lambda p: np.hypot(p.read_noise_e, p.read_noise_after_gain_e))
+    )
+    assert not all(case.passed for case in sensor.gains())

@@ -15,9 +15,9 @@ from pixsim.base.arrays import stream
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import MIN_FRACTION, Exposure, Pixel
 from pixsim.measure import datasheet, estimators
-from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_moments, make_datasheet, variance_peak_e
+from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_moments, make_datasheet, mean_offset_e, variance_peak_e
 from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_plates, described, sheet_name, spectrogram, write_datasheet
-from pixsim.measure.estimators import Estimate, Series, Stack
+from pixsim.measure.estimators import Estimate, Series, Stack, daylight_e_per_lx_s
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import dark_spread_e, frame_mean_dn, frame_variance_dn2, least_black_level_dn, read_out, sample_sensor
@@ -244,8 +244,7 @@ HOT: dict[str, float] = {"dsnu": 0.1, "hot_pixel_fraction": 0.01, "hot_pixel_med
 @pytest.mark.parametrize(
     ("options", "gain_db"),
     [
-        # Small offsets: their mean over the columns of a device is part of its full scale, which S_sat's true value leaves out.
-        ({"pitch_um": 5.3, "read_noise_after_gain_e": 60.0, "prnu": 0.004, "column_fpn": 1e-5}, 12.0),
+        ({"pitch_um": 5.3, "read_noise_after_gain_e": 60.0, "prnu": 0.004}, 12.0),
         ({"pitch_um": 5.3, "read_noise_after_gain_e": 60.0, "adc_full_scale_e": 90_000.0}, 6.0),
         (LAYOUT | HOT, 0.0),
     ],
@@ -263,6 +262,22 @@ def test_entries_at_gain_and_with_mismatch_within_standard_errors(options: dict[
     assert by_symbol(made)["σ_d"].true == pytest.approx(math.sqrt(noise_e2 + dark_e), rel=1e-12)
     assert (f"{gain_db:g} dB" in described(made)) == (gain_db > 0)
     assert not any("hot pixels" in note for note in made.notes)
+
+
+@pytest.mark.parametrize(("seed", "options"), [(1, {}), (2, {}), (1, {"adc_full_scale_e": 2e5})])
+def test_saturation_speed_is_that_of_the_device(seed: int, options: dict[str, float]) -> None:
+    """A mean offset, as of few columns, takes part of the range of the ADC; a well below it holds the same light."""
+    pixel = Pixel.model_validate({"pitch_um": 5.3, "bits": 14, "column_fpn": 0.01, "dsnu": 0.0} | options)
+    made = make_datasheet(pixel, shape=(60, 60), stack_frames=8, seed=seed)
+    e, p = made.experiment, made.experiment.physics
+    offset_e = mean_offset_e(e)
+    assert abs(offset_e) > 2e-4 * p.full_well_e
+    for symbol in ("S_sat", "DR_ISO"):
+        entry = by_symbol(made)[symbol]
+        assert abs(entry.measured - entry.true) <= 4.5 * entry.standard_error, entry
+    held_e = 78 * daylight_e_per_lx_s(p) / by_symbol(made)["S_sat"].true
+    left_e = min(0.0, -offset_e) if "adc_full_scale_e" not in options else 0.0
+    assert held_e == pytest.approx(p.full_well_e + left_e - p.dark_current_e_per_s * e.integration_s, rel=1e-9)
 
 
 def test_datasheet_of_full_hot_pixels_says_so() -> None:

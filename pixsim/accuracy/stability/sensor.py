@@ -1,4 +1,5 @@
-"""Pixels from 0.3 to 100 µm, exposures from 1 ns to 10 h, 1 to 24 bits, 77 to 400 K, against closed forms and exact sums."""
+"""Pixels from 0.3 to 100 µm, exposures from 1 ns to 10 h, 1 to 24 bits, 77 to 400 K, gains from 0 to 60 dB, and stacks from 1 nm
+to 10 mm high behind f/0.5 to f/10⁶, against closed forms and exact sums."""
 
 from __future__ import annotations
 
@@ -13,6 +14,8 @@ from scipy.stats import norm, poisson
 from pixsim.accuracy.stability import QUIET, ROUNDING, Case, compare, compare_drawn
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Exposure, Pixel
+from pixsim.optics.pupil import elliptic_pupil
+from pixsim.optics.stack import Stack, collected_shares, stack_collection
 from pixsim.sensor import readout as sensors
 from pixsim.sensor.integration import integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
@@ -27,7 +30,7 @@ BOLTZMANN_J_PER_K, ELECTRON_C = 1.380649e-23, 1.602176634e-19
 
 def cases() -> Iterator[Case]:
     physical = _pitches, _fill_factors, _grids, _times, _dark_current, _saturated
-    for group in (*physical, _converters, _temperatures, _fixed_patterns):
+    for group in (*physical, _converters, gains, _temperatures, _fixed_patterns, stacks):
         yield from group()
 
 
@@ -218,6 +221,77 @@ def _converters() -> Iterator[Case]:
     variance = 0.5e12 * ((2**24 - 1001) / 1e12) ** 2 + 1 / 12
     error = variance * math.sqrt(2 / codes.size)
     yield compare_drawn("zero read noise, 24 bits: variance", variance, codes.var(), error, "shot noise + 1/12")
+
+
+def gains() -> Iterator[Case]:
+    """Read noise before the amplifier is that of the electrons, noise behind it that of the codes."""
+    gains_db = (0.0, 0.1, 6.0, 20.0, 40.0, 60.0)
+    times = 10 ** (np.array(gains_db) / 20)
+    noisy = physics_of(full_well_e=1e5, bits=16, black_level_dn=4000, read_noise_e=0.5, read_noise_after_gain_e=30.0)
+    per_e = (2**16 - 4001) / 1e5
+    codes = np.stack([frame(noisy.at_gain(gain_db), 0.0) for gain_db in gains_db])
+    variances = per_e**2 * ((0.5 * times) ** 2 + 30**2) + 1 / 12
+    errors = (codes.var(axis=(1, 2)) - variances) / (variances * math.sqrt(2 / codes[0].size))
+    source = "(before · gain)² + after² + 1/12, in codes"
+    yield compare_drawn("dark variance at 0 … 60 dB, in standard errors", 0.0, errors, 1.0, source)
+    off = (codes.mean(axis=(1, 2)) - 4000) / np.sqrt(variances / codes[0].size)
+    yield compare_drawn("mean dark code at 0 … 60 dB, in standard errors", 0.0, off, 1.0, "the black level")
+    half_e = 0.5 * 1e5 / times
+    means = np.array([frame(noisy.at_gain(g), e).mean() for g, e in zip(gains_db, half_e.tolist(), strict=True)])
+    error = np.sqrt((per_e**2 * (half_e * times**2 + (0.5 * times) ** 2 + 30**2) + 1 / 12) / codes[0].size)
+    wanted = 4000 + (2**16 - 4001) / 2
+    name = "half of the ADC's range at 0 … 60 dB: mean code, in standard errors"
+    yield compare_drawn(name, 0.0, (means - wanted) / error, 1.0, "half of the codes above black")
+    above = zip(gains_db[2:], times.tolist()[2:], strict=True)
+    full = [frame(noisy.at_gain(gain_db), 4e5 / gain, shape=(4, 4)).min() for gain_db, gain in above]
+    yield compare("four times the ADC's range at 6 … 60 dB: every code", 65535.0, full, 0.0, "exactly the top code")
+
+
+def stacks() -> Iterator[Case]:
+    """Shares of light that photodiodes below microlenses and openings collect."""
+    fills, heights_um = (1e-12, 1e-6, 0.3, 1.0), (1e-3, 1.0, 1e4)
+    bare = [stack_collection(3.0, 3 * math.sqrt(f), h, 1.5, f_number=1e12, microlens=False) for f in fills for h in heights_um]
+    wanted = [fill for fill in fills for _ in heights_um]
+    yield compare(
+        "bare pixel behind a pinhole, FF 1e-12 … 1, height 1 nm … 10 mm", wanted, [s[1, 1] for s in bare], ROUNDING, "fill factor"
+    )
+    lenses = [(n, h, i) for n in (0.5, 1.4, 8.0, 1e3, 1e6) for h in (4.0, 100.0, 1e4) for i in (1.0, 1.5, 10.0)]
+
+    def spread_um(f_number: float, height_um: float, index: float) -> float:
+        return height_um / (index * math.hypot(1.0, 2 * f_number))
+
+    def share(f_number: float, height_um: float, index: float, side_um: float, **more: Any) -> float:
+        shares = stack_collection(6.0, side_um, height_um, index, f_number=f_number, refraction="paraxial", **more)
+        return float(shares[1, 1])
+
+    small = [(lens, min(0.7 * spread_um(*lens), 6.0)) for lens in lenses]  # its corner is within the disc of light
+    inside = [share(*lens, side) * math.pi * (spread_um(*lens) / side) ** 2 for lens, side in small]
+    source = "photodiode over disc, w²/(π (h NA/n)²); rounding of boundaries 1e-11 of a pupil"
+    yield compare("small photodiodes under microlenses, f/0.5 … f/1e6, height 4 µm … 10 mm, n 1 … 10", 1.0, inside, 1e-11, source)
+    wide = [lens for lens in lenses if 2 * spread_um(*lens) < 5.9]
+    all_of_it = [share(*lens, 2 * spread_um(*lens)) for lens in wide]
+    source = "1 at N = √((h/nw)² - ¼), where the disc touches the photodiode's sides"
+    yield compare("photodiodes as wide as the disc, f/0.5 … f/1e6", 1.0, all_of_it, 1e-11, source)
+    whole = [
+        stack_collection(6.0, 6.0, h, 1.5, f_number=n, chief_ray_deg=deg, azimuth_deg=30.0, microlens=lens).sum()
+        for n in (0.7, 4.0, 1e3) for deg in (0.0, 20.0) for lens in (True, False) for h in (3.5, 5.0)
+    ]  # fmt: skip
+    yield compare("photodiodes as wide as their pixels, 0 and 20°: all nine", 1.0, whole, 1e-11, "conservation")
+    side, high_um = 1e-3, 1e3
+    shifted = Stack(6.0, side, high_um, 1.5, microlens=True, shift_um="optimal")
+    pupil = elliptic_pupil(1e-10, [0.0, 30.0, 60.0, 89.0], 40.0)
+    hit = collected_shares(shifted, pupil)[:, 2, 2]
+    yield compare("chief rays of 0 … 89°, optimal shift, 1 mm below", 1.0, hit, 0.0, "exactly 1: on the centre of 1 nm")
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    nm = np.array([300.0, 550.0, 1200.0])
+    low = Stack(1.0, 0.4, 3.0, 1.5, microlens=True)
+    half = 0.4 * 1.5 / (2 * 3e-3 * nm)  # of the photodiode, in spots
+    energy = (half * (np.sinc(half[:, None] * nodes) ** 2 @ weights)) ** 2
+    spots = collected_shares(low, elliptic_pupil(0.0), nm)[:, 2, 2]
+    yield compare("diffraction of a microlens of 1 µm, 300 … 1200 nm", energy, spots, 1e-7, "∫ sinc² by quadrature; table 2e-8")
+    fast = [(f, share(0.5, h, 1.5, 6 * math.sqrt(f))) for f in (1e-6, 0.1, 0.9) for h in (3.3852, 4.0, 1e4)]
+    over = [max(0.0, got - f * 1.5**2 / 0.5) for f, got in fast]
+    yield compare("light beyond étendue at f/0.5, from the lowest microlens on", 0.0, over, 0.0, "at most FF · n²/NA²")
 
 
 def _temperatures() -> Iterator[Case]:
