@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +13,13 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Study
+from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
+from pixsim.optics.stack import collected_shares
 from pixsim.report.axes import optima_table
 from pixsim.report.maps import axis_plates
+from pixsim.sensor.pixel import photodiode_widths_um, physics_of
+from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import curve_table, delta_e_against_pitch
 
 LENS = {"height_um": 100.0, "index": 1.5, "microlens": "square", "shift": "optimal"}
@@ -67,6 +74,54 @@ def test_study_of_bare_and_lensed_pixels_marks_the_lensed_ones(tmp_path: Path) -
         assert float(numbers["square"]) > 0
     (labels,) = ([text.get_text() for text in plate.figure.legends[0].get_texts()] for plate in axis_plates(result)[1:])
     assert "microlens: Fresnel number 1" in labels
+
+
+@pytest.mark.parametrize(
+    ("technology", "ends_um", "height_um", "f_number", "of_pitch"),
+    [("0.35um", (5.3, 13.0), 8.0, 1.4, 0.02), ("4t-bsi", (0.7, 5.0), 3.0, 1.8, 0.0)],
+)
+def test_curve_is_smooth_against_the_photodiode_under_microlenses_too(
+    technology: str, ends_um: tuple[float, float], height_um: float, f_number: float, of_pitch: float
+) -> None:
+    """The smallest pixel collects a tenth of its light. The fit against the photodiode's width finds the optimum within 1 %.
+
+    of_pitch : least error against the pitch, where the photodiode nearly vanishes
+    """
+    study = Study(
+        name="x", technologies=(technology,), pixel={"stack": {"height_um": height_um, "index": 1.5, "microlens": "square"}}
+    )
+    fine_um, pupil = np.geomspace(*ends_um, 200), elliptic_pupil(numerical_aperture(f_number))
+    stacks = [physics_of(study, technology, pitch_um).stack for pitch_um in fine_um.tolist()]
+    share = np.array([collected_shares(stack, pupil, [550.0])[0, 2, 2] for stack in stacks if stack is not None])
+    assert share[-1] > 7 * share[0]
+    off: dict[str, list[float]] = {"photodiode": [], "pitch": []}
+    for blurred_um in (1.3 * ends_um[0], math.sqrt(ends_um[0] * ends_um[1])):
+        delta_e = np.hypot(0.5, (fine_um / blurred_um) ** 2) + blurred_um / (fine_um * np.sqrt(share))
+        pitches_um = np.geomspace(*ends_um, 12)
+        values = np.exp(np.interp(np.log(pitches_um), np.log(fine_um), np.log(delta_e)))
+        seen = values[:, None] * (1 + 1e-4 * np.random.default_rng(0).standard_normal((12, 8)))
+        for name, width in (("photodiode", partial(photodiode_widths_um, study, technology)), ("pitch", None)):
+            found = fit_curve(pitches_um, seen, width).optimum.pitch_um
+            off[name].append(abs(found / fine_um[np.argmin(delta_e)] - 1))
+    assert max(off["photodiode"]) < 0.01
+    assert max(off["pitch"]) >= of_pitch
+
+
+def test_gain_is_an_axis_of_a_study(tmp_path: Path) -> None:
+    """In bright light the time of automatic exposure falls with the ADC's range; read noise behind the amplifier counts less."""
+    pixel = {"read_noise_after_gain_e": 200.0, "bits": 12, "infrared_cut_nm": 650.0}
+    axis = {"name": "gain", "set": "exposure.gain_db", "values": [0, 20 * math.log10(4)]}
+    bright = {"file": "csf", "parameters": {"luminance_cd_per_m2": 1e5}}
+    study = tiny(name="gain", resolution=96, pitch={"values_um": PITCHES_UM}, pixel=pixel, axis=[axis], scene=bright)
+    with warnings.catch_warnings(action="ignore"):
+        result = pixsim.study(study, tmp_path / "out", jobs=1)
+    base, amplified = result.curves
+    np.testing.assert_allclose(base.mean("integration_s") / amplified.mean("integration_s"), 4.0, rtol=1e-9)
+    assert [part.study.exposure.gain_db for part in result.parts] == [0, pytest.approx(12.0412, abs=1e-4)]
+    noise = [physics_of(part.study, "0.35um", 6.0).read_noise_at_gain_e for part in result.parts]
+    plain = physics_of(study, "0.35um", 6.0).read_noise_e
+    assert noise[0] ** 2 - plain**2 == pytest.approx(16 * (noise[1] ** 2 - plain**2), rel=1e-9)
+    assert np.all(amplified.delta_e != base.delta_e)
 
 
 def test_study_refuses_a_wrong_stack_before_it_renders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
