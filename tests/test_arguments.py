@@ -132,7 +132,7 @@ OWN: dict[str, Any] = {
     "pixsim.Camera.lights_like.other": CAMERA,
     "pixsim.colour_matrix.wavelength_nm": np.arange(400.0, 701.0, 10.0), "pixsim.colour_matrix.method": "least_delta_e",
     **dict.fromkeys((f"pixsim.optics.lens.Lens.{name}.wavelength_nm" for name in (
-        "first_order", "field_of_height", "image_circle_mm", "fresnel_transmittance")), 550.0),
+        "first_order", "field_of_height", "image_circle_mm", "fresnel_transmittance", "ray_points")), 550.0),
     "pixsim.optics.lens.Lens.stopped_down.f_number": 8.0,
     "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
 }  # fmt: skip

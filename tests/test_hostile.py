@@ -733,7 +733,7 @@ def test_report_escapes_markup_of_files(line, tmp_path, monkeypatch):
 # --- Random changes ---------------------------------------------------------------------------------------------------------
 
 PICTURES = ["light.exr", "factors.exr", "light.npz", "chart.exr", "edge.npy", "raw.npz"]
-KINDS = ["config.toml", "study.toml", "technology.toml", "curve.csv", "scene.xml", "shipped.xml"]
+KINDS = ["config.toml", "study.toml", "technology.toml", "lens.toml", "lens.zmx", "curve.csv", "scene.xml", "shipped.xml"]
 KINDS += ["cube.hdr", "edge.png", "results.csv", *PICTURES]
 
 

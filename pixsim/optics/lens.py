@@ -39,9 +39,12 @@ AIM_STEPS = 30
 APPROACHES = 12  # to a field whose chief ray is not found from the axis
 KEPT_INDICES = 256  # sets of wavelengths
 BLOCK = 1 << 13  # rays at a time, so that they fit into a core's cache
-SPOKES_OF_OUTLINE = 256  # of light at an image point: exact for a round pupil, 1e-5 of the area for a vignetted one
+SPOKES_OF_OUTLINE = 256  # of light at an image point: 1e-5 of the area if clear apertures cut corners
+OUTLINE_START = 0.1  # of 1/N, in direction cosines: a fifth of a pupil's half width
+OUTLINE_STEPS, OUTLINE_REACH = (0.7, 0.85, 1.0, 1.15), 10.0  # of the distance to the foretold edge
+SMOOTH_SPOKES = 64  # where only the stop cuts; 1e-6 of the area
 MAX_SPOKES = 4096
-ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = 60, 1e-12, 1e-12  # of edges in direction cosines, and of field angles in degrees
+ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = 60, 1e-12, 1e-11  # of edges in direction cosines, and of field angles in degrees
 STEEPEST_DEG, FIELDS_TRIED = 89.0, 179
 WIDEST = 1e-9  # relative: an f-number in a few digits is the lens's own
 FOCUS_STEP_MM = 1e-3
@@ -620,15 +623,25 @@ class Lens:
         centre = np.where(dark, chief_cosine, centre)
 
         def excess(radius: Array) -> Array:
-            return self._widths(height, wavelength_nm, radius * cosine, centre[:, None] + radius * sine) - 1
+            along = [part[: radius.shape[1]] for part in (cosine, sine)]
+            return self._widths(height, wavelength_nm, radius * along[0], centre[:, None] + radius * along[1]) - 1
 
         horizon = -centre[:, None] * sine + np.sqrt(1 - (centre[:, None] * cosine) ** 2)
-        low, below = np.zeros(horizon.shape), np.full(horizon.shape, -1.0)
-        high = np.minimum(horizon, 0.75 / self.first_order(self.primary_nm).f_number)
+        # Outwards in steps to the first edge, which a small step foretells: beyond it, strong aspheres may let rays through again.
+        low = np.zeros(horizon.shape)
+        below = np.broadcast_to(np.minimum(excess(low[:, :1]), 0.0), horizon.shape)
+        near = np.minimum(horizon, OUTLINE_START / self.first_order(self.primary_nm).f_number)
+        with np.errstate(all="ignore"):
+            edge = -near * below / (excess(near) - below)
+        edge = np.where((edge > near) & (edge < horizon), edge, near)
+        high = OUTLINE_STEPS[0] * edge
         above = excess(high)
-        while np.any(inside := (above <= 0) & (high < horizon)):
+        for share in (*OUTLINE_STEPS[1:], *np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, OUTLINE_STEPS[-1] - OUTLINE_STEPS[-2])[1:]):
+            inside = (above <= 0) & (high < horizon)
+            if not inside.any():
+                break
             low, below = np.where(inside, high, low), np.where(inside, above, below)
-            high = np.where(inside, np.minimum(horizon, 1.5 * high), high)
+            high = np.where(inside, np.minimum(horizon, share * edge), high)
             above = np.where(inside, excess(high), above)
         radius = np.where(dark[:, None], 0.0, _root(excess, low, below, high, above))
         both = np.concatenate([radius, radius[:, ::-1]], axis=1)  # the mirror image: x < 0, from +y back to -y
@@ -661,7 +674,8 @@ class Lens:
         Raises PixsimError if a chief ray does not reach the image.
         """
         shape, fields, wavelengths = _conditions(field_deg, wavelength_nm)
-        area = self._outline(fields, wavelengths, SPOKES_OF_OUTLINE).area
+        corners = any(surface.clips for surface in self.prescription.surfaces)
+        area = self._outline(fields, wavelengths, SPOKES_OF_OUTLINE if corners else SMOOTH_SPOKES).area
         return np.asarray(area.reshape(shape)[()])
 
     @checks_arguments
@@ -700,6 +714,26 @@ class Lens:
         cosines = np.stack([outward * cosine + sideways * sine, outward * sine - sideways * cosine], axis=-1)
         chief = outline.chief_cosine[:, None] * np.concatenate([cosine, sine], axis=1)
         return Directions(cosines.reshape(*shape, -1, 2), weight.reshape(*shape, -1), chief.reshape(*shape, 2))
+
+    @checks_arguments
+    def ray_points(self, field_deg: float, wavelength_nm: float, stop_x: ArrayLike, stop_y: ArrayLike) -> Array:
+        """Return where rays meet the surfaces and the image plane, (P, surfaces + 1, 3), in mm from the first vertex: x, y, z.
+
+        stop_x, stop_y : over the stop's radius, broadcast together, then in one line, (P,); NaN for rays that are lost
+
+        Raises PixsimError if the chief ray does not reach the image.
+        """
+        _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        self._chief(fields, wavelengths)
+        _, x, y = _in_line(stop_x=stop_x, stop_y=stop_y)
+        surfaces, terms = self.prescription.surfaces, self._aim(fields, wavelengths)
+        across, along = (terms[:, : basis.shape[1], axis] @ basis.T for axis, basis in enumerate(_bases(x, y)))
+        indices, points, vertex = self._indices(wavelengths), [], 0.0
+        for surface, rays in zip(surfaces, trace(self._launched(fields, across, along), surfaces, indices), strict=True):
+            points.append([rays.x[0], rays.y[0], rays.z[0] + vertex])
+            vertex += surface.thickness_mm
+        rays = at_plane(rays, surfaces[-1].thickness_mm, indices[-1])
+        return np.array([*points, [rays.x[0], rays.y[0], rays.z[0] + vertex]]).transpose(2, 0, 1)
 
     # What a lens designer asks for ---------------------------------------------------------------------------------------
 

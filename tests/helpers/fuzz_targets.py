@@ -30,6 +30,7 @@ from pixsim.studies.study import load_study
 
 Reader = Callable[[Path], object]
 PACKAGE = Path(pixsim.__file__).parent
+DATA = Path(__file__).parents[1] / "data"
 NM = np.array([450.0, 550.0, 650.0])
 CONFIG = """
 seed = 3
@@ -99,6 +100,8 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
         "config.toml": (CONFIG, lambda path: SceneOptions([path]).settings()),
         "study.toml": ((PACKAGE / "data/studies/modern.toml").read_text(), load_study),
         "technology.toml": ((PACKAGE / "data/technologies/0.35um.toml").read_text(), lambda path: load_technology(str(path))),
+        "lens.toml": ((PACKAGE / "data/lenses/phone.toml").read_text(), lambda path: pixsim.load_lens(str(path))),
+        "lens.zmx": ((DATA / "lenses/US00583336-2-scaled.zmx").read_text(), lambda path: pixsim.load_lens(str(path))),
         "curve.csv": ("nm,qe\n400,0.1\n500,0.5\n600,0.4\n", read_curve),
         "scene.xml": (SCENE, load),
         "shipped.xml": (shipped.read_text().replace('"spectra/', f'"{shipped.parent}/spectra/'), load),

@@ -401,3 +401,13 @@ def test_rays_that_miss_or_are_reflected_are_named() -> None:
         made_of(Surface(1 / 5, 8.0, GLASS), Surface(0.0, 5.0), diameter=10.6, stop=1)
     with pytest.raises(pixsim.PixsimError, match="a positive focal length"):
         made_of(Surface(-1 / 50, 3.0, GLASS), Surface(0.0, 5.0))
+
+
+def test_light_behind_strong_aspheres_ends_at_the_first_edge() -> None:
+    """Beyond the stop's edge the phone lens's aspheres fold the directions back, and let some through once more."""
+    lens = lens_named("phone")
+    fields = np.linspace(0, lens.max_field_deg, 9)
+    radius = lens.outline(fields, lens.primary_nm, 512).radius
+    assert np.abs(np.diff(radius, axis=1)).max() < 0.01 * radius.min(), "an outline without spikes"
+    area = lens.outline(fields, lens.primary_nm, 512).area
+    np.testing.assert_allclose(lens.projected_solid_angle_sr(fields, lens.primary_nm), area, rtol=1e-6)
