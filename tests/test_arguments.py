@@ -158,6 +158,7 @@ SMALL_RECORDS: dict[str, dict[str, Any]] = {
     "DarkCurrent": {"e_per_s": 1.0, "at_c": 20.0},
     "Axis": {"name": "lens", "set": "camera.f_number", "values": (2.0, 4.0)},
     "AxisValue": {"label": "f/2", "set": {"camera": {"f_number": 2.0}}},
+    "ColourOptions": {"transmittances": {letter: [[400.0 + 10 * step, 0.5] for step in range(31)] for letter in "RGB"}},
     "Condition": {"name": "night", "set": {"camera": {"f_number": 2.0}}},
 }
 

@@ -61,7 +61,7 @@ def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
         ends.append(time.perf_counter())
         light = prepare_scene(without_diffraction, setup.camera, physics, setup.display)
         ends.append(time.perf_counter())
-        chain = chain_at_pitch(light, physics, setup.exposure, setup.correction)
+        chain = chain_at_pitch(light, physics, setup.exposure, setup.correction, setup.develop)
         frame = chain.capture("stages")
         ends.append(time.perf_counter())
         score = chain.score_frame(frame)

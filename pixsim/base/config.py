@@ -17,8 +17,10 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import read_text
 from pixsim.base.notes import warn
 from pixsim.base.parameters import (
+    AS_CURVES,
     DATA_SHEET,
     NO_TECHNOLOGY,
+    RESPONSES,
     STANDS_FOR,
     Layer,
     PixelOptions,
@@ -121,7 +123,11 @@ def settings_layer(path: Path) -> Layer:
     if isinstance(pixel, dict):
         pixel, _ = without_uncertainty(pixel, str(path))
         table = {**table, "pixel": pixel}
-        resolved = {name: resolve_file(path, pixel[name]) for name in ("technology", "quantum_efficiency") if name in pixel}
+        resolved: dict[str, Any] = {
+            name: resolve_file(path, pixel[name]) for name in ("technology", "quantum_efficiency") if name in pixel
+        }
+        if isinstance(colour := pixel.get("colour"), dict):
+            resolved["colour"] = colour | {name: resolve_file(path, colour[name]) for name in RESPONSES if name in colour}
         table = {**table, "pixel": pixel | resolved}
     camera = table.get("camera")
     if isinstance(camera, dict) and "chief_ray_angle" in camera:
@@ -343,6 +349,7 @@ def _without(table: dict[str, Any], removed: dict[str, Any]) -> dict[str, Any]:
 FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
     ("pixel", "quantum_efficiency"): as_quantum_efficiency,
     ("camera", "chief_ray_angle"): as_chief_ray_angles,
+    **{("pixel", "colour", name): as_curves for name, as_curves in AS_CURVES.items()},
 }
 FILES = (("scene", "file"), ("scene", "parameters", "chart"), ("pixel", "technology"), *FILES_OF_VALUES)
 SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`

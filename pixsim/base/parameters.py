@@ -13,7 +13,7 @@ import math
 import re
 import sys
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import pairwise
@@ -50,8 +50,8 @@ else:
 
 # Documented in the reference; the other names are internal.
 __all__ = [
-    "Axis", "AxisValue", "Camera", "CameraOptions", "Condition", "Correction", "DarkCurrent", "Display", "Effort", "Exposure",
-    "PitchRange", "Pixel", "PixelOptions", "Run", "StackOptions", "Study", "StudyScene", "pixel_of",
+    "Axis", "AxisValue", "Camera", "CameraOptions", "ColourOptions", "Condition", "Correction", "DarkCurrent", "Develop", "Display",
+    "Effort", "Exposure", "PitchRange", "Pixel", "PixelOptions", "Run", "StackOptions", "Study", "StudyScene", "pixel_of",
 ]  # fmt: skip
 
 
@@ -271,16 +271,33 @@ def read_cells(path: Path, what: str, allowed: str) -> tuple[list[tuple[int, lis
 
 def read_curve(path: Path) -> EfficiencyCurve:
     """Quantum efficiency from the first two columns of a CSV file, after any title lines. ValueError if they are not a curve."""
-    rows, decimal = read_cells(path, "quantum efficiency", ALLOWED_FILE)
-    pairs: list[tuple[float, float]] = []
-    for number, cells in rows:
+    _, rows = _read_columns(path, "quantum efficiency", ALLOWED_FILE, 1)
+    return _check_curve(tuple((nm, value) for nm, value, *_ in rows), f"'{path}'")
+
+
+def _read_columns(path: Path, name: str, allowed: str, least: int) -> tuple[list[str], list[tuple[float, ...]]]:
+    """Title and numbers of a CSV file: wavelength, then at least so many values in each line. ValueError if they are none.
+
+    The title is the last line before the numbers; empty without one.
+    """
+    table, decimal = read_cells(path, name, allowed)
+    title: list[str] = []
+    rows: list[tuple[float, ...]] = []
+    for number, cells in table:
+        used = cells if least > 1 else cells[:2]
         try:
-            pairs.append((float(cells[0].replace(decimal, ".")), float(cells[1].replace(decimal, "."))))
+            numbers = tuple(float(cell.replace(decimal, ".")) for cell in used)
+            if len(numbers) <= least:
+                raise IndexError
+            rows.append(numbers)
         except (ValueError, IndexError):
-            if pairs or cells[0][:1].isdigit():  # not a title
+            if rows or cells[0][:1].isdigit():  # not a title
                 # The line is not quoted: the file may be another than the user believes, such as a key.
-                raise ValueError(f"got no two numbers in line {number} of '{path}'; allowed: wavelength in nm, value") from None
-    return _check_curve(tuple(pairs), f"'{path}'")
+                words = "two numbers" if least == 1 else f"{least + 1} numbers"
+                values = "value" if least == 1 else f"{least} values"
+                raise ValueError(f"got no {words} in line {number} of '{path}'; allowed: wavelength in nm, {values}") from None
+            title = cells
+    return title, rows
 
 
 def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
@@ -366,6 +383,98 @@ def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
 
 
 MAX_RELATIVE_ILLUMINATION = 2.0  # a few per cent above 1 in lenses whose exit pupil grows with the field
+Curves = dict[str, EfficiencyCurve]  # letter of a channel -> its curve
+COLOUR_WORDS = {"red": "R", "green": "G", "blue": "B", "clear": "C", "white": "W", "cyan": "C", "magenta": "M", "yellow": "Y"}
+SURELY_SEEN_NM = (400.0, 700.0)  # that curves of channels must cover: what lies outside is taken as 0
+LARGEST_STEP_NM = 20.0  # between their points there
+ALLOWED_CURVES = "a CSV file of wavelength in nm and one value a channel, with the letters of the channels as title"
+
+
+def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
+    """A validator of curves of channels, from a table of letter -> pairs, or the path of a CSV file. ValueError if it is neither.
+
+    kind : what the values are, for messages
+    highest : that a value may be; infinity for relative ones
+    """
+
+    def validate(value: Any) -> Any:
+        if value is None:
+            return None
+        if isinstance(value, str | Path):
+            if highest == math.inf and not (str(value).endswith(".csv") or Path(value).is_file()):
+                return str(value)  # of a camera; `pixsim.sensor.colour` knows them
+            return _read_curves(Path(value), kind, highest)
+        if not isinstance(value, Mapping) or not value:
+            raise ValueError(f"got {brief(value)}; allowed: {ALLOWED_CURVES}, or a table, as {{ R = [[400, 0.1], [700, 0.5]] }}")
+        curves = {}
+        for name, pairs in value.items():
+            try:
+                curve = tuple((as_float(nm), as_float(number)) for nm, number in pairs)
+            except (TypeError, ValueError):
+                raise ValueError(f"got no list of pairs for {name}; allowed: {name} = [[400, 0.1], [700, 0.5]]") from None
+            curves[_letter(str(name))] = _check_channel(curve, kind, highest, f"channel {name}")
+        return curves
+
+    return validate
+
+
+def _read_curves(path: Path, kind: str, highest: float) -> Curves:
+    """Curves of channels from the columns of a CSV file."""
+    title, rows = _read_columns(path, kind, ALLOWED_CURVES, 2)
+    count = min((len(row) for row in rows), default=1) - 1
+    letters = [_letter(word) for word in title[1:] if word] or list("RGB")
+    if len(letters) != count:
+        titles = f"{len(letters)} channels in the title" if title else "no title"
+        raise ValueError(f"got '{path}' with {titles} and {count} values; allowed: {ALLOWED_CURVES}, as wavelength_nm,R,G,B")
+    if twice := [letter for place, letter in enumerate(letters) if letter in letters[:place]]:
+        raise ValueError(f"got '{path}' with two channels {twice[0]}; allowed: each letter once")
+    columns = {letter: tuple((row[0], row[at]) for row in rows) for at, letter in enumerate(letters, 1)}
+    return {letter: _check_channel(curve, kind, highest, f"'{path}', channel {letter}") for letter, curve in columns.items()}
+
+
+def _letter(name: str) -> str:
+    """The letter of a channel, from a letter or a colour's name. ValueError if it is neither."""
+    letter = COLOUR_WORDS.get(name.strip().lower(), name.strip().upper())
+    if not re.fullmatch("[A-Z]", letter):
+        raise ValueError(f"got a channel named {name!r}; allowed: one letter, as R, G, B, C (clear) or W (white)")
+    return letter
+
+
+def _check_channel(curve: EfficiencyCurve, kind: str, highest: float, source: str) -> EfficiencyCurve:
+    """The curve of a channel. ValueError if it has gaps, or values that are out of range or all zero."""
+    values = "0 or more" if highest == math.inf else f"0 to {highest:g}"
+    allowed = f"{kind} of {values}, wavelengths in nm that increase"
+    for (nm, value), (following, _) in pairwise([*curve, (math.inf, 0.0)]):
+        if not (ALLOWED_NM[0] <= nm <= ALLOWED_NM[1] and following > nm):
+            raise ValueError(f"got {source} with {nm:g} nm followed by {following:g} nm; allowed: {allowed}")
+        if not 0 <= value <= highest or value == math.inf:
+            hint = " Divide percentages by 100." if 1 < value <= 100 else ""
+            hint = " Set negative values, as noise of a measurement leaves them, to 0." if value < 0 else hint
+            raise ValueError(f"got {source} with {value:g} at {nm:g} nm; allowed: {allowed}.{hint}")
+    low, high = SURELY_SEEN_NM
+    seen = [nm for nm, _ in curve]
+    if not seen or seen[0] > low or seen[-1] < high:
+        covered = f"{seen[0]:g} to {seen[-1]:g} nm" if seen else "no values"
+        raise ValueError(
+            f"got {source} for {covered}; allowed: at least {low:g} to {high:g} nm. Give 0 where there is no response."
+        )
+    for nm, following in pairwise(seen):
+        if following - nm > LARGEST_STEP_NM and following > low and nm < high:
+            gap = f"a gap from {nm:g} to {following:g} nm"
+            raise ValueError(
+                f"got {source} with {gap}; allowed: steps of at most {LARGEST_STEP_NM:g} nm from {low:g} to {high:g} nm"
+            )
+    if not any(value >= MIN_FRACTION for _, value in curve):
+        raise ValueError(f"got {source} that is 0 at every wavelength; allowed: {allowed}, not all of them 0")
+    return curve
+
+
+# The three words for the responses of channels, with their validators.
+AS_CURVES: dict[str, Callable[[Any], Any]] = {
+    "sensitivities": as_curves("sensitivities", math.inf),
+    "quantum_efficiencies": as_curves("quantum efficiencies", 1.0),
+    "transmittances": as_curves("transmittances", 1.0),
+}
 NO_TECHNOLOGY = "none"
 # Required of a data sheet without a technology; non-uniformities and offsets that it does not give are 0.
 DATA_SHEET = ("full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency")
@@ -407,6 +516,20 @@ def stack_excluded_by(names: Iterable[str]) -> set[str]:
     return excluded - given
 
 
+# Words of [pixel.colour] that state the same quantity.
+RESPONSES = tuple(AS_CURVES)
+SAME_OF_COLOUR = (("pattern", "matrix"), RESPONSES)
+
+
+def colour_excluded_by(names: Iterable[str]) -> set[str]:
+    """The fields of [pixel.colour] that cannot be given together with those of `names`."""
+    given = set(names)
+    excluded = {word for same in SAME_OF_COLOUR if given & set(same) for word in same}
+    if given & set(RESPONSES) - {"sensitivities"}:
+        excluded.add("peak_quantum_efficiency")
+    return excluded - given
+
+
 def missing_of_data_sheet(given: Iterable[str]) -> list[str]:
     """The names of `DATA_SHEET` that neither stand among `given` nor under another word of `STANDS_FOR`."""
     names = set(given).union(*(STANDS_FOR[name] for name in STANDS_FOR.keys() & set(given)))
@@ -421,7 +544,21 @@ def is_data_sheet(values: dict[str, Any], pitch: str) -> bool:
     pitch : name of the data sheet's pitch
     """
     given = {name for name, value in values.items() if value is not None}
-    return pitch in given and not missing_of_data_sheet(given)
+    return pitch in given and not missing_of_data_sheet(given | efficiencies_of(values.get("colour")))
+
+
+def efficiencies_of(colour: Any) -> set[str]:
+    """The name of the quantum efficiency, if [pixel.colour], a table or a record, states those of all channels."""
+    stated = colour if isinstance(colour, dict) else vars(colour) if isinstance(colour, ColourOptions) else {}
+    return {"quantum_efficiency"} if any(stated.get(name) is not None for name in RESPONSES[:2]) else set()
+
+
+# Table -> the words that those of another layer restate.
+RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
+    "pixel": excluded_by,
+    "stack": stack_excluded_by,
+    "colour": colour_excluded_by,
+}
 
 
 def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
@@ -429,8 +566,8 @@ def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for key, value in over.items():
         old = merged.get(key)
-        if isinstance(old, dict) and isinstance(value, dict):
-            restated = excluded_by(value) if key == "pixel" else stack_excluded_by(value) if key == "stack" else ()
+        if isinstance(old, dict) and isinstance(value, dict) and key not in RESPONSES:
+            restated = RESTATED[key](value) if key in RESTATED else ()
             merged[key] = merge({name: old[name] for name in old if name not in restated}, value)
         else:
             merged[key] = value
@@ -578,6 +715,149 @@ class StackOptions(Record):
         return self
 
 
+PATTERNS: dict[str, tuple[str, ...]] = {
+    "rggb": ("RG", "GB"),
+    "grbg": ("GR", "BG"),
+    "gbrg": ("GB", "RG"),
+    "bggr": ("BG", "GR"),
+    "quad_rggb": ("RRGG", "RRGG", "GGBB", "GGBB"),
+    "rccb": ("RC", "CB"),
+    "stacked": ("RGB",),
+}
+BAYER = ("rggb", "grbg", "gbrg", "bggr")
+LARGEST_CELL = 8  # rows and columns of a unit cell
+BIN = 2  # pixels along a side of those whose charge is summed
+
+
+def channels_of(cell: Iterable[str]) -> str:
+    """The letters of a unit cell: R, G and B first, then the others in their order of appearance."""
+    letters = "".join(dict.fromkeys("".join(cell)))
+    return "".join(letter for letter in "RGB" if letter in letters) + "".join(letter for letter in letters if letter not in "RGB")
+
+
+def binned_cell(cell: Sequence[str]) -> tuple[str, ...]:
+    """The unit cell of sums of 2 x 2 pixels; empty if the pixels of a sum have different letters."""
+    rows = [row[::BIN] for row in cell[::BIN]]
+    alike = tuple("".join(letter * BIN for letter in row) for row in rows for _ in range(BIN)) == tuple(cell)
+    return tuple(rows) if alike else ()
+
+
+def _curves_schema(*others: dict[str, Any]) -> WithJsonSchema:
+    pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+    table = {"type": "object", "additionalProperties": {"type": "array", "items": pair}}
+    file = {"type": "string", "description": f"{ALLOWED_CURVES}, next to the TOML file"}
+    return WithJsonSchema({"anyOf": [*others, file, table]})
+
+
+Sensitivities = Annotated[
+    Curves | str, BeforeValidator(AS_CURVES["sensitivities"]), _curves_schema({"type": "string", "description": "packaged camera"})
+]
+QuantumEfficiencies = Annotated[Curves, BeforeValidator(AS_CURVES["quantum_efficiencies"]), _curves_schema()]
+Transmittances = Annotated[Curves, BeforeValidator(AS_CURVES["transmittances"]), _curves_schema()]
+
+
+class ColourOptions(Record):
+    """Colour filters of the pixels, or layers of photodiodes, and the response of each channel.
+
+    The picture is upright, as the photographer sees it: the first row of the unit cell is the uppermost. There is no optical
+    low-pass filter before the pixels.
+    """
+
+    pattern: Literal["rggb", "grbg", "gbrg", "bggr", "quad_rggb", "rccb", "stacked"] | None = Field(
+        None,
+        description="unit cell of the filters, upper row first: four phases of Bayer's; 'quad_rggb', of 2 x 2 equal pixels each; "
+        "'rccb', clear in place of green; 'stacked', no filters, but R, G and B one below the other in every pixel (absent: rggb)",
+    )
+    matrix: Annotated[tuple[str, ...], BeforeValidator(_as_list)] | None = Field(
+        None, description="in place of pattern: rows of a unit cell, a letter for each pixel, as RG, GB"
+    )
+    binning: bool = Field(False, description="sum the charge of 2 x 2 equal pixels before it is read, as pixels of twice the pitch")
+    sensitivities: Sensitivities | None = Field(
+        None,
+        description="relative responses to energy, with peak_quantum_efficiency: a packaged camera, as Nikon_D5100, or CSV file",
+    )
+    quantum_efficiencies: QuantumEfficiencies | None = Field(
+        None, description="in place of sensitivities: quantum efficiency of each channel, CSV file or table"
+    )
+    transmittances: Transmittances | None = Field(
+        None,
+        description="in place of sensitivities: transmittance of each filter, CSV file or table, times the pixel's own response",
+    )
+    peak_quantum_efficiency: Fraction | None = Field(
+        None, description="with sensitivities: the largest quantum efficiency of all channels, electrons per photon"
+    )
+
+    @model_validator(mode="after")
+    def _states_each_quantity_once(self) -> Self:
+        if self.pattern and self.matrix:
+            raise ValueError("pattern and matrix state the same quantity; give one of them")
+        given = [name for name in RESPONSES if getattr(self, name) is not None]
+        if not given:
+            raise ValueError(f"no response of the channels; allowed: one of {', '.join(RESPONSES)}")
+        if len(given) > 1:
+            raise ValueError(f"{' and '.join(given)} state the same quantity; give one of them")
+        if self.sensitivities is not None and self.peak_quantum_efficiency is None:
+            raise ValueError(
+                "sensitivities are relative; give peak_quantum_efficiency too, the largest quantum efficiency of all channels"
+            )
+        if self.sensitivities is None and self.peak_quantum_efficiency is not None:
+            raise ValueError(f"peak_quantum_efficiency beside {given[0]}, which are absolute; leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _cell_is_whole(self) -> Self:
+        rows = self.matrix
+        if rows is not None:
+            if not rows or not rows[0] or len({len(row) for row in rows}) > 1:
+                raise ValueError(f"matrix = {list(rows)}; allowed: rows of equal length, as ['RG', 'GB']")
+            if max(len(rows), len(rows[0])) > LARGEST_CELL:
+                raise ValueError(f"matrix of {len(rows)} x {len(rows[0])} pixels; allowed: up to {LARGEST_CELL} x {LARGEST_CELL}")
+            if unknown := next((letter for row in rows for letter in row if not "A" <= letter <= "Z"), ""):
+                raise ValueError(f"matrix with {unknown!r}; allowed: capital letters, as R, G, B, C (clear) or W (white)")
+        if self.binning and not binned_cell(self.unit_cell):
+            hint = "allowed: binning of 2 x 2 pixels of the same letter, as quad_rggb has them"
+            raise ValueError(f"binning = true with the unit cell {', '.join(self.unit_cell)}; {hint}")
+        curves = self.curves
+        if curves is not None:
+            letters = channels_of(self.unit_cell)
+            if unknown := next((letter for letter in letters if letter not in curves), ""):
+                known = ", ".join(curves)
+                raise ValueError(
+                    f"the unit cell has {unknown}, of which no response is given; allowed: {known}, or a response of it"
+                )
+            if unused := next((letter for letter in curves if letter not in letters), ""):
+                raise ValueError(
+                    f"channel {unused} has no pixels in {', '.join(self.unit_cell)}; add it to matrix, or leave it out"
+                )
+        return self
+
+    @property
+    def unit_cell(self) -> tuple[str, ...]:
+        """Rows of the unit cell of the pixels."""
+        return self.matrix or PATTERNS[self.pattern or "rggb"]
+
+    @property
+    def cell(self) -> tuple[str, ...]:
+        """Rows of the unit cell of what is read: of the sums with binning; the letters of the layers if they are stacked."""
+        return binned_cell(self.unit_cell) if self.binning else self.unit_cell
+
+    @property
+    def is_stacked(self) -> bool:
+        """Whether every pixel has all channels, one below the other."""
+        return self.pattern == "stacked"
+
+    @property
+    def is_bayer(self) -> bool:
+        """Whether what is read has the unit cell of a Bayer phase."""
+        return not self.is_stacked and self.cell in [PATTERNS[phase] for phase in BAYER]
+
+    @property
+    def curves(self) -> Curves | None:
+        """The responses of the channels; None if a camera's name stands for them."""
+        found = next(value for name in RESPONSES if (value := getattr(self, name)) is not None)
+        return None if isinstance(found, str) else found
+
+
 class PixelOptions(Record):
     """A pixel without its technology and pitch. Values of None are derived from the technology.
 
@@ -627,6 +907,7 @@ class PixelOptions(Record):
         "technology", description="fill factor against pitch: the technology's law, or one of two other fits to Chen et al. (2000)"
     )
     stack: StackOptions | None = Field(None, description="stack between the surface and the photodiode (absent: none)")
+    colour: ColourOptions | None = Field(None, description="colour filters and their responses (absent: none, a monochrome sensor)")
     fill_factor: Fraction | None = Field(None, description="photodiode area over pixel area (absent: from fill_factor_law)")
     full_well_e: Well | None = Field(
         None, description="full well: charge that the pixel holds, at the highest ADC code unless gain_e_per_dn is given"
@@ -777,7 +1058,7 @@ class Pixel(PixelOptions):
 
     @model_validator(mode="after")
     def _data_sheet_complete(self) -> Self:
-        missing = missing_of_data_sheet(self.given)
+        missing = missing_of_data_sheet(self.given | efficiencies_of(self.colour))
         if self.technology == NO_TECHNOLOGY and missing:
             raise ValueError(
                 f"technology = 'none' derives no values; missing: {', '.join(missing)}. Give them, or a technology from which they "
@@ -794,7 +1075,8 @@ class Pixel(PixelOptions):
     def assumption(self) -> str:
         """The technology that is assumed since a data sheet is incomplete, in words; empty if none is."""
         given = self.given
-        missing = [*([] if "pitch_um" in given else ["pitch_um"]), *missing_of_data_sheet(given)]
+        stated = given | efficiencies_of(self.colour)
+        missing = [*([] if "pitch_um" in given else ["pitch_um"]), *missing_of_data_sheet(stated)]
         if "technology" in given or len(missing) > len(DATA_SHEET):
             return ""
         return f"technology {self.technology} assumed, without {', '.join(missing)}"
@@ -1088,6 +1370,52 @@ class Correction(Record):
 NO_CORRECTION = Correction()
 
 
+Gain = Annotated[float, Field(ge=1e-6, le=1e6)]
+
+
+def _as_gains(value: Any) -> Any:
+    return value if value == "known" else _as_list(value)
+
+
+class Develop(Record):
+    """How the camera makes a picture of a frame with colour filters; a monochrome frame needs none of it."""
+
+    white_balance: Annotated[Literal["known"] | tuple[Gain, ...], BeforeValidator(_as_gains)] = Field(
+        "known",
+        description="'known': by the electrons that the scene's white gives in each channel; or a gain for each channel, in the "
+        "order R, G, B and then the other letters of the unit cell, of which only the ratios count",
+    )
+    demosaic: Literal["bilinear", "malvar2004", "menon2007", "interpolate"] | None = Field(
+        None,
+        description="interpolation between pixels of one colour: three methods for Bayer's unit cell, and 'interpolate', a mean "
+        "weighted by distance, for any (absent: bilinear for Bayer's unit cell, else interpolate)",
+    )
+    matrix: Literal["least_squares", "least_delta_e", "noise_aware"] = Field(
+        "least_delta_e",
+        description="fit of the matrix from camera to XYZ, for patches 1-18 of ISO 17321 under the scene's lamp: 'least_squares' "
+        "of XYZ; 'least_delta_e', least mean ΔE with an exact white; 'noise_aware', that with the noise of this exposure",
+    )
+
+
+DEVELOP = Develop()
+
+
+def check_develop(develop: Develop, pixel: PixelOptions) -> None:
+    """Raise PixsimError if a frame of a pixel cannot be developed so."""
+    colour = pixel.colour
+    if colour is None:
+        return
+    channels = channels_of(colour.cell)
+    if develop.demosaic in ("bilinear", "malvar2004", "menon2007") and not colour.is_bayer:
+        cell = "stacked channels" if colour.is_stacked else f"the unit cell {', '.join(colour.cell)}"
+        hint = "For 'quad_rggb', set pixel.colour.binning = true." if binned_cell(colour.cell) else ""
+        allowed = f"'{develop.demosaic}' for the unit cells {', '.join(BAYER)}; 'interpolate' for any other"
+        raise invalid("develop.demosaic", f"'{develop.demosaic}' for {cell}", allowed, hint)
+    if develop.white_balance != "known" and len(develop.white_balance) != len(channels):
+        got = f"{len(develop.white_balance)} gains for {len(channels)} channels"
+        raise invalid("develop.white_balance", got, f"'known', or a gain for each of {', '.join(channels)}")
+
+
 class Display(Record):
     """A monochrome CRT or LCD, its viewer, and the colour-difference metric."""
 
@@ -1115,6 +1443,10 @@ class Display(Record):
         "published", description="S-CIELAB filters: as published, or as in the code of Zhang (1996)"
     )
     delta_e: Literal["1976", "1994", "2000"] = Field("1976", description="colour difference formula: CIE 1976, 1994 or 2000")
+    adaptation: Literal["bradford", "cat02", "none"] = Field(
+        "bradford",
+        description="of coloured pictures: how the white of the scene becomes that of the display, ideal and sensor alike",
+    )
 
 
 class Effort(Record):
@@ -1224,9 +1556,9 @@ def _with_technology(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def paths_of(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """Paths of the values of nested tables; `dark_current` of a pixel is one value."""
+    """Paths of the values of nested tables; `dark_current` of a pixel and the curves of its channels are one value each."""
     for name, value in table.items():
-        if isinstance(value, dict) and value and name != "dark_current":
+        if isinstance(value, dict) and value and name not in ("dark_current", *RESPONSES):
             yield from paths_of(value, (*above, name))
         else:
             yield (*above, name)
@@ -1520,6 +1852,7 @@ class Study(Effort):
     pixel: PixelOptions = Field(PixelOptions(), description="pixel, without technology and pitch")
     exposure: Exposure = Field(Exposure(), description="exposure of every frame")
     correction: Correction = Field(Correction(), description="correction of every frame by the camera")
+    develop: Develop = Field(Develop(), description="how frames with colour filters become pictures")
     display: Display = Field(Display(), description="display, viewer and metric")
     axis: tuple[Axis, ...] = Field((), description="what the study varies beside the pixel size")
     condition: tuple[Condition, ...] = Field((), description="circumstances in which the pixel is used; each has its own optimum")
@@ -1539,6 +1872,12 @@ class Study(Effort):
     @model_validator(mode="after")
     def _pixels_make_the_die(self) -> Self:
         self.__dict__["camera"] = self.camera.with_die(self.pixel.data_sheet_pitch_um)
+        return self
+
+    @model_validator(mode="after")
+    def _frames_can_be_developed(self) -> Self:
+        for pixel in (self.pixel, *self.sensors.values()):
+            check_develop(self.develop, pixel)
         return self
 
     @model_validator(mode="after")
@@ -1590,7 +1929,7 @@ class Study(Effort):
         if NO_TECHNOLOGY in self.technologies:
             if len(self.technologies) > 1:
                 raise ValueError(f"technologies: '{NO_TECHNOLOGY}' is the data sheet of [pixel]; give it alone, or leave it out")
-            given = [name for name, value in self.pixel if value is not None]
+            given = [*(name for name, value in self.pixel if value is not None), *efficiencies_of(self.pixel.colour)]
             if missing := [*(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in given else []), *missing_of_data_sheet(given)]:
                 raise ValueError(f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing: {', '.join(missing)}")
         return self
@@ -1671,7 +2010,13 @@ class Run(Effort):
     pixel: Pixel = Field(Pixel(), description="pixel of the sensor")
     exposure: Exposure = Field(Exposure(), description="exposure of the frame")
     correction: Correction = Field(Correction(), description="correction of the frame by the camera")
+    develop: Develop = Field(Develop(), description="how a frame with colour filters becomes a picture")
     display: Display = Field(Display(), description="display, viewer and metric")
+
+    @model_validator(mode="after")
+    def _frame_can_be_developed(self) -> Self:
+        check_develop(self.develop, self.pixel)
+        return self
 
     @model_validator(mode="after")
     def _pixels_make_the_die(self) -> Self:

@@ -24,6 +24,7 @@ from pixsim.base.parameters import (
     Camera,
     CameraOptions,
     Correction,
+    Develop,
     Display,
     Exposure,
     Layer,
@@ -110,6 +111,8 @@ def value_name(annotation: Any) -> str:
         return "|".join(map(str, inner))
     if origin in (Union, UnionType):
         return "|".join(dict.fromkeys(value_name(kind) for kind in inner if kind is not type(None)))
+    if origin is dict:
+        return "FILE"
     if origin is tuple:
         return "FILE" if inner[-1] is Ellipsis else "x".join(map(value_name, inner))
     return NAMES.get(annotation, "TEXT")
@@ -223,6 +226,7 @@ if TYPE_CHECKING:
     PixelTable: TypeAlias = Any
     ExposureTable: TypeAlias = Any
     CorrectionTable: TypeAlias = Any
+    DevelopTable: TypeAlias = Any
     DisplayTable: TypeAlias = Any
     PitchTable: TypeAlias = Any
 else:
@@ -230,6 +234,7 @@ else:
     PixelTable = option_table(Pixel, "pixel")
     ExposureTable = option_table(Exposure, "exposure")
     CorrectionTable = option_table(Correction, "correction")
+    DevelopTable = option_table(Develop, "develop")
     DisplayTable = option_table(Display, "display")
     PitchTable = option_table(PitchRange, "pitch")
 
@@ -246,6 +251,7 @@ class SceneOptions:
     pixel: PixelTable = None
     exposure: ExposureTable = None
     correction: CorrectionTable = None
+    develop: DevelopTable = None
 
     def settings(self, **others: Any) -> Run:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""

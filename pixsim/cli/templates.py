@@ -30,6 +30,8 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "die_height_mm": 2.4, "pixels": [640, 640], "die_mm": 2.4, "infrared_cut_nm": 650.0, "fill_factor": 0.8,
     "f_number": 2.8, "chief_ray_angle": [[0.0, 0.0], [1.0, 16.0], [2.0, 30.0]], "integration_s": 0.02,
     "stack": {"height_um": 5.0, "index": 1.5, "microlens": "square", "shift": "optimal"},
+    "colour": {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5},
+    "demosaic": "bilinear",
     "quantum_efficiency_includes": "microlens", "quantum_efficiency_f_number": 8.0, "quantum_efficiency_pitch_um": 1.4,
     "white_cd_per_m2": 1000.0,
     "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],

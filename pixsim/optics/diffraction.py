@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -106,6 +106,27 @@ def diffract_sum(
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
+    alone = ((picture, [weight]) for picture, weight in pictures)
+    return diffract_sums(alone, 1, shape, pitch_um, wavelength_nm, f_number, transfer)[0]
+
+
+@checks_arguments
+def diffract_sums(
+    pictures: Iterable[tuple[ArrayLike, Sequence[Array]]],
+    channels: int,
+    shape: tuple[int, int],
+    pitch_um: float,
+    wavelength_nm: Array,
+    f_number: float | None,
+    transfer: Callable[[Array, float], Array] | None = None,
+) -> list[Array]:
+    """Return `diffract_sum` for several channels, [(H, W)] each, of one forward transform per picture and an inverse one each.
+
+    pictures : (picture (H, W), weights [(B,)] of each channel) pairs, in any unit
+    channels : their number
+
+    Raises PixsimError as `cutoff_cy_per_mm` does.
+    """
     if wavelength_nm.ndim != 1 or not wavelength_nm.size:
         raise invalid("wavelength_nm", f"an array of shape {wavelength_nm.shape}", "(B,), at least one")
     fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
@@ -114,25 +135,30 @@ def diffract_sum(
         highest = min(highest, float(cutoff_cy_per_mm(wavelength_nm.min(), f_number)))
     lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a shorter table would have steps too small to divide by
     table, step = _frequencies(max(highest, lowest))
-    total: Array | None = None
+
+    def otf_of(weight: Array) -> Array:
+        otf = np.zeros_like(table)
+        for at in np.flatnonzero(weight):
+            nm = float(wavelength_nm[at])
+            lens = np.ones_like(table) if f_number is None else _otf_table(float(table[-1]), nm, f_number)
+            otf += weight[at] * (lens if transfer is None else lens * transfer(table, nm))
+        return otf
+
+    totals: dict[int, Array] = {}
     spare: Array | None = None
-    for picture, weight in pictures:
-        if np.any(weight):
+    for picture, weights in pictures:
+        lit = [channel for channel in range(channels) if np.any(weights[channel])]
+        if lit:
             plane = empty_planes(*shape) if spare is None else spare
             plane[...] = picture
             spectrum = dct(plane)
-            otf = np.zeros_like(table)
-            for at in np.flatnonzero(weight):
-                nm = float(wavelength_nm[at])
-                lens = np.ones_like(table) if f_number is None else _otf_table(float(table[-1]), nm, f_number)
-                otf += weight[at] * (lens if transfer is None else lens * transfer(table, nm))
-            _filter(spectrum, fy / step, fx / step, otf)
-            if total is None:
-                total = spectrum
-            else:
-                total += spectrum
-                spare = spectrum
-    return np.zeros(shape) if total is None else inverse_dct(total)
+            spare = spectrum
+            new = [channel for channel in lit if channel not in totals]
+            if new:  # the last new channel takes the spectrum's own memory, after all others
+                totals |= {channel: empty_planes(*shape) for channel in new[:-1]} | {new[-1]: spectrum}
+                spare = None
+            _filter(spectrum, fy / step, fx / step, {channel: otf_of(weights[channel]) for channel in lit}, totals, new)
+    return [inverse_dct(totals[channel]) if channel in totals else np.zeros(shape) for channel in range(channels)]
 
 
 def _frequencies(highest_cy_per_mm: float) -> tuple[Array, float]:
@@ -147,17 +173,32 @@ def _otf_table(highest_cy_per_mm: float, wavelength_nm: float, f_number: float) 
     return diffraction_otf(_frequencies(highest_cy_per_mm)[0], wavelength_nm, f_number)
 
 
-def _filter(spectrum: Array, y_steps: Array, x_steps: Array, otf: Array) -> None:
-    """Multiply a spectrum (H, W) in place by a radial table, interpolated linearly; frequencies are in steps of the table."""
-    rise = np.append(np.diff(otf), 0.0)
+def _filter(
+    spectrum: Array, y_steps: Array, x_steps: Array, otfs: dict[int, Array], totals: dict[int, Array], new: Sequence[int]
+) -> None:
+    """Add a spectrum (H, W) times radial tables, interpolated linearly, to totals; frequencies are in steps of the table.
+
+    new : channels whose totals begin with this spectrum; that of the last one may be the spectrum itself
+    """
+    rises = {channel: np.append(np.diff(otf), 0.0) for channel, otf in otfs.items()}
+    order = sorted(otfs, key=lambda channel: totals[channel] is spectrum)
+    last = next(iter(otfs.values())).size - 1.0
+    factor: Array | None = None
     for rows, radius in strips_of(spectrum.shape):
         np.sqrt(np.add(x_steps[None, :] ** 2, y_steps[rows, None] ** 2, out=radius), out=radius)
-        np.minimum(radius, otf.size - 1.0, out=radius)
+        np.minimum(radius, last, out=radius)
         below = radius.astype(np.int32)
         radius -= below
-        radius *= rise[below]
-        radius += otf[below]
-        spectrum[rows] *= radius
+        for channel in order:
+            if factor is None or factor.shape != radius.shape:
+                factor = np.empty_like(radius)
+            np.multiply(radius, rises[channel][below], out=factor)
+            factor += otfs[channel][below]
+            if channel in new:
+                np.multiply(spectrum[rows], factor, out=totals[channel][rows])
+            else:
+                factor *= spectrum[rows]
+                totals[channel][rows] += factor
 
 
 @checks_arguments

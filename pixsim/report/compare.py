@@ -17,7 +17,7 @@ import numpy as np
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
 from pixsim.base.machine import processors
-from pixsim.base.parameters import NO_TECHNOLOGY, CameraOptions, Condition, Record, Run, paths_of
+from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, CameraOptions, Condition, Record, Run, paths_of
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.settings import LightLevel, record_rows, scene_rows
 from pixsim.scene.charts import MAX_LP_PER_MM
@@ -25,8 +25,8 @@ from pixsim.sensor.technology import label_of
 from pixsim.show.pages import shown_value, write_page
 from pixsim.show.pictures import (
     Picture,
+    display_codes,
     factor_for,
-    grey_codes,
     reduced,
     save_delta_e_png,
     save_png,
@@ -360,6 +360,9 @@ def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
     for part, name in (("pixel", "quantum_efficiency"), ("camera", "chief_ray_angle")):
         if isinstance(file := table.get(part, {}).get(name), str):
             table[part] = table[part] | {name: whole_path(file)}
+    if isinstance(colour := table.get("pixel", {}).get("colour"), dict):
+        files = {name: whole_path(colour[name]) for name in RESPONSES if isinstance(colour.get(name), str)}
+        table["pixel"] = table["pixel"] | {"colour": colour | files}
     return table
 
 
@@ -404,7 +407,7 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
 
 
 def _picture(luminance: Any, name: str) -> Picture:
-    return Picture(grey_codes(reduced(luminance)), name)
+    return Picture(display_codes(reduced(luminance)), name)
 
 
 def _row(result: Comparison, number: int) -> dict[str, Any]:
@@ -463,7 +466,9 @@ def _condition_settings(prepared: Prepared) -> list[tuple[str, list[Any]]]:
 
 def _records(result: Comparison) -> list[tuple[str, list[Any]]]:
     """Return the tables of settings: the display of all, then each sensor's own."""
-    tables = [("display", record_rows("display", result.prepared.settings.display, False))]
+    settings, coloured = result.prepared.settings, any(compared.sensor.pixel.colour for compared in result.sensors)
+    tables = [("display", record_rows("display", settings.display, False, coloured=coloured))]
+    tables += [("develop", record_rows("develop", settings.develop, False))] if coloured else []
     for compared in result.sensors:
         sensor = compared.sensor
         sheet = sensor.pixel.technology == NO_TECHNOLOGY

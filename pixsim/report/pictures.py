@@ -9,7 +9,7 @@ import numpy as np
 
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.charts import csf_contrast, csf_frequency_on_sensor
-from pixsim.show.pictures import Axis, Picture, PictureAxes, Window, delta_e_colours, grey_codes
+from pixsim.show.pictures import Axis, Picture, PictureAxes, Window, delta_e_colours, display_codes
 from pixsim.viewer.display import picture_size_um
 from pixsim.viewer.score import Score
 
@@ -70,7 +70,7 @@ def crops(score: Score, window: Window, name: str, end: float) -> tuple[Picture,
     """Return a detail of the ideal image, of the output and of its ΔE map (scale 0 to `end`), with its mean and largest ΔE."""
     inside = window.of(score.delta_e)
     return (
-        Picture(grey_codes(window.of(score.ideal)), "ideal image"),
-        Picture(grey_codes(window.of(score.image)), f"{score.physics.pitch_um:.2f} µm", name),
+        Picture(display_codes(window.of(score.ideal)), "ideal image"),
+        Picture(display_codes(window.of(score.image)), f"{score.physics.pitch_um:.2f} µm", name),
         Picture(delta_e_colours(inside, end), "ΔE map", f"mean here {inside.mean():.2f}, largest {inside.max():.1f}"),
     )

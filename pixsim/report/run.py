@@ -18,7 +18,7 @@ from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
 from pixsim.base.errors import invalid
 from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_json
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Correction, Display, Exposure, Run
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Correction, Develop, Display, Exposure, Record, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
@@ -32,8 +32,8 @@ from pixsim.sensor.technology import label_of
 from pixsim.show.pages import write_page
 from pixsim.show.pictures import (
     Picture,
+    display_codes,
     factor_for,
-    grey_codes,
     reduced,
     save_delta_e_png,
     save_png,
@@ -97,7 +97,10 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     }
     exposure = Exposure.model_validate(summary["exposure"])
     correction = Correction.model_validate(summary["correction"])
-    records = {"camera": camera, "pixel": physics.pixel, "exposure": exposure, "correction": correction, "display": display}
+    records: dict[str, Record] = {"camera": camera, "pixel": physics.pixel, "exposure": exposure, "correction": correction}
+    coloured = "develop" in summary
+    records |= {"develop": Develop.model_validate(summary["develop"])} if coloured else {}
+    records["display"] = display
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
         "line": score_line(summary),
@@ -123,7 +126,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "light": light,
         "settings": [
             ("scene", scene_rows(irradiance, parameters if isinstance(parameters, dict) else {}, light)),
-            *((title, record_rows(title, record, sheet)) for title, record in records.items()),
+            *((title, record_rows(title, record, sheet, coloured=coloured)) for title, record in records.items()),
         ],
         "sheet": sheet,
         "header": header,
@@ -135,8 +138,8 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
 def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     """Return a whole picture from its file, or the `reduced` one if it is large."""
     if factor_for(luminance) == 1:
-        return Picture(grey_codes(luminance), name, png=path.read_bytes())
-    return Picture(grey_codes(reduced(luminance)), name)
+        return Picture(display_codes(luminance), name, png=path.read_bytes())
+    return Picture(display_codes(reduced(luminance)), name)
 
 
 Irradiance = Literal["reduced", "full", "factors", "none"]  # what irradiance.exr holds
@@ -203,7 +206,7 @@ def run_and_write(
             progress("sense and score")
             image.header |= white_header(image, camera, settings.display)
             chain = make_imaging_chain(
-                image, camera, settings.pixel, settings.exposure, settings.display, full, settings.correction
+                image, camera, settings.pixel, settings.exposure, settings.display, full, settings.correction, settings.develop
             )
             score = chain.simulate("evaluate", settings.seed)
             if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
@@ -212,9 +215,10 @@ def run_and_write(
                 more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
             lap("sense and score")
             progress("write")
-            summary = (
-                summary_of(score, image, camera, settings.exposure, settings.display, settings.seed, settings.correction) | more
-            )
+            own = settings.exposure, settings.display, settings.seed, settings.correction
+            summary = summary_of(score, image, camera, *own) | more
+            if chain.rendition is not None:
+                summary |= {"develop": settings.develop.model_dump(), "colour": chain.colour_facts(score.frame.integration_s)}
             if irradiance == "factors" and not image.factors:
                 warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
             summary["notes"] = [*notes, *summary["notes"]]
@@ -241,7 +245,7 @@ def summary_of(
     white_e = white_rate(irradiance, camera, physics, display) * area_um2 * time_s
     summary = {
         **score.statistics(),
-        "pixels": list(score.frame.dn.shape),
+        "pixels": list(score.frame.pixels),
         "scored_dots": list(score.delta_e.shape),
         "border_um": list(score.border_um),
         "pixel": physics.pixel.model_dump(),

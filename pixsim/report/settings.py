@@ -17,6 +17,7 @@ FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the 
 
 # Pixel options that select models of a process; a sensor given by its data sheet uses none of them.
 OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})
+OF_COLOUR = frozenset({"adaptation"})  # options of the display for coloured pictures
 Row = tuple[str, Any, str, str]  # setting, value, meaning, source
 
 
@@ -75,9 +76,15 @@ def scene_rows(
     return rows
 
 
-def record_rows(name: str, record: Record, from_data_sheet: bool, sources: Mapping[str, str] | None = None) -> list[Row]:
-    """Return the used fields of a record with their sources: as given in `sources`, 'set', or 'default'."""
+def record_rows(
+    name: str, record: Record, from_data_sheet: bool, sources: Mapping[str, str] | None = None, *, coloured: bool = False
+) -> list[Row]:
+    """Return the used fields of a record with their sources: as given in `sources`, 'set', or 'default'.
+
+    coloured : of a sensor with colour filters; without, what only coloured pictures use is left out
+    """
     left_out = OF_A_PROCESS if from_data_sheet and isinstance(record, PixelOptions) else frozenset()
+    left_out |= frozenset() if coloured else OF_COLOUR
     fields, rows = type(record).model_fields, []
     for key, value in record.model_dump(exclude_none=True, exclude=set(left_out)).items():
         meaning = re.sub(r"\bNone: ", "left out: ", fields[key].description or "")

@@ -294,12 +294,16 @@ def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row
         "pixel": study.pixel,
         "exposure": study.exposure,
         "correction": study.correction,
+        "develop": study.develop,
         "display": study.display,
     }
+    coloured = any(study.options_of(technology).colour for technology in study.technologies)
+    if not coloured:
+        del records["develop"]
     sheets = all(curve.data_sheet for curve in result.curves)
     if all(name in study.sensors for name in study.technologies):
         del records["pixel"]  # each sensor has its own
-    tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
+    tables = [(name, record_rows(name, record, sheets, study.sources, coloured=coloured)) for name, record in records.items()]
     for curve in result.curves:
         if sensor := study.sensors.get(curve.technology):
             tables.append((f"pixel of {curve.label}", record_rows("pixel", sensor, curve.data_sheet, {})))

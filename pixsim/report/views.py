@@ -14,7 +14,6 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Exposure
 from pixsim.report.pictures import crops, picture_axes
-from pixsim.sensor.collection import collection_of, shading_of
 from pixsim.sensor.integration import array_size_um, pixels_on
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.readout import make_frame
@@ -25,8 +24,8 @@ from pixsim.show.pictures import (
     PictureAxes,
     Window,
     contact_sheet_png,
+    display_codes,
     factor_for,
-    grey_codes,
     reduced,
     scale_end,
     window_at,
@@ -34,8 +33,7 @@ from pixsim.show.pictures import (
 )
 from pixsim.studies.evaluations import block_key, chain_at, light_of, stream_key
 from pixsim.studies.result import Curve, StudyResult
-from pixsim.viewer.display import shown_luminance
-from pixsim.viewer.score import PreparedScene, Score
+from pixsim.viewer.score import PreparedScene, Score, chain_of_frames, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -148,10 +146,10 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     shape = ideal.shape[0], ideal.shape[1]
     centre = result.study.detail
     window = window_at(centre, shape) if centre else worst_window([scores[0].delta_e, scores[last].delta_e])
-    tiles = [Picture(grey_codes(window.of(ideal)), "ideal image")]
+    tiles = [Picture(display_codes(window.of(ideal)), "ideal image")]
     for place in range(last + 1):
         part = window.of(scores[place].image) if place in scores else detail_at(result, curve, place, window)
-        tiles.append(Picture(grey_codes(part), *labels(curve, place), is_best(curve, place)))
+        tiles.append(Picture(display_codes(part), *labels(curve, place), is_best(curve, place)))
     framed = "; framed: the best of these" if is_best(curve, at) else ""
     return Views(
         label=curve.label,
@@ -159,10 +157,10 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
         place=window.centre,
         tiles=tuple(tiles),
         crops=tuple(crops(scores[place], window, rank(curve, place), end) for place in ends),
-        ideal=Picture(grey_codes(reduced(ideal)), "ideal image"),
+        ideal=Picture(display_codes(reduced(ideal)), "ideal image"),
         factor=factor_for(ideal),
         outputs=tuple(
-            Picture(grey_codes(reduced(scores[place].image)), f"{rank(curve, place)}, {size}", mean)
+            Picture(display_codes(reduced(scores[place].image)), f"{rank(curve, place)}, {size}", mean)
             for place, (size, mean) in ((place, labels(curve, place)) for place in ends)
         ),
         sheet=contact_sheet_png(f"{curve.label}: the same detail for every pixel size, 1:1{framed}", tiles),
@@ -193,19 +191,15 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
     if study.correction.is_on and corrected_e is None:
         cached = None
     physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
-    whole = pixels_on(array_size_um(result.irradiance, result.camera), pitch_um)
+    rows, columns = pixels_on(array_size_um(result.irradiance, result.camera), physics.as_read.read_pitch_um)
+    whole = rows * physics.planes, columns
     if not isinstance(light, PreparedScene) or cached is None or cached.shape != whole:
         chain = chain_at(study, light, result.camera, curve.technology, pitch_um)
         frame = chain.capture(*stream_key(study, physics.technology.name, pitch_um, 0))
-        screen, white_e, shading = chain.screen, chain.white_e_per_s * frame.integration_s, chain.shading
     else:
-        screen, white_e = light.screen, light.white_e_per_s(physics) * time_s
-        collection = collection_of(physics, light.illumination, whole)
-        shading = shading_of(collection, whole, study.display, study.correction)
+        exposed = Exposure(integration_s=time_s, gain_db=physics.gain_db)
+        chain = chain_of_frames(light, physics, exposed, study.correction, study.develop, whole)
         # The shown picture does not depend on the saturated fraction or the mean signal.
-        unknown = np.broadcast_to(0.0, cached.shape)
-        frame = make_frame(
-            cached.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s, gain_db=physics.gain_db)
-        )
+        frame = make_frame(cached.astype(np.int32), math.nan, chain.signal_e_per_s, chain.physics, exposed)
         frame = replace(frame, corrected_e=corrected_e)
-    return shown_luminance(window.of(screen.luminance(frame, white_e, shading)), study.display)
+    return shown(chain.light(frame, window.of), study.display)

@@ -33,10 +33,14 @@ NEUTRAL_WEIGHT = 1e2  # weight of a neutral surface in the fit, which makes it e
 
 @dataclass(frozen=True)
 class Witness:
-    """A spectral response whose signal the bands must reproduce, with an error of up to `slack` times the tolerance."""
+    """A spectral response whose signal the bands must reproduce, with an error of up to `slack` times the tolerance.
+
+    The error is relative to the signal, or to `least` times that of a neutral surface if this is larger.
+    """
 
     response: Response
     slack: float = 1.0
+    least: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -145,6 +149,7 @@ def band_errors(bands: Bands, lamp: tuple[Array, Array, Array], witnesses: list[
     for witness in witnesses:
         truth = np.add.reduceat(families * (light * witness.response(at)), first, axis=1)
         total = truth.sum(axis=1, keepdims=True)
+        total = np.maximum(total, witness.least * total[:1])
         wrong = bands.mean(witness.response) * energy - truth
         errors.append(np.divide(wrong, total * witness.slack, out=np.zeros_like(wrong), where=total > 0))
     return np.array(errors)
@@ -251,6 +256,7 @@ def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness],
     band_means = np.add.reduceat(fine * fine_light, first, axis=1) / bands.width_nm
     signals = np.array([bands.mean(witness.response) * bands.width_nm for witness in witnesses])
     slack = np.array([[witness.slack] for witness in witnesses])
+    reference = np.maximum(truth, np.array([[witness.least] for witness in witnesses]) * truth[:, :1])
     for count in PULSE_COUNTS:
         cuts = np.linspace(lit[0], lit[-1], count + 1)
         pulses = [window_pulse(lamp, a, b, inside=count > 1) for a, b in pairwise(cuts)]
@@ -263,7 +269,7 @@ def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness],
         measured = np.stack([pulse.mean(families, step) for pulse in pulses_lit], axis=1)
         fitted = measured @ spectra
         wrong = np.abs(signals @ fitted.T - truth)
-        errors = np.divide(wrong, truth * slack, out=np.zeros_like(wrong), where=truth > 0)
+        errors = np.divide(wrong, reference * slack, out=np.zeros_like(wrong), where=reference > 0)
         shape = np.abs(fitted - band_means).max(axis=1) / np.maximum(band_means.max(axis=1), np.finfo(float).tiny)
         if errors.max() <= tolerance and shape.max() <= SHAPE_TOLERANCE:
             return Fit(tuple(pulses_lit), spectra, passes(len(pulses_lit)), float(errors.max()))

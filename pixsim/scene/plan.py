@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
@@ -12,7 +13,7 @@ from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
-from pixsim.light.spectral import photons_per_joule, photopic_efficiency
+from pixsim.light.spectral import colour_matching, photons_per_joule, photopic_efficiency
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.scene import bands as spectral_bands, film, rules
@@ -31,6 +32,8 @@ STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction (rules.py).
 BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
 LUMINANCE_SLACK = 5.0  # times the tolerance: error of the luminance of strongly coloured surfaces
+COLOUR_SLACK = 2.0  # the same for a channel of a colour sensor and for X, Y and Z
+LEAST_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
 FEWEST_RENDERS = 2  # whose difference shows their noise
 RESPONSES = ("0.35um", "4t-bsi")  # technologies with the two packaged response curves, for a plan without a pixel
 
@@ -158,7 +161,7 @@ class Plan:
 def make_render_plan(
     scene: Scene,
     camera: Camera | None = None,
-    pixel: Pixel | None = None,
+    pixel: Pixel | Sequence[Pixel] | None = None,
     *,
     tolerance_e: float = TOLERANCE_E,
     full: bool = False,
@@ -169,7 +172,7 @@ def make_render_plan(
 
     Parameters
     ----------
-    pixel : the tolerance is for its electrons; None takes the packaged response curves
+    pixel : the tolerance is for its electrons, or those of several; None takes the packaged response curves
     tolerance_e : relative error of the mean electrons that all decisions together may cause
     full : leave nothing out: every band of every lamp, the scene's integrator, a sampled lens
     band_count : number of bands of equal width, in place of the bands that the tolerance requires
@@ -179,6 +182,7 @@ def make_render_plan(
     """
     if not 0 < tolerance_e < 1:
         raise invalid("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1, a relative error of mean electrons")
+    pixels = [pixel] if isinstance(pixel, Pixel) else pixel or []
     camera = camera or scene.camera()
     state = scene.for_camera(camera)
     sensor = sensor_node(state, scene.sensor_id)[1]
@@ -189,9 +193,9 @@ def make_render_plan(
     if not lamps:
         raise invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
     integrator, met, bounces = rules.decide_bounces(state, bodies, full)
-    lights, bands, full_passes, spectral = _lights(lamps, surfaces, met, _witnesses(pixel), tolerance_e, full, band_count)
+    lights, bands, full_passes, spectral = _lights(lamps, surfaces, met, _witnesses(pixels), tolerance_e, full, band_count)
     by_index, tables = rules.decide_tables(state, full)
-    lens, focus = rules.decide_lens(state, camera, bodies, width / height, pixel, tolerance_e, full)
+    lens, focus = rules.decide_lens(state, camera, bodies, width / height, pixels[0] if pixels else None, tolerance_e, full)
     # An unfocused chart differs from its picture, and the lens needs samples too.
     chart = rules.lone_chart(state, camera, bodies, (height, width)) if lens == "perspective" else None
     scene_spp = sample_count(state, sensor)
@@ -242,14 +246,24 @@ def _without_samples(plan: Plan) -> Plan:
     return replace(plan, spp=0, exact=True, decisions=tuple(exact if d.subject == exact.subject else d for d in plan.decisions))
 
 
-def _witnesses(pixel: Pixel | None) -> list[Witness]:
-    """Return the responses that the bands must reproduce: electrons per joule of the pixels, and the luminance."""
-    pixels = [pixel] if pixel else [Pixel(technology=name, pitch_um=10.0) for name in RESPONSES]
+def _witnesses(pixels: Sequence[Pixel]) -> list[Witness]:
+    """Return the responses that the bands must reproduce: electrons per joule of the pixels, and the luminance.
 
-    def response(physics: Any) -> spectral_bands.Response:
+    Of colour sensors, those of each channel, and XYZ.
+    """
+    derived = [derive(one) for one in pixels or [Pixel(technology=name, pitch_um=10.0) for name in RESPONSES]]
+
+    def response(physics: PixelPhysics) -> spectral_bands.Response:
         return lambda nm: physics.quantum_efficiency(nm) * photons_per_joule(nm)
 
-    return [*(Witness(response(derive(one))) for one in pixels), Witness(photopic_efficiency, LUMINANCE_SLACK)]
+    def observer(number: int) -> spectral_bands.Response:
+        return lambda nm: np.asarray(colour_matching(nm)[..., number])
+
+    seen = [Witness(response(channel)) for physics in derived for channel in physics.channels]
+    if any(physics.layout for physics in derived):
+        observed = [Witness(observer(number)) for number in range(3)]
+        return [replace(one, slack=COLOUR_SLACK, least=LEAST_OF_WHITE) for one in (*seen, *observed)]
+    return [*seen, Witness(photopic_efficiency, LUMINANCE_SLACK)]
 
 
 def _lights(
@@ -352,7 +366,11 @@ def make_plan(
     if resolution:
         plan = make_render_plan(scene.with_resolution(resolution), camera, pixel, **options)
     longest_s = exposure.integration_s or exposure.max_integration_s
-    after = (decide_saturation(physics, longest_s), decide_noise(physics, full), decide_transforms(full))
+    after = (
+        decide_saturation(physics, longest_s),
+        decide_noise(physics, full),
+        decide_transforms(full or physics.layout is not None),
+    )
     plan = replace(plan, resolution=resolution, decisions=(*plan.decisions, sampling, *after))
     stack = decide_stack(physics, camera, plan.spare_e, full)
     return replace(plan, decisions=(*plan.decisions[: -len(after)], stack, *after))
@@ -470,7 +488,10 @@ def decide_noise(physics: PixelPhysics, full: bool) -> Decision:
 
 
 def decide_transforms(full: bool) -> Decision:
-    """Count the transforms of the viewer: the opponent channels of a grey image are multiples of one picture."""
+    """Count the transforms of the viewer: the opponent channels of a grey image are multiples of one picture.
+
+    full : leave nothing out; and for coloured images
+    """
     if full:
         return Decision("repeated transforms", True, "three forward and three inverse transforms per image")
     reason = "a grey image: one forward transform for three opponent channels; the reference image only once"

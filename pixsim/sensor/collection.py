@@ -12,8 +12,9 @@ the pitch of the pixel that was measured.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -26,7 +27,8 @@ from pixsim.base.parameters import Camera, Correction, Display, StackOptions
 from pixsim.optics.camera_light import CameraPupil, camera_pupil
 from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits
-from pixsim.sensor.crosstalk import shares_sum
+from pixsim.sensor.colour import Layout, of_channels
+from pixsim.sensor.crosstalk import share_with_neighbours, shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
 from pixsim.sensor.pixel import USUAL_F_NUMBER, PixelPhysics
 
@@ -160,7 +162,9 @@ def kernel_on_axis(physics: PixelPhysics, light: Illumination) -> Array:
     return np.asarray(_collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0))[0][0, 0])
 
 
-def shading_of(collection: Collection | None, shape: tuple[int, int], display: Display, correction: Correction) -> Array | None:
+def shading_of(
+    collection: Collection | ColourCollection | None, shape: tuple[int, int], display: Display, correction: Correction
+) -> Array | None:
     """Return by what the display divides a frame, (rows, columns): `Collection.relative`; None for nothing.
 
     Flat frames already hold it.
@@ -366,3 +370,100 @@ def _neighbours(crosstalk: float) -> Array:
     shares[2, 2] = 1 - crosstalk
     shares[[1, 3, 2, 2], [2, 2, 1, 3]] = crosstalk / 4
     return shares
+
+
+def collections_of(physics: PixelPhysics, lights: Sequence[Illumination], pixels: tuple[int, int]) -> tuple[Collection, ...]:
+    """Return the collection of each channel's light on an array of pixels (rows, columns); none without a stack."""
+    each = (collection_of(channel, light, pixels) for channel, light in zip(physics.channels, lights, strict=True))
+    return tuple(one for one in each if one is not None)
+
+
+@dataclass(frozen=True)
+class ColourCollection:
+    """What the stack of a colour sensor's pixels makes of even white light: neighbours collect it through filters of other colours.
+
+    layout : of the pixels
+    each : collection of each channel's light
+    rates : electrons s⁻¹ µm⁻² of photodiode of the white in each channel
+    pitch_um : of the pixels
+    bin_side : pixels along a side of those that are read as one
+    """
+
+    layout: Layout
+    each: tuple[Collection, ...]
+    rates: tuple[float, ...]
+    pitch_um: float
+    bin_side: int = 1
+
+    @property
+    def is_scale(self) -> bool:
+        """As of `Collection`."""
+        return all(one.is_scale for one in self.each)
+
+    def relative(self, shape: tuple[int, int]) -> Array:
+        """Return what each value of a frame (rows, columns) holds of even white light, relative to its channel's mean on axis."""
+        layout = Layout(self._read_cell, self.layout.is_stacked)
+        pixels = shape[0] * self.bin_side // self.layout.planes, shape[1] * self.bin_side
+        return self._even(np.array(self.rates), [one.shares for one in self.each], pixels) / of_channels(
+            self.white_e_per_s, layout, shape
+        )
+
+    @cached_property
+    def mixing_um2(self) -> Array:
+        """Electrons of even light in a value of each channel on axis, (C, C), by the light of each channel.
+
+        The mean over the unit cell; in electrons for one a µm² of photodiode. Without crosstalk it is diagonal.
+        """
+        axis = [one.shares[one.shares.shape[0] // 2, one.shares.shape[1] // 2] for one in self.each]
+        cell, count = self.layout.cell, len(self.each)
+        # Three unit cells, and at least five pixels, around the one in the middle.
+        size = [] if self.layout.is_stacked else [(2 * max(1, -(-5 // len(part))) + 1) * len(part) for part in (cell, cell[0])]
+        mixing = np.empty((count, count))
+        for channel, light in enumerate(np.eye(count)):
+            even = self._even(light, axis, (size[0], size[1]) if size else (1, 1))
+            numbers = Layout(self._read_cell, self.layout.is_stacked).numbers((even.shape[0], even.shape[1]))
+            if size:
+                high, wide = (len(part) // self.bin_side for part in (cell, cell[0]))
+                top, left = (even.shape[0] // high // 2) * high, (even.shape[1] // wide // 2) * wide
+                even, numbers = even[top : top + high, left : left + wide], numbers[top : top + high, left : left + wide]
+            mixing[:, channel] = [even[numbers == number].mean() for number in range(count)]
+        return mixing
+
+    @property
+    def white_e_per_s(self) -> Array:
+        """Electrons per second of the white in a value of each channel on axis, (C,)."""
+        return np.asarray((self.mixing_um2 * np.array(self.rates)).sum(axis=1))
+
+    @property
+    def _read_cell(self) -> tuple[str, ...]:
+        return tuple(row[:: self.bin_side] for row in self.layout.cell[:: self.bin_side])
+
+    def _even(self, rates: Array, shares: Sequence[Array], pixels: tuple[int, int]) -> Array:
+        """Return the electrons per second of even light in the values of a frame, of an array of pixels."""
+        rows, columns = pixels
+        light = of_channels(rates * self.pitch_um**2, self.layout, (rows * self.layout.planes, columns))
+        return read_as_one(shared(light, shares, self.layout), self.bin_side)
+
+
+def shared(light_e_per_s: Array, shares: Sequence[Array], layout: Layout) -> Array:
+    """Return what pixels of a layout collect of the light on them and their neighbours, through the filter on which it falls.
+
+    light_e_per_s : a value for each place of a frame of this layout
+    shares : of each channel's light, as for `share_with_neighbours`
+    """
+    if layout.is_stacked:
+        planes = zip(np.split(light_e_per_s, layout.planes), shares, strict=True)
+        return np.concatenate([share_with_neighbours(plane, share) for plane, share in planes])
+    numbers = layout.numbers((light_e_per_s.shape[0], light_e_per_s.shape[1]))
+    through = (np.where(numbers == channel, light_e_per_s, 0.0) for channel in range(len(shares)))
+    # Reflection about the centres of pixels keeps the phase of cells of two pixels.
+    parts = (share_with_neighbours(part, share, about_centres=True) for part, share in zip(through, shares, strict=True))
+    return np.asarray(sum(parts))
+
+
+def read_as_one(values: Array, side: int) -> Array:
+    """Return the sums of side x side values, (rows / side, columns / side)."""
+    if side == 1:
+        return values
+    rows, columns = (count // side for count in values.shape)
+    return np.asarray(values[: rows * side, : columns * side].reshape(rows, side, columns, side).sum(axis=(1, 3)))

@@ -26,7 +26,12 @@ ROUNDING_VARIANCE_DN2 = 1 / 12
 
 @checks_arguments
 def correct(
-    frame: Frame, sensor: Sensor, correction: Correction, rng: np.random.Generator, collection: Array | None = None
+    frame: Frame,
+    sensor: Sensor,
+    correction: Correction,
+    rng: np.random.Generator,
+    collection: Array | None = None,
+    balance: Array | None = None,
 ) -> Frame:
     """Return a frame with `corrected_e`, its photo-electrons as the camera's correction estimates them.
 
@@ -37,7 +42,10 @@ def correct(
 
     sensor : that took the frame
     rng : of the dark rows, dark frames and flat frames, with a stream of its own for each
-    collection : (rows, columns) that pixels collect of even light, relative to one on axis; None: all the same
+    collection : (rows, columns) that pixels collect of even light, relative to one of their channel on axis; None: all the same
+    balance : (rows, columns) electrons of white in each pixel's channel, relative to the largest of the channels; None: one channel
+
+    The balance of the channels stays in the picture; a defect is replaced by pixels of its own channel.
 
     Raises PixsimError if dark charge alone exceeds the level of the flat frames.
     """
@@ -70,16 +78,22 @@ def correct(
         defects |= outliers(dark, rounding_e(physics, correction.dark_frames))
     if correction.flat_frames:
         even: Array | float = 1.0 if collection is None else collection
-        light_e = flat_light_e(physics, correction, time_s) * (even / np.max(even))  # the brightest pixel has the stated level
+        light: Array | float = even if balance is None else even * balance
+        light_e = flat_light_e(physics, correction, time_s) * (light / np.max(light))  # the brightest pixel has the stated level
         flat = mean_of(correction.flat_frames, light_e, flat_rng, above_flat)
         if dark is not None:
             flat -= dark
+        if balance is not None:
+            flat /= balance
         response = flat / max(float(flat.mean() / np.mean(even)), np.finfo(float).tiny)  # 1 is the mean response on axis
         unresponsive = response < LEAST_RESPONSE * even
         picture /= np.where(unresponsive, even, response)
         defects |= unresponsive | outliers(flat / even, rounding_e(physics, correction.flat_frames))
     if correction.defects:
-        picture = without_defects(picture, defects)
+        layout = frame.layout
+        pictures, which = ([picture], [defects]) if layout is None else (layout.parts(picture), layout.parts(defects))
+        for part, of_part in zip(pictures, which, strict=True):
+            part[...] = without_defects(part, of_part)
     return replace(frame, corrected_e=picture.astype(np.float32))
 
 

@@ -13,7 +13,7 @@ NEGLIGIBLE = 1e-12  # of the light on a pixel: shares below are left out
 
 
 @checks_arguments
-def share_with_neighbours(signal_e_per_s: Array, shares: Array) -> Array:
+def share_with_neighbours(signal_e_per_s: Array, shares: Array, *, about_centres: bool = False) -> Array:
     """Return what each pixel collects, (rows, columns), of the light on it and on the pixels around.
 
     A pixel collects the share [dy + 2, dx + 2] of the light of the pixel that is dy rows above and dx columns to the left of it,
@@ -23,13 +23,14 @@ def share_with_neighbours(signal_e_per_s: Array, shares: Array) -> Array:
     signal_e_per_s : (rows, columns) of the light on pixels, as if each collected all of its own
     shares : (5, 5), or (y, x, 5, 5) at points of a grid over the array, the first and last at the centres of the outermost pixels;
         linear between them. They vary little from a pixel to its neighbours
+    about_centres : reflect about the centres of the outermost pixels, which keeps the phase of a mosaic, not about their edges
 
     Raises PixsimError if the shares have another shape.
     """
     if shares.shape[-2:] != (5, 5) or shares.ndim not in (2, 4) or 0 in shares.shape:
         raise invalid("shares", f"an array of shape {shares.shape}", "(5, 5), or (y, x, 5, 5) with at least one point")
     nodes, reach = shares.reshape(*(shares.shape[:-2] or (1, 1)), 5, 5), 2
-    around = np.pad(signal_e_per_s, reach, mode="symmetric")
+    around = np.pad(signal_e_per_s, reach, mode="reflect" if about_centres else "symmetric")
     result = np.zeros(signal_e_per_s.shape)
     used = [(dy, dx) for dy, dx in np.ndindex(5, 5) if np.abs(nodes[:, :, dy, dx]).max() > NEGLIGIBLE]
     count, width = signal_e_per_s.shape

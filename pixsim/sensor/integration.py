@@ -8,9 +8,9 @@ depend on how columns are grouped into strips.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import lru_cache, partial
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,8 +22,18 @@ from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage, photons_per_joule
-from pixsim.optics.diffraction import diffract_sum
-from pixsim.sensor.collection import Collection, Illumination, collected_area_um2, collection_of, illumination
+from pixsim.optics.diffraction import diffract_sums
+from pixsim.sensor.collection import (
+    Collection,
+    Illumination,
+    collected_area_um2,
+    collection_of,
+    collections_of,
+    illumination,
+    read_as_one,
+    shared,
+)
+from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import PixelPhysics
@@ -165,28 +175,36 @@ def electrons_per_joule(physics: PixelPhysics, image: SpectralImage) -> Array:
 
 
 def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:
-    """Return electrons s⁻¹ µm⁻² of photodiode behind a diffracting lens, (H, W).
+    """Return `diffracted_rates` of one channel, or of the mean response of a colour sensor, (H, W)."""
+    return diffracted_rates(irradiance, camera, [physics])[0]
+
+
+def diffracted_rates(irradiance: SpectralImage, camera: Camera, channels: Sequence[PixelPhysics]) -> list[Array]:
+    """Return electrons s⁻¹ µm⁻² of photodiode behind a diffracting lens, (H, W), for each channel of one pixel.
 
     There is one convolution per spectrum of a factored image (exact, with the white-light OTF), else one per band, and none
     if the plan left diffraction out. Diffusion of charge between pixels without microlenses is part of it. Negative values from
     ringing remain; `pixel_signal` clips them after integration.
     """
     f_number: float | None = camera.effective_f_number
-    blur = diffusion_of(physics)
+    blur = diffusion_of(channels[0])
     if irradiance.header.get("diffraction") is False:
         if blur is None:
-            return ideal_rate(irradiance, physics)
+            return [ideal_rate(irradiance, physics) for physics in channels]
         f_number = None
-    nm, weight = irradiance.wavelength_nm, electrons_per_joule(physics, irradiance)
-    pictures: Iterable[tuple[NDArray[np.float32], Array]]
+    nm, weights = irradiance.wavelength_nm, [electrons_per_joule(physics, irradiance) for physics in channels]
+    pictures: Iterable[tuple[NDArray[np.float32], list[Array]]]
     if irradiance.factors:
-        pictures = ((picture, weight * spectrum) for spectrum, picture in zip(*irradiance.factors, strict=True))
+        factors = zip(*irradiance.factors, strict=True)
+        pictures = ((picture, [weight * spectrum for weight in weights]) for spectrum, picture in factors)
     else:
         one = np.eye(nm.size)
-        pictures = ((irradiance.band(band), weight * one[band]) for band in np.flatnonzero(weight).tolist())
-    rate = diffract_sum(pictures, irradiance.shape, irradiance.pitch_um, nm, f_number, blur)
-    rate *= M2_PER_UM2
-    return rate
+        seen = np.flatnonzero(np.any(weights, axis=0)).tolist()
+        pictures = ((irradiance.band(band), [weight * one[band] for weight in weights]) for band in seen)
+    rates = diffract_sums(pictures, len(channels), irradiance.shape, irradiance.pitch_um, nm, f_number, blur)
+    for rate in rates:
+        rate *= M2_PER_UM2
+    return rates
 
 
 def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | None:
@@ -282,6 +300,7 @@ def integrate_pixels(
     photodiode_side_um: float,
     running: Array | None = None,
     size_um: tuple[float, float] | None = None,
+    only: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
 ) -> Array:
     """Integrate a picture over the square, centred photodiodes of a pixel array that is centred on the picture.
 
@@ -291,6 +310,7 @@ def integrate_pixels(
     pitch_um, photodiode_side_um : of the pixels; the pitch need not divide the width of the picture
     running : `running_integral(rate)` if available; it is the same for all pitches
     size_um : `array_size_um`, (height, width) that the pixels fill; None means the whole picture
+    only : numbers of the rows and of the columns of pixels that are needed; None means all of them
 
     Returns (rows, columns), rows = ⌊height / pitch⌋. Only the picture, (rows, W) and the result are in memory.
     Raises PixsimError if not one pixel fits.
@@ -299,6 +319,8 @@ def integrate_pixels(
     counts = pixels_on(size_um or picture_um, pitch_um)
     check_pixel_count(counts, pitch_um)
     y_um, x_um = (photodiode_edges_um(um, n, pitch_um, photodiode_side_um) for um, n in zip(picture_um, counts, strict=True))
+    if only is not None:
+        y_um, x_um = ((low[which], high[which]) for (low, high), which in zip((y_um, x_um), only, strict=True))
     down = integrate_axis(rate, sample_pitch_um, *y_um, 0, running)
     return integrate_axis(down, sample_pitch_um, *x_um, 1)
 
@@ -350,8 +372,79 @@ def pixel_signal(
     return signal, collection
 
 
+MAX_STORED_SAMPLES = 1 << 22  # of a running integral that is stored, 32 MiB: a film of 2048²
+
+
+@dataclass(frozen=True)
+class ChannelLight:
+    """The light behind the lens as one channel of a pixel of any pitch sees it.
+
+    rate_e_per_s_um2 : (H, W) photo-electrons s⁻¹ µm⁻² of photodiode, means over samples
+    illumination : directions and mean spectrum of the light
+    """
+
+    rate_e_per_s_um2: Array = field(repr=False)
+    illumination: Illumination
+
+    @cached_property
+    def running_integral(self) -> Array | None:
+        """Running integral down the picture, which takes longer than all steps of a pitch; None if too large to store."""
+        return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MAX_STORED_SAMPLES else None
+
+
+def lights_of(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> tuple[ChannelLight, ...]:
+    """Return the light behind the lens for each channel of a pixel."""
+    rates = diffracted_rates(irradiance, camera, physics.channels)
+    illuminations = [illumination_of(irradiance, camera, channel) for channel in physics.channels]
+    return tuple(ChannelLight(*pair) for pair in zip(rates, illuminations, strict=True))
+
+
+def array_signal(
+    lights: Sequence[ChannelLight], sample_pitch_um: float, physics: PixelPhysics, size_um: tuple[float, float] | None = None
+) -> tuple[Array, tuple[Collection, ...]]:
+    """Return the mean photo-electrons per second of every value of a frame, and the collection of each channel, if any.
+
+    Each channel's light is integrated at its own pixels only.
+
+    lights : of the channels of the pixel
+    size_um : as for `integrate_pixels`
+    """
+    layout = Layout.of_pixels(physics.pixel)
+    if layout is None:
+        light = lights[0]
+        signal, collection = pixel_signal(
+            light.rate_e_per_s_um2, sample_pitch_um, physics, light.illumination, light.running_integral, size_um
+        )
+        return signal, () if collection is None else (collection,)
+    read_um = physics.as_read.read_pitch_um
+    picture_um = tuple(count * sample_pitch_um for count in lights[0].rate_e_per_s_um2.shape)
+    rows, columns = (count * physics.as_read.bin_side for count in pixels_on(size_um or picture_um, read_um))
+    pixels_um = rows * physics.pitch_um, columns * physics.pitch_um
+    collections = collections_of(physics, [light.illumination for light in lights], (rows, columns))
+    side_um = collections[0].aperture_side_um if collections else physics.photodiode_side_um
+    signal = np.empty((rows * layout.planes, columns))
+    cell = layout.cell
+    for number, (letter, light) in enumerate(zip(layout.channels, lights, strict=True)):
+        first = number * rows if layout.is_stacked else 0
+        for down, across in [((0,), (0,))] if layout.is_stacked else layout.sites(letter):
+            high, wide = (1, 1) if layout.is_stacked else (len(cell), len(cell[0]))
+            which = (
+                np.flatnonzero(np.isin(np.arange(rows) % high, down)),
+                np.flatnonzero(np.isin(np.arange(columns) % wide, across)),
+            )
+            if which[0].size and which[1].size:
+                signal[np.ix_(first + which[0], which[1])] = integrate_pixels(
+                    light.rate_e_per_s_um2, sample_pitch_um, physics.pitch_um, side_um, light.running_integral, pixels_um, which
+                )
+    np.maximum(signal, 0.0, out=signal)
+    if collections:
+        signal *= (physics.pitch_um / side_um) ** 2
+        signal = shared(signal, [one.shares for one in collections], layout)
+    return read_as_one(signal, physics.as_read.bin_side), collections
+
+
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:
-    """Return the mean photo-electrons per second of every pixel, (rows, columns), before any non-uniformity."""
+    """Return the mean photo-electrons per second of every value of a frame, (rows, columns), before any non-uniformity."""
     irradiance.validate()
-    rate, light = diffracted_rate(irradiance, camera, physics), illumination_of(irradiance, camera, physics)
-    return pixel_signal(rate, irradiance.pitch_um, physics, light, size_um=array_size_um(irradiance, camera))[0]
+    lights = lights_of(irradiance, camera, physics)
+    return array_signal(lights, irradiance.pitch_um, physics, array_size_um(irradiance, camera))[0]

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import (
     ABSOLUTE_ZERO_C,
+    BIN,
     MIN_FRACTION,
     NO_TECHNOLOGY,
     WELL_RANGE_E,
@@ -29,11 +30,14 @@ from pixsim.base.parameters import (
     PixelOptions,
     StackOptions,
     Study,
+    channels_of,
+    efficiencies_of,
     pixel_of,
     stack_excluded_by,
 )
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.optics.stack import LOWEST_LENS, Stack
+from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.mismatch import DarkSpread, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
@@ -358,6 +362,8 @@ class PixelPhysics:
     hot_pixel_fraction, hot_pixel_median, hot_pixel_spread : of the pixels that are hot, median of their dark current over the
         mean of the others, and standard deviation of its logarithm
     gain_db : amplification with which the pixel is read; `at_gain` sets it
+    channel : letter of the channel whose quantum efficiency this is; empty: of the whole pixel, of a colour sensor the mean
+    bin_side : pixels along a side of those that are read as one
     stack : between the surface and the photodiode; None: a pixel collects the light on its photodiode, from every direction alike
     charge : how charge spreads in that stack's silicon (`depletion_um`, `diffusion_length_um`, `crosstalk`)
     """
@@ -384,6 +390,56 @@ class PixelPhysics:
     gain_db: float = 0.0
     stack: Stack | None = None
     charge: StackOptions | None = None
+    channel: str = ""
+    bin_side: int = 1
+
+    @property
+    def layout(self) -> Layout | None:
+        """Which channel each value of its frames belongs to; None for a monochrome sensor."""
+        return Layout.of(self.pixel)
+
+    @property
+    def channels(self) -> tuple[PixelPhysics, ...]:
+        """This pixel with the quantum efficiency of each of its channels; a monochrome pixel is its own only channel."""
+        layout = self.layout
+        return (self,) if layout is None else tuple(replace(self, channel=letter) for letter in layout.channels)
+
+    @property
+    def planes(self) -> int:
+        """Number of values that a frame has for each pixel: 1, but for stacked channels."""
+        layout = self.layout
+        return 1 if layout is None else layout.planes
+
+    @property
+    def read_pitch_um(self) -> float:
+        """Distance of what is read: of the pixels, or of the sums of a binned sensor."""
+        return self.pitch_um * self.bin_side
+
+    @property
+    def as_read(self) -> PixelPhysics:
+        """The pixel of a frame: itself, or of a sensor that bins, what has the charge of 2 x 2 pixels and one readout.
+
+        Dark current, full well and the ADC's range add up; gains and dark currents of four pixels vary half as much as those of
+        one. The sum of Poisson counts is one. A full pixel of a sum that is not full is not seen.
+        """
+        if self.pixel.colour is None or not self.pixel.colour.binning or self.bin_side > 1:
+            return self
+        count = BIN**2
+        hot: dict[str, Any] = {}
+        if self.hot_pixel_fraction:  # a hot pixel and three others
+            hot["hot_pixel_fraction"] = 1 - (1 - self.hot_pixel_fraction) ** count
+            hot["hot_pixel_median"] = (self.hot_pixel_median + count - 1) / count
+        return replace(
+            self,
+            bin_side=BIN,
+            full_well_e=count * self.full_well_e,
+            dark_current_e_per_s=count * self.dark_current_e_per_s,
+            gain_e_per_dn=None if self.gain_e_per_dn is None else count * self.gain_e_per_dn,
+            adc_full_scale_e=None if self.adc_full_scale_e is None else count * self.adc_full_scale_e,
+            prnu=self.prnu / BIN,
+            dsnu=self.dsnu / BIN,
+            **hot,
+        )
 
     @checks_arguments
     def at_gain(self, gain_db: float) -> PixelPhysics:
@@ -460,7 +516,8 @@ class PixelPhysics:
     def _efficiency_is_of_sheet(self) -> bool:
         """Whether the quantum efficiency is that of a data sheet, and not a number in place of the technology's."""
         own = self.pixel
-        return own.quantum_efficiency is not None and (self.technology.name == NO_TECHNOLOGY or own.data_sheet_pitch_um is not None)
+        stated = own.quantum_efficiency is not None or bool(efficiencies_of(own.colour))
+        return stated and (self.technology.name == NO_TECHNOLOGY or own.data_sheet_pitch_um is not None)
 
     @property
     def dn_per_e(self) -> float:
@@ -507,6 +564,16 @@ class PixelPhysics:
         return DarkSpread(self.dsnu, self.hot_pixel_fraction, self.hot_pixel_median, self.hot_pixel_spread)
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
+        colour, layout = self.pixel.colour, self.layout
+        if colour is None or layout is None:
+            return self._unfiltered_quantum_efficiency(wavelength_nm)
+        unfiltered = self._unfiltered_quantum_efficiency(wavelength_nm) if colour.transmittances else np.zeros_like(wavelength_nm)
+        if self.channel:
+            return channel_efficiency(colour, self.channel, wavelength_nm, unfiltered)
+        parts = [channel_efficiency(colour, letter, wavelength_nm, unfiltered) for letter in layout.channels]
+        return np.asarray(sum(share * part for share, part in zip(layout.shares, parts, strict=True)))
+
+    def _unfiltered_quantum_efficiency(self, wavelength_nm: Array) -> Array:
         if self.pixel.quantum_efficiency is not None:
             return given_efficiency(wavelength_nm, self.pixel.quantum_efficiency)
         if self.technology.response_curve == "silicon":
@@ -515,7 +582,10 @@ class PixelPhysics:
 
     @checks_arguments
     def quantum_efficiency(self, wavelength_nm: ArrayLike) -> Array:
-        """Return electrons per photon on the photodiode at each wavelength, (B,); 0 beyond the infrared cut."""
+        """Return electrons per photon on the photodiode at each wavelength, (B,); 0 beyond the infrared cut.
+
+        Those of `channel`; of a colour sensor's pixel without one, the mean over the values of its frames.
+        """
         nm = np.asarray(wavelength_nm, float)
         return np.where(nm > self.infrared_cut_nm, 0.0, self._uncut_quantum_efficiency(nm))
 
@@ -750,6 +820,18 @@ def stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) -> 
         raise PixsimError(f"pixel.stack.{error}") from None
 
 
+def check_colour(pixel: Pixel, technology: Technology) -> None:
+    """Raise PixsimError if a pixel's colour filters have no known response, or its charge cannot be summed."""
+    colour = pixel.colour
+    if colour is None:
+        return
+    for letter in channels_of(colour.cell):
+        channel_efficiency(colour, letter, np.array([]), np.array([]))
+    if colour.binning and technology.junction is not None:
+        got, allowed = f"true for {technology.name}, a 3T pixel, whose charge stays on its photodiode", "4T pixels and data sheets"
+        raise invalid("pixel.colour.binning", got, allowed, "Take pixel.technology = '4t-bsi', or leave binning out.")
+
+
 @checks_arguments
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     """Return the physical properties of a pixel; what its parameters do not set comes from the technology.
@@ -821,6 +903,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     scale = full_well_e / process_well.full_well_e  # a given full well scales the capacitance at the same swing
     offset_e, column_e = offsets_e(full_well_e, process_well)
     hot_fraction, hot_median, hot_spread = hot_pixels(pixel, technology)
+    check_colour(pixel, technology)
     charge = stack_options(pixel, technology)
     return PixelPhysics(
         pixel=pixel,

@@ -1,7 +1,7 @@
 """Read and write raw frames with their metadata: TIFF and PNG of 16 bits, EXR, npz.
 
 Every format holds the digital numbers unchanged, and the same metadata: black and white level, bits, pitch, gain,
-integration time and saturated fraction. Each format stores the metadata as follows:
+integration time, saturated fraction, and the layout of the channels of a colour sensor. Each format stores the metadata as follows:
 
     TIFF   BlackLevel and WhiteLevel (tags 50714 and 50717, of Adobe's DNG 1.7), and all of it as JSON in ImageDescription
     PNG    a text chunk for each item; there is no sBIT chunk
@@ -29,9 +29,11 @@ from pixsim.base.arrays import ArrayHeader, first_where, read_array, read_arrays
 from pixsim.base.errors import PixsimError, invalid, one_line
 from pixsim.base.files import MAX_PICTURE, judge_picture, opened, reason, size_of
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
+from pixsim.sensor.colour import Layout
 from pixsim.sensor.readout import Frame
 
 UNIT = "DN"
+MAX_LAYOUT_BYTES = 1024  # of its text in an npz
 SUFFIXES = (".exr", ".tiff", ".tif", ".png", ".npz")
 BITS_OF_PICTURES = 16  # of TIFF and PNG, as others read them
 MAX_BITS = 32
@@ -53,6 +55,7 @@ class RawFrame:
     dn_per_e : gain, DN per electron above the black level
     saturated_fraction : fraction of pixels whose charge or DN reached its limit (`Frame`). Only the simulation knows the
         charge; for files of other programs there is `top_code_fraction`
+    layout : which channel each value belongs to, as of a `Frame`
     """
 
     dn: NDArray[Any] = field(repr=False)
@@ -63,6 +66,7 @@ class RawFrame:
     dn_per_e: float | None = None
     integration_s: float | None = None
     saturated_fraction: float | None = None
+    layout: Layout | None = None
 
     @property
     def top_code_fraction(self) -> float | None:
@@ -74,7 +78,8 @@ class RawFrame:
         return None if top is None else float(np.mean(self.dn >= top))
 
     def __repr__(self) -> str:
-        words = [f"{name}={value:g}" for name in FACTS if (value := getattr(self, name)) is not None]
+        words = [f"layout={self.layout}"] * (self.layout is not None)
+        words += [f"{name}={value:g}" for name in FACTS if (value := getattr(self, name)) is not None]
         if self.saturated_fraction is None:
             at_top, saturation = self.top_code_fraction, "saturation unknown (no white level)"
             if at_top is not None:
@@ -83,15 +88,17 @@ class RawFrame:
         return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(words)}>"
 
 
+LAYOUT = "layout"  # as text: RG/GB, the rows of a mosaic's unit cell, upper one first; R+G+B, planes one below the other
 FACTS = ("black_level_dn", "white_level_dn", "bits", "pitch_um", "dn_per_e", "integration_s", "saturated_fraction")
 
 
 def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     """Return the metadata that a file stores with the digital numbers of a frame."""
+    layout = {} if frame.layout is None else {LAYOUT: str(frame.layout)}
     if isinstance(frame, RawFrame):
-        return {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
+        return layout | {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
     facts = {name: float(getattr(frame, name, 2**frame.bits - 1)) for name in FACTS}  # the white level of a Frame is its top code
-    return facts | {"bits": int(frame.bits)}
+    return layout | facts | {"bits": int(frame.bits)}
 
 
 @checks_arguments
@@ -114,7 +121,7 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     if dn.max() >= 2**bits:
         raise invalid(name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead.")
     for fact, value in facts.items():
-        if not math.isfinite(number_of(facts, fact)):
+        if fact != LAYOUT and not math.isfinite(number_of(facts, fact)):
             raise invalid(f"{fact} of the {name}", value, "a finite number, or None")
     writers[path.suffix.lower()](path, dn, facts)
 
@@ -189,7 +196,16 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     _check_whole(f"raw frame '{path}'", dn)
     numbers = {name: value for name in FACTS if math.isfinite(value := number_of(metadata, name))}
     facts: dict[str, Any] = {name: round(value) if name == "bits" else value for name, value in numbers.items()}
-    return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts)
+    return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts, layout=_layout_of(metadata, dn.shape))
+
+
+def _layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None:
+    """Return the layout that a file states; None if it is absent or, as another program's item may be, no layout of the frame."""
+    try:
+        layout = Layout.of_text(str(metadata[LAYOUT]))
+    except (KeyError, ValueError):
+        return None
+    return None if shape[0] % layout.planes else layout
 
 
 def number_of(metadata: dict[str, Any], name: str) -> float:
@@ -227,14 +243,17 @@ def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
     channels, header = read_channels(path)
     if len(channels) != 1:
         raise invalid(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: digital numbers or luminance")
-    metadata = {name: header[name] for name in FACTS if name in header}
+    metadata = {name: header[name] for name in (*FACTS, LAYOUT) if name in header}
     decimals = {name: shortest(value) for name, value in metadata.items() if name != "bits" and isinstance(value, float)}
     return next(iter(channels.values())), metadata | decimals | _json_of(header.get("facts"))
 
 
 def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
     def check(array: str, header: ArrayHeader) -> None:
-        if array in FACTS and path.suffix.lower() == ".npz":
+        if array == LAYOUT and path.suffix.lower() == ".npz":
+            if header.shape not in ((), (1,)) or header.dtype.kind != "U" or header.dtype.itemsize > MAX_LAYOUT_BYTES:
+                raise invalid(f"{array} of '{path}'", f"{header.dtype} of shape {header.shape}", "one text, as RG/GB")
+        elif array in FACTS and path.suffix.lower() == ".npz":
             if header.shape not in ((), (1,)):
                 raise invalid(f"{array} of '{path}'", f"an array of shape {header.shape}", "one number")
         elif len(header.shape) != 2 or header.dtype.kind not in "biuf":
@@ -246,13 +265,13 @@ def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
         if "dn" not in names and len(names) != 1:
             got = ", ".join(one_line(array) for array in names[:8]) or "none"
             raise invalid(f"arrays of '{path}'", got, "dn, the digital numbers, or a single array")
-        return ["dn", *(fact for fact in FACTS if fact in names)] if "dn" in names else names
+        return ["dn", *(fact for fact in (*FACTS, LAYOUT) if fact in names)] if "dn" in names else names
 
     if path.suffix.lower() == ".npy":
         return read_array(path, name, expected, check), {}
     arrays = read_arrays(path, name, expected, choose, check)
     picture = "dn" if "dn" in arrays else next(iter(arrays))
-    return arrays[picture], {fact: arrays[fact] for fact in FACTS if fact in arrays}
+    return arrays[picture], {fact: arrays[fact] for fact in (*FACTS, LAYOUT) if fact in arrays}
 
 
 def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:

@@ -14,6 +14,7 @@ from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_on
 from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
@@ -115,10 +116,10 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float | 
     """
     warn_of_disagreements(pixel)
     aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
-    physics, width_um = derive(pixel), camera.die_um[1]
-    shape = pixels_on((width_um / aspect, width_um), pixel.pitch_um)
+    physics, width_um = derive(pixel).as_read, camera.die_um[1]
+    shape = pixels_on((width_um / aspect, width_um), physics.read_pitch_um)
     check_pixel_count(shape, pixel.pitch_um)
-    return sample_sensor(physics, shape, np.random.default_rng(seed))
+    return sample_sensor(physics, (shape[0] * physics.planes, shape[1]), np.random.default_rng(seed))
 
 
 # --- noise, in the order of the charge --------------------------------------------------------------------------------
@@ -141,6 +142,7 @@ class Frame:
     saturated_fraction : fraction of pixels whose charge reached `saturation_level_e` (light and dark, with shot noise,
         before reset noise and offsets) or whose DN is the top code
     corrected_e : (rows, columns) photo-electrons as the camera's correction estimates them; None without one
+    layout : which channel each value belongs to; None for a monochrome sensor. A stacked one has its planes one below the other
     """
 
     dn: NDArray[np.int32] = field(repr=False)
@@ -154,6 +156,12 @@ class Frame:
     saturated_fraction: float
     corrected_e: NDArray[np.float32] | None = field(default=None, repr=False)
     gain_db: float = 0.0
+    layout: Layout | None = None
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Rows and columns of what is read: pixels, or their sums with binning."""
+        return self.dn.shape[0] // (1 if self.layout is None else self.layout.planes), self.dn.shape[1]
 
     @property
     def electrons(self) -> Array:
@@ -339,10 +347,11 @@ def make_frame(
         dn_per_e=physics.at_gain(exposure.gain_db).dn_per_e,
         black_level_dn=physics.pixel.black_level_dn,
         mean_dark_e=physics.dark_current_e_per_s * time_s,
-        pitch_um=physics.pitch_um,
+        pitch_um=physics.read_pitch_um,
         bits=physics.pixel.bits,
         saturated_fraction=saturated_fraction,
         gain_db=exposure.gain_db,
+        layout=physics.layout,
     )
 
 

@@ -54,7 +54,9 @@ def _environment() -> Environment:
 
 
 def shown_value(value: Any) -> Any:
-    """Return a value for a table cell: a curve of (wavelength in nm, value) is summarised by its size and range."""
+    """Return a value for a table cell: a curve of (wavelength in nm, value) in words, by its size and range, and so is a table."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {shown_value(inner)}" for name, inner in value.items())
     if isinstance(value, tuple | list) and value and isinstance(value[0], tuple | list):
         return f"curve of {len(value)} points, {value[0][0]:g} to {value[-1][0]:g} nm"
     return value

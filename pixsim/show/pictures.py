@@ -56,14 +56,15 @@ class PictureAxes:
     fixed: bool = False
 
 
-def grey_codes(luminance: Array) -> NDArray[np.uint8]:
-    """Return relative luminance encoded for a display of gamma 2.2."""
-    return np.asarray(np.rint(255 * np.clip(luminance, 0, 1) ** (1 / VIEWING_GAMMA)).astype(np.uint8))
+def display_codes(light: Array) -> NDArray[np.uint8]:
+    """Return relative luminance (H, W), or light of red, green and blue (H, W, 3), 1 for white, for a display of gamma 2.2."""
+    return np.asarray(np.rint(255 * np.clip(light, 0, 1) ** (1 / VIEWING_GAMMA)).astype(np.uint8))
 
 
-def save_png(path: Path, luminance: Array) -> None:
-    """Write relative luminance as a grey PNG encoded for a display of gamma 2.2."""
-    path.write_bytes(png_bytes(np.repeat(grey_codes(luminance)[:, :, None], 3, axis=2)))
+def save_png(path: Path, light: Array) -> None:
+    """Write relative luminance (H, W), or light of the primaries (H, W, 3), as a PNG encoded for a display of gamma 2.2."""
+    codes = display_codes(light)
+    path.write_bytes(png_bytes(codes if codes.ndim == 3 else np.repeat(codes[:, :, None], 3, axis=2)))
 
 
 def scale_end(p99_delta_e: float) -> float:
@@ -198,7 +199,7 @@ class Picture:
 
 
 def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
-    """Return grey pictures in rows of six as one PNG, a picture dot for each sheet dot."""
+    """Return pictures in rows of six as one PNG, a picture dot for each sheet dot; it is grey if all of them are."""
     from PIL import Image, ImageDraw
 
     title = one_line(title, MAX_TITLE)
@@ -206,17 +207,20 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
     pitch_x, pitch_y = max(side_x, LABEL_WIDTH) + SHEET_GAP, side_y + 2 * LINE + SHEET_GAP
     columns = min(COLUMNS, len(tiles))
     width = max(2 * SHEET_MARGIN + columns * pitch_x - SHEET_GAP, round(font(16).getlength(title)) + 2 * SHEET_MARGIN)
-    canvas = Image.new("L", (width, 2 * SHEET_MARGIN + TITLE + -(-len(tiles) // columns) * pitch_y - SHEET_GAP), PAPER)
+    coloured = any(tile.codes.ndim == 3 for tile in tiles)
+    size = width, 2 * SHEET_MARGIN + TITLE + -(-len(tiles) // columns) * pitch_y - SHEET_GAP
+    ink: Any = BLACK if coloured else INK
+    canvas = Image.new("RGB", size, WHITE) if coloured else Image.new("L", size, PAPER)
     draw = ImageDraw.Draw(canvas)
-    draw.text((SHEET_MARGIN, SHEET_MARGIN), title, INK, font(16), anchor="lt")
+    draw.text((SHEET_MARGIN, SHEET_MARGIN), title, ink, font(16), anchor="lt")
     for index, tile in enumerate(tiles):
         x, y = SHEET_MARGIN + index % columns * pitch_x, SHEET_MARGIN + TITLE + index // columns * pitch_y
-        height, width = tile.codes.shape
+        height, width = tile.height, tile.width
         if tile.best:
-            draw.rectangle((x - SHEET_FRAME, y - SHEET_FRAME, x + width - 1 + SHEET_FRAME, y + height - 1 + SHEET_FRAME), fill=INK)
+            draw.rectangle((x - SHEET_FRAME, y - SHEET_FRAME, x + width - 1 + SHEET_FRAME, y + height - 1 + SHEET_FRAME), fill=ink)
         canvas.paste(Image.fromarray(tile.codes), (x, y))
-        draw.text((x, y + height + 5), f"best: {tile.name}" if tile.best else tile.name, INK, font(14), anchor="lt")
-        draw.text((x, y + height + 5 + LINE), tile.note, INK, font(14), anchor="lt")
+        draw.text((x, y + height + 5), f"best: {tile.name}" if tile.best else tile.name, ink, font(14), anchor="lt")
+        draw.text((x, y + height + 5 + LINE), tile.note, ink, font(14), anchor="lt")
     return png_bytes(np.asarray(canvas))
 
 
@@ -236,8 +240,8 @@ class Window:
     width: float
 
     def of(self, picture: Array) -> Array:
-        """Return this part of a picture of any number of dots, at least one dot."""
-        places = zip((self.top, self.left), (self.height, self.width), picture.shape, strict=True)
+        """Return this part of a picture of any number of dots, (H, W) or (H, W, 3), at least one dot."""
+        places = zip((self.top, self.left), (self.height, self.width), picture.shape[:2], strict=True)
         spans = ((min(round(start * n), n - 1), size, n) for start, size, n in places)
         rows, columns = (slice(first, first + max(1, round(size * n))) for first, size, n in spans)
         return picture[rows, columns]
@@ -278,16 +282,17 @@ def worst_window(maps: Sequence[Array]) -> Window:
 
 def factor_for(picture: Array) -> int:
     """Return how many dots per side are averaged into one when a whole picture is shown in a page."""
-    return -(-max(picture.shape) // MAX_PICTURE_DOTS)
+    return -(-max(picture.shape[:2]) // MAX_PICTURE_DOTS)
 
 
 def reduced(luminance: Array) -> Array:
     """Return a picture of at most `MAX_PICTURE_DOTS` per side: means of square blocks; an incomplete last block is cut off."""
-    down, across = (min(factor_for(luminance), size) for size in luminance.shape)
+    down, across = (min(factor_for(luminance), size) for size in luminance.shape[:2])
     if down == across == 1:
         return luminance
     rows, columns = luminance.shape[0] // down, luminance.shape[1] // across
-    return np.asarray(luminance[: rows * down, : columns * across].reshape(rows, down, columns, across).mean(axis=(1, 3)))
+    blocks = luminance[: rows * down, : columns * across].reshape(rows, down, columns, across, *luminance.shape[2:])
+    return np.asarray(blocks.mean(axis=(1, 3)))
 
 
 def scale(end: float) -> Picture:

@@ -38,9 +38,11 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
 from pixsim.base.notes import told_apart, warn
 from pixsim.base.parameters import (
+    DEVELOP,
     NO_CORRECTION,
     Camera,
     Correction,
+    Develop,
     Display,
     Exposure,
     PitchRange,
@@ -94,6 +96,7 @@ class Setup:
     border_um: float | None = None
     process: Technology | None = None
     correction: Correction = NO_CORRECTION
+    develop: Develop = DEVELOP
 
     @property
     def technology(self) -> Technology:
@@ -107,7 +110,7 @@ class Setup:
 
     @classmethod
     def of(cls, run: Run, camera: Camera) -> Setup:
-        return cls(camera, run.pixel, run.exposure, run.display, run.seed, correction=run.correction)
+        return cls(camera, run.pixel, run.exposure, run.display, run.seed, correction=run.correction, develop=run.develop)
 
     def around(self, pitches_um: tuple[float, ...]) -> Setup:
         """Return the set-up with these pitches; with `at_optimum`, the pixel takes their geometric centre."""
@@ -231,7 +234,7 @@ def chains_of(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = 
 
     The pitches share a scored frame. The set-up's pixel has its own frame unless it is at the optimum.
     """
-    scenes, pixel_um = SceneCache(image, setup.camera, setup.display), setup.pixel.pitch_um
+    scenes, pixel_um = SceneCache(image, setup.camera, setup.display, len(setup.physics().channels)), setup.pixel.pitch_um
     widest_um = setup.border_um or max(pitches_um, default=pixel_um)
 
     def at(pitch_um: float) -> ImagingChain:
@@ -240,7 +243,7 @@ def chains_of(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = 
         light = scenes.get(border_um, physics, border_um)
         if isinstance(light, SpectralImage):
             light = prepare_scene(light, setup.camera, physics, setup.display)
-        return chain_at_pitch(light, physics, setup.exposure, setup.correction)
+        return chain_at_pitch(light, physics, setup.exposure, setup.correction, setup.develop)
 
     return at
 
@@ -366,7 +369,8 @@ def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibra
         [scene.content_hash, scene.parameters, scene.resolution, scene.sensor_id,
          scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
          setup.technology.content, setup.exposure.model_dump(), setup.correction.model_dump(),
-         setup.display.model_dump(), setup.seed, setup.at_optimum, setup.border_um, plan.spp, plan.tolerance_e, plan.lens,
+         setup.develop.model_dump(), setup.display.model_dump(),
+         setup.seed, setup.at_optimum, setup.border_um, plan.spp, plan.tolerance_e, plan.lens,
          plan.passes, cache.version_fingerprint("mitsuba", "drjit")]
     )  # fmt: skip
     return cache.load_or_compute("calibration", key, Calibration.from_dict, lambda: _measure(scene, camera, plan, setup), asdict)
@@ -669,6 +673,7 @@ def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Se
     border_um = study.pitch.largest_um
     settings = study.exposure, study.display, study.seed
     more: dict[str, Any] = {"at_optimum": True, "border_um": border_um, "process": process, "correction": study.correction}
+    more["develop"] = study.develop
     setup = Setup(camera, pixel, *settings, **more)
     settled = settle(scene, camera, setup, study.tolerance_delta_e)
     choice = settled.choice

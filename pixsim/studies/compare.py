@@ -796,7 +796,7 @@ def chain_of(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> Im
         light = prepare_scene(image, sensor.camera, physics, prepared.settings.display, border_um=border_um)
         warn_of_clipping(light.beyond_white)
         warn_of_stack_limits(physics, sensor.camera, image.wavelength_nm)
-        return chain_at_pitch(light, physics, sensor.exposure, prepared.settings.correction)
+        return chain_at_pitch(light, physics, sensor.exposure, prepared.settings.correction, prepared.settings.develop)
 
 
 def steps_of(prepared: Prepared, sensor: Contestant, light: Rendered) -> FilmSteps:
@@ -804,6 +804,7 @@ def steps_of(prepared: Prepared, sensor: Contestant, light: Rendered) -> FilmSte
     with without_warnings():  # the result itself warns
         seen = light.image, sensor.camera, derive(sensor.pixel), sensor.exposure, prepared.settings.display
         more: dict[str, Any] = {"largest_um": prepared.border_um(sensor.camera), "correction": prepared.settings.correction}
+        more["develop"] = prepared.settings.develop
         return film_steps(*seen, light.plan.chart, **more)
 
 

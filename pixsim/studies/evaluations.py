@@ -25,10 +25,11 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import opened, read_bytes, replacing
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, content_hash, pixel_of
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, channels_of, content_hash, pixel_of
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.collection import warn_of_stack_limits
+from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, largest_pitch_um, physics_of, pitch_for_fill_factor_um
 from pixsim.sensor.readout import Sensor, make_frame
@@ -209,8 +210,14 @@ def light_of(study: Study, scenes: SceneCache, technology: str) -> SharedLight:
     physics = _any_physics(study, technology)
     light = scenes.get(_light_key(study, scenes, technology), physics, study.pitch.largest_um)
     if isinstance(light, PreparedScene):
-        light.running_integral  # noqa: B018 – now, or each worker would compute it
+        light.store_integrals()
     return light
+
+
+def most_channels(study: Study) -> int:
+    """Return the largest number of channels among a study's sensors, 1 for monochrome ones."""
+    colours = [study.options_of(technology).colour for technology in study.technologies]
+    return max(1 if colour is None else len(channels_of(colour.cell)) for colour in colours)
 
 
 def _any_physics(study: Study, technology: str) -> PixelPhysics:
@@ -221,7 +228,8 @@ def _light_key(study: Study, scenes: SceneCache, technology: str) -> tuple[bytes
     """Return what the light behind the lens depends on, beside the irradiance, the camera and the display of `scenes`."""
     physics = _any_physics(study, technology)
     charge = physics.charge.content_hash if physics.charge else ""  # diffusion is in the light behind the lens
-    return electrons_per_joule(physics, scenes.irradiance).tobytes(), study.pitch.largest_um, charge
+    electrons = b"".join(electrons_per_joule(channel, scenes.irradiance).tobytes() for channel in physics.channels)
+    return electrons, study.pitch.largest_um, f"{charge} {Layout.of_pixels(physics.pixel) or ''}"
 
 
 def chain_at(
@@ -234,7 +242,7 @@ def chain_at(
     physics = physics_of(study, technology, pitch_um, process)
     if isinstance(light, SpectralImage):
         light = prepare_scene(light, camera, physics, study.display, border_um=study.pitch.largest_um)
-    return chain_at_pitch(light, physics, study.exposure, study.correction)
+    return chain_at_pitch(light, physics, study.exposure, study.correction, study.develop)
 
 
 def warn_of_clipped_white(study: Study, scenes: SceneCache) -> None:
@@ -382,7 +390,7 @@ class Fingerprints:
         """Hash of the display and of the part of the die that is scored on it."""
         study = self.study
         border_um = study.pitch.largest_um if study.display.raster == "fixed_size" else 0.0
-        return content_hash([study.display.content_hash, border_um])
+        return content_hash([study.display.content_hash, study.develop.content_hash, border_um])
 
     def scene(self, technology: str) -> str:
         """Return the hash of the light that all pitches of a technology share."""

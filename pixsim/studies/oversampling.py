@@ -18,7 +18,19 @@ from pydantic import TypeAdapter
 
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts
-from pixsim.base.parameters import NO_CORRECTION, Camera, Correction, Display, Exposure, Pixel, Run, Study, content_hash
+from pixsim.base.parameters import (
+    DEVELOP,
+    NO_CORRECTION,
+    Camera,
+    Correction,
+    Develop,
+    Display,
+    Exposure,
+    Pixel,
+    Run,
+    Study,
+    content_hash,
+)
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, render_until
@@ -132,6 +144,7 @@ def measure_film(
     tolerance_delta_e: float | None = None,
     keep: bool = False,
     correction: Correction = NO_CORRECTION,
+    develop: Develop = DEVELOP,
 ) -> FilmError:
     """Return the error of a film for each of some pixels, from its picture.
 
@@ -144,7 +157,8 @@ def measure_film(
         with without_warnings():  # the run itself warns of the white
             shown = image.with_planes(image.planes, header=image.header | white_header(image, camera, display))
         settings = exposure, display, chart
-        measured = [film_steps(shown, camera, physics, *settings, correction=correction).error() for physics in pixels]
+        more: dict[str, Any] = {"correction": correction, "develop": develop}
+        measured = [film_steps(shown, camera, physics, *settings, **more).error() for physics in pixels]
         if tolerance_delta_e is None:
             tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
         else:
@@ -155,7 +169,8 @@ def measure_film(
     if not keep:
         return measure()
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in pixels]
-    settings = camera.model_dump(), exposure.model_dump(), correction.model_dump(), display.model_dump(), tolerance_delta_e
+    records = camera, exposure, correction, develop, display
+    settings = [*(record.model_dump() for record in records), tolerance_delta_e]
     key = content_hash([image.header, sensed, *settings, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
     return cache.load_or_compute("film", key, TypeAdapter(FilmError).validate_python, measure, asdict)
 
@@ -218,19 +233,20 @@ def film_steps(
     chart: Chart | None,
     largest_um: float | None = None,
     correction: Correction = NO_CORRECTION,
+    develop: Develop = DEVELOP,
 ) -> FilmSteps:
     """Return the mean ΔE of one sensor in the parts of a picture, on its film and on coarser ones.
 
     largest_um : pitch that sets the size of the parts; None means that of the pixel
     """
-    parts = list(parts_of(image, largest_um or physics.pitch_um, display))
+    parts = list(parts_of(image, largest_um or physics.as_read.read_pitch_um, display))
     sampling = FilmSampling.of(image.shape[1], camera, physics, display, chart)
     if min(parts[0][0].shape) < BLOCK * MIN_CELLS:
         return FilmSteps(np.empty((0, 0)), sampling)
     films = [parts]
     for _ in range(int(math.log2(BLOCK))):
         films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
-    return FilmSteps(np.array([_mean_delta_e(film, camera, physics, exposure, correction) for film in films]), sampling)
+    return FilmSteps(np.array([_mean_delta_e(film, camera, physics, exposure, correction, develop) for film in films]), sampling)
 
 
 def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterator[tuple[SpectralImage, Display]]:
@@ -257,10 +273,11 @@ def _mean_delta_e(
     physics: PixelPhysics,
     exposure: Exposure,
     correction: Correction,
+    develop: Develop,
 ) -> Array:
     """Return the mean ΔE of each part, (parts,), all exposed as long as the brightest of them allows."""
     chains = [
-        chain_at_pitch(prepare_scene(part, camera, physics, display, border_um=physics.pitch_um), physics, exposure, correction)
+        chain_at_pitch(prepare_scene(part, camera, physics, display), physics, exposure, correction, develop)
         for part, display in parts
     ]
     time_s = integration_time_s(exposure, physics, max(float(chain.signal_e_per_s.max()) for chain in chains))
@@ -312,7 +329,7 @@ def render_and_measure(
             calibrated = settled.calibration.film(image.shape[1]).delta_e
             return film_for_tolerance(image, measured, calibrated, settled.tolerance_delta_e)
         options: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": settings.tolerance_delta_e, "keep": True}
-        options["correction"] = settings.correction
+        options |= {"correction": settings.correction, "develop": settings.develop}
         return measure_film(image, camera, measured, settings.exposure, settings.display, **options)
 
     fixed = "set by --resolution" if settings.resolution else ""

@@ -16,7 +16,7 @@ from typing import Any
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import memory
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Display, PitchRange, Study
+from pixsim.base.parameters import Camera, Display, PitchRange, Study, pixel_of
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM, PROGRAM_BYTES, film_bytes
@@ -189,7 +189,9 @@ def rounded_up(pitch_um: float) -> float:
 
 def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
     """Return the plan of a study's render. With a tolerance of ΔE, samples are a part of the calibrated error."""
-    return make_render_plan(scene, camera, tolerance_e=study.tolerance_e, exact=study.tolerance_delta_e is None)
+    coloured = [name for name in study.technologies if study.options_of(name).colour is not None]
+    pixels = [pixel_of(study, name, study.pitch.largest_um) for name in coloured]
+    return make_render_plan(scene, camera, pixels, tolerance_e=study.tolerance_e, exact=study.tolerance_delta_e is None)
 
 
 def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:

@@ -35,7 +35,7 @@ class Sight:
         pixels without their noise
     f_number : a larger one blurs the picture more, since the lens has no aberrations; 0 for pixels with a stack, which see the
         angles of light: theirs is in `what`
-    white_e_per_s : photo-electrons of display white, for each pixel
+    white_e_per_s : photo-electrons of display white, for each channel of each pixel
     noise : for each pixel, its dark current and the standard deviations of its noise and its fixed pattern
     """
 
@@ -55,9 +55,11 @@ class Sight:
             return None
         with without_warnings():  # the run itself warns of the white
             shown = image.with_planes(image.planes, header=image.header | white_header(image, camera, display))
-        whites = [white_rate(shown, camera, physics, display) for physics in pixels]
+        whites = [[white_rate(shown, camera, channel, display) for channel in physics.channels] for physics in pixels]
         light = [
-            electrons_per_joule(physics, image) * image.factors[0] / white for physics, white in zip(pixels, whites, strict=True)
+            electrons_per_joule(channel, image) * image.factors[0] / white
+            for physics, of_channels in zip(pixels, whites, strict=True)
+            for channel, white in zip(physics.channels, of_channels, strict=True)
         ]
         # A chart without the light's fall-off, which has no detail; a stack collects light by its angle.
         by_lens = chart is not None and not any(p.stack for p in pixels)
@@ -69,12 +71,12 @@ class Sight:
             "brightest": [f"{values.max():.{DIGITS}g}" for values in light],
             "camera": camera.model_dump(exclude={"f_number"} if by_lens else set()),
             "display": display.model_dump(exclude={"white_cd_per_m2"}),
-            "exposure": [exposure.model_dump(), study.correction.model_dump()],
+            "exposure": [exposure.model_dump(), study.correction.model_dump(), study.develop.model_dump()],
             # In a time that is set, bright light saturates pixels; an automatic one leaves them below their well.
             "whites": None if exposure.integration_s is None else whites,
             "pixels": [
                 [
-                    *(p.pitch_um, p.photodiode_side_um, p.full_well_e, p.saturation_e, p.dn_per_e),
+                    *(str(p.layout), p.pitch_um, p.photodiode_side_um, p.full_well_e, p.saturation_e, p.dn_per_e),
                     *(p.pixel.bits, p.pixel.black_level_dn, p.pixel.conversion, p.pixel.well_limit),
                     p.charge.content_hash if p.charge else "",
                     p.efficiency_f_number,
@@ -95,7 +97,8 @@ class Sight:
             )
             for p in pixels
         ]
-        white_e_per_s = [white * collecting_area_um2(image, camera, p) for white, p in zip(whites, pixels, strict=True)]
+        areas_um2 = [collecting_area_um2(image, camera, p) for p in pixels]
+        white_e_per_s = [white * area for each, area in zip(whites, areas_um2, strict=True) for white in each]
         return cls(content_hash(what), camera.f_number if by_lens else 0.0, tuple(white_e_per_s), tuple(noise))
 
     @property

@@ -50,6 +50,7 @@ from pixsim.studies.evaluations import (
     Sampling,
     first_sampling,
     largest_lens_um,
+    most_channels,
     study_pitches_um,
     warn_of_clipped_white,
     warn_of_stacks,
@@ -563,7 +564,7 @@ def _render_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, Lig
 # The sensors decide on the noise and the film of a render, and so does a part of the display.
 OF_LIGHT = {
     *("scene", "camera", "seed", "tolerance_e", "render_noise", "resolution", "max_seconds", "window_mm", "pitch"),
-    *("exposure", "correction", "pixel", "sensors", "process", "technologies", "display"),
+    *("exposure", "correction", "develop", "pixel", "sensors", "process", "technologies", "display"),
 }
 
 
@@ -590,7 +591,9 @@ def evaluate_cases(
         # The header states everything that a render depends on, so that cases of other pixels may have equal ones.
         of_light = [irradiance.header, irradiance.shape, irradiance.pitch_um, camera.model_dump()]
         key = content_hash([*of_light, case.study.display.content_hash])
-        made.append(Part(case, caches.setdefault(key, SceneCache(irradiance, camera, case.study.display))))
+        scenes = caches.setdefault(key, SceneCache(irradiance, camera, case.study.display))
+        scenes.channels = max(scenes.channels, most_channels(case.study))
+        made.append(Part(case, scenes))
     evaluations = Evaluations(made, results, workers)
     samplings = [first_sampling(part.study) for part in made]
     rows: list[list[Row]] = [[] for _ in made]

@@ -298,13 +298,29 @@ def frame_luminance(
             got = f"an array {shading.shape}" + (" with values that are not above 0" if shading.shape == picture.shape else "")
             raise invalid("shading", got, f"positive values for each of the {picture.shape} pixels")
         picture /= shading
+    return on_dots(picture, frame.pitch_um, size_um, display, edges_um)
+
+
+@checks_arguments
+def on_dots(
+    picture: Array, pitch_um: float, size_um: tuple[float, float], display: Display, edges_um: tuple[Array, Array]
+) -> Array:
+    """Return the means of a picture over the display's dots, (H, W), in its unit, as `frame_luminance` takes them.
+
+    picture : (rows, columns) of pixels, in any unit
+    pitch_um : of the pixels, which are centred on the whole picture
+    size_um : (height, width) of the whole picture on the sensor
+    edges_um : of the dots' rows and columns, from `dot_edges_um`
+
+    Raises PixsimError if the edges do not increase.
+    """
     if display.raster == "one_to_one":
         return picture
     # In the order in which the transposed array is the smaller one.
     for axis in (0, 1) if picture.shape[1] > display.dots else (1, 0):
-        low_um = size_um[axis] / 2 - picture.shape[axis] / 2 * frame.pitch_um
+        low_um = size_um[axis] / 2 - picture.shape[axis] / 2 * pitch_um
         degree = SPLINE_DEGREE[display.interpolation]
-        picture = average_axis(picture, frame.pitch_um, low_um, edges_um[axis], degree, axis)
+        picture = average_axis(picture, pitch_um, low_um, edges_um[axis], degree, axis)
     return picture
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,17 +15,36 @@ from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
 from pixsim.base.notes import warn
-from pixsim.base.parameters import NO_CORRECTION, Camera, Correction, Display, Exposure, Pixel
+from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, check_develop
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.collection import Collection, Illumination, collected_area_um2, shading_of, warn_of_stack_limits
+from pixsim.sensor.collection import (
+    Collection,
+    ColourCollection,
+    collected_area_um2,
+    collections_of,
+    shading_of,
+    warn_of_stack_limits,
+)
+from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
-from pixsim.sensor.integration import array_size_um, diffracted_rate, illumination_of, pixel_signal, running_integral
+from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, lights_of
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
-from pixsim.sensor.readout import MAX_BLACK, Frame, Sensor, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
+from pixsim.sensor.readout import (
+    MAX_BLACK,
+    Frame,
+    Sensor,
+    capture_from_rates,
+    dark_spread_e,
+    integration_time_s,
+    least_black_level_dn,
+    sample_sensor,
+)
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import html_cell, rows_csv
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
+from pixsim.viewer.colour_matrix import metamerism_index
+from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, mixed, noise_covariance, rendition_of
 from pixsim.viewer.scielab import delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map, xyz_to_lab
 
 if TYPE_CHECKING:
@@ -36,7 +56,6 @@ ROUNDING = 1e-6  # of white, in the luminance of a dot
 HISTOGRAM_BINS = 1 << 14
 PANEL_IN = 3.1  # width of each picture of a figure
 SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
-MAX_STORED_SAMPLES = 1 << 22  # of a running integral that is stored, 32 MiB: a film of 2048²
 
 
 @checks_fields
@@ -45,10 +64,11 @@ class Score:
     """A sensor's picture as shown to a viewer, and its S-CIELAB difference from the ideal image.
 
     delta_e : (H, W) S-CIELAB difference on the display's dots
-    ideal, image : (H, W) shown luminance, 1 for white
+    ideal, image : (H, W) shown luminance, 1 for white; of a colour sensor (H, W, 3), the light of the display's primaries
     frame : the sensor frame that the image shows
     physics : of the pixel
     border_um : (above and below, left and right) width of the border that is neither shown nor scored
+    out_of_gamut : share of the dots of the ideal image and of the image whose colour the display cannot show; None for grey ones
     """
 
     delta_e: Array = field(repr=False)
@@ -57,6 +77,7 @@ class Score:
     frame: Frame = field(repr=False)
     physics: PixelPhysics = field(repr=False)
     border_um: tuple[float, float] = (0.0, 0.0)
+    out_of_gamut: tuple[float, float] | None = None
 
     @property
     def mean_delta_e(self) -> float:
@@ -67,6 +88,8 @@ class Score:
         """Return the numbers of score.json and of a study's rows, with the unit in each name."""
         p, frame = self.physics, self.frame
         median, p90, p99 = percentiles(self.delta_e, (50, 90, 99))
+        names = "ideal_out_of_gamut_fraction", "out_of_gamut_fraction"
+        gamut = {} if self.out_of_gamut is None else dict(zip(names, self.out_of_gamut, strict=True))
         return {
             "pitch_um": p.pitch_um,
             "fill_factor": p.fill_factor,
@@ -79,6 +102,7 @@ class Score:
             "p90_delta_e": p90,
             "p99_delta_e": p99,
             "max_delta_e": float(self.delta_e.max()),
+            **gamut,
         }
 
     def plot(self) -> Figure:
@@ -135,8 +159,13 @@ def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
 
 
 def perceived_lab(shown: Array, display: Display, full: bool = False) -> Array:
-    """Return the CIELAB of a shown grey image after the eye's blur, (H, W, 3); `full` computes it as a colour image."""
+    """Return the CIELAB of a shown image after the eye's blur, (H, W, 3); `full` computes a grey one as a colour image.
+
+    shown : (H, W) luminance, or (H, W, 3) light of the display's primaries
+    """
     view = viewing_conditions(display)
+    if shown.ndim == 3:
+        return filtered_lab(displays.rgb_to_xyz(shown), **view)
     return filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
 
 
@@ -151,8 +180,9 @@ class Screen:
 
     size_um : (height, width) of the whole picture on the sensor
     dot_edges_um : of the rows and columns of dots that are shown and scored
-    ideal, ideal_lab : shown luminance on those dots, and its CIELAB after the eye's blur
+    ideal, ideal_lab : shown light on those dots, as of `Score`, and its CIELAB after the eye's blur
     full : use no shortcut for grey images
+    ideal_out_of_gamut : of `Score.out_of_gamut`
     """
 
     display: Display
@@ -161,6 +191,12 @@ class Screen:
     ideal: Array = field(repr=False)
     ideal_lab: Array = field(repr=False)
     full: bool = False
+    ideal_out_of_gamut: float = 0.0
+
+    @property
+    def dot_um(self) -> float | None:
+        """Side of a dot on the sensor; None if dots are pixels."""
+        return self.size_um[1] / self.display.dots if self.display.raster == "fixed_size" else None
 
     def luminance(self, frame: Frame, white_e: float, shading: Array | None = None) -> Array:
         """Return `displays.frame_luminance` on these dots."""
@@ -168,7 +204,7 @@ class Screen:
 
     def delta_e_of(self, image: Array) -> Array:
         """Return the S-CIELAB difference between a shown picture and the ideal one, (H, W)."""
-        if self.display.delta_e == "1976" and not self.full:
+        if image.ndim == 2 and self.display.delta_e == "1976" and not self.full:
             return grey_delta_e_map(self.ideal_lab, image, **viewing_conditions(self.display))
         return delta_e(self.ideal_lab, perceived_lab(image, self.display, self.full), self.display.delta_e)
 
@@ -177,17 +213,27 @@ class Screen:
 class ImagingChain:
     """Everything that the frames of one pixel type share: its mean signal, exposure and screen.
 
-    physics : of the pixel at the gain of the exposure
+    signal_e_per_s : of every value of a frame
+    physics : of what is read, at the gain of the exposure
+    whites_e_per_s : electrons per second of the scene's white, on axis, in each channel
     collection : what the pixels' stack does to their light; None without a stack
+    rendition : what the channels see of a chart; None for a monochrome sensor
     """
 
     signal_e_per_s: Array
     physics: PixelPhysics
     exposure: Exposure
-    white_e_per_s: float
+    whites_e_per_s: tuple[float, ...]
     screen: Screen
     correction: Correction = NO_CORRECTION
-    collection: Collection | None = None
+    collection: Collection | ColourCollection | None = None
+    develop: Develop = DEVELOP
+    rendition: Rendition | None = None
+
+    @property
+    def white_e_per_s(self) -> float:
+        """Electrons per second of the scene's white on axis, in the mean over the channels' pixels."""
+        return mean_white(self.physics, self.whites_e_per_s)
 
     @cached_property
     def even(self) -> Array | None:
@@ -216,65 +262,150 @@ class ImagingChain:
     def capture_by(self, sensor: Sensor, frame_rng: np.random.Generator, correction_rng: np.random.Generator) -> Frame:
         """Return a frame of a sensor, whose temporal noise and frames for its correction come from two generators."""
         frame = capture_from_rates(self.signal_e_per_s, sensor, self.exposure, frame_rng)
-        return correct(frame, sensor, self.correction, correction_rng, self.even) if self.correction.is_on else frame
+        if not self.correction.is_on:
+            return frame
+        layout, whites = self.physics.layout, np.array(self.whites_e_per_s)
+        levels = None if layout is None else of_channels(whites / whites.max(), layout, self.signal_e_per_s.shape)
+        return correct(frame, sensor, self.correction, correction_rng, self.even, levels)
 
     def sensor(self, *key: object) -> Sensor:
         """Return the sensor of `capture`; it does not depend on the light."""
         return sample_sensor(self.physics, self.signal_e_per_s.shape, stream(*key, "sensor"))
 
+    @cached_property
+    def matrix(self) -> Array:
+        """Matrix from balanced channels to the light of the display's primaries, (3, C); only for colour sensors."""
+        assert self.rendition is not None
+        if self.develop.matrix != "noise_aware":
+            return self.rendition.matrix(self.develop)
+        time_s = integration_time_s(self.exposure, self.physics, float(self.signal_e_per_s.max()))
+        white_e, screen = time_s * np.array(self.whites_e_per_s), self.screen
+        own = self.rendition, self.physics, self.develop, screen.display, white_e, time_s
+        return self.rendition.matrix(self.develop, noise_covariance(*own, screen.dot_um))
+
+    def colour_facts(self, integration_s: float) -> dict[str, Any]:
+        """Return what score.json has of a colour sensor: its channels, matrix and noise in an exposure."""
+        assert self.rendition is not None
+        assert self.physics.layout is not None
+        errors = self.rendition.errors(self.matrix)
+        dot_um, pitch_um = self.screen.dot_um, self.physics.read_pitch_um
+        return {
+            "layout": str(self.physics.layout),
+            "white_spectrum": self.rendition.lamp,
+            "white_e": dict(
+                zip(self.physics.layout.channels, (np.array(self.whites_e_per_s) * integration_s).tolist(), strict=True)
+            ),
+            "matrix_to_display": self.matrix.tolist(),
+            "noise_gains": np.sqrt((self.matrix**2).sum(axis=1)).tolist(),
+            "patches_mean_delta_e": float(errors.mean()),
+            "sensitivity_metamerism_index": metamerism_index(errors),
+            "dots_per_pixel": 1.0 if dot_um is None else pitch_um / dot_um,
+        }
+
+    def light(self, frame: Frame, window: Callable[[Array], Array] = lambda picture: picture) -> Array:
+        """Return what a frame asks of the display's dots: luminance (H, W), or light of the primaries (3, H, W), 1 for white.
+
+        window : selects a part of the dots
+        """
+        screen, whites_e = self.screen, np.array(self.whites_e_per_s) * frame.integration_s
+        if self.rendition is None:
+            return window(screen.luminance(frame, float(whites_e[0]), self.shading))
+        planes = balanced_planes(frame, self.develop, whites_e, self.physics.saturation_e, self.shading)
+        own = screen.size_um, screen.display, screen.dot_edges_um
+        return np.stack([window(plane) for plane in frame_rgb(planes, frame, self.matrix, *own)])
+
     def score_frame(self, frame: Frame) -> Score:
         """Return the score of a frame as shown on the screen."""
         screen = self.screen
-        luminance = screen.luminance(frame, self.white_e_per_s * frame.integration_s, self.shading)
-        image = displays.shown_luminance(luminance, screen.display)
+        light = self.light(frame)
+        image, gamut = shown(light, screen.display), None
+        if light.ndim == 3:
+            gamut = screen.ideal_out_of_gamut, displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
         # Pixels that fill the picture exactly may begin at -1e-18 µm.
         border_um = max(0.0, float(screen.dot_edges_um[0][0])), max(0.0, float(screen.dot_edges_um[1][0]))
-        return Score(screen.delta_e_of(image), screen.ideal, image, frame, self.physics, border_um)
+        return Score(screen.delta_e_of(image), screen.ideal, image, frame, self.physics, border_um, gamut)
+
+
+def shown(light: Array, display: Display) -> Array:
+    """Return light as a display shows it: (H, W) of a luminance (H, W); (H, W, 3) of the light of primaries (3, H, W)."""
+    codes = displays.shown_luminance(light, display)  # each primary has the codes of a luminance
+    return codes if codes.ndim == 2 else np.moveaxis(codes, 0, -1)
+
+
+def mean_white(physics: PixelPhysics, whites: Sequence[float]) -> float:
+    """Return the mean over the values of a frame of what white gives in each channel."""
+    layout = physics.layout
+    return whites[0] if layout is None else float((layout.shares * np.array(whites)).sum())
 
 
 @dataclass(frozen=True)
 class PreparedScene:
     """The light behind the lens, and the screen, for pixels of one spectral response and any pitch.
 
-    rate_e_per_s_um2 : (H, W) photo-electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, means over samples
-    white_e_per_s_um2 : of the scene's white, on axis
+    lights : behind the diffracting lens, as each channel sees it
+    whites_e_per_s_um2 : of the scene's white, on axis, in each channel
     array_um : (height, width) that the pixels fill
-    illumination : directions and mean spectrum of the light
     beyond_white : fraction of the ideal image's dots that are brighter than display white
+    rendition : what the channels see of a chart; None for a monochrome sensor
     """
 
-    rate_e_per_s_um2: Array = field(repr=False)
+    lights: tuple[ChannelLight, ...]
     sample_pitch_um: float
-    white_e_per_s_um2: float
+    whites_e_per_s_um2: tuple[float, ...]
     screen: Screen
     array_um: tuple[float, float]
-    illumination: Illumination
     beyond_white: float = 0.0
+    rendition: Rendition | None = None
 
-    def white_e_per_s(self, physics: PixelPhysics) -> float:
-        """Return the electrons per second of the scene's white in a pixel on axis."""
-        return self.white_e_per_s_um2 * collected_area_um2(physics, self.illumination)
+    @property
+    def rate_e_per_s_um2(self) -> Array:
+        """Light of the first channel, the only one of a monochrome sensor, (H, W)."""
+        return self.lights[0].rate_e_per_s_um2
 
-    @cached_property
-    def running_integral(self) -> Array | None:
-        """Running integral down the picture, which takes longer than all steps of a pitch; None if too large to store."""
-        return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MAX_STORED_SAMPLES else None
+    def whites_e_per_s(self, physics: PixelPhysics) -> tuple[float, ...]:
+        """Return the electrons per second of the scene's white in a value of each channel on axis, without crosstalk of colours."""
+        whites = zip(self.whites_e_per_s_um2, self.lights, physics.channels, strict=True)
+        count = physics.as_read.bin_side**2
+        return tuple(white * collected_area_um2(channel, light.illumination) * count for white, light, channel in whites)
+
+    def collection(self, physics: PixelPhysics, collections: Sequence[Collection]) -> ColourCollection:
+        """Return the collection of the pixels of a colour sensor with a stack."""
+        layout = Layout.of_pixels(physics.pixel)
+        assert layout is not None
+        side = physics.as_read.bin_side
+        return ColourCollection(layout, tuple(collections), self.whites_e_per_s_um2, physics.pitch_um, side)
+
+    def store_integrals(self) -> None:
+        """Compute what all pitches share, for workers that would each compute it."""
+        for light in self.lights:
+            light.running_integral  # noqa: B018 – it stays in the light
 
 
 def ideal_on_dots(
-    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, border_um: float
+    irradiance: SpectralImage,
+    camera: Camera,
+    physics: PixelPhysics,
+    display: Display,
+    border_um: float,
+    rendition: Rendition | None = None,
 ) -> tuple[tuple[Array, Array], Array]:
-    """Return the edges of the dots, as `displays.dot_edges_um`, and `displays.ideal_luminance` on them, (H, W).
+    """Return the edges of the dots, as `displays.dot_edges_um`, and what the ideal image asks of them.
+
+    That is `displays.ideal_luminance`, (H, W), or `ideal_rgb`, (3, H, W).
 
     border_um : largest pitch scored on the same dots
+    rendition : of a colour sensor
     """
     size_um, array_um = displays.picture_size_um(irradiance), array_size_um(irradiance, camera)
-    edges_um = displays.dot_edges_um(size_um, physics.pitch_um, display, border_um, array_um)
-    return edges_um, displays.ideal_luminance(irradiance, camera, physics, display, edges_um)
+    edges_um = displays.dot_edges_um(size_um, physics.as_read.read_pitch_um, display, border_um, array_um)
+    if rendition is None:
+        return edges_um, displays.ideal_luminance(irradiance, camera, physics, display, edges_um)
+    return edges_um, ideal_rgb(irradiance, camera, display, rendition.to_display, edges_um)
 
 
-def fraction_beyond_white(luminance: Array) -> float:
-    """Return the fraction of dots of an ideal image that are brighter than display white."""
+def fraction_beyond_white(light: Array) -> float:
+    """Return the fraction of dots of an ideal image, (H, W) or (3, H, W), that are brighter than display white."""
+    luminance = light if light.ndim == 2 else mixed(displays.XYZ_FROM_RGB[1:2] / displays.WHITE_XYZ[1], list(light))[0]
     return float(np.mean(luminance > 1 + ROUNDING))
 
 
@@ -301,16 +432,20 @@ def prepare_scene(
     Raises PixsimError if the irradiance is negative or not finite.
     """
     irradiance.validate()
-    border_um = physics.pitch_um if border_um is None else border_um
-    edges_um, luminance = ideal_on_dots(irradiance, camera, physics, display, border_um)
-    ideal = displays.shown_luminance(luminance, display)
-    rate = diffracted_rate(irradiance, camera, physics)
-    white = displays.white_rate(irradiance, camera, physics, display)
+    border_um = physics.as_read.read_pitch_um if border_um is None else border_um
+    channels = physics.channels
+    rendition = None if physics.layout is None else rendition_of(irradiance, channels, display)
+    edges_um, light = ideal_on_dots(irradiance, camera, physics, display, border_um, rendition)
+    ideal = shown(light, display)
+    lights = lights_of(irradiance, camera, physics)
+    if full:  # nothing of the pixels' stack is left out
+        lights = tuple(replace(one, illumination=replace(one.illumination, spare_e=0.0)) for one in lights)
+    whites = tuple(displays.white_rate(irradiance, camera, channel, display) for channel in channels)
     lab = perceived_lab(ideal, display, full)
-    screen = Screen(display, displays.picture_size_um(irradiance), edges_um, ideal, lab, full)
-    array_um, light = array_size_um(irradiance, camera), illumination_of(irradiance, camera, physics)
-    light = replace(light, spare_e=0.0) if full else light
-    return PreparedScene(rate, irradiance.pitch_um, white, screen, array_um, light, fraction_beyond_white(luminance))
+    gamut = 0.0 if rendition is None else displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
+    screen = Screen(display, displays.picture_size_um(irradiance), edges_um, ideal, lab, full, gamut)
+    array_um = array_size_um(irradiance, camera)
+    return PreparedScene(lights, irradiance.pitch_um, whites, screen, array_um, fraction_beyond_white(light), rendition)
 
 
 # What the pitches of a technology share. With one_to_one, where dots are pixels, that is the irradiance only.
@@ -318,10 +453,13 @@ SharedLight = PreparedScene | SpectralImage
 
 
 class SceneCache:
-    """Prepared scenes of one irradiance, camera and display, made on first use and stored while memory allows."""
+    """Prepared scenes of one irradiance, camera and display, made on first use and stored while memory allows.
 
-    def __init__(self, irradiance: SpectralImage, camera: Camera, display: Display) -> None:
-        self.irradiance, self.camera, self.display = irradiance, camera, display
+    channels : of the pixels, the most of those that share the cache
+    """
+
+    def __init__(self, irradiance: SpectralImage, camera: Camera, display: Display, channels: int = 1) -> None:
+        self.irradiance, self.camera, self.display, self.channels = irradiance, camera, display, channels
         self._scenes: dict[object, PreparedScene] = {}
         self._beyond_white: dict[object, float] = {}
 
@@ -343,7 +481,8 @@ class SceneCache:
         """
         if key in self._beyond_white and self.display.raster != "one_to_one":
             return self._beyond_white[key]
-        return fraction_beyond_white(ideal_on_dots(self.irradiance, self.camera, physics, self.display, border_um)[1])
+        rendition = None if physics.layout is None else rendition_of(self.irradiance, physics.channels, self.display)
+        return fraction_beyond_white(ideal_on_dots(self.irradiance, self.camera, physics, self.display, border_um, rendition)[1])
 
     def clear(self) -> None:
         """Drop all prepared scenes; they are made again when needed."""
@@ -352,18 +491,59 @@ class SceneCache:
     @property
     def capacity(self) -> int:
         """Number of prepared scenes that are stored at once."""
-        planes = 2 * math.prod(self.irradiance.shape) + 4 * self.display.dots**2  # light, spline; ideal image, its CIELAB
+        # For each channel light and spline; ideal image, its CIELAB.
+        planes = 2 * self.channels * math.prod(self.irradiance.shape) + (4 if self.channels == 1 else 6) * self.display.dots**2
         return max(1, SCENE_CACHE_BYTES // (8 * planes))
 
 
 def chain_at_pitch(
-    light: PreparedScene, physics: PixelPhysics, exposure: Exposure, correction: Correction = NO_CORRECTION
+    light: PreparedScene,
+    physics: PixelPhysics,
+    exposure: Exposure,
+    correction: Correction = NO_CORRECTION,
+    develop: Develop = DEVELOP,
 ) -> ImagingChain:
     """Return the imaging chain of a pixel of any pitch, from light prepared for its spectral response."""
-    rate, running = light.rate_e_per_s_um2, light.running_integral
-    signal, collection = pixel_signal(rate, light.sample_pitch_um, physics, light.illumination, running, light.array_um)
-    white_e_per_s = light.white_e_per_s(physics)
-    return ImagingChain(signal, physics.at_gain(exposure.gain_db), exposure, white_e_per_s, light.screen, correction, collection)
+    signal, collections = array_signal(light.lights, light.sample_pitch_um, physics, light.array_um)
+    return _chain(light, physics, exposure, correction, develop, signal, collections)
+
+
+def chain_of_frames(
+    light: PreparedScene,
+    physics: PixelPhysics,
+    exposure: Exposure,
+    correction: Correction,
+    develop: Develop,
+    shape: tuple[int, int],
+) -> ImagingChain:
+    """Return the imaging chain for frames (rows, columns) that are known, without the light behind them.
+
+    exposure : with the time of the frames
+    """
+    side = physics.as_read.bin_side
+    pixels = shape[0] // physics.planes * side, shape[1] * side
+    collections = collections_of(physics, [one.illumination for one in light.lights], pixels)
+    return _chain(light, physics, exposure, correction, develop, np.broadcast_to(0.0, shape), collections)
+
+
+def _chain(
+    light: PreparedScene,
+    physics: PixelPhysics,
+    exposure: Exposure,
+    correction: Correction,
+    develop: Develop,
+    signal: Array,
+    collections: Sequence[Collection],
+) -> ImagingChain:
+    read, rendition = physics.as_read.at_gain(exposure.gain_db), light.rendition
+    collection: Collection | ColourCollection | None = collections[0] if collections else None
+    if collections and rendition is not None:
+        collection = light.collection(physics, collections)
+        whites = tuple(collection.white_e_per_s.tolist())
+        rendition = rendition.mixed_by(collection.mixing_um2, np.array(collection.rates))
+    else:
+        whites = light.whites_e_per_s(physics)
+    return ImagingChain(signal, read, exposure, whites, light.screen, correction, collection, develop, rendition)
 
 
 def make_imaging_chain(
@@ -374,6 +554,7 @@ def make_imaging_chain(
     display: Display,
     full: bool = False,
     correction: Correction = NO_CORRECTION,
+    develop: Develop = DEVELOP,
 ) -> ImagingChain:
     """Return the imaging chain up to the noise.
 
@@ -383,12 +564,13 @@ def make_imaging_chain(
     rendered = irradiance.header.get("camera")
     if rendered is not None and not Camera.model_validate(rendered).lights_like(camera):
         warn("the irradiance was rendered with another camera than the one given")
+    check_develop(develop, pixel)
     physics = derive(pixel)
     warn_of_disagreements(pixel)
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
     light = prepare_scene(irradiance, camera, physics, display, full)
     warn_of_clipping(light.beyond_white)
-    return chain_at_pitch(light, physics, exposure, correction)
+    return chain_at_pitch(light, physics, exposure, correction, develop)
 
 
 @checks_arguments
@@ -400,6 +582,7 @@ def evaluate(
     display: Display | None = None,
     *,
     correction: Correction | None = None,
+    develop: Develop | None = None,
     seed: int = 0,
     full: bool = False,
 ) -> Score:
@@ -408,6 +591,7 @@ def evaluate(
     camera : the one that the irradiance was rendered with
     exposure, display : None means the defaults
     correction : of the frame by the camera; None means none
+    develop : of a frame of a colour sensor; None means the default
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
 
@@ -419,7 +603,7 @@ def evaluate(
     >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
     ((30, 30), 1.0)
     """
-    settings = exposure or Exposure(), display or Display(), full, correction or NO_CORRECTION
+    settings = exposure or Exposure(), display or Display(), full, correction or NO_CORRECTION, develop or DEVELOP
     chain = make_imaging_chain(irradiance, camera, pixel, *settings)
     return chain.simulate("evaluate", seed)
 

@@ -20,7 +20,7 @@ from pixsim.base.parameters import CameraOptions
 from pixsim.light.exr import read_channels, write_channels
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.run import FILES, shown_picture
-from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, factor_for, grey_codes, reduced
+from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, factor_for, reduced
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
 LENS = "--camera.f-number 2.8"
@@ -391,7 +391,7 @@ def test_shown_picture_large_is_reduced(shape: tuple[int, int], factor: int, tmp
     if factor == 1:
         assert shown.png == b"the file's own bytes"
     else:
-        assert shown == Picture(grey_codes(small), "a name")
+        assert shown == Picture(display_codes(small), "a name")
     assert (shown.height, shown.width) == small.shape
     assert max(small.shape) <= MAX_DOTS
 

@@ -30,7 +30,7 @@ from pixsim.show.pictures import (
     Window,
     contact_sheet_png,
     delta_e_colours,
-    grey_codes,
+    display_codes,
     scale,
     window_at,
     windows,
@@ -136,7 +136,7 @@ def test_study_views_reduce_whole_pictures_only(tiny_result: StudyResult, monkey
     views = study_views(tiny_result, curve, best)
     assert views.factor == 2
     means = best.ideal.reshape(59, 2, 59, 2).mean(axis=(1, 3))
-    np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(means))
+    np.testing.assert_array_equal(decoded(views.ideal.png), display_codes(means))
     assert {(item.width, item.height) for item in views.outputs} == {(59, 59)}
     assert {(item.width, item.height) for item in views.tiles} == {(112, 112)}
 
@@ -153,20 +153,20 @@ def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
     assert views.place == window.centre
     pictures = [finest, *(score.image for score in scores)]
     for tile, picture in zip(views.tiles, pictures, strict=True):
-        np.testing.assert_array_equal(decoded(tile.png), grey_codes(window.of(picture)))
+        np.testing.assert_array_equal(decoded(tile.png), display_codes(window.of(picture)))
     for tile, pitch_um, delta_e in zip(views.tiles[1:], curve.pitch_um, curve.delta_e, strict=True):
         assert tile.name == f"{pitch_um:.2f} µm"
         assert tile.note == f"mean ΔE {delta_e.mean():.3f}"
     means = curve.delta_e.mean(axis=1)
     assert means[at] == means.min(), "no other size that was tried is better than the one that is called so"
     assert [tile.best for tile in views.tiles] == [index == at + 1 and (curve.optimum.inside or 0 < at < 5) for index in range(7)]
-    np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(finest))
+    np.testing.assert_array_equal(decoded(views.ideal.png), display_codes(finest))
     for output, row, place in zip(views.outputs, views.crops, sorted({0, at, 5}), strict=True):
         message = {0: "smallest", 5: "largest"}.get(place, "best of these")
         message += ", best of these" if place == at and place in (0, 5) and curve.optimum.inside else ""
         assert output.name == f"{message}, {curve.pitch_um[place]:.2f} µm"
         assert (row[1].name, row[1].note) == (f"{curve.pitch_um[place]:.2f} µm", message)
-        np.testing.assert_array_equal(decoded(output.png), grey_codes(scores[place].image))
+        np.testing.assert_array_equal(decoded(output.png), display_codes(scores[place].image))
 
 
 def test_best_place_is_smallest_mean(tiny_result: StudyResult) -> None:
@@ -187,8 +187,8 @@ def test_crops_show_the_same_part(tiny_result: StudyResult) -> None:
     (score,) = tiny_result.scores("0.35um", 8.5, 1)
     window = window_at((0.3, 0.8), score.ideal.shape)
     ideal, output, map_ = crops(score, window, "sensor", 5.0)
-    np.testing.assert_array_equal(decoded(ideal.png), grey_codes(window.of(score.ideal)))
-    np.testing.assert_array_equal(decoded(output.png), grey_codes(window.of(score.image)))
+    np.testing.assert_array_equal(decoded(ideal.png), display_codes(window.of(score.ideal)))
+    np.testing.assert_array_equal(decoded(output.png), display_codes(window.of(score.image)))
     np.testing.assert_array_equal(decoded(map_.png), delta_e_colours(window.of(score.delta_e), 5.0))
     assert f"mean here {window.of(score.delta_e).mean():.2f}" in map_.note
 

@@ -12,6 +12,7 @@ from pixsim.base import arrays
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.scene.charts import csf_value
+from pixsim.sensor import integration
 from pixsim.sensor.integration import Columns, diffracted_rate, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
 from pixsim.viewer import display as displays, score
@@ -66,10 +67,10 @@ def test_prepare_scene_without_running_integral_is_equal(monkeypatch):
     physics, display = derive(Pixel(pitch_um=15.0)), Display(dots=128)
     light = score.prepare_scene(chart(256), CAMERA, physics, display)
     kept = score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s
-    assert light.running_integral is not None
-    monkeypatch.setattr(score, "MAX_STORED_SAMPLES", 256**2 - 1)
+    assert light.lights[0].running_integral is not None
+    monkeypatch.setattr(integration, "MAX_STORED_SAMPLES", 256**2 - 1)
     light = score.prepare_scene(chart(256), CAMERA, physics, display)
-    assert light.running_integral is None
+    assert light.lights[0].running_integral is None
     np.testing.assert_allclose(score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s, kept, rtol=1e-13)
 
 

@@ -1,0 +1,147 @@
+"""Channels of a sensor with colour filters: where their pixels are, and the quantum efficiency of each.
+
+A mosaic has one filter on each pixel, in a unit cell that repeats over the array from its upper left pixel; the picture is upright,
+as the photographer sees it. A stacked sensor has all channels in every pixel; its frames hold one plane for each, one below the
+other. There is no optical low-pass filter before the pixels.
+
+Responses of cameras are relative, and to energy: QE ∝ S/λ, with the largest of all channels at the stated peak. Their own infrared
+filter is in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import groupby
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
+from pixsim.base.parameters import ColourOptions, Curves, PixelOptions, channels_of
+
+STACK_MARK, ROW_MARK = "+", "/"
+Values = TypeVar("Values", np.float64, np.bool_)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which channel each value of a frame belongs to.
+
+    cell : rows of letters, which repeat over the frame from its upper left corner; if stacked, the letters of its planes
+    is_stacked : whether the frame has a plane for each letter, one below the other
+    """
+
+    cell: tuple[str, ...]
+    is_stacked: bool = False
+
+    @classmethod
+    def of(cls, pixel: PixelOptions) -> Layout | None:
+        """Return the layout of a pixel's frames; None without colour filters."""
+        return None if pixel.colour is None else cls(pixel.colour.cell, pixel.colour.is_stacked)
+
+    @classmethod
+    def of_pixels(cls, pixel: PixelOptions) -> Layout | None:
+        """Return the layout of the pixels themselves, which differs from that of frames with binning."""
+        return None if pixel.colour is None else cls(pixel.colour.unit_cell, pixel.colour.is_stacked)
+
+    @classmethod
+    def of_text(cls, text: str) -> Layout:
+        """Return the layout of a text as `str` gives it, RG/GB for a mosaic, R+G+B for planes. ValueError for another text."""
+        is_stacked = STACK_MARK in text
+        cell = ("".join(text.split(STACK_MARK)),) if is_stacked else tuple(text.split(ROW_MARK))
+        layout = cls(cell, is_stacked)
+        letters = "".join(cell)
+        if not letters or not all("A" <= letter <= "Z" for letter in letters) or len({*map(len, cell)}) > 1 or str(layout) != text:
+            raise ValueError(f"got {text!r}; allowed: rows of capital letters, as RG/GB, or planes, as R+G+B")
+        return layout
+
+    def __str__(self) -> str:
+        return STACK_MARK.join(self.cell[0]) if self.is_stacked else ROW_MARK.join(self.cell)
+
+    @property
+    def channels(self) -> str:
+        """The letters: R, G and B first, then the others in their order of appearance."""
+        return channels_of(self.cell)
+
+    @property
+    def planes(self) -> int:
+        """Number of values that a frame has for each pixel."""
+        return len(self.channels) if self.is_stacked else 1
+
+    @cached_property
+    def shares(self) -> Array:
+        """Share of the values of a frame that belong to each channel, (C,)."""
+        letters = "".join(self.cell)
+        return np.array([letters.count(letter) / len(letters) for letter in self.channels])
+
+    def sites(self, letter: str) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Rows and columns of the unit cell where a channel's pixels are, as products: rows with equal columns together."""
+        columns = [tuple(at for at, other in enumerate(row) if other == letter) for row in self.cell]
+        alike = groupby(sorted(range(len(columns)), key=lambda row: columns[row]), key=lambda row: columns[row])
+        return [(np.array(list(rows)), np.array(which)) for which, rows in alike if which]
+
+    def numbers(self, shape: tuple[int, int]) -> NDArray[np.intp]:
+        """Number of the channel of each value of a frame (rows, columns)."""
+        if self.is_stacked:
+            one = np.repeat(np.arange(self.planes), shape[0] // self.planes)
+            return np.broadcast_to(one[:, None], shape)
+        cell = np.array([[self.channels.index(letter) for letter in row] for row in self.cell])
+        down, across = (-(-count // part) for count, part in zip(shape, cell.shape, strict=True))
+        return np.tile(cell, (down, across))[: shape[0], : shape[1]]
+
+    def parts(self, picture: NDArray[Values]) -> Iterator[NDArray[Values]]:
+        """Yield views of a frame, each of the values at one place of the unit cell, or of one plane."""
+        if self.is_stacked:
+            yield from np.split(picture, self.planes)
+            return
+        height, width = len(self.cell), len(self.cell[0])
+        for row in range(min(height, picture.shape[0])):
+            for column in range(min(width, picture.shape[1])):
+                yield picture[row::height, column::width]
+
+
+def of_channels(values: Array, layout: Layout, shape: tuple[int, int]) -> Array:
+    """Return the value of its channel at each place of a frame of a shape (rows, columns), from those of the channels (C,)."""
+    return np.asarray(np.asarray(values, float)[layout.numbers(shape)])
+
+
+def channel_efficiency(colour: ColourOptions, channel: str, wavelength_nm: Array, own: Array) -> Array:
+    """Return the quantum efficiency of a channel, electrons per photon, in the shape (...) of the wavelengths; 0 outside its curve.
+
+    own : of the pixel without filters, which transmittances multiply
+
+    Raises PixsimError if the colour's sensitivities are those of an unknown camera, or lack a channel of the unit cell.
+    """
+    known_nm, values = np.array(_curves(colour)[channel]).T
+    value = np.interp(wavelength_nm, known_nm, values, left=0.0, right=0.0)
+    if colour.transmittances is not None:
+        return np.asarray(value * own)
+    if colour.sensitivities is None:
+        return np.asarray(value)
+    assert colour.peak_quantum_efficiency is not None
+    # S/λ of a straight course between two points is monotonic: its maximum is at one of them.
+    highest = max(value / nm for curve in _curves(colour).values() for nm, value in curve)
+    return np.asarray(value / wavelength_nm * (colour.peak_quantum_efficiency / highest))
+
+
+def _curves(colour: ColourOptions) -> Curves:
+    """Return the curves of the channels, of a packaged camera by its name."""
+    if colour.curves is not None:
+        return colour.curves
+    assert isinstance(colour.sensitivities, str)
+    return _of_camera(colour.sensitivities, channels_of(colour.unit_cell))
+
+
+@lru_cache
+def _of_camera(name: str, letters: str) -> Curves:
+    from pixsim.sensor.camera_data import camera_sensitivities
+
+    nm, values = camera_sensitivities(name)
+    if missing := [letter for letter in letters if letter not in "RGB"]:
+        hint = "Give their responses by a CSV file with a column for each letter."
+        raise invalid("pixel.colour.sensitivities", f"'{name}', which has no channel {missing[0]}", "channels R, G and B", hint)
+    return {letter: tuple(zip(nm.tolist(), values[:, "RGB".index(letter)].tolist(), strict=True)) for letter in letters}

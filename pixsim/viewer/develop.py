@@ -1,0 +1,291 @@
+"""Frames of colour sensors → light of the display's primaries; and the picture of an ideal camera.
+
+In this order: black level and expected dark charge are subtracted, each channel is divided by the electrons of the scene's white
+(white balance), high lights are clipped to white, the mosaic is interpolated, means over the display's dots are taken, and one
+matrix leads from the camera's channels to XYZ under the scene's lamp, to the display's white (adaptation) and to its primaries.
+The matrix from the channels to XYZ is fitted to patches 1-18 of ISO 17321 under the lamp, seen in the bands of the picture.
+
+The ideal picture has the scene's own XYZ (CIE 1931, 2°), under the same adaptation and on the same display.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.parameters import Camera, Develop, Display
+from pixsim.light.spectral import SpectralImage, colour_matching, d65
+from pixsim.light.standard import CHROMATIC_PATCHES, patch_reflectance
+from pixsim.optics.thin_lens import irradiance_factor
+from pixsim.sensor.colour import Layout
+from pixsim.sensor.integration import electrons_per_joule, integrate_axis
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.readout import Frame, frame_variance_dn2
+from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
+from pixsim.viewer.colour_matrix import RANK_TOLERANCE, check_noise_gains, colour_errors, fit_matrix
+from pixsim.viewer.demosaic import demosaic, demosaic_covariance
+from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, on_dots, white_cd_per_m2, white_spectrum
+
+PATCHES = 24
+
+
+@dataclass(frozen=True)
+class Rendition:
+    """What a camera and a viewer see of the chart under the scene's lamp, from which the colour matrix follows.
+
+    responses : (P, C) electrons of the patches in each channel, relative to those of white
+    xyz : (P, 3) of the patches, Y = 1 for white
+    white_xyz : (3,) of the lamp
+    adaptation : from that white to the display's
+    lamp : in words, for messages
+    """
+
+    responses: Array = field(repr=False)
+    xyz: Array = field(repr=False)
+    white_xyz: Array
+    adaptation: Adaptation
+    lamp: str
+
+    def matrix(self, develop: Develop, covariance: Array | None = None) -> Array:
+        """Return the matrix from balanced channels to the light of the display's primaries, (3, C).
+
+        covariance : (P, C, C) of the channels on each patch, for the noise-aware fit
+
+        Raises PixsimError, naming the lamp, if the channels do not tell the patches' colours apart, or if the matrix amplifies
+        noise more than 10 times.
+        """
+        key = self.responses.tobytes(), self.xyz.tobytes(), tuple(self.white_xyz.tolist()), self.responses.shape
+        try:
+            matrix = _fitted(*key, develop.matrix, covariance.tobytes() if covariance is not None else None)
+            check_noise_gains(matrix, self.white_xyz, self.adaptation)
+        except PixsimError as error:
+            raise PixsimError(f"colour under {self.lamp}: {error}") from None
+        return product(self.to_display, matrix)
+
+    def mixed_by(self, mixing: Array, rates: Array) -> Rendition:
+        """Return what channels see that exchange light before they are read, (C, C), of rates (C,) of white in each.
+
+        A camera's matrix is fitted to what it records, crosstalk included.
+        """
+        light = self.responses * rates
+        white = (mixing * rates).sum(axis=1)
+        return replace(self, responses=np.asarray((mixing * light[:, None, :]).sum(axis=2) / white))
+
+    def errors(self, matrix: Array) -> Array:
+        """Return the ΔE*ab (CIE 1976) of the patches behind a matrix to the display's primaries, (P,), without noise."""
+        to_xyz = product(np.asarray(np.linalg.inv(self.to_display), float), matrix)
+        return colour_errors(to_xyz, self.responses, self.xyz, self.white_xyz)
+
+    @property
+    def to_display(self) -> Array:
+        """Matrix from XYZ under the lamp to the light of the display's primaries, (3, 3), 1 for white."""
+        return product(RGB_FROM_XYZ, adaptation_matrix(self.white_xyz, WHITE_XYZ, self.adaptation))
+
+
+@lru_cache(maxsize=64)
+def _fitted(
+    responses: bytes, xyz: bytes, white_xyz: tuple[float, ...], shape: tuple[int, int], method: str, covariance: bytes | None
+) -> Array:
+    """Return the matrix from balanced channels to XYZ, (3, C)."""
+    count, channels = shape
+    seen, wanted = np.frombuffer(responses).reshape(shape), np.frombuffer(xyz).reshape(count, 3)
+    noise = None if covariance is None else np.frombuffer(covariance).reshape(count, channels, channels)
+    method_of: Any = method
+    return np.asarray(fit_matrix(seen, wanted, np.array(white_xyz), method_of, noise))
+
+
+def product(left: Array, right: Array) -> Array:
+    """Return the product of two small matrices; not by BLAS, whose rounding depends on the number of threads."""
+    return np.asarray((left[:, :, None] * right[None]).sum(axis=1))
+
+
+def lamp_of(irradiance: SpectralImage) -> tuple[Array, str]:
+    """Return the lamp's spectrum in the image's bands, (B,) in any unit, and its name: that of D65 if the lamps share none."""
+    spectrum = white_spectrum(irradiance)
+    return (irradiance.band_mean(d65), "D65") if spectrum is None else (spectrum, "the scene's lamp")
+
+
+def xyz_weights(irradiance: SpectralImage) -> Array:
+    """Return the weights (3, B) that turn band values into XYZ, in the unit of the bands times nm."""
+    return np.array([irradiance.band_mean(partial(_observer, number)) for number in range(3)]) * irradiance.band_width_nm
+
+
+def _observer(number: int, wavelength_nm: Array) -> Array:
+    return np.asarray(colour_matching(wavelength_nm)[..., number])
+
+
+def rendition_of(irradiance: SpectralImage, channels: Sequence[PixelPhysics], display: Display) -> Rendition:
+    """Return what the channels of a pixel, and a viewer, see of the chart under the scene's lamp.
+
+    Raises PixsimError if a channel, or the observer, sees nothing of the lamp.
+    """
+    lamp, name = lamp_of(irradiance)
+    # The mean reflectance of each patch in each band, as the bands of a picture have it.
+    parts = np.array([irradiance.band_mean(partial(_reflectance, patch)) for patch in range(*CHROMATIC_PATCHES.indices(PATCHES))])
+    viewer = xyz_weights(irradiance) * lamp
+    electrons = np.array([electrons_per_joule(physics, irradiance) for physics in channels]) * lamp
+    white_xyz, white_e = viewer.sum(axis=1), electrons.sum(axis=1)
+    xyz = (viewer[None] * parts[:, None, :]).sum(axis=2) / white_xyz[1]
+    dark = [physics.channel for physics, light in zip(channels, white_e, strict=True) if not light > 0]
+    if dark or not white_xyz.min() > 0:
+        got = f"channel {dark[0]} without response to it" if dark else f"XYZ of {white_xyz.tolist()}"
+        raise invalid(f"colour under {name}", got, "light that all channels, and all three cones, respond to")
+    responses = (electrons[None] * parts[:, None, :]).sum(axis=2) / white_e
+    check_told_apart(responses, name)
+    white = white_xyz / white_xyz[1]
+    return Rendition(responses, xyz, white, display.adaptation, name)
+
+
+def check_told_apart(responses: Array, lamp: str) -> None:
+    """Raise PixsimError if the channels tell no three colours of the patches, (P, C), apart."""
+    sizes = np.linalg.svd(responses, compute_uv=False)
+    rank = int((sizes > RANK_TOLERANCE * sizes[0]).sum())
+    if rank < 3:
+        hint = "Take a lamp of more wavelengths, or other filters."
+        raise invalid(f"colour under {lamp}", f"channels of rank {rank}", "three that tell colours apart", hint)
+
+
+def _reflectance(patch: int, wavelength_nm: Array) -> Array:
+    return np.asarray(patch_reflectance(wavelength_nm)[patch])
+
+
+def ideal_rgb(
+    irradiance: SpectralImage, camera: Camera, display: Display, to_display: Array, edges_um: tuple[Array, Array]
+) -> Array:
+    """Return the light of the display's primaries for an ideal camera, (3, H, W) dots, 1 for the scene's white.
+
+    No pixels, noise, quantisation, diffraction or colour error: the scene's XYZ, means over dots, adapted to the display's white.
+
+    to_display : of a `Rendition`
+    edges_um : of the dots' rows and columns
+    """
+    weights = xyz_weights(irradiance)
+    luminous = irradiance.luminous_weight()  # 683 ȳ: the white is known in lx
+    lux = white_cd_per_m2(irradiance, display) * float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
+    white = lux * camera.transmittance * float(weights[1].sum() / luminous.sum())
+
+    def on_display(rate: Array) -> Array:
+        for axis, edges in enumerate(edges_um):
+            rate = integrate_axis(rate, irradiance.pitch_um, edges[:-1], edges[1:], axis)
+            rate /= np.diff(edges).reshape((-1, 1) if axis == 0 else (1, -1))
+        return np.maximum(rate, 0.0, out=rate)
+
+    if irradiance.factors and len(irradiance.factors[0]) == 1:  # one picture, in three colours of one spectrum
+        picture = on_display(irradiance.factors[1][0].astype(float))
+        xyz = [float((weight * irradiance.factors[0][0]).sum()) * picture for weight in weights]
+    else:
+        xyz = [on_display(irradiance.weighted(weight)) for weight in weights]
+    return mixed(to_display / white, xyz)
+
+
+def mixed(matrix: Array, planes: Sequence[Array]) -> Array:
+    """Return a matrix (3, C) times C planes (H, W): (3, H, W)."""
+    result = np.empty((len(matrix), *planes[0].shape))
+    spare = np.empty(planes[0].shape)
+    for out, row in zip(result, matrix, strict=True):
+        np.multiply(planes[0], row[0], out=out)
+        for weight, plane in zip(row[1:], planes[1:], strict=True):
+            out += np.multiply(plane, weight, out=spare)
+    return result
+
+
+def balance(develop: Develop, layout: Layout, white_e: Array) -> Array:
+    """Return the electrons by which each channel is divided, (C,), from those of the scene's white."""
+    if develop.white_balance == "known":
+        return white_e
+    gains = np.array(develop.white_balance)
+    # Of the channel with the most pixels the white is known: gains are ratios.
+    first = int(np.argmax(layout.shares))
+    return white_e[first] * gains[first] / gains
+
+
+def demosaic_method(develop: Develop, layout: Layout) -> Any:
+    """Return the method of interpolation for a layout."""
+    bayer = sorted("".join(layout.cell)) == sorted("RGGB") and layout.cell[0][0] != layout.cell[-1][0]
+    return develop.demosaic or ("bilinear" if bayer and len(layout.cell) == 2 else "interpolate")
+
+
+@checks_arguments
+def balanced_planes(
+    frame: Frame, develop: Develop, white_e: Array, saturation_e: float, shading: Array | None = None
+) -> list[Array]:
+    """Return the channels of a frame at each of its pixels, [(rows, columns)] each, 1 for the scene's white in every one.
+
+    white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure
+    saturation_e : electrons at which a pixel saturates
+    shading : by which each value of the frame is divided
+
+    What is brighter than the lowest saturation level of all balanced channels is clipped to it: saturated pixels are white.
+
+    Raises PixsimError for a frame without colour filters.
+    """
+    layout = frame.layout
+    if layout is None:
+        raise invalid("frame", "one without colour filters", "a frame of a pixel with [pixel.colour]")
+    picture, by_channel = frame.electrons, balance(develop, layout, white_e)
+    letters = layout.channels
+    places = letters if layout.is_stacked else "".join(row[: frame.dn.shape[1]] for row in layout.cell[: frame.dn.shape[0]])
+    if shading is not None:
+        picture /= shading
+    highest = float((saturation_e - frame.mean_dark_e) / by_channel.max())
+    for part, letter in zip(layout.parts(picture), places, strict=True):
+        part /= by_channel[letters.index(letter)]
+    np.minimum(picture, max(highest, 0.0), out=picture)
+    if layout.is_stacked:
+        return np.split(picture, layout.planes)
+    planes = demosaic(picture, layout.cell, demosaic_method(develop, layout))
+    return [planes[:, :, channel] for channel in range(planes.shape[2])]
+
+
+def frame_rgb(
+    planes: Sequence[Array],
+    frame: Frame,
+    matrix: Array,
+    size_um: tuple[float, float],
+    display: Display,
+    edges_um: tuple[Array, Array],
+) -> Array:
+    """Return the light of the display's primaries on its dots, (3, H, W), 1 for white, of the channels at each pixel.
+
+    matrix : (3, C) from balanced channels, of `Rendition.matrix`
+    size_um, edges_um : as of `frame_luminance`
+    """
+    return mixed(matrix, [on_dots(plane, frame.pitch_um, size_um, display, edges_um) for plane in planes])
+
+
+def noise_covariance(
+    rendition: Rendition,
+    physics: PixelPhysics,
+    develop: Develop,
+    display: Display,
+    white_e: Array,
+    integration_s: float,
+    dot_um: float | None,
+) -> Array:
+    """Return the covariance of the balanced channels on each patch, (P, C, C), as means over a dot.
+
+    It is that of the pixels over frames and sensors in closed form, through the weights of the interpolation; for menon2007, whose
+    weights depend on the picture, through those of malvar2004.
+
+    white_e : (C,) electrons of the white in this exposure
+    dot_um : side of a dot on the sensor; None: dots are pixels
+    """
+    layout = physics.layout
+    assert layout is not None
+    by_channel = balance(develop, layout, white_e)
+    electrons = np.maximum(rendition.responses, 0.0) * white_e
+    variance = frame_variance_dn2(electrons, integration_s, physics) / physics.dn_per_e**2 / by_channel**2
+    dot_px = None if dot_um is None else min(max(dot_um / physics.read_pitch_um, 1e-3), 1e3)
+    if layout.is_stacked:
+        one = float(demosaic_covariance(["R"], "interpolate", np.ones(1), dot_px, display.interpolation)[0, 0])
+        return np.asarray(one * variance[:, :, None] * np.eye(variance.shape[1]))
+    method = demosaic_method(develop, layout)
+    linear: Any = "malvar2004" if method == "menon2007" else method
+    return demosaic_covariance(layout.cell, linear, variance, dot_px, display.interpolation)

@@ -1,0 +1,274 @@
+"""Frames of colour sensors as pictures: exact for a Luther camera, the monochrome picture for equal channels, noise as stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera, Develop, Display, Exposure, Pixel
+from pixsim.light.spectral import SpectralImage, colour_matching, luminous_weight
+from pixsim.light.standard import illuminant, patch_reflectance
+from pixsim.optics import irradiance_factor
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.readout import Frame, make_frame
+from pixsim.viewer import develop as develop_module
+from pixsim.viewer.develop import Rendition, noise_covariance
+from pixsim.viewer.display import WHITE_XYZ, rgb_to_xyz
+from pixsim.viewer.scielab import delta_e, xyz_to_lab
+from pixsim.viewer.score import ImagingChain, ideal_on_dots, make_imaging_chain
+
+NM = np.arange(362.5, 830.0, 5.0)
+CAMERA = Camera(die_mm=0.1)
+QUIET: dict[str, Any] = {
+    **dict.fromkeys(("prnu", "dsnu", "read_noise_e", "reset_noise_factor", "dark_current_e_per_s", "offset_fpn", "column_fpn"), 0),
+    "technology": "4t-bsi",
+    "pitch_um": 4.0,
+    "stack": {"enabled": False},
+}
+PHASES = ("rggb", "grbg", "gbrg", "bggr")
+LAMPS = ("D65", "A", "FL11", "LED-B3")
+DISPLAY = Display(white_cd_per_m2=1e3, dots=16)
+TIME_S = 0.01
+FRAMES = 100
+
+
+def luther_curves() -> dict[str, Any]:
+    """Quantum efficiencies that are sums of the observer's functions over λ: responses to energy are a matrix times XYZ."""
+    nm = np.arange(360.0, 831.0)
+    mixture = np.array([[0.6, 0.35, 0.05], [0.1, 0.8, 0.1], [0.02, 0.08, 0.9]])
+    efficiency = colour_matching(nm) @ mixture.T / nm[:, None]
+    efficiency *= 0.6 / efficiency.max()
+    return {letter: list(zip(nm.tolist(), efficiency[:, k].tolist(), strict=True)) for k, letter in enumerate("RGB")}
+
+
+LUTHER = luther_curves()
+
+
+def lamp_spectrum(lamp: str) -> np.ndarray:
+    """On axis, from a white of 1000 cd/m² under the lamp."""
+    lux = 1e3 * float(irradiance_factor(CAMERA.f_number, 0.0, CAMERA.magnification))
+    return illuminant(lamp, NM) * lux / (luminous_weight(NM, np.full(NM.size, 5.0)) * illuminant(lamp, NM)).sum()
+
+
+def scene(reflectances: np.ndarray, pictures: np.ndarray, lamp: str = "D65", **header: Any) -> SpectralImage:
+    """Surfaces under a lamp, without diffraction: Σ reflectance × lamp × picture."""
+    spectrum = lamp_spectrum(lamp)
+    factors = reflectances * spectrum, np.asarray(pictures, np.float32)
+    stated = {"diffraction": False, "lamp_w_per_m2_sr_nm": spectrum.tolist()} | header
+    return SpectralImage(NM, np.full(NM.size, 5.0), CAMERA.die_um[1] / pictures.shape[2], factors=factors, header=stated)
+
+
+def patch(number: int, lamp: str) -> SpectralImage:
+    return scene(patch_reflectance(NM)[[number]], np.ones((1, 32, 32)), lamp)
+
+
+def sensor(colour: dict[str, Any] | None, **fields: Any) -> Pixel:
+    return Pixel(**QUIET | {"colour": colour} | fields)
+
+
+def noiseless(chain: ImagingChain, time_s: float = TIME_S) -> Frame:
+    """The frame of the mean electrons, without rounding."""
+    frame = make_frame(
+        np.zeros(chain.signal_e_per_s.shape, np.int32), 0.0, chain.signal_e_per_s, chain.physics, Exposure(integration_s=time_s)
+    )
+    return replace(frame, corrected_e=chain.signal_e_per_s * time_s)
+
+
+def colour_error(image: SpectralImage, pixel: Pixel, develop: Develop, display: Display = DISPLAY) -> np.ndarray:
+    """ΔE of each dot before the display's codes, on a display that is as bright as the brightest primary."""
+    chain = make_imaging_chain(image, CAMERA, pixel, Exposure(), display, develop=develop)
+    _, ideal = ideal_on_dots(image, CAMERA, derive(pixel), display, pixel.pitch_um, chain.rendition)
+    shown = chain.light(noiseless(chain))
+    scale = 1 / ideal.max()
+    labs = [xyz_to_lab(rgb_to_xyz(np.moveaxis(scale * light, 0, -1)), WHITE_XYZ) for light in (shown, ideal)]
+    return delta_e(*labs, "1976")
+
+
+@pytest.mark.parametrize(("lamp", "pattern"), [*zip(LAMPS, PHASES, strict=True), ("A", "stacked"), ("FL11", "stacked")])
+def test_luther_camera_has_no_colour_error(lamp: str, pattern: str) -> None:
+    """Each patch fills the frame: ΔE below 1e-3 at every dot, the border included; curves at 1 nm are off by up to 6e-4."""
+    pixel = sensor({"pattern": pattern, "quantum_efficiencies": LUTHER})
+    for number in (5, 13, 14):
+        assert colour_error(patch(number, lamp), pixel, Develop(matrix="least_squares")).max() < 1e-3
+
+
+def test_luther_camera_with_crosstalk_has_no_colour_error() -> None:
+    """The matrix is fitted to what the pixels record: neighbours of other colours mix, and it takes that apart, at more noise."""
+    stack = {"height_um": 4.0, "index": 1.5, "microlens": "none", "crosstalk": 0.08}
+    colour = {"pattern": "grbg", "quantum_efficiencies": LUTHER}
+    mixed, alone = (sensor(colour, stack=given) for given in (stack, {"enabled": False}))
+    # Off the axis the openings pass less light to neighbours.
+    assert colour_error(patch(13, "A"), mixed, Develop(matrix="least_squares")).max() < 3e-3
+    with_it, without = (
+        make_imaging_chain(patch(13, "A"), CAMERA, one, Exposure(), DISPLAY).colour_facts(1.0)["noise_gains"]
+        for one in (mixed, alone)
+    )
+    assert min(np.array(with_it) / without) > 1.05
+
+
+@pytest.mark.parametrize(
+    ("develop", "adaptation"),
+    [({"demosaic": "malvar2004"}, "cat02"), ({"demosaic": "menon2007"}, "none"), ({"matrix": "least_delta_e"}, "bradford")],
+    ids=str,
+)
+def test_luther_camera_under_other_settings(develop: dict[str, Any], adaptation: str) -> None:
+    pixel = sensor({"quantum_efficiencies": LUTHER})
+    settings = Develop(**{"matrix": "least_squares"} | develop)
+    assert colour_error(patch(13, "A"), pixel, settings, DISPLAY.model_copy(update={"adaptation": adaptation})).max() < 1e-3
+
+
+def test_white_is_neutral_on_the_display_by_adaptation() -> None:
+    """The lamp's white is R = G = B after adaptation; without, it keeps the colour of the lamp."""
+    white = scene(np.ones((1, NM.size)), np.ones((1, 16, 16)), "A")
+    pixel = sensor({"quantum_efficiencies": LUTHER})
+    shown = {}
+    for adaptation in ("bradford", "cat02", "none"):
+        display = DISPLAY.model_copy(update={"adaptation": adaptation})
+        chain = make_imaging_chain(white, CAMERA, pixel, Exposure(), display)
+        red, green, blue = chain.light(noiseless(chain)).mean(axis=(1, 2))
+        shown[adaptation] = red / green, blue / green
+    for adaptation in ("bradford", "cat02"):
+        assert shown[adaptation] == pytest.approx((1, 1), abs=1e-9)
+    assert shown["none"][0] > 1.5
+    assert shown["none"][1] < 0.5
+
+
+def grey_scene(pictures: np.ndarray) -> SpectralImage:
+    return scene(np.ones((1, NM.size)), pictures)
+
+
+@pytest.fixture
+def same_primaries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Balanced channels are the light of the display's primaries: channels that are equal say nothing of colour."""
+    monkeypatch.setattr(Rendition, "matrix", lambda *_: np.eye(3))
+    monkeypatch.setattr(develop_module, "check_told_apart", lambda *_: None)
+
+
+FLAT_CURVE = [[nm, 0.5] for nm in np.arange(360.0, 831.0, 10.0).tolist()]
+EQUAL = dict.fromkeys("RGB", FLAT_CURVE)
+FINE = Display(dots=24, bits=16, white_cd_per_m2=1e3)
+
+
+@pytest.mark.usefixtures("same_primaries")
+def test_stacked_sensor_of_equal_channels_is_the_monochrome_one() -> None:
+    y, x = np.mgrid[:64, :64]
+    image = grey_scene(0.5 + 0.4 * np.sin(x / 3)[None] * np.cos(y / 5)[None])
+    grey = make_imaging_chain(image, CAMERA, sensor(None, quantum_efficiency=0.5), Exposure(), FINE)
+    colour = make_imaging_chain(image, CAMERA, sensor({"pattern": "stacked", "quantum_efficiencies": EQUAL}), Exposure(), FINE)
+    scores = [chain.score_frame(noiseless(chain)) for chain in (grey, colour)]
+    assert scores[0].mean_delta_e > 0.05  # pixels blur
+    assert scores[1].mean_delta_e == pytest.approx(scores[0].mean_delta_e, abs=1e-6)
+    np.testing.assert_allclose(scores[1].image, scores[0].image[..., None] * np.ones(3), atol=1e-12)
+
+
+@pytest.mark.usefixtures("same_primaries")
+@pytest.mark.parametrize("pattern", [*PHASES, "quad_rggb"])
+@pytest.mark.parametrize("level", [0.1, 0.9])
+def test_mosaic_of_equal_channels_is_the_monochrome_one_on_a_flat_field(pattern: str, level: float) -> None:
+    image = grey_scene(np.full((1, 32, 32), level))
+    grey = make_imaging_chain(image, CAMERA, sensor(None, quantum_efficiency=0.5), Exposure(), FINE)
+    colour = make_imaging_chain(image, CAMERA, sensor({"pattern": pattern, "quantum_efficiencies": EQUAL}), Exposure(), FINE)
+    scores = [chain.score_frame(noiseless(chain)) for chain in (grey, colour)]
+    assert scores[1].mean_delta_e == pytest.approx(scores[0].mean_delta_e, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "colour", [{"pattern": phase} for phase in PHASES] + [{"pattern": "stacked"}, {"matrix": ["RGB"]}], ids=str
+)
+@pytest.mark.parametrize("columns", [25, 24])
+def test_red_stripe_on_the_left_is_red_and_on_the_left(colour: dict[str, Any], columns: int) -> None:
+    """In the scene's picture and in the sensor's, for odd and even numbers of pixels."""
+    stripe = np.zeros((2, 50, 50))
+    stripe[0, :, :12], stripe[1, :, 12:] = 1, 1
+    reflectance = patch_reflectance(NM)[[14, 18]]  # red and white
+    pixel = sensor(colour | {"quantum_efficiencies": LUTHER}, pitch_um=100.0 / columns)
+    chain = make_imaging_chain(scene(reflectance, stripe), CAMERA, pixel, Exposure(), DISPLAY)
+    for picture in (chain.screen.ideal, chain.score_frame(noiseless(chain)).image):
+        left, right = picture[:, :2].mean(axis=(0, 1)), picture[:, -4:].mean(axis=(0, 1))
+        assert left[0] > 2 * max(left[1], left[2])
+        assert np.ptp(right) < 0.1 * right.max()
+
+
+def test_lamp_of_one_wavelength_is_refused_by_name() -> None:
+    """Three channels of one wavelength tell no colours apart."""
+    nm, one = np.array([545.0, 550.0, 555.0]), np.array([0.0, 1.0, 0.0])
+    image = SpectralImage(nm, 5.0 * np.ones(3), 2.0, factors=([one], np.ones((1, 50, 50))), header={"diffraction": False})
+    with pytest.raises(PixsimError, match=r"colour under the scene's lamp.*rank 1.*more wavelengths"):
+        make_imaging_chain(image, CAMERA, sensor({"quantum_efficiencies": LUTHER}), Exposure(), DISPLAY)
+
+
+def test_matrix_that_amplifies_noise_is_refused_with_its_gains() -> None:
+    """Three filters that overlap almost wholly; the noise-aware fit trades colour for less noise."""
+    nm = np.arange(380.0, 781.0, 10.0)
+    curves = {
+        k: [[x, 0.5 * float(np.exp(-(((x - centre) / 150) ** 2)))] for x in nm.tolist()]
+        for k, centre in zip("RGB", (570, 545, 520), strict=True)
+    }
+    pixel = sensor({"quantum_efficiencies": curves}, read_noise_e=20.0)
+    image = patch(13, "D65")
+    with pytest.raises(PixsimError, match=r"colour under the scene's lamp: .*noise gains of [\d., ]+ in R, G, B.*up to 10"):
+        make_imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY).matrix  # noqa: B018
+    dim = Exposure(integration_s=1e-5)
+    gains = make_imaging_chain(image, CAMERA, pixel, dim, DISPLAY, develop=Develop(matrix="noise_aware")).colour_facts(1e-5)
+    assert max(gains["noise_gains"]) < 10
+
+
+def test_manual_white_balance() -> None:
+    """Gains that are those of the known white change nothing; twice the gain of red is twice the red channel."""
+    pixel, image = sensor({"quantum_efficiencies": LUTHER}), patch(18, "A")
+    known = make_imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
+    frame, whites = noiseless(known), np.array(known.whites_e_per_s)
+    for factor in (1.0, 2.0):
+        gains = tuple((7 / whites * [factor, 1, 1]).tolist())
+        manual = replace(known, develop=Develop(white_balance=gains))
+        channels = np.linalg.solve(known.matrix, np.array([chain.light(frame).mean(axis=(1, 2)) for chain in (known, manual)]).T)
+        np.testing.assert_allclose(channels[:, 1] / channels[:, 0], [factor, 1, 1], rtol=1e-9)
+
+
+def test_saturated_pixels_are_white() -> None:
+    """All channels end at the level of the one that saturates first: no colour is left in high lights."""
+    pixel, image = sensor({"quantum_efficiencies": LUTHER}), patch(18, "A")
+    chain = make_imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
+    time_s = 20 * chain.physics.saturation_e / chain.signal_e_per_s.max()
+    frame = noiseless(chain, time_s)
+    frame = replace(frame, corrected_e=np.minimum(frame.corrected_e, chain.physics.saturation_e))
+    light = chain.light(frame)
+    assert light.max() == pytest.approx(light.min(), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "dots", "demosaic"),
+    [
+        ("rggb", 10, "bilinear"),
+        ("rggb", 40, "malvar2004"),
+        ("gbrg", 40, "interpolate"),
+        ("stacked", 16, None),
+        ("quad_rggb", 22, None),
+    ],
+)
+def test_noise_covariance_is_that_of_dots(pattern: str, dots: int, demosaic: Any) -> None:
+    """Closed form against frames: the covariance of the balanced channels in the middle of flat pictures."""
+    display, time_s = Display(white_cd_per_m2=1e3, dots=dots), 1e-3
+    pixel = sensor(
+        {"pattern": pattern, "quantum_efficiencies": LUTHER}, bits=16, black_level_dn=2000, read_noise_e=5.0, pitch_um=2.0
+    )
+    settings = {"develop": Develop(demosaic=demosaic)}
+    chain = make_imaging_chain(patch(18, "D65"), CAMERA, pixel, Exposure(integration_s=time_s), display, **settings)
+    white_e = time_s * np.array(chain.whites_e_per_s)
+    # White paint: 88 % of the scene's white in every channel.
+    share = chain.signal_e_per_s[25, 25] * time_s / white_e[chain.physics.layout.numbers(chain.signal_e_per_s.shape)[25, 25]]
+    rendition = replace(chain.rendition, responses=np.full((1, 3), share))
+    expected = noise_covariance(rendition, chain.physics, chain.develop, display, white_e, time_s, chain.screen.dot_um)[0]
+    chain.__dict__["matrix"] = np.eye(3)  # the channels themselves
+    lights = [chain.light(chain.capture("covariance", number))[:, 3:-3, 3:-3].reshape(3, -1) for number in range(FRAMES)]
+    noise = np.array(lights)
+    noise -= noise.mean(axis=0)
+    found = np.einsum("nci,ndi->cd", noise, noise) / (len(noise) - 1) / noise.shape[2]
+    # 100 frames of 16 independent dots or more: a variance is known to 3.6 % or better. Four standard errors of 15
+    # numbers are a false alarm in 1000 runs of new seeds; these are fixed.
+    np.testing.assert_allclose(found, expected, atol=0.15 * np.diag(expected).max())
+    np.testing.assert_allclose(np.diag(found), np.diag(expected), rtol=0.15)
