@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import check_compression, check_size, opened, reason
+from pixsim.base.lazy import load_when_used
 from pixsim.base.machine import threads
+
+load_when_used("f2py", "testing")  # before SciPy is imported, which uses neither: a third of the time of its import
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, TextIO
 
 from pixsim.base.errors import printable
@@ -86,48 +87,55 @@ def writer_to(stream: TextIO) -> Callable[[str], object]:
     return write
 
 
-@contextmanager
-def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iterator[Stage]:
-    """Show the progress of each stage on stderr: a bar on a terminal, else `Lines`; `seconds` collects their durations."""
+TERMINAL_VARIABLES = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")  # with which Rich takes any stream for a terminal
+
+
+def _bars() -> Any:
+    """Bars for a terminal; None elsewhere."""
+    if not (sys.stderr.isatty() or any(name in os.environ for name in TERMINAL_VARIABLES)):
+        return None  # without the import of Rich, which takes 0.05 s
     from rich import progress
     from rich.console import Console
 
-    durations_s = {} if seconds is None else seconds
-    current: list[tuple[str, float]] = []
-    tasks: dict[str, Any] = {}
     console = Console(stderr=True)
-    lines = Lines(writer_to(sys.stderr)) if not (quiet or console.is_terminal) else None
-    with progress.Progress(
+    columns = [
         progress.TextColumn("{task.description}", markup=False),  # names may look like markup
         progress.BarColumn(),
         progress.TextColumn("{task.percentage:>3.0f} %"),
         progress.TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=quiet or not console.is_terminal,
-    ) as bars:
+    ]
+    return progress.Progress(*columns, console=console, transient=True) if console.is_terminal else None
 
-        def close() -> None:
-            if current:
-                name, start = current.pop()
-                durations_s[name] = durations_s.get(name, 0.0) + time.perf_counter() - start
-                if lines:
-                    lines.end()
 
-        def stage(name: str) -> Progress:
-            close()
-            current.append((name, time.perf_counter()))
+@contextmanager
+def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iterator[Stage]:
+    """Show the progress of each stage on stderr: a bar on a terminal, else `Lines`; `seconds` collects their durations."""
+    durations_s = {} if seconds is None else seconds
+    current: list[tuple[str, float]] = []
+    tasks: dict[str, Any] = {}
+    bars = None if quiet else _bars()
+    lines = None if quiet or bars else Lines(writer_to(sys.stderr))
+
+    def close() -> None:
+        if current:
+            name, start = current.pop()
+            durations_s[name] = durations_s.get(name, 0.0) + time.perf_counter() - start
             if lines:
-                lines.begin(name)
-                return lines.update
-            if name not in tasks:  # a stage may start again: a study has several rounds
-                tasks[name] = bars.add_task(printable(name), total=1.0)
-            task = tasks[name]
-            return lambda done, note="": bars.update(task, completed=done, description=printable(name + note))
+                lines.end()
 
+    def stage(name: str) -> Progress:
+        close()
+        current.append((name, time.perf_counter()))
         if lines:
-            with lines.ticking():
-                yield stage
-        else:
-            yield stage
+            lines.begin(name)
+            return lines.update
+        if not bars:
+            return lambda *_: None
+        if name not in tasks:  # a stage may start again: a study has several rounds
+            tasks[name] = bars.add_task(printable(name), total=1.0)
+        task = tasks[name]
+        return lambda done, note="": bars.update(task, completed=done, description=printable(name + note))
+
+    with bars or (lines.ticking() if lines else nullcontext()):
+        yield stage
         close()

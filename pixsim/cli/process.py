@@ -135,10 +135,10 @@ def discard_output() -> None:
 
 
 def leave(code: int) -> NoReturn:
-    """End the process; at once where that is safe, since the clean-up of Dr.Jit would take 0.2 s and has no effect."""
+    """End the process; at once where that is safe, since the clean-up of the modules takes up to 0.2 s and has no effect."""
     interruption.finish()
     discard_output()
-    if "drjit" in sys.modules and "joblib" not in sys.modules:
+    if "joblib" not in sys.modules:
         atexit._run_exitfuncs()
         discard_output()
         os._exit(code)

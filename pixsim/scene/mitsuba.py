@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.parameters import content_hash
 from pixsim.light.spectral import grid_nm
 from pixsim.scene.assets import mitsuba_folder
 
@@ -113,9 +115,20 @@ def nodes_of(state: Any, kind: str) -> list[tuple[int, Any]]:
 
 
 def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
-    """Evaluate a spectrum plugin or an emitter in Mitsuba at 360 … 830 nm in steps of 1 nm."""
-    with speaking_mitsuba(variant) as mi:
-        return _at_each_wavelength(mi, variant, mi.load_dict(description).eval)
+    """Evaluate a spectrum plugin or an emitter in Mitsuba at 360 … 830 nm in steps of 1 nm; from the cache where it is known."""
+
+    def compute() -> Array:
+        with speaking_mitsuba(variant) as mi:
+            return _at_each_wavelength(mi, variant, mi.load_dict(description).eval)
+
+    def read(content: dict[str, Any]) -> Array:
+        values = np.array(content["values"], float)
+        if values.shape != grid_nm().shape:
+            raise ValueError(f"{values.shape} values")
+        return values
+
+    key = content_hash([cache.version_fingerprint("mitsuba", "drjit"), variant, description])
+    return cache.load_or_compute("spectra", key, read, compute, lambda values: {"values": values.tolist()})
 
 
 def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str) -> Array:

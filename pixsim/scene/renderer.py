@@ -22,11 +22,11 @@ from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Pulse
 from pixsim.scene.child import child_tracer
-from pixsim.scene.mitsuba import parse
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
 from pixsim.scene.tracer import Job, Lamps, OwnTracer, Tracer, regular
+from pixsim.scene.tree import parse_tree
 
 
 def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:
@@ -151,7 +151,7 @@ class Renderer:
     ) -> None:
         self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
         text = scene.text_for_camera(camera)
-        state = parse(text.text, scene.choice.variant)
+        state = parse_tree(text.text, scene.choice.variant)
         self.size = scene.film_shape(camera, state)
         for side in self.size:
             check_resolution(side)

@@ -21,8 +21,9 @@ from pixsim.scene import charts, variant as variants
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, is_neutral, named_files
 from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.judge import SceneText, judge_scene
-from pixsim.scene.mitsuba import children, nodes_of, parse, plain
+from pixsim.scene.mitsuba import children, nodes_of, plain
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, OwnChart, is_own_chart
+from pixsim.scene.tree import Table, Transform, Tree, parse_tree
 
 CHART, CHART_LINEAR = "chart", "chart_linear"
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
@@ -70,9 +71,9 @@ class Scene:
         return judge_scene(self.path, given)
 
     @checks_arguments
-    def parse(self, **more: object) -> Any:
-        """Return Mitsuba's parser state of the judged text, with `more` parameters unless the user set them."""
-        return parse(self.text(**more).text, self.choice.variant)
+    def parse(self, **more: object) -> Tree:
+        """Return the parsed tree of the judged text, with `more` parameters unless the user set them."""
+        return parse_tree(self.text(**more).text, self.choice.variant)
 
     @checks_arguments
     def camera(self, options: CameraOptions | None = None) -> Camera:
@@ -97,9 +98,9 @@ class Scene:
         return options.over(own)
 
     @checks_arguments
-    def for_camera(self, camera: Camera) -> Any:
-        """Return the parser state with the scene's lens and chart parameters set for a camera."""
-        return parse(self.text_for_camera(camera).text, self.choice.variant)
+    def for_camera(self, camera: Camera) -> Tree:
+        """Return the parsed tree with the scene's lens and chart parameters set for a camera."""
+        return parse_tree(self.text_for_camera(camera).text, self.choice.variant)
 
     @checks_arguments
     def text_for_camera(self, camera: Camera) -> SceneText:
@@ -129,7 +130,7 @@ class Scene:
         The width is `resolution`, or else that in the XML. The height follows the die's shape, rounded up; without a
         `die_height_mm` it follows the shape of the film in the XML.
 
-        state : of Mitsuba's parser, as from `parse`
+        state : the parsed tree, as from `parse`
         """
         height, width = film_size(state, sensor_node(state, self.sensor_id)[1])
         if self.resolution is None and camera.die_height_mm is None:
@@ -279,7 +280,7 @@ def _with_own_chart(scene: Scene, text: SceneText, picture: Path | None, linear:
     """Return the scene with a picture as its chart, where the scene takes neutral textures there."""
     own = False
     if picture:
-        nodes = nodes_of(parse(text.text, scene.choice.variant), "Texture")
+        nodes = nodes_of(parse_tree(text.text, scene.choice.variant), "Texture")
         own = any(is_neutral(node) for _, node in nodes if str(node.props.get("filename", "")) == str(picture))
     if linear and not (own and picture and picture.suffix.lower() not in LINEAR_SUFFIXES):
         name = scene.parameters.get(CHART, "")
@@ -441,10 +442,12 @@ def hash_of_tree(state: Any) -> str:
 
 
 def in_full(value: Any) -> str:
-    """Return a property with all its digits; Mitsuba's text has only the length of a spectrum and six digits of vectors."""
-    kind = type(value).__name__  # not hasattr: a Dr.Jit vector takes any attribute for a swizzle
-    if kind == "Spectrum":
-        return f"{value.wavelengths} {value.values}"
-    if "Transform" in kind:
-        return str(np.array(value.matrix).tolist())
-    return str(np.array(value).tolist()) if "Array" in kind or "Color" in kind else str(value)
+    """Return a property with all its digits."""
+    match value:
+        case Table():
+            return f"{value.wavelengths} {value.values}"
+        case Transform():
+            return str(value.matrix.tolist())
+        case np.ndarray():
+            return str(value.tolist())
+    return str(value)
