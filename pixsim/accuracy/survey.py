@@ -17,7 +17,7 @@ from pixsim.base.locks import temporary_folder
 from pixsim.base.parameters import Camera, Display, Pixel, Run
 from pixsim.base.progress import Stage
 from pixsim.light.spectral import SpectralImage
-from pixsim.report.run import summary_of, write_all
+from pixsim.report.run import summary_of, write_all, write_irradiance
 from pixsim.scene.convergence import RENDER_NOISE
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.scene.renderer import Renderer
@@ -67,6 +67,7 @@ def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
         score = chain.score_frame(frame)
         ends.append(time.perf_counter())
         summary = summary_of(score, image, setup.camera, setup.exposure, setup.display, setup.seed, setup.correction)
+        write_irradiance(folder, image)
         write_all(folder, image, score, summary)
         ends.append(time.perf_counter())
     diffraction, ideal, sensor, shown, report = (end - start for start, end in pairwise(ends))

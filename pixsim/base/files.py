@@ -12,6 +12,7 @@ import json
 import os
 import platform
 import stat
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
@@ -138,16 +139,30 @@ Listed = dict[str, dict[str, Any]]  # file name -> {"command": that wrote it, "d
 
 
 DIGEST_BLOCK = 1 << 20  # bytes
+SETTLED_NS = 2_000_000_000  # since a file's last change, so that another change shows in its times
+_digests: dict[tuple[int, ...], str] = {}  # of files by their place, size and times of change
 
 
-def digest_of(path: Path) -> str:
-    """BLAKE2b of a regular file's content, 32 hexadecimal digits. Raises PixsimError as `opened` does."""
+def digest_of(path: Path, alone: bool = False) -> str:
+    """BLAKE2b of a regular file's content, 32 hexadecimal digits. Raises PixsimError as `opened` does.
+
+    A file is not read again if its times show that nobody has changed it.
+
+    alone : whether nobody but this process can change it
+    """
     digest = hashlib.blake2b(digest_size=16)
     with opened(path, "file", "a readable file") as file:
-        left = os.fstat(file.fileno()).st_size  # a file that grows meanwhile, as a log does, has no other end
+        status = os.fstat(file.fileno())
+        key = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+        settled = alone or time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > SETTLED_NS
+        if settled and key in _digests:
+            return _digests[key]
+        left = status.st_size  # a file that grows meanwhile, as a log does, has no other end
         while left > 0 and (block := file.read(min(left, DIGEST_BLOCK))):
             digest.update(block)
             left -= len(block)
+    if settled:
+        _digests[key] = digest.hexdigest()
     return digest.hexdigest()
 
 
@@ -232,7 +247,7 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
         made = sorted(path.relative_to(partial).as_posix() for path in partial.rglob("*") if not path.is_dir())
         check_replaceable(folder, made)
         before = {name: entry for name, entry in (listed_files(folder) or {}).items() if is_own(folder / name, entry)}
-        now: Listed = {name: {"command": command, "digests": [digest_of(partial / name)]} for name in made}
+        now: Listed = {name: {"command": command, "digests": [digest_of(partial / name, alone=True)]} for name in made}
 
         def write_provenance(files: Listed) -> None:
             write_json(folder / PROVENANCE, {"versions": versions(), **(provenance or {}), "files": files})

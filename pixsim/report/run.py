@@ -16,7 +16,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
 from pixsim.base.errors import invalid
-from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_json
+from pixsim.base.files import PROVENANCE, check_replaceable, digest_of, output_folder, publishing, write_json
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Correction, Develop, Display, Exposure, Record, Run
 from pixsim.base.progress import Stage
@@ -205,30 +205,32 @@ def run_and_write(
             lap("render" if "plan" in more else "read")
             progress("sense and score")
             image.header |= white_header(image, camera, settings.display)
-            chain = make_imaging_chain(
-                image, camera, settings.pixel, settings.exposure, settings.display, full, settings.correction, settings.develop
-            )
-            score = chain.simulate("evaluate", settings.seed)
-            if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
-                sensors = more["error_budget"]["settings"]["sensors"]
-                others = [chain.simulate("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
-                more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
-            lap("sense and score")
-            progress("write")
-            own = settings.exposure, settings.display, settings.seed, settings.correction
-            summary = summary_of(score, image, camera, *own) | more
-            if chain.rendition is not None:
-                summary |= {"develop": settings.develop.model_dump(), "colour": chain.colour_facts(score.frame.integration_s)}
-            if irradiance == "factors" and not image.factors:
-                warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
-            summary["notes"] = [*notes, *summary["notes"]]
             given = {"sensor": sensor, "variant": variant, "units": units}
             command = ["pixsim", "run", light.source, "--config", SETTINGS_FILE, *["--full"] * full]
             command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
             text = settings_text(light.repeated or settings, shlex.join(command))
             with publishing(folder, "run", {"seconds": seconds}, keep=[Path(source)]) as partial_folder:
+                with ThreadPoolExecutor(1) as pool:  # the largest file by far is written meanwhile
+                    written = pool.submit(write_irradiance, partial_folder, image, irradiance)
+                    of_sensor = settings.pixel, settings.exposure, settings.display, full, settings.correction, settings.develop
+                    chain = make_imaging_chain(image, camera, *of_sensor)
+                    score = chain.simulate("evaluate", settings.seed)
+                    if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
+                        sensors = more["error_budget"]["settings"]["sensors"]
+                        others = [chain.simulate("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
+                        more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
+                    lap("sense and score")
+                    progress("write")
+                    written.result()
+                own = settings.exposure, settings.display, settings.seed, settings.correction
+                summary = summary_of(score, image, camera, *own) | more
+                if chain.rendition is not None:
+                    summary |= {"develop": settings.develop.model_dump(), "colour": chain.colour_facts(score.frame.integration_s)}
+                if irradiance == "factors" and not image.factors:
+                    warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
+                summary["notes"] = [*notes, *summary["notes"]]
                 (partial_folder / SETTINGS_FILE).write_text(text, encoding="utf-8")
-                write_all(partial_folder, image, score, summary, raw_suffixes, irradiance)
+                write_all(partial_folder, image, score, summary, raw_suffixes)
                 lap("write")
     return summary
 
@@ -360,20 +362,18 @@ def light_of_picture(source: str, settings: Run, units: str | None) -> Light:
     return Light(image, camera, str(Path(source).resolve()), settings.model_copy(update=chosen), {"chosen": view.as_dict()})
 
 
-def write_all(
-    folder: Path,
-    image: SpectralImage,
-    score: Score,
-    summary: dict[str, Any],
-    raw_suffixes: Sequence[str] = (),
-    irradiance: Irradiance = "reduced",
-) -> None:
-    """Write all files of a run but its provenance to a folder; the last two arguments are those of `run_and_write`."""
+def write_irradiance(folder: Path, image: SpectralImage, irradiance: Irradiance = "reduced") -> None:
+    """Write irradiance.exr of a run to a new folder; the last argument is that of `run_and_write`."""
+    if irradiance != "none":
+        path = folder / "irradiance.exr"
+        write_exr(path, reduced_to_fit(image) if irradiance == "reduced" else image, factors_only=irradiance == "factors")
+        digest_of(path, alone=True)  # which the provenance asks for
+
+
+def write_all(folder: Path, image: SpectralImage, score: Score, summary: dict[str, Any], raw_suffixes: Sequence[str] = ()) -> None:
+    """Write all files of a run but its provenance and irradiance.exr to a folder; the last argument is that of `run_and_write`."""
 
     def write_numbers() -> None:
-        if irradiance != "none":
-            written = reduced_to_fit(image) if irradiance == "reduced" else image
-            write_exr(folder / "irradiance.exr", written, factors_only=irradiance == "factors")
         for suffix in dict.fromkeys((".exr", *raw_suffixes)):
             write_frame(folder / f"raw{suffix}", score.frame)
         write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})

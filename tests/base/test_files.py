@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import time
 from pathlib import Path
 
 import pytest
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.files import PROVENANCE, check_replaceable, listed_files, publishing
+from pixsim.base.files import PROVENANCE, SETTLED_NS, check_replaceable, digest_of, listed_files, publishing
 
 
 def publish(folder: Path, command: str = "run", keep: Path | None = None, **texts: str) -> None:
@@ -136,3 +138,28 @@ def test_publishing_failure_leaves_folder_unchanged(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt), publishing(tmp_path, "run") as unfinished:
         raise KeyboardInterrupt(unfinished.joinpath("a.txt").write_text("2"))
     assert {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)} == before
+
+
+@pytest.mark.parametrize("age", ["new", "settled"])
+def test_digest_of_sees_each_change(age: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of a file of the same size at the same place, whose digest was taken before."""
+    path = tmp_path / "a.txt"
+    now_ns = time.time_ns() + (3 * SETTLED_NS if age == "settled" else 0)
+    monkeypatch.setattr("pixsim.base.files.time.time_ns", lambda: now_ns)
+    found = []
+    for text in ("one", "two", "one"):
+        path.write_text(text)
+        if age == "settled":  # long after the last change, so at another time
+            os.utime(path, ns=(now_ns - 2 * SETTLED_NS + len(found),) * 2)
+        found += [digest_of(path), digest_of(path)]
+    assert found[0] == found[1] == found[4] == found[5] != found[2] == found[3]
+    assert found[0] == hashlib.blake2b(b"one", digest_size=16).hexdigest()
+
+
+def test_digest_of_unchanged_file_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("one")
+    first = digest_of(path, alone=True)
+    monkeypatch.setattr("pixsim.base.files.DIGEST_BLOCK", 0)  # nothing can be read
+    assert digest_of(path, alone=True) == first
+    assert digest_of(path) != first, "it may have been changed since, within a step of the clock"

@@ -10,6 +10,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
 
 from pixsim.base.parameters import Camera, Pixel, StackOptions, Study, pixel_of
 from pixsim.light.spectral import SpectralImage, d65
@@ -40,6 +42,7 @@ from pixsim.studies.claims import (
     frequency_places,
     growth_exponent,
     modes,
+    prominent_maxima,
     reference_process,
     response_note,
     rise,
@@ -298,6 +301,21 @@ def test_threshold_contrast_takes_first_crossing() -> None:
     actual = threshold_contrast(np.repeat(bump, COLUMNS, axis=1), 0.5)
     # A Gaussian of σ² = ½ 0.5² in log contrast smoothed by 4 rows is wider and lower: it passes ½ 0.5 % nearer.
     assert actual == pytest.approx(np.full(6, 0.1 * np.exp(-0.5 * np.sqrt(np.log(2)))), rel=ROW_RATIO - 1 + 0.005)
+
+
+def test_prominent_maxima_as_of_scipy() -> None:
+    """Of smooth and rough curves, with zeros around them, as a density has, and without."""
+    rng = np.random.default_rng(5)
+    found = set()
+    for smoothing in (0.5, 2.0, 8.0):
+        for padding in (0, 20):
+            for prominence in (0.02, 0.1, 0.5):
+                values = np.pad(gaussian_filter1d(rng.random(300), smoothing), padding)
+                expected = len(find_peaks(values, prominence=prominence * values.max())[0])
+                assert prominent_maxima(values, prominence * values.max()) == expected
+                found.add(expected)
+    assert len(found) > 6
+    assert prominent_maxima(np.array([0.0, 1.0, 1.0, 0.9, 1.0, 0.0]), 0.5) == 1, "a plateau, and a shallow valley"
 
 
 def test_modes_of_known_distributions() -> None:
