@@ -119,6 +119,7 @@ def irregular_files(folder: Path, suffix: str) -> Iterator[Path]:
         (".toml", "run csf --pixel.technology {}"),
         (".toml", "study {}"),
         (".toml", "datasheet {}"),
+        *((suffix, "lens {}") for suffix in (".toml", ".zmx")),
         (".exr", "plan csf -D chart={}"),
         (".csv", "run csf --pixel.quantum-efficiency {}"),
     ],
@@ -157,6 +158,7 @@ def test_command_does_not_quote_a_file_of_another_format(tmp_path, before):
         *((suffix, "plan csf -D chart={}") for suffix in (".exr", ".hdr", ".jpg")),
         (".toml", "run csf --config {}"),
         (".toml", "datasheet {}"),
+        *((suffix, "lens {}") for suffix in (".toml", ".zmx")),
         (".csv", "run csf --pixel.quantum-efficiency {}"),
     ]:
         (path := tmp_path / f"a{suffix}").write_bytes(before + SECRET + b"\n" + SECRET)

@@ -538,6 +538,71 @@ def datasheet(
 
 
 @app.command
+def lens(
+    file: Annotated[
+        str,
+        Parameter(
+            name="FILE",
+            help="A lens: cooke_triplet, double_gauss, phone or singlet; or the path of a .zmx or .toml file.",
+            completer=common.complete_lens,
+        ),
+    ],
+    *,
+    focal_length_mm: Annotated[
+        float | None, Parameter(help="Scale the whole lens to this focal length [default: the file's].")
+    ] = None,
+    f_number: Annotated[float | None, Parameter(help="Stop the lens down [default: the file's f-number].")] = None,
+    field_deg: Annotated[float | None, Parameter(help="Largest field angle that is looked at [default: the file's].")] = None,
+    refocus: Annotated[
+        Literal["paraxial", "axis", "field"] | None,
+        Parameter(
+            help="Move the image plane: to the paraxial focus, to the least rms wavefront on the axis or over the field "
+            "[default: the file's plane, or axis if an object distance is given]."
+        ),
+    ] = None,
+    object_distance_m: Annotated[
+        float | None, Parameter(help="Distance of the object from the entrance pupil [default: infinite].")
+    ] = None,
+    wavelength_nm: Annotated[
+        list[float] | None,
+        Parameter(help="Wavelengths of equal weight, as --wavelength-nm 450 --wavelength-nm 550 [default: the file's]."),
+    ] = None,
+    pitch_um: Annotated[float | None, Parameter(help="Pixel pitch, whose Nyquist frequency joins 10, 30 and 60 lp/mm.")] = None,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Trace a lens: first-order data, spots, PSF and MTF, distortion, field curvature, illumination and chief ray angles.
+
+    Example: pixsim lens cooke_triplet
+
+    Example: pixsim lens phone --pitch-um 1.12
+
+    Example: pixsim lens my_lens.zmx --focal-length-mm 4.2 --f-number 2.8 --refocus field
+
+    The lens is as in its file, with the object at infinity, unless the options change it. Writes report.html, summary.json and
+    figures/*.svg and *.csv.
+    """
+    from pixsim.optics.lens import load_lens
+    from pixsim.report.lens import FILES, chosen_lens, lens_data, lens_lines, write_lens
+
+    positive = [("--focal-length-mm", focal_length_mm), ("--f-number", f_number), ("--object-distance-m", object_distance_m)]
+    for name, value in [*positive, ("--pitch-um", pitch_um), *(("--wavelength-nm", nm) for nm in wavelength_nm or [])]:
+        if value is not None and not 0 < value < float("inf"):
+            raise invalid(name, f"{value:g}", "a number above 0")
+    if field_deg is not None and not 0 <= field_deg < 90:
+        raise invalid("--field-deg", f"{field_deg:g}", "0 to below 90 degrees")
+    chosen = chosen_lens(load_lens(file), focal_length_mm, f_number, field_deg, refocus, object_distance_m)
+    folder = out or DEFAULT_OUT / f"lens-{Path(file).stem}"
+    check_replaceable(folder, FILES)
+    with stages() as stage:
+        stage("trace")
+        data = lens_data(chosen, wavelength_nm, pitch_um)
+        stage("report")
+        report = write_lens(data, folder)
+    show(data.as_dict(), json, "\n".join([*lens_lines(data), f"report: {report}"]))
+
+
+@app.command
 def sfr(
     image: Annotated[
         Path,

@@ -172,6 +172,7 @@ def variant_names() -> Iterable[str]:
 complete_scene = packaged_or_files(scene_names, ".xml")
 complete_picture = packaged_or_files(scene_names, ".xml", ".exr", ".npz", ".hdr")
 complete_study = packaged_or_files(lambda: packaged("data/studies"), ".toml")
+complete_lens = packaged_or_files(lambda: packaged("data/lenses"), ".toml", ".zmx")
 complete_technology = packaged_or_files(lambda: packaged("data/technologies"), ".toml")
 complete_sensor = packaged_or_files(lambda: [*packaged("data/technologies"), NO_TECHNOLOGY], ".toml")
 

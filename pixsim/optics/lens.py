@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.optics.glass import AIR
+from pixsim.optics.glass import AIR, Glass
 from pixsim.optics.prescription import Prescription, read_prescription
 from pixsim.optics.pupil import Directions
 from pixsim.optics.ray_trace import Rays, at_plane, met, paraxial, rays_from, refracted, trace, turned_round
@@ -225,12 +225,12 @@ class Lens:
         key = wavelength_nm.tobytes()
         if key in self._known_indices:
             return self._known_indices[key]
-        known: dict[str, float | Array] = {AIR.name: 1.0}
-        for name, glass in self.prescription.glasses.items():
-            known[name] = glass.index(wavelength_nm)[:, None] if wavelength_nm.size > 1 else float(glass.index(wavelength_nm)[0])
+        known: dict[Glass, float | Array] = {AIR: 1.0}
+        for glass in self.prescription.glasses:
+            known[glass] = glass.index(wavelength_nm)[:, None] if wavelength_nm.size > 1 else float(glass.index(wavelength_nm)[0])
         if len(self._known_indices) >= KEPT_INDICES:
             self._known_indices.clear()
-        return self._known_indices.setdefault(key, [1.0, *(known[surface.glass.name] for surface in self.prescription.surfaces)])
+        return self._known_indices.setdefault(key, [1.0, *(known[surface.glass] for surface in self.prescription.surfaces)])
 
     @cached_property
     def _known_indices(self) -> dict[bytes, list[float | Array]]:
@@ -409,7 +409,9 @@ class Lens:
             start = at if math.isfinite(at) else self._nearest_chief(angle, float(wavelength_nm[index]))
             where = self._failure(angle, float(wavelength_nm[index]), 0.0, start)
             got = f"{angle:g}, where the chief ray {where} ({wavelength_nm[index]:g} nm)"
-            raise invalid("field_deg", got, f"fields that the lens images; it is made for {self.max_field_deg:g} degrees")
+            own = f"; the largest of its file is {self.prescription.field_value:g} degrees"
+            known = own if self.prescription.field_of_view == "angle_deg" else ""
+            raise invalid("field_deg", got, f"fields whose chief ray reaches the image{known}")
         return rays
 
     def _nearest_chief(self, field_deg: float, wavelength_nm: float) -> float:

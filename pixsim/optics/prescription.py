@@ -101,9 +101,9 @@ class Prescription:
         )
 
     @property
-    def glasses(self) -> dict[str, Glass]:
-        """Name -> glass of all media but air."""
-        return {surface.glass.name: surface.glass for surface in self.surfaces if surface.glass != AIR}
+    def glasses(self) -> tuple[Glass, ...]:
+        """Glasses, each once, in the order of the light."""
+        return tuple(dict.fromkeys(surface.glass for surface in self.surfaces if surface.glass != AIR))
 
 
 HOW_TO_LOAD = "a packaged lens, or the path of a .toml or .zmx file"
@@ -179,6 +179,13 @@ class GlassTable(Record):
     source: str = Field("", description="of the numbers")
     n_at_wavelengths: tuple[float, ...] = Field((), description="for information")
 
+    @property
+    def words(self) -> str:
+        """A name for a glass that the file gives none."""
+        if self.n_d is not None and self.v_d is not None:
+            return model_name(self.n_d, self.v_d)
+        return "dispersion formula" if self.n is None else f"n = {self.n:g}"
+
     def glass(self, name: str, where: str) -> Glass:
         """Return the glass. Raises PixsimError unless exactly one of the three descriptions is whole."""
         given = {"formula and coefficients": (self.formula, self.coefficients), "n_d and v_d": (self.n_d, self.v_d), "n": (self.n,)}
@@ -199,6 +206,11 @@ class GlassTable(Record):
             allowed = ", ".join(f"{number} ({what})" for number, what in FORMULAS.items())
             raise invalid(f"{where}: formula of glass '{name}'", self.formula, allowed)
         return Glass(name, self.formula, self.coefficients or (), (low, high), one_line(self.source, 200))
+
+
+def model_name(n_d: float, v_d: float) -> str:
+    """Return the name of a glass that is known by two numbers."""
+    return f"n_d {n_d:g}, V_d {v_d:g}"
 
 
 class SurfaceTable(Record):
@@ -335,7 +347,7 @@ def _toml_surface(table: SurfaceTable, glasses: Mapping[str, GlassTable], where:
         if value:
             asphere.append((int(name[1:]), value))
     if isinstance(table.glass, GlassTable):
-        glass = table.glass.glass("glass of the surface", where)
+        glass = table.glass.glass(table.glass.words, where)
     elif not isinstance(table.glass, str):
         if not 1 <= table.glass <= 10:
             raise invalid(f"{where}: glass", f"{table.glass:g}", "an index from 1 to 10, or a name")
@@ -540,8 +552,7 @@ def _zmx_surface(block: _Block, where: str, makers: Sequence[str]) -> Surface:
             n_d, v_d = _zmx_number(where, line, 3), _zmx_number(where, line, 4)
             if not 1 <= n_d <= 10 or v_d < 0:
                 raise invalid(at, f"n_d = {n_d:g}, V_d = {v_d:g}", "n_d from 1 to 10 and V_d not below 0")
-            known_as = f"n_d {n_d:g}, V_d {v_d:g}"
-            glass = abbe_glass(known_as, n_d, v_d) if v_d else constant_glass(known_as, n_d)
+            glass = abbe_glass(model_name(n_d, v_d), n_d, v_d) if v_d else constant_glass(f"n = {n_d:g}", n_d)
         else:
             glass = find_glass(one_line(name), at, makers, HOW_TO_GIVE_ZMX)
     apertures = list(block.all("CLAP", "FLAP"))

@@ -73,7 +73,7 @@ def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_help_shows_usage_json_and_example() -> None:
     commands = sorted(name for name in app if not name.startswith("-"))
-    assert {"run", "study", "plan", "accuracy", "datasheet", "sfr", "chart", "cache", "template", "schema"} <= set(commands)
+    assert {"run", "study", "plan", "accuracy", "datasheet", "lens", "sfr", "chart", "cache", "template"} <= set(commands)
     assert command("--version") == (0, f"{pixsim.__version__}\n", "")
     for name in ("", *commands):
         code, text, err = command(f"{name} --help")

@@ -51,7 +51,7 @@ def test_run_help_shows_type_choices_and_default_of_every_field(monkeypatch: pyt
             assert choice in kind.split("|")
 
 
-@pytest.mark.parametrize("name", ["run", "study", "plan", "compare", "accuracy", "datasheet", "sfr", "chart", "template"])
+@pytest.mark.parametrize("name", ["run", "study", "plan", "compare", "accuracy", "datasheet", "lens", "sfr", "chart", "template"])
 def test_help_names_no_value_str(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """STR says nothing of the value; every one has a name or a list of choices."""
     text = shown_help(name, monkeypatch)
@@ -125,6 +125,7 @@ def test_completion_knows_scenes_studies_technologies_and_choices(tmp_path: Path
     assert studies | {"mine.toml", "folder/"} <= completed("study", "")
     assert "folder/other.toml" in completed("study", "folder/")
     assert technologies | {"mine.toml"} <= completed("datasheet", "")
+    assert {*packaged("data/lenses"), "mine.toml"} <= completed("lens", "")
     assert technologies | {"none"} <= completed("run", "csf", "--pixel.technology", "")
     assert completed("run", "csf", "--display.interpolation", "") == {"linear", "nearest", "cubic"}
 

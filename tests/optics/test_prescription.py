@@ -103,6 +103,18 @@ def test_glass_by_abbe_number_or_index(tmp_path: Path) -> None:
     assert any(surface.glass.index(500.0) == 1.62 for surface in toml.prescription.surfaces)
 
 
+def test_glasses_without_names_are_kept_apart(tmp_path: Path) -> None:
+    """Two that print alike are two glasses."""
+    inline = TOML.replace('glass = "HIKARI:SK16"', "glass = { n_d = 1.62041, v_d = 60.32 }", 1)
+    inline = inline.replace('glass = "SCHOTT:F2"', "glass = { n_d = 1.620410001, v_d = 60.32 }", 1)
+    glasses = load(tmp_path, inline, "lens.toml").prescription.glasses
+    assert [glass.name for glass in glasses] == ["n_d 1.62041, V_d 60.32"] * 2 + ["HIKARI:SK16"]
+    assert glasses[1].index(587.5618) - glasses[0].index(587.5618) == pytest.approx(1e-9, rel=1e-5)
+    lens = load(tmp_path, inline, "lens.toml")
+    indices = lens._indices(np.array([587.5618]))
+    assert indices[3] - indices[1] == pytest.approx(1e-9, rel=1e-5)
+
+
 def test_toml_may_use_the_packaged_glasses(tmp_path: Path) -> None:
     """Without its own tables of coefficients, which are those of the catalogue."""
     bare = TOML[: TOML.index("[glass.")]

@@ -1,0 +1,42 @@
+"""Wavefronts of a traced lens as `field_blur` takes them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.optics.field_blur import PupilRays
+from pixsim.optics.lens import Lens
+
+RINGS, SPOKES = 14, 21  # of rays through half of the stop for each wavefront
+OUTLINE_SPOKES = 180
+
+
+def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[PupilRays]]:
+    """Return the rays of fields (F,) through half of the stop, for each wavelength (W,).
+
+    Their directions are those of points of the reference sphere from its centre, the chief ray's image point.
+
+    Raises PixsimError if a chief ray does not reach the image.
+    """
+    radius = np.sqrt((np.arange(RINGS) + 1) / RINGS)  # the last ring is the rim
+    turn = np.linspace(0, np.pi, SPOKES)
+    x, y = ((radius[:, None] * part).ravel() for part in (np.sin(turn), np.cos(turn)))
+    fields, nm = np.tile(field_deg, wavelength_nm.size), np.repeat(wavelength_nm, field_deg.size)
+    waves, outline = lens.wavefront(fields, nm, x, y), lens.outline(fields, nm, OUTLINE_SPOKES)
+    spokes = np.stack([np.cos(outline.angle), np.sin(outline.angle)], axis=-1)
+    from_image = lens.first_order(lens.primary_nm).exit_pupil_from_image_mm
+    found = []
+    for at in range(fields.size):
+        cosines, off = waves.cosines[at], np.stack([waves.x_mm[at], waves.y_mm[at]], axis=-1)
+        if math.isfinite(from_image):  # a ray with this direction, off the image point, leaves the sphere a little elsewhere
+            distance = -math.copysign(math.hypot(float(waves.chief_y_mm[at]), from_image), from_image)
+            along = (off * cosines).sum(axis=-1)
+            back = along + np.copysign(np.sqrt(distance**2 + along**2 - np.square(off).sum(axis=-1)), distance)
+            cosines = (back[:, None] * cosines - off) / distance
+        seen = np.isfinite(waves.opd_waves[at])
+        edge = outline.radius[at][:, None] * spokes + outline.centre[at]
+        found.append(PupilRays(cosines[seen], waves.opd_waves[at][seen], edge, 1e3 * float(waves.chief_y_mm[at])))
+    return [found[first : first + field_deg.size] for first in range(0, fields.size, field_deg.size)]
