@@ -3,12 +3,17 @@
 import gc
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 # Before NumPy: threads make the small matrices of a fit several times slower, and the workers of a run share the cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Else each worker of each run would compile pixsim and rewrite the assertions of all tests, which takes most of their collection.
+if sys.dont_write_bytecode:
+    sys.dont_write_bytecode = False
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # A shell starts what runs in the background with Ctrl-C ignored, which commands under test would inherit.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -45,8 +50,6 @@ def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
             folder = shared_folder(tmp_path_factory) / name
             folder.mkdir(exist_ok=True)
             patch.setenv(variable, str(folder))
-        # Otherwise each of more than a hundred processes would compile all of pixsim.
-        patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield
 
 

@@ -21,8 +21,7 @@ def module_name(path: Path) -> str:
 
 
 FILES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
-MODULES = sorted(TREES.keys() - {"__init__", "__main__"})
+MODULES = sorted(FILES.keys() - {"__init__", "__main__"})
 # Package -> packages that it may import, in the order of the data flow.
 BELOW_SHOW = ("base", "light", "optics", "sensor")
 ALLOWED = {
@@ -41,6 +40,12 @@ ALLOWED = {
 }
 # Slow to import: 0.3 s (mitsuba) to 2.6 s (colour). They are imported inside functions.
 HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral", "distributed", "dask"}
+
+
+@cache
+def tree(module: str) -> ast.Module:
+    """What a file of the package says; all of them take a second, which every worker would spend on them."""
+    return ast.parse(FILES[module].read_text(encoding="utf-8"))
 
 
 def is_type_checking(node: ast.AST) -> bool:
@@ -68,13 +73,13 @@ def roots(tree: ast.AST, at_top_only: bool = False) -> set[str]:
 
 
 def test_mitsuba_is_imported_in_one_module() -> None:
-    assert {name for name, tree in TREES.items() if "mitsuba" in roots(tree)} == {"scene.mitsuba"}
-    assert {name for name, tree in TREES.items() if "drjit" in roots(tree)} <= {"scene.mitsuba"}
+    assert {name for name in FILES if "mitsuba" in roots(tree(name))} == {"scene.mitsuba"}
+    assert {name for name in FILES if "drjit" in roots(tree(name))} <= {"scene.mitsuba"}
 
 
-@pytest.mark.parametrize("module", TREES)
+@pytest.mark.parametrize("module", FILES)
 def test_module_imports_nothing_heavy_at_top(module: str) -> None:
-    assert not HEAVY & roots(TREES[module], at_top_only=True)
+    assert not HEAVY & roots(tree(module), at_top_only=True)
 
 
 @cache
@@ -82,7 +87,7 @@ def arrows() -> dict[str, set[str]]:
     """Module -> modules of pixsim that it imports at run time, also inside functions."""
     graph: dict[str, set[str]] = {}
     for module in MODULES:
-        names = (name.removeprefix("pixsim.") for name in imports(TREES[module]) if name.startswith("pixsim."))
+        names = (name.removeprefix("pixsim.") for name in imports(tree(module)) if name.startswith("pixsim."))
         graph[module] = {name for name in names if name in MODULES and name != module}
     return graph
 
@@ -125,7 +130,7 @@ def test_names_are_not_reexported_by_modules() -> None:
     reexported = {
         (module, alias.name)
         for module, path in FILES.items()
-        for node in ast.walk(TREES[module])
+        for node in ast.walk(tree(module))
         if isinstance(node, ast.ImportFrom) and path.name != "__init__.py"
         for alias in node.names
         if alias.asname == alias.name
@@ -137,7 +142,7 @@ def test_only_cli_prints_or_exits() -> None:
     printing = {
         module
         for module in MODULES
-        for node in ast.walk(TREES[module])
+        for node in ast.walk(tree(module))
         if isinstance(node, ast.Call) and ast.unparse(node.func) in {"print", "exit", "quit", "sys.exit", "os._exit"}
     }
     assert {module.partition(".")[0] for module in printing} == {"cli"}
@@ -158,7 +163,7 @@ def test_public_name_exists_and_is_documented(name: str) -> None:
 
 
 def test_type_checking_imports_match_lazy_names() -> None:
-    (block,) = filter(is_type_checking, TREES["__init__"].body)
+    (block,) = filter(is_type_checking, tree("__init__").body)
     assert all(alias.name == alias.asname for node in block.body for alias in node.names), "not re-exported"
     names = {f"pixsim.{module}.{name}" for name, module in pixsim._HOME.items()}
     names |= {f"pixsim.{module}" for module in pixsim._MODULES.values()}
