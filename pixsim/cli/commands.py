@@ -328,11 +328,11 @@ def study(
                 stage("report")
                 first = result.parts[0] if result.parts else result
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
-                write = write_axes_report if result.parts else write_report
+                found = compromises_of(result.study, result.curves)
+                write = partial(write_axes_report, compromises=found) if result.parts else write_report
                 report = keep_or_write(result, folder, lambda: write(result, folder, seconds, drawing, more))
             warned = set(result.warned)  # they are on stderr
             if result.counts:
-                found = compromises_of(result.study, result.curves)
                 summary = axes_summary(result, found) | {"counts": asdict(result.counts)}
                 lines = axes_lines(result, found)
                 common.verbosity.note(str(result.counts))

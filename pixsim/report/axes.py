@@ -17,7 +17,7 @@ from pixsim.show.figures import LOOKS, literal, new_figure
 from pixsim.show.pages import Column, Plate, csv_text, write_figures, write_page
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
-from pixsim.studies.conditions import Compromise, Regret, compromises_of
+from pixsim.studies.conditions import Compromise, Regret
 from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
@@ -169,17 +169,23 @@ def axes_files(study: Study) -> set[str]:
 
 
 def write_axes_report(
-    result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers, more: Callable[[Path], None] | None = None
+    result: StudyResult,
+    folder: Path,
+    seconds: dict[str, float],
+    workers: Workers,
+    more: Callable[[Path], None] | None = None,
+    *,
+    compromises: Sequence[Compromise],
 ) -> Path:
     """Write the report of a study with axes or conditions, with a folder for each of its first cases.
 
     more : writes further files to the new folder
+    compromises : `compromises_of` the study
 
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
     pixsim did not write.
     """
     study = result.study
-    compromises = compromises_of(study, result.curves)
     shown = shown_cases(
         [Case(part.study, curve.at, curve.condition, curve.alone) for part in result.parts for curve in part.curves[:1]]
     )

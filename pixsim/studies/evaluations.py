@@ -373,6 +373,7 @@ class Fingerprints:
     irradiance: SpectralImage
     stored: bool = True
     _pixels: dict[tuple[str, float], str] = field(default_factory=dict, init=False, repr=False)
+    _keys: dict[tuple[str, float, int], str] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def imaging(self) -> str:
@@ -407,8 +408,13 @@ class Fingerprints:
 
     def keys(self, technology: str, pitch_um: float, repeats: Iterable[int]) -> dict[int, str]:
         """Return the key of the row of each repeat."""
-        pixel = self.pixel(technology, pitch_um)
-        return {repeat: content_hash([pixel, self.display, repeat]) for repeat in repeats}
+        keys = {}
+        for repeat in repeats:
+            sensor = technology, pitch_um, repeat
+            if sensor not in self._keys:
+                self._keys[sensor] = content_hash([self.pixel(technology, pitch_um), self.display, repeat])
+            keys[repeat] = self._keys[sensor]
+        return keys
 
     def is_expected_row(self, row: Row) -> bool:
         """Return whether a row of results.csv may belong to the study and has the key of its technology, pitch and repeat."""

@@ -24,6 +24,7 @@ import pixsim
 from pixsim.base import cache
 from pixsim.report.axes import write_axes_report
 from pixsim.studies import evaluations
+from pixsim.studies.conditions import compromises_of
 from pixsim.studies.engine import Workers, workers_here
 from pixsim.studies.evaluations import Row, Task
 from pixsim.studies.study import prepare, run_prepared
@@ -94,7 +95,7 @@ def main() -> None:
         prepared = prepare(study)
         result = run_prepared(prepared, folder / "out", jobs=jobs, progress=stage)
         stage("report")
-        write_axes_report(result, folder / "out", {}, Workers(jobs))
+        write_axes_report(result, folder / "out", {}, Workers(jobs), compromises=compromises_of(study, result.curves))
         stage("")
         lines = [line.split() for path in (folder / "own").iterdir() for line in path.read_text(encoding="utf-8").splitlines()]
     own_s, other_s = (sum(float(line[place]) for line in lines) for place in (0, 2))
