@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -99,7 +100,7 @@ class Pupil:
 
     def directions(self, rings: int, spokes: int) -> Directions:
         """Return quadrature nodes, (..., rings · spokes): Gauss-Legendre in radius², equal steps in φ."""
-        node, share = np.polynomial.legendre.leggauss(rings)
+        node, share = _gauss_nodes(rings)
         radius, angle = np.sqrt((1 + node) / 2)[:, None], np.arange(spokes) * (2 * np.pi / spokes)
         x, y = (radius * turned for turned in (np.cos(angle), np.sin(angle)))
         centre, radial, tangential = (part[..., None, :] for part in (self.centre, self.radial, self.tangential))
@@ -121,6 +122,12 @@ class Pupil:
 
 def _cross(one: Array, other: Array) -> Array:
     return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
+
+
+@lru_cache(maxsize=128)
+def _gauss_nodes(count: int) -> tuple[Array, Array]:
+    """Return the nodes of Gauss-Legendre quadrature from -1 to 1 and their weights; finding them takes longer than using them."""
+    return np.polynomial.legendre.leggauss(count)
 
 
 def numerical_aperture(f_number: float) -> float:

@@ -39,6 +39,7 @@ LOWEST_LENS = 1 / math.sqrt(math.pi)  # height over pitch at which a microlens r
 NARROWEST = 1e-8  # semi-axis in direction cosines; a pupil below is one direction, since its boundary would be all rounding
 BARE_NODES = 24, 48  # rings and spokes of a pupil behind a bare opening, for its aperture
 TABLE_STEPS = 64  # of the width of a spot
+FAR_SPOTS = 2000.0  # widths of a spot from all photodiodes, where they collect 1e-7 of it at most
 MAX_RAYS = 1 << 12  # at a time, so that their shares fit into a core's cache
 
 
@@ -474,27 +475,34 @@ def _diffracted_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: A
     for band, nm in enumerate(wavelength_nm):
         rays = pupil.directions(*_nodes_for(stack, pupil.widest, nm)) if isinstance(pupil, Pupil) else pupil
         spot_um = 1e-3 * nm * stack.height_um / (stack.index * stack.pitch_um)
-        landing = (stack.landing_um(rays) / spot_um).reshape(len(result), -1, 2)
+        farthest = 3 * stack.pitch_um / spot_um + FAR_SPOTS
+        landing = np.clip(stack.landing_um(rays) / spot_um, -farthest, farthest).reshape(len(result), -1, 2)
         weight = rays.shares.reshape(len(result), -1)
-        lengths = stack.pitch_um / spot_um, stack.photodiode_side_um / spot_um
+        low = float(landing.min(initial=0.0))
+        table = _spot_table(low, float(landing.max(initial=0.0)), stack.pitch_um / spot_um, stack.photodiode_side_um / spot_um)
         points = max(1, MAX_RAYS // weight.shape[1])
         for first in range(0, len(result), points):
             part = slice(first, first + points)
-            result[part, band] = _mean_of_products(weight[part], _collected_of_spots(landing[part], *lengths))
+            result[part, band] = _mean_of_products(weight[part], _collected_of_spots(landing[part] - low, *table))
     return result.reshape(*shape, *result.shape[1:])
 
 
-def _collected_of_spots(landing: Array, pitch: float, side: float) -> Array:
-    """Return the part of spots that the photodiodes collect along one axis, (..., 5); all lengths are in units of the spot's.
+def _spot_table(low: float, high: float, pitch: float, side: float) -> tuple[Array, Array]:
+    """Return the part of spots that the photodiodes collect along one axis, and its slope, (places, 5) each.
+
+    low, high : the first and the last place of the spots' centres; all lengths are in units of the spot's
+    """
+    x = low + np.arange(int((high - low) * TABLE_STEPS) + 2) / TABLE_STEPS
+    first, last = (pitch * OFFSETS - x[:, None] + edge for edge in (-side / 2, side / 2))
+    return spot_integral(last) - spot_integral(first), (np.sinc(first) ** 2 - np.sinc(last) ** 2) / TABLE_STEPS
+
+
+def _collected_of_spots(landing: Array, value: Array, slope: Array) -> Array:
+    """Return the part of spots that the photodiodes collect along one axis, (..., 5), from a table that begins at landing 0.
 
     It is interpolated by cubic Hermite polynomials, with an error of 2e-8.
     """
-    low = float(landing.min(initial=0.0))
-    x = low + np.arange(int((landing.max(initial=0.0) - low) * TABLE_STEPS) + 2) / TABLE_STEPS
-    first, last = (pitch * OFFSETS - x[:, None] + edge for edge in (-side / 2, side / 2))
-    value = spot_integral(last) - spot_integral(first)
-    slope = (np.sinc(first) ** 2 - np.sinc(last) ** 2) / TABLE_STEPS
-    part = (landing - low) * TABLE_STEPS
+    part = landing * TABLE_STEPS
     below = part.astype(np.intp)
     part = (part - below)[..., None]
     rest = 1 - part

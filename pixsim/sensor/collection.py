@@ -32,9 +32,11 @@ from pixsim.sensor.crosstalk import share_with_neighbours, shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
 from pixsim.sensor.pixel import USUAL_F_NUMBER, PixelPhysics
 
-WAVELENGTHS = 7  # at which shares are computed, with a linear course between them: 1e-5 of a share from 400 to 700 nm
+# Wavelengths at which shares are computed, with a polynomial through them: 6e-5 of a share from 400 to 1000 nm. The absorption of
+# silicon, by a factor of 100 over that range, needs more: then .001.
+WAVELENGTHS, WAVELENGTHS_DIFFUSED = 4, 6
 # Points of the field from the centre to an edge. Under an optimal shift shares hardly change; unshifted, they fall steeply.
-POINTS_SHIFTED, POINTS_UNSHIFTED = 5, 6
+POINTS_SHIFTED, POINTS_UNSHIFTED = 4, 6
 POINTS_OF_TABLE = 10  # where a table of chief ray angles bends at its rows: a share is within .002, of ten rows at f/2
 NEGLIGIBLE = 1e-5  # neighbours' shares that are smaller everywhere are left to the pixel, since each takes as long as a large one
 FINE = 64  # steps across the field, between which shares are linear
@@ -54,16 +56,17 @@ class Illumination:
     pupil: CameraPupil
     spare_e: float = 0.0
 
-    @property
-    def nodes(self) -> tuple[Array, Array]:
-        """Wavelengths at which shares are computed, (K,), and the weights of a linear course between them, with a sum of 1."""
+    @checks_arguments
+    def nodes(self, count: int) -> tuple[Array, Array]:
+        """Return wavelengths, (count,) or fewer, and the weights with which the spectrum has a polynomial through them; sum 1."""
         nm, weight = np.array(self.wavelength_nm), np.array(self.weight)
         nm, weight = nm[weight > 0], weight[weight > 0] / weight.sum()
-        if nm.size <= WAVELENGTHS:
+        if nm.size <= count:
             return nm, weight
-        node = np.linspace(nm.min(), nm.max(), WAVELENGTHS)
-        hats = np.array([np.interp(nm, node, one) for one in np.eye(WAVELENGTHS)])
-        return node, np.asarray(hats @ weight)
+        node = -np.cos(np.pi * (np.arange(count) + 0.5) / count)  # Chebyshev's, of the zeros
+        middle, half = (nm.min() + nm.max()) / 2, np.ptp(nm) / 2
+        course = _polynomial(node, (nm - middle) / half)
+        return middle + half * node, np.asarray(weight @ course)
 
 
 def illumination(
@@ -263,7 +266,8 @@ def _collection(
     measured : how the quantum efficiency was, on a whole pixel; None: on the photodiode
     half_um : from the axis to the centres of the outermost pixels, down and across
     """
-    nm, weight = light.nodes
+    diffused = charge is not None and charge.diffusion_length_um is not None
+    nm, weight = light.nodes(WAVELENGTHS_DIFFUSED if diffused else WAVELENGTHS)
     if measured is not None:
         weight = weight / _measured_share(measured, charge, nm)
     symmetric, node, y_um, x_um = _places(stack, light.pupil, half_um)
@@ -315,9 +319,14 @@ def _scale_error(
 
 @lru_cache(maxsize=4)
 def _finer(nodes: tuple[float, ...]) -> Array:
-    """Return the weights of nodes (n,) of a polynomial through them, at `FINE` equal steps from -1 to 1, (FINE + 1, n)."""
-    at, degree = np.linspace(-1.0, 1.0, FINE + 1), len(nodes) - 1
-    return np.asarray(np.linalg.solve(chebvander(np.array(nodes), degree).T, chebvander(at, degree).T).T)
+    """Return `_polynomial` at `FINE` equal steps from -1 to 1, (FINE + 1, n)."""
+    return _polynomial(np.array(nodes), np.linspace(-1.0, 1.0, FINE + 1))
+
+
+def _polynomial(nodes: Array, at: Array) -> Array:
+    """Return the weights of nodes (n,) from -1 to 1 of the polynomial through them, at places (m,), (m, n)."""
+    degree = nodes.size - 1
+    return np.asarray(np.linalg.solve(chebvander(nodes, degree).T, chebvander(at, degree).T).T)
 
 
 def _shares_at(

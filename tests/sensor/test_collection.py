@@ -115,7 +115,7 @@ PHONE = [(0.34 * row / 10, angle_deg) for row, angle_deg in enumerate(ANGLES_DEG
 
 @pytest.mark.parametrize(("name", "table"), [*((name, None) for name in STACKS), ("lens", PHONE), ("optimal", PHONE)])
 def test_shares_between_points_agree_with_the_kernel(name: str, table: Any) -> None:
-    """All bands and a direct pupil at places between the nodes: the polynomial over the field, 7 wavelengths, and linear steps."""
+    """All bands and a direct pupil at places between the nodes: polynomials over the field and the spectrum, and linear steps."""
     physics = derive(Pixel(**QUIET, stack=STACKS[name] | {"crosstalk": None, "depletion_um": None, "diffusion_length_um": None}))
     camera, image = Camera(die_mm=0.48, focal_length_mm=0.8, f_number=2.0, chief_ray_angle=table), even_picture()
     light, shape = illumination_of(image, camera, physics), (81, 81)
@@ -185,13 +185,15 @@ def test_stack_that_loses_nothing_is_left_out_within_its_bound(fields: dict[str,
         np.testing.assert_array_equal(chain(pixel, image, SLOW).signal_e_per_s, whole.signal_e_per_s)
 
 
-def test_nodes_of_wavelengths_keep_the_mean_wavelength() -> None:
+def test_nodes_of_wavelengths_keep_the_moments_of_the_spectrum() -> None:
     weight = np.random.default_rng(1).uniform(0, 1, 300)
     nm = np.linspace(400, 1000, 300)
-    node, share = Illumination(tuple(nm), tuple(weight), CameraPupil(2.0, 1e3)).nodes
-    assert node.size == 7
-    assert share.sum() == pytest.approx(1, abs=1e-13)
-    assert share @ node == pytest.approx(weight @ nm / weight.sum(), rel=1e-13)
+    node, share = Illumination(tuple(nm), tuple(weight), CameraPupil(2.0, 1e3)).nodes(4)
+    assert node.size == 4
+    for power in range(4):  # exact for a cubic
+        assert share @ node**power == pytest.approx(weight @ nm**power / weight.sum(), rel=1e-12)
+    few = Illumination((500.0, 600.0, 700.0), (1.0, 0.0, 3.0), CameraPupil(2.0, 1e3)).nodes(4)
+    np.testing.assert_array_equal(few, [[500.0, 700.0], [0.25, 0.75]])
 
 
 def test_shading_correction_divides_frame_and_noise() -> None:
