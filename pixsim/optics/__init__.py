@@ -1,8 +1,9 @@
-"""The lens in closed form: f-number, field and wavelength in, irradiance factor and optical transfer function out.
+"""Lenses: f-number, field and wavelength in, irradiance factor, optical transfer function and wavefronts out.
 
 `thin_lens` turns radiance into irradiance, `diffraction` blurs by a circular pupil, `exchange` reads the light of other
 programs as irradiance on the sensor. `pupil` has the directions of the light at a point of the sensor, `stack` the photodiodes
-that it reaches through microlenses or openings.
+that it reaches through microlenses or openings. A real lens is read by `prescription`, with the media of `glass`; `lens` traces
+it with the rays of `ray_trace`, and `lens_waves` hands its wavefronts to `field_blur`, which makes PSFs of them.
 May import: base, light.
 """
 

@@ -528,6 +528,8 @@ def _zmx_surface(block: _Block, where: str, makers: Sequence[str]) -> Surface:
         what = "a gradient index" if kind.startswith(GRADIENTS) else "a tilted or decentred axis" if kind == "COORDBRK" else ""
         got = f"the surface type {one_line(kind)}{what and ', '}{what}"
         raise invalid(where, got, ", ".join(STEP), "pixsim traces centred spheres, conics and aspheres of powers of r.")
+    if any(line.words[:1] not in ([], ["0"]) for line in block.all("IGNR")):
+        raise invalid(where, "a surface that Zemax ignores (IGNR)", "surfaces in use", "Delete it in the lens data editor.")
     for other in block.all(*OTHER_APERTURES):
         raise invalid(
             f"{where}, line {other.number}", f"{other.keyword}, a {OTHER_APERTURES[other.keyword]}", "discs: CLAP or FLAP"

@@ -87,6 +87,47 @@ def test_aplanatic_sphere_has_no_wavefront_error_and_meets_the_sine_condition() 
     assert converging[-1] * n > 0.15
 
 
+def test_two_hyperboloids_image_a_near_point_without_error() -> None:
+    """Light from a focus of the first, of conic -n², is parallel in the glass, and meets again in the focus of the second."""
+    n, radius = 1.5, 20.0
+    focus = radius / (n - 1)
+    surfaces = Surface(1 / radius, 10.0, GLASS, conic=-(n**2)), Surface(-1 / radius, focus, AIR, conic=-(n**2))
+    lens = replace(made_of(*surfaces), object_distance_mm=focus)
+    assert np.abs(lens.opd_waves(0.0, 550.0, *disc())).max() < WAVES
+    assert lens.paraxial_height_mm == pytest.approx(focus, rel=1e-12), "magnification -1"
+    assert lens.refocused("paraxial", focus).prescription.surfaces[-1].thickness_mm == pytest.approx(focus, rel=1e-12)
+
+
+def test_telecentric_lens_has_its_stop_in_the_focal_plane() -> None:
+    """Chief rays are parallel to the axis there, and the exit pupil is far away: in front of the image or behind it."""
+    radius, n = 50.0, 1.5
+    focal = radius / (n - 1)  # a plano-convex lens; its front focal plane lies a focal length before the curved vertex
+    gap = focal - 4.0 / n  # of the plane side, whose principal plane lies d/n inside
+    glass = Surface(0.0, 4.0, GLASS), Surface(-1 / radius, focal)
+    either = [made_of(Surface(0.0, gap + near), *glass, diameter=5.0, field=3.0) for near in (-1e-6, 0.0, 1e-6)]
+    far = [lens.first_order(550.0).exit_pupil_from_image_mm for lens in either]
+    assert min(map(abs, far)) > 1e8
+    assert far[0] * far[2] < 0
+    lens = either[1]
+    assert abs(float(lens.chief_ray(1e-3, 550.0).angle_deg)) < 1e-8
+    x, y = disc(7)
+    fronts = [lens.opd_waves(3.0, 550.0, x, y) for lens in either]
+    assert np.abs(fronts[1]).max() > 0.5
+    # A stop 1e-6 mm away moves the rays by 5e-8 mm, 2e-8 of its radius, and the wavefront by as much of its slope.
+    assert max(np.abs(fronts[1] - fronts[0]).max(), np.abs(fronts[1] - fronts[2]).max()) < 1e-5
+
+
+def test_stop_may_lie_behind_the_lens() -> None:
+    """The entrance pupil is then the stop's virtual image; the chief ray goes through the middle of the stop."""
+    surfaces = Surface(1 / 50, 4.0, GLASS), Surface(-1 / 50, 6.0), Surface(0.0, 40.0)
+    lens = made_of(*surfaces, diameter=6.0, field=5.0, stop=2)
+    assert lens.first_order(550.0).entrance_pupil_from_first_vertex_mm > 8
+    points = lens.ray_points(5.0, 550.0, 0.0, 0.0)[0]
+    assert np.abs(points[2, :2]).max() < 1e-9
+    assert points[2, 2] == pytest.approx(10.0)
+    assert points[3, 1] == pytest.approx(float(lens.chief_ray(5.0, 550.0).height_mm), abs=1e-9)
+
+
 @pytest.mark.parametrize("angle", [0.0, 20.0, 55.0])
 def test_plane_plate_shifts_rays_by_its_closed_form(angle: float) -> None:
     """Path through a plate of thickness d behind which the ray is parallel: n d/cos θ' and d tan θ'."""

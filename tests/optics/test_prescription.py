@@ -179,6 +179,7 @@ WRONG_ZMX = {
     "TYPE STANDARD\n  CURV 7.0|TYPE COORDBRK\n  CURV 7.0": "COORDBRK, a tilted or decentred axis",
     "TYPE STANDARD\n  CURV 7.0|TYPE XPOLYNOM\n  CURV 7.0": "the surface type XPOLYNOM",
     "  FLAP 0 6.3 0|  FLAP 1 6.3 0": "FLAP with a hole inside",
+    "  FLAP 0 6.3 0|  IGNR 1": "a surface that Zemax ignores",
     "  FLAP 0 6.3 0|  SQAP 6.3 6.3": "SQAP, a rectangular aperture",
     "  FLAP 0 6.3 0|  FLAP 0 6.3 0\n  OBDC 0.5 0": "a decentred aperture",
     "CURV 7.061398863114783100E-002|CURV x": "CURV: got 'x'; allowed: a finite number",
