@@ -21,6 +21,7 @@ from pixsim.report.maps import axis_plates
 from pixsim.sensor.pixel import photodiode_widths_um, physics_of
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import curve_table, delta_e_against_pitch
+from pixsim.studies.study import load_study
 
 LENS = {"height_um": 100.0, "index": 1.5, "microlens": "square", "shift": "optimal"}
 PITCHES_UM = [6.0, 7.0, 9.0, 15.0, 20.0]
@@ -135,3 +136,23 @@ def test_study_refuses_a_wrong_stack_before_it_renders(tmp_path: Path, monkeypat
         with pytest.raises(PixsimError, match=message):
             pixsim.study(tiny(name="wrong", pitch={"values_um": PITCHES_UM}, pixel=pixel), tmp_path / "out", jobs=1)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow  # 7 s of frames; docs/pixel_stack.md has the whole study
+def test_microlens_makes_smaller_pixels_best_in_dim_light(tmp_path: Path) -> None:
+    """Front-lit pixels of `study modern` on half of its die: the optimum moves by more than its intervals, not twofold.
+
+    Under the lens a pixel collects its whole area, bare only its fill factor, a third to a half; light has less to gain from size.
+    """
+    table = load_study("modern").model_dump(mode="json", exclude_unset=True, exclude={"quick", "target_ci_um", "max_repeats"})
+    pitch = {"min_fill_factor": 0.3, "max_um": 6.0, "count": 9}
+    own = {"name": "mini", "technologies": ["4t-fsi"], "repeats": 2, "resolution": 512, "pitch": pitch}
+    table |= own | {"camera": table["camera"] | {"die_mm": 0.5}, "display": table["display"] | {"dots": 256}}
+    with warnings.catch_warnings(action="ignore"):  # of the doubtful model, and of the black level
+        result = pixsim.study(pixsim.Study.model_validate(table), tmp_path / "out", jobs=1)
+    lens, bare = (curve.optimum for curve in result.curves)
+    assert 0.6 < lens.pitch_um / bare.pitch_um < 0.95
+    assert lens.interval_um[1] is not None
+    assert bare.interval_um[0] is not None
+    assert lens.interval_um[1] < bare.interval_um[0]
+    assert lens.mean_delta_e < 0.95 * bare.mean_delta_e
