@@ -66,12 +66,17 @@ def version_fingerprint(*packages: str) -> str:
 
     It is part of every key. It includes the sources, so that a changed formula or table invalidates old results.
     """
+    versions = [f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", *packages)]
+    return ", ".join([f"pixsim {VERSION} {_digest_of_sources()}", platform.machine(), *versions])
+
+
+@lru_cache
+def _digest_of_sources() -> str:
     digest = blake2b(digest_size=8)
     for path in sorted(PACKAGE.rglob("*")):
         if path.suffix in SOURCE_SUFFIXES:
             digest.update(path.read_bytes())
-    versions = [f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", *packages)]
-    return ", ".join([f"pixsim {VERSION} {digest.hexdigest()}", platform.machine(), *versions])
+    return digest.hexdigest()
 
 
 def load_or_compute(

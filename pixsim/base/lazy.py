@@ -1,15 +1,20 @@
-"""Modules of NumPy that are loaded when they are used: SciPy copies NumPy's whole namespace, which loads all of them."""
+"""What NumPy and SciPy do when they are imported, and pixsim does not need: a third of the time of SciPy's import each."""
 
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from importlib.util import LazyLoader, find_spec, module_from_spec
+from typing import Any
 
 import numpy as np
 
 
 def load_when_used(*names: str) -> None:
-    """Put modules of NumPy in place that are loaded when one of their attributes is used, unless they are loaded already."""
+    """Put modules of NumPy in place that are loaded when one of their attributes is used, unless they are loaded already.
+
+    SciPy copies NumPy's whole namespace, which would load all of them.
+    """
     for name in names:
         full = f"numpy.{name}"
         if full in sys.modules or not (spec := find_spec(full)) or not spec.loader:
@@ -19,3 +24,31 @@ def load_when_used(*names: str) -> None:
         sys.modules[full] = module
         spec.loader.exec_module(module)
         setattr(np, name, module)
+
+
+class PlainDocstring:
+    """A docstring as it is, in place of SciPy's `FunctionDoc`, which parses it."""
+
+    def __init__(self, function: Any) -> None:
+        self.text = function.__doc__ or ""
+
+    def __getitem__(self, section: str) -> list[Any]:
+        return []
+
+    def __setitem__(self, section: str, content: Any) -> None:
+        pass
+
+    def __str__(self) -> str:
+        return f"\n{self.text}"  # SciPy takes the first line for the signature
+
+
+def keep_docstrings_of_scipy() -> None:
+    """Let SciPy leave the docstrings of its functions as they are, where nobody reads them: in the process of a command.
+
+    When it is imported it adds notes on other array libraries to hundreds of them. Its functions are the same.
+    """
+    with suppress(ImportError):  # SciPy's own name for it may change: then nothing is gained
+        from scipy._lib import _docscrape
+
+        if hasattr(_docscrape, "FunctionDoc"):
+            _docscrape.FunctionDoc = PlainDocstring

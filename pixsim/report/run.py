@@ -29,7 +29,7 @@ from pixsim.report.wording import budget_lines, dark_notes, film_words, score_li
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_along, pixels_on
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
-from pixsim.show.pages import write_page
+from pixsim.show.pages import compile_page, write_page
 from pixsim.show.pictures import (
     Picture,
     display_codes,
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from pixsim.studies.preparation import View
 
 
+PAGE = "run.html.j2"  # template of report.html
 # Files next to the page, with their descriptions.
 FILES = {
     "score.json": "all numbers and settings, for programs",
@@ -132,7 +133,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "header": header,
         "files": {name: words for name, words in FILES.items() if (folder / name).exists() or name in AFTERWARDS} | others,
     }
-    write_page(folder / "report.html", "run.html.j2", page)
+    write_page(folder / "report.html", PAGE, page)
 
 
 def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
@@ -212,6 +213,7 @@ def run_and_write(
             with publishing(folder, "run", {"seconds": seconds}, keep=[Path(source)]) as partial_folder:
                 with ThreadPoolExecutor(1) as pool:  # the largest file by far is written meanwhile
                     written = pool.submit(write_irradiance, partial_folder, image, irradiance)
+                    compiled = pool.submit(compile_page, PAGE)
                     of_sensor = settings.pixel, settings.exposure, settings.display, full, settings.correction, settings.develop
                     chain = make_imaging_chain(image, camera, *of_sensor)
                     score = chain.simulate("evaluate", settings.seed)
@@ -222,6 +224,7 @@ def run_and_write(
                     lap("sense and score")
                     progress("write")
                     written.result()
+                    compiled.result()
                 own = settings.exposure, settings.display, settings.seed, settings.correction
                 summary = summary_of(score, image, camera, *own) | more
                 if chain.rendition is not None:

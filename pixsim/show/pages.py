@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 # Characters that a data URI cannot hold, or that grow when a template escapes them; the percent sign first.
 ENCODED = {character: f"%{ord(character):02X}" for character in "%\r\n\t\"#&'<>\\`"}
+OF_EACH_PAGE = ("base.html.j2", "style.css.j2", "macros.html.j2")  # templates
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 
 
@@ -37,6 +38,12 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     with replacing(path) as partial:
         partial.write_text(_environment().get_template(template).render(**content), encoding="utf-8")
     return path
+
+
+def compile_page(template: str) -> None:
+    """Compile a packaged template for `write_page`, and those that it is made of: that takes longer than to fill it in."""
+    for name in (template, *OF_EACH_PAGE):
+        _environment().get_template(name)
 
 
 @cache

@@ -261,14 +261,19 @@ def test_version_fingerprint_depends_on_sources(monkeypatch, tmp_path):
     package = tmp_path / "pixsim"
     (package / "data").mkdir(parents=True)
     monkeypatch.setattr(cache, "PACKAGE", package)
+
+    def fingerprint() -> str:
+        cache.version_fingerprint.cache_clear()
+        cache._digest_of_sources.cache_clear()
+        return cache.version_fingerprint()
+
     fingerprints = []
     for name, text in (("__init__.py", "a"), ("__init__.py", "b"), ("data/t.toml", "a"), ("data/q.csv", "1"), ("notes.txt", "")):
         (package / name).write_text(text, encoding="utf-8")
-        cache.version_fingerprint.cache_clear()
-        fingerprints.append(cache.version_fingerprint())
+        fingerprints.append(fingerprint())
     assert len(set(fingerprints[:4])) == 4
     assert fingerprints[4] == fingerprints[3], "a text file is not a source"
     monkeypatch.setattr(cache, "VERSION", "99")
+    assert fingerprint() not in fingerprints
     cache.version_fingerprint.cache_clear()
-    assert cache.version_fingerprint() not in fingerprints
-    cache.version_fingerprint.cache_clear()
+    cache._digest_of_sources.cache_clear()
