@@ -375,7 +375,8 @@ GRADIENTS = ("GRIN", "GRADIUM", "GRADIENT")
 # Apertures that are not a centred disc.
 OTHER_APERTURES = {
     "SQAP": "rectangular aperture", "ELAP": "elliptical aperture", "OBSC": "central obscuration", "SPID": "spider",
-    "SQOB": "rectangular obscuration", "ELOB": "elliptical obscuration", "UDAP": "user aperture", "UDOB": "user obscuration",
+    "SQOB": "rectangular obscuration", "ELOB": "elliptical obscuration", "UDOB": "user obscuration",
+    **dict.fromkeys(("UDAP", "UDAD", "USAP"), "user aperture"),
 }  # fmt: skip
 FIELD_KINDS: dict[int, Literal["angle_deg", "paraxial_image_height", "real_image_height"]] = {
     0: "angle_deg", 2: "paraxial_image_height", 3: "real_image_height",
@@ -588,8 +589,8 @@ def _zmx_field(path: Path, head: _Block) -> tuple[Any, float]:
     # Behind the first numbers are those of fields that are not in use.
     count = int(_zmx_number(where, line, 2, 12.0)) if line else 12
     values: list[list[float]] = []
-    for keyword in ("XFLN", "YFLN"):
-        found = head.first(keyword)
+    for keyword, older in (("XFLN", "XFLD"), ("YFLN", "YFLD")):
+        found = head.first(keyword) or head.first(older)
         values.append([_zmx_number(where, found, place) for place in range(len(found.words))] if found else [])
     x, y = ([*axis[: max(count, 0)], *([0.0] * 12)][:12] for axis in values)
     largest = max(math.hypot(*pair) for pair in zip(x, y, strict=True))
@@ -606,8 +607,10 @@ def _zmx_wavelengths(path: Path, head: _Block) -> tuple[tuple[float, ...], float
     where = f"'{path}'"
     lines = list(head.all("WAVM"))
     values = [1e3 * _zmx_number(where, line, 1) for line in lines]
+    if not values and (older := head.first("WAVL")):
+        values = [1e3 * _zmx_number(where, older, place) for place in range(len(older.words))]
     if not values:
-        raise invalid(f"wavelengths of {where}", "none (lines WAVM)", "at least one, in µm")
+        raise invalid(f"wavelengths of {where}", "none (lines WAVM or WAVL)", "at least one, in µm")
     fields = head.first("FTYP")
     count = int(_zmx_number(where, fields, 3, 0.0)) if fields else 0
     used = values[:count] if 0 < count <= len(values) else values

@@ -256,6 +256,7 @@ def lens_plates(data: LensData) -> list[Plate]:
 
 
 WIDTH_IN = 8.6
+TICKS = 10  # at most, along the whole width
 LEFT_IN, RIGHT_IN, BOTTOM_IN, TOP_IN, BETWEEN_IN, LEGEND_IN = 0.62, 0.15, 0.5, 0.28, 0.75, 0.35
 
 
@@ -272,6 +273,8 @@ def panels_of(count: int, height_in: float, shared: bool = False, legend_below: 
     below = BOTTOM_IN + (LEGEND_IN if legend_below else 0.0)
     sides = {"left": LEFT_IN / WIDTH_IN, "right": 1 - RIGHT_IN / WIDTH_IN, "wspace": between / panel_in}
     figure.subplots_adjust(bottom=below / height_in, top=1 - TOP_IN / height_in, **sides)
+    for axes in row:
+        axes.locator_params(nbins=TICKS if count == 1 else TICKS // 2)
     return figure, list(row)
 
 

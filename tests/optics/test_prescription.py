@@ -81,6 +81,14 @@ def test_odd_asphere_of_zmx_has_the_powers_of_r(tmp_path: Path) -> None:
     assert lens.prescription.surfaces[11].paraxial_curvature_per_mm == pytest.approx(-0.0706139886 + 0.002)
 
 
+def test_lists_of_older_zmx_files_are_read(tmp_path: Path) -> None:
+    """WAVL, XFLD and YFLD, without the places that later versions keep free."""
+    lines = [line for line in ZMX.splitlines() if line.split()[:1] not in (["WAVM"], ["XFLN"], ["YFLN"], ["FTYP"])]
+    head = ["WAVL 4.861327E-1 5.875618E-1 6.562725E-1", "XFLD 0 0 0", "YFLD 0 17 24"]
+    same(load(tmp_path, "\n".join([*head, *lines])), pixsim.load_lens(str(DATA / "US00583336-2-scaled.zmx")), 24.0)
+    assert load(tmp_path, "\n".join([*head, *lines])).max_field_deg == 24.0
+
+
 @pytest.mark.parametrize(
     ("aperture", "f_number"), [("ENPD 10.975328", 4.5), ("FNUM 4.5 0", 4.5), ("FLOA", 10.9753 / 2 * 4.5 / 4.215 * 0.8717)]
 )
