@@ -250,9 +250,9 @@ def line_mtf(line: Array, pitch_um: float, frequency_lp_per_mm: Array) -> Array:
 
 
 def lens_plates(data: LensData) -> list[Plate]:
-    """Return the figures of a lens, in the order of the page."""
-    makers = (layout, spot_plate, psf_plate, mtf_plate, mtf_over_field, curvature_plate, illumination_plate, colour_plate)
-    return [make(data) for make in makers]
+    """Return the figures of a lens, in the order of the page; without those over the field if there is one field only."""
+    over_field = (mtf_over_field, curvature_plate, illumination_plate) if data.field_deg.size > 1 else ()
+    return [make(data) for make in (layout, spot_plate, psf_plate, mtf_plate, *over_field, colour_plate)]
 
 
 WIDTH_IN = 8.6
@@ -274,7 +274,7 @@ def panels_of(count: int, height_in: float, shared: bool = False, legend_below: 
     sides = {"left": LEFT_IN / WIDTH_IN, "right": 1 - RIGHT_IN / WIDTH_IN, "wspace": between / panel_in}
     figure.subplots_adjust(bottom=below / height_in, top=1 - TOP_IN / height_in, **sides)
     for axes in row:
-        axes.locator_params(nbins=TICKS if count == 1 else TICKS // 2)
+        axes.locator_params(nbins=TICKS // 2 if shared or count > 1 else TICKS)
     return figure, list(row)
 
 
@@ -324,14 +324,15 @@ def layout(data: LensData) -> Plate:
     table: dict[str, list[float | str]] = {"field_deg": [], "stop_y": [], "z_mm": [], "y_mm": []}
     length = vertices[-1]
     for angle, path, look in zip(fields, paths, LOOKS, strict=False):
-        for height, points in zip(DRAWN_HEIGHTS, path, strict=True):
+        passed = lens.wavefront(angle, lens.primary_nm, np.zeros(len(DRAWN_HEIGHTS)), DRAWN_HEIGHTS).passed[0]
+        for number, (height, points) in enumerate(zip(np.array(DRAWN_HEIGHTS)[passed], path[passed], strict=True)):
             slope = math.tan(math.radians(angle)) if math.isinf(lens.object_distance_mm) else None
             z, y = points[:, 2], points[:, 1]
             if slope is not None:  # a piece of the parallel light in front
                 z, y = np.concatenate([[z[0] - 0.15 * length], z]), np.concatenate([[y[0] - 0.15 * length * slope], y])
-            axes.plot(z, y, color=look.colour, lw=0.8, ls=look.dashes, label=f"{angle:.3g}°" if not height else None)
+            axes.plot(z, y, color=look.colour, lw=0.8, ls=look.dashes, label=None if number else f"{angle:.3g}°")
             table["field_deg"] += [angle] * z.size
-            table["stop_y"] += [height] * z.size
+            table["stop_y"] += [float(height)] * z.size
             table["z_mm"] += z.tolist()
             table["y_mm"] += y.tolist()
     image = max(float(np.abs(data.curves["image_height_mm"]).max()), semi)
@@ -339,8 +340,8 @@ def layout(data: LensData) -> Plate:
     axes.set_aspect("equal", adjustable="datalim")
     finish(axes, "z (mm from the first surface)", "y (mm)", "upper left")
     caption = (
-        f"Layout with rays of {len(fields)} fields at {lens.primary_nm:g} nm through the centre of the stop, its edges and halfway "
-        "between. Light travels to the right, to the image plane."
+        f"Layout with rays at {lens.primary_nm:.5g} nm, for each field through the centre of the stop, its edges and halfway "
+        "between, but for those that a clear aperture stops. Light travels to the right, to the image plane."
     )
     return Plate("layout", caption, figure, dict(table))
 
@@ -374,7 +375,7 @@ def spot_plate(data: LensData) -> Plate:
     panels[0].set(ylabel="y (µm)", xlim=(-1.1 * most, 1.1 * most), ylim=(-1.1 * most, 1.1 * most))
     below(figure, panels[0], 6)
     caption = (
-        f"Spots: where rays of each wavelength meet the image plane, from the chief ray at {data.lens.primary_nm:g} nm; y points "
+        f"Spots: where rays of each wavelength meet the image plane, from the chief ray at {data.lens.primary_nm:.5g} nm; y points "
         "away from the axis. The circle is the first dark ring of diffraction. Rays that clear apertures stop are left out."
     )
     return Plate("spots", caption, figure, dict(table))
@@ -482,7 +483,7 @@ def curvature_plate(data: LensData) -> Plate:
     panels = [("focus behind the image plane (mm)", lines), ("distortion (%)", [("", percent, "-")])]
     figure, _ = curve_figure(data, panels, ("field angle (degrees)", data.curve_deg))
     caption = (
-        f"Field curvature and distortion at {data.lens.primary_nm:g} nm. Left: foci of rays near the chief ray. Right: height "
+        f"Field curvature and distortion at {data.lens.primary_nm:.5g} nm. Left: foci of rays near the chief ray. Right: height "
         "of the chief ray against focal length times tangent, so that an image plane off the paraxial focus is a part of it."
     )
     foci = {name: c[name] for name in ("tangential_focus_mm", "sagittal_focus_mm")}
@@ -499,8 +500,8 @@ def illumination_plate(data: LensData) -> Plate:
     figure, row = curve_figure(data, panels, ("image height (mm)", c["image_height_mm"]))
     row[0].set_ylim(0, 1.05)
     caption = (
-        f"Relative illumination and chief ray angle in image space at {data.lens.primary_nm:g} nm. The illumination is the area of "
-        "the directions at the image point whose rays pass the stop and the clear apertures."
+        f"Relative illumination and chief ray angle in image space at {data.lens.primary_nm:.5g} nm. The illumination is the "
+        "area of the directions at the image point whose rays pass the stop and the clear apertures."
     )
     traced = {name: c[name] for name in ("image_height_mm", "relative_illumination", "chief_ray_angle_deg")}
     table = {"field_deg": data.curve_deg, **traced, "cos4": fourth}
