@@ -13,6 +13,7 @@ wavelength). A transverse error is -R λ ∂W/∂(exit pupil); with waves exp(+i
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields as dataclass_fields, replace
@@ -110,7 +111,7 @@ class Wavefront:
 
 
 @checks_arguments
-def load_lens(file: str) -> Lens:
+def load_lens(file: str | os.PathLike[str]) -> Lens:
     """Load a lens: a packaged one by its name (cooke_triplet, double_gauss, phone, singlet), or a `.toml` or `.zmx` file.
 
     The lens is as the file has it: the object at infinity, the file's image plane and scale.
@@ -122,7 +123,7 @@ def load_lens(file: str) -> Lens:
     >>> round(float(load_lens("cooke_triplet").first_order(550.0).focal_length_mm), 6)
     49.999783
     """
-    return lens_of(read_prescription(file))
+    return lens_of(read_prescription(os.fspath(file)))
 
 
 def lens_of(prescription: Prescription) -> Lens:

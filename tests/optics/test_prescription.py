@@ -22,7 +22,7 @@ POINTS = np.array([0.0, 0.3, -0.8]), np.array([0.9, -0.5, 0.1])
 def load(tmp_path: Path, text: str | bytes, name: str = "lens.zmx") -> pixsim.optics.lens.Lens:
     path = tmp_path / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return pixsim.load_lens(str(path))
+    return pixsim.load_lens(path)
 
 
 def same(one: pixsim.optics.lens.Lens, other: pixsim.optics.lens.Lens, field: float, gate: float = 1e-7) -> None:
