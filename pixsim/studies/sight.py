@@ -25,6 +25,8 @@ from pixsim.viewer.display import white_header, white_rate
 
 DIGITS = 9  # of the light relative to white; the rest are rounding errors
 ROUNDING = 10.0**-DIGITS
+# What a camera states of a lens that only diffraction blurs; anything else may blur the picture less at a larger f-number.
+THIN_LENS = {"focal_length_mm", "f_number", "die_mm", "die_height_mm", "object_distance_m", "transmittance"}
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,8 @@ class Sight:
 
     what : hash of the picture relative to display white, of the camera without its f-number, of display, exposure, correction and
         pixels without their noise
-    f_number : a larger one blurs the picture more, since the lens has no aberrations; 0 for pixels with a stack, which see the
-        angles of light: theirs is in `what`
+    f_number : of a thin lens, which blurs the picture more the larger it is; 0 where it is in `what`, as for pixels with a stack,
+        which see the angles of light
     white_e_per_s : photo-electrons of display white, for each channel of each pixel
     noise : for each pixel, its dark current and the standard deviations of its noise and its fixed pattern
     """
@@ -62,7 +64,8 @@ class Sight:
             for channel, white in zip(physics.channels, of_channels, strict=True)
         ]
         # A chart without the light's fall-off, which has no detail; a stack collects light by its angle.
-        by_lens = chart is not None and not any(p.stack for p in pixels)
+        is_thin = all(value is None for name, value in camera if name not in THIN_LENS)
+        by_lens = chart is not None and is_thin and not any(p.stack for p in pixels)
         picture = chart.digest if chart and by_lens else np.ascontiguousarray(image.planes).data
         what: dict[str, Any] = {
             "picture": hashlib.blake2b(picture, digest_size=16).hexdigest(),

@@ -77,6 +77,7 @@ def test_film_of_the_least_noise_is_measured(axis: dict[str, Any], least: str, m
         (False, {"axis": [LIGHT | {"set": "pixel.fill_factor", "values": [0.2, 0.3]}]}),
         (True, {"axis": [LENS]}),
         (False, {"axis": [LENS], "pixel": {"stack": {"height_um": 3.0, "index": 1.5}}}),  # which sees the angles of the light
+        (False, {"axis": [LENS], "camera": {"chief_ray_angle": [[0.0, 0.0], [0.5, 9.0]]}}),  # not a thin lens
         (False, {"axis": [LENS | {"set": "camera.focal_length_mm", "values": [3.8, 4.0]}]}),
     ],
 )
