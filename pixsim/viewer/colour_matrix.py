@@ -24,7 +24,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
@@ -144,6 +143,8 @@ def fit_matrix(
     if method == "least_squares":
         return np.asarray(np.linalg.lstsq(responses, xyz, rcond=RANK_TOLERANCE)[0].T)
     target = xyz / white
+    from scipy.optimize import minimize  # takes 0.1 s, and only colour needs it
+
     channels = responses.shape[1]
     # Rows of the matrix to X/Xn, Y/Yn, Z/Zn sum to 1, so that white is kept: 1/C plus what is orthogonal to (1, …, 1). Of that, the
     # fit turns combinations that are orthonormal over the patches.
