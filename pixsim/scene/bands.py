@@ -28,6 +28,7 @@ SHAPE_TOLERANCE = 0.1  # error of any band, relative to the brightest band of th
 PULSE_COUNTS = (1, 4, 8, 12, 16, 20, 24, 28, 32)
 FLANK_STEPS = 2  # zeros at either end of a pulse, so that the film's combined table has no other nodes
 STIFFNESS = 1e-4  # regularisation towards linear interpolation between pulses, which limits noise amplification
+COLOUR_STIFFNESS = 1e-5  # where XYZ must be right: a third of the error with as many pulses, and 3 to 25 % more noise
 NEUTRAL_WEIGHT = 1e2  # weight of a neutral surface in the fit, which makes it exact
 
 
@@ -238,11 +239,13 @@ def passes(count: int) -> list[list[int]]:
     return [[index if index < count else group[0] for index in group] for group in fours]
 
 
-def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness], tolerance: float) -> Fit | None:
+def fit(
+    lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness], tolerance: float, stiffness: float = STIFFNESS
+) -> Fit | None:
     """Return the fewest pulses that determine all bands of a lamp's light from any surface to within `tolerance`.
 
-    `surfaces` as in `place_bands`. Returns None if 32 pulses are too few, or if the lamp is dark. The error bounds light from
-    these surfaces and sums of it; light from other surfaces may have a larger error.
+    `surfaces` as in `place_bands`, `stiffness` as `STIFFNESS`. Returns None if 32 pulses are too few, or if the lamp is dark. The
+    error bounds light from these surfaces and sums of it; light from other surfaces may have a larger error.
     """
     step = lamp.step_nm
     grid, light = grid_nm(step), lamp.on_grid(step)
@@ -263,7 +266,7 @@ def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness],
         pulses_lit = [pulse for pulse in pulses if pulse is not None]
         if not pulses_lit:  # the windows are narrower than their flanks
             return None
-        weights = _fit_weights(families, pulses_lit, light, step)
+        weights = _fit_weights(families, pulses_lit, light, step, stiffness)
         description_of = np.array([np.interp(at, grid, weight) for weight in weights])
         spectra = np.add.reduceat(description_of * fine_light, first, axis=1) / bands.width_nm
         measured = np.stack([pulse.mean(families, step) for pulse in pulses_lit], axis=1)
@@ -276,7 +279,7 @@ def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness],
     return None
 
 
-def _fit_weights(families: Array, pulses: list[Pulse], light: Array, step_nm: float) -> Array:
+def _fit_weights(families: Array, pulses: list[Pulse], light: Array, step_nm: float, stiffness: float) -> Array:
     """Return functions (pulses, G) whose sum, weighted by pulse means, fits the families; near linear interpolation."""
     grid = grid_nm(step_nm)
     power = np.maximum(np.trapezoid(families * light, dx=step_nm, axis=-1), np.finfo(float).tiny)
@@ -285,5 +288,5 @@ def _fit_weights(families: Array, pulses: list[Pulse], light: Array, step_nm: fl
     measured = np.stack([pulse.mean(scaled, step_nm) for pulse in pulses], axis=1)
     centroids = [float((pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()) for pulse in pulses]
     plain = np.array([np.interp(grid, centroids, row) for row in np.eye(len(pulses))])
-    left = measured.T @ measured / len(scaled) + STIFFNESS * np.eye(len(pulses))
-    return np.asarray(np.linalg.solve(left, measured.T @ scaled / len(scaled) + STIFFNESS * plain))
+    left = measured.T @ measured / len(scaled) + stiffness * np.eye(len(pulses))
+    return np.asarray(np.linalg.solve(left, measured.T @ scaled / len(scaled) + stiffness * plain))

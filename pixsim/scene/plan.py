@@ -32,7 +32,7 @@ STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction (rules.py).
 BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
 LUMINANCE_SLACK = 5.0  # times the tolerance: error of the luminance of strongly coloured surfaces
-COLOUR_SLACK = 2.0  # the same for a channel of a colour sensor and for X, Y and Z
+COLOUR_SLACK = 2.0  # the same for a channel of a colour sensor
 LEAST_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
 FEWEST_RENDERS = 2  # whose difference shows their noise
 RESPONSES = ("0.35um", "4t-bsi")  # technologies with the two packaged response curves, for a plan without a pixel
@@ -193,7 +193,9 @@ def make_render_plan(
     if not lamps:
         raise invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
     integrator, met, bounces = rules.decide_bounces(state, bodies, full)
-    lights, bands, full_passes, spectral = _lights(lamps, surfaces, met, _witnesses(pixels), tolerance_e, full, band_count)
+    lights, bands, full_passes, spectral = _lights(
+        lamps, surfaces, met, _witnesses(pixels), tolerance_e, full, band_count, any(one.colour for one in pixels)
+    )
     by_index, tables = rules.decide_tables(state, full)
     lens, focus = rules.decide_lens(state, camera, bodies, width / height, pixels[0] if pixels else None, tolerance_e, full)
     # An unfocused chart differs from its picture, and the lens needs samples too.
@@ -261,8 +263,9 @@ def _witnesses(pixels: Sequence[Pixel]) -> list[Witness]:
 
     seen = [Witness(response(channel)) for physics in derived for channel in physics.channels]
     if any(physics.layout for physics in derived):
-        observed = [Witness(observer(number)) for number in range(3)]
-        return [replace(one, slack=COLOUR_SLACK, least=LEAST_OF_WHITE) for one in (*seen, *observed)]
+        # No slack for X, Y and Z: a ColorChecker is then right within 0.04 ΔE under smooth lamps and lines.
+        observed = [Witness(observer(number), least=LEAST_OF_WHITE) for number in range(3)]
+        return [*(replace(one, slack=COLOUR_SLACK, least=LEAST_OF_WHITE) for one in seen), *observed]
     return [*seen, Witness(photopic_efficiency, LUMINANCE_SLACK)]
 
 
@@ -274,6 +277,7 @@ def _lights(
     tolerance_e: float,
     full: bool,
     band_count: int | None,
+    in_colour: bool,
 ) -> tuple[list[Light], Bands, int, list[Decision]]:
     """Return the pulses of each lamp, the bands, the number of passes without leaving out any band, and the reasons."""
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
@@ -284,6 +288,7 @@ def _lights(
         bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE)
     known = surfaces.spectra is not None or bounces == 0
     lights, reasons, most, alone = [], [], 0, 0.0
+    stiffness = spectral_bands.COLOUR_STIFFNESS if in_colour else spectral_bands.STIFFNESS
     for lamp in lamps:
         every = spectral_bands.every_band(lamp.spectrum, bands)
         most += len(every.passes)
@@ -292,7 +297,7 @@ def _lights(
             errors = spectral_bands.band_errors(bands, spectral_bands.resolved(lamp.spectrum, met), witnesses)
             alone = max(alone, float(np.abs(errors.sum(axis=2)).max()))
             if known and not full:
-                fitted = spectral_bands.fit(lamp.spectrum, bands, met, witnesses, tolerance_e * SPECTRUM_SHARE)
+                fitted = spectral_bands.fit(lamp.spectrum, bands, met, witnesses, tolerance_e * SPECTRUM_SHARE, stiffness)
         lights.append(Light(lamp, fitted or every))
         count = len(lights[-1].fit.pulses)
         reasons.append(f"{count} pulse{'s' * (count > 1)}" if fitted else f"{count} bands")

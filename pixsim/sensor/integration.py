@@ -170,8 +170,13 @@ MAX_PIXELS = 1 << 26  # 0.5 GiB for each map in float64
 
 def electrons_per_joule(physics: PixelPhysics, image: SpectralImage) -> Array:
     """Return QE · λ/hc · Δλ, (B,): electrons s⁻¹ m⁻² of photodiode per W m⁻² nm⁻¹ in each band."""
+    return image.band_mean(response_within(physics, image)) * image.band_width_nm
+
+
+def response_within(physics: PixelPhysics, image: SpectralImage) -> Callable[[Array], Array]:
+    """Return QE · λ/hc, electrons per joule, as a function of the places of the light within the bands, (B, n) nm to (B, n)."""
     part_nm = image.band_width_nm[:, None] / image.within[0].shape[1]
-    return image.band_mean(lambda nm: physics.band_quantum_efficiency(nm, part_nm) * photons_per_joule(nm)) * image.band_width_nm
+    return lambda nm: physics.band_quantum_efficiency(nm, part_nm) * photons_per_joule(nm)
 
 
 def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:

@@ -3,7 +3,7 @@
 In this order: black level and expected dark charge are subtracted, each channel is divided by the electrons of the scene's white
 (white balance), high lights are clipped to white, the mosaic is interpolated, means over the display's dots are taken, and one
 matrix leads from the camera's channels to XYZ under the scene's lamp, to the display's white (adaptation) and to its primaries.
-The matrix from the channels to XYZ is fitted to patches 1-18 of ISO 17321 under the lamp, seen in the bands of the picture.
+The matrix from the channels to XYZ is fitted to patches 1-18 of ISO 17321 under the lamp, with its course within the bands.
 
 The ideal picture has the scene's own XYZ (CIE 1931, 2°), under the same adaptation and on the same display.
 """
@@ -25,15 +25,13 @@ from pixsim.light.spectral import SpectralImage, colour_matching, d65
 from pixsim.light.standard import CHROMATIC_PATCHES, patch_reflectance
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.integration import electrons_per_joule, integrate_axis
+from pixsim.sensor.integration import integrate_axis, response_within
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.colour_matrix import RANK_TOLERANCE, check_noise_gains, colour_errors, fit_matrix
 from pixsim.viewer.demosaic import demosaic, demosaic_covariance
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, on_dots, white_cd_per_m2, white_spectrum
-
-PATCHES = 24
 
 
 @dataclass(frozen=True)
@@ -127,17 +125,18 @@ def rendition_of(irradiance: SpectralImage, channels: Sequence[PixelPhysics], di
     Raises PixsimError if a channel, or the observer, sees nothing of the lamp.
     """
     lamp, name = lamp_of(irradiance)
-    # The mean reflectance of each patch in each band, as the bands of a picture have it.
-    parts = np.array([irradiance.band_mean(partial(_reflectance, patch)) for patch in range(*CHROMATIC_PATCHES.indices(PATCHES))])
-    viewer = xyz_weights(irradiance) * lamp
-    electrons = np.array([electrons_per_joule(physics, irradiance) for physics in channels]) * lamp
-    white_xyz, white_e = viewer.sum(axis=1), electrons.sum(axis=1)
-    xyz = (viewer[None] * parts[:, None, :]).sum(axis=2) / white_xyz[1]
+    nodes_nm, shares = irradiance.within
+    light = shares * (lamp * irradiance.band_width_nm)[:, None]
+    parts = patch_reflectance(nodes_nm)[CHROMATIC_PATCHES]
+    viewer = np.moveaxis(colour_matching(nodes_nm), 2, 0) * light
+    electrons = np.array([response_within(physics, irradiance)(nodes_nm) for physics in channels]) * light
+    white_xyz, white_e = viewer.sum(axis=(1, 2)), electrons.sum(axis=(1, 2))
+    xyz = (viewer[None] * parts[:, None]).sum(axis=(2, 3)) / white_xyz[1]
     dark = [physics.channel for physics, light in zip(channels, white_e, strict=True) if not light > 0]
     if dark or not white_xyz.min() > 0:
         got = f"channel {dark[0]} without response to it" if dark else f"XYZ of {white_xyz.tolist()}"
         raise invalid(f"colour under {name}", got, "light that all channels, and all three cones, respond to")
-    responses = (electrons[None] * parts[:, None, :]).sum(axis=2) / white_e
+    responses = (electrons[None] * parts[:, None]).sum(axis=(2, 3)) / white_e
     check_told_apart(responses, name)
     white = white_xyz / white_xyz[1]
     return Rendition(responses, xyz, white, display.adaptation, name)
@@ -150,10 +149,6 @@ def check_told_apart(responses: Array, lamp: str) -> None:
     if rank < 3:
         hint = "Take a lamp of more wavelengths, or other filters."
         raise invalid(f"colour under {lamp}", f"channels of rank {rank}", "three that tell colours apart", hint)
-
-
-def _reflectance(patch: int, wavelength_nm: Array) -> Array:
-    return np.asarray(patch_reflectance(wavelength_nm)[patch])
 
 
 def ideal_rgb(
