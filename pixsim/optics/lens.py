@@ -343,8 +343,9 @@ class Lens:
         across, along = self._solved(field_deg, wavelength_nm, x, y, *guess, inverse)
         terms = np.zeros((chief.size, even.shape[1], 2))
         whole = np.isfinite(across).all(axis=1) & np.isfinite(along).all(axis=1)
-        terms[whole, : odd.shape[1], 0] = across[whole] @ fit_odd.T
-        terms[whole, :, 1] = along[whole] @ fit_even.T
+        # Sums that are the same for one field and for many, which matrix products are not.
+        terms[whole, : odd.shape[1], 0] = (across[whole, None] * fit_odd).sum(axis=-1)
+        terms[whole, :, 1] = (along[whole, None] * fit_even).sum(axis=-1)
         for index in np.flatnonzero(~whole):  # some points of the stop are not reached, as behind the rim of a lens
             seen = np.isfinite(across[index]) & np.isfinite(along[index])
             terms[index, : odd.shape[1], 0] = np.linalg.lstsq(odd[seen], across[index, seen], rcond=1e-10)[0]
@@ -500,7 +501,7 @@ class Lens:
         """Return where the ray to a point of the stop ends, for a message."""
         terms = self._aim(np.array([field_deg]), np.array([wavelength_nm]))
         odd, even = _bases(np.array([x]), np.array([y]))
-        across, along = float(odd[0] @ terms[0, : odd.shape[1], 0]), float(even[0] @ terms[0, :, 1])
+        across, along = (float(_polynomials(terms[..., axis], basis)[0, 0]) for axis, basis in enumerate((odd, even)))
         where = self._failure(field_deg, wavelength_nm, across, along)
         return where if "surface" in where else "no ray in front of the lens reaches"
 
@@ -529,7 +530,7 @@ class Lens:
 
     def _block(self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, bases: Bases, chief: Rays) -> Wavefront:
         terms = self._aim(field_deg, wavelength_nm)
-        across, along = (terms[:, : basis.shape[1], axis] @ basis.T for axis, basis in enumerate(bases))
+        across, along = (_polynomials(terms[..., axis], basis) for axis, basis in enumerate(bases))
         rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         semi = self.stop_semi_diameter_mm
         off = np.maximum(np.abs(at_x / semi - x), np.abs(at_y / semi - y))
@@ -537,8 +538,9 @@ class Lens:
             inverse = np.empty((*across.shape, 2, 2))
             for by, slopes in enumerate(_slopes(x, y)):
                 for axis, basis in enumerate(slopes):
-                    inverse[..., axis, by] = terms[:, : basis.shape[1], axis] @ basis.T
-            across, along = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse)
+                    inverse[..., axis, by] = _polynomials(terms[..., axis], basis)
+            solved = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse)
+            across, along = (np.where(off <= AIMED, kept, new) for kept, new in zip((across, along), solved, strict=True))
             rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         return self._wavefront_of(rays, at_x, at_y, chief, wavelength_nm)
 
@@ -730,7 +732,7 @@ class Lens:
         self._chief(fields, wavelengths)
         _, x, y = _in_line(stop_x=stop_x, stop_y=stop_y)
         surfaces, terms = self.prescription.surfaces, self._aim(fields, wavelengths)
-        across, along = (terms[:, : basis.shape[1], axis] @ basis.T for axis, basis in enumerate(_bases(x, y)))
+        across, along = (_polynomials(terms[..., axis], basis) for axis, basis in enumerate(_bases(x, y)))
         indices, points, vertex = self._indices(wavelengths), [], 0.0
         for surface, rays in zip(surfaces, trace(self._launched(fields, across, along), surfaces, indices), strict=True):
             points.append([rays.x[0], rays.y[0], rays.z[0] + vertex])
@@ -957,19 +959,20 @@ def _root(function: Callable[[Array], Array], low: Array, below: Array, high: Ar
     """
     side, at, value = np.zeros(low.shape), low, below
     for _ in range(ROOT_STEPS):
-        if not np.any((high - low > ROOT_WIDTH) & (np.abs(value) > ROOT_VALUE)):
+        going = (high - low > ROOT_WIDTH) & (np.abs(value) > ROOT_VALUE)
+        if not going.any():
             break
         with np.errstate(all="ignore"):
-            at = np.where(np.isfinite(above), low - below * (high - low) / (above - below), (low + high) / 2)
-        at = np.clip(at, low, high)
-        value = function(at)
-        inside = value <= 0
+            new = np.where(np.isfinite(above), low - below * (high - low) / (above - below), (low + high) / 2)
+        at = np.where(going, np.clip(new, low, high), at)  # the others stay, whatever their neighbours do
+        value = np.where(going, function(at), value)
+        inside, outside = going & (value <= 0), going & ~(value <= 0)
         # The end that stays twice counts half.
         above = np.where(inside & (side > 0), above / 2, above)
-        below = np.where(~inside & (side < 0), below / 2, below)
+        below = np.where(outside & (side < 0), below / 2, below)
         low, below = np.where(inside, at, low), np.where(inside, value, below)
-        high, above = np.where(inside, high, at), np.where(inside, above, value)
-        side = np.where(inside, 1.0, -1.0)
+        high, above = np.where(outside, at, high), np.where(outside, value, above)
+        side = np.where(inside, 1.0, np.where(outside, -1.0, side))
     return at
 
 
@@ -1007,6 +1010,14 @@ def _bases(x: Array, y: Array) -> Bases:
     powers_x, powers_y = (np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y))
     odd, even = ((powers_x[i] * powers_y[j]).T for i, j in EXPONENTS)
     return odd, even
+
+
+def _polynomials(terms: Array, basis: Array) -> Array:
+    """Return polynomials (C, P) of coefficients (C, terms), of which the first are used, at the monomials (P, terms)."""
+    total = np.zeros((len(terms), len(basis)))
+    for index, monomial in enumerate(basis.T):
+        total += terms[:, index, None] * monomial
+    return total
 
 
 def _slopes(x: Array, y: Array) -> tuple[Bases, Bases]:

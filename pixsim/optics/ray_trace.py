@@ -111,16 +111,17 @@ def met(rays: Rays, surface: Surface, index: float | Array) -> Rays:
 def _aspheric_step(surface: Surface, x: Array, y: Array, l: Array, m: Array, n: Array, start: Array) -> Array:  # noqa: E741
     """Return the way from the plane of the vertex to the surface along rays, from the way to its conic."""
     step = np.where(np.isfinite(start), start, 0.0)
+    moving: NDArray[np.bool_] | bool = True
     for _ in range(NEWTON_STEPS):
         x_at, y_at = x + step * l, y + step * m
         sag, slope = sag_and_slope(surface, x_at * x_at + y_at * y_at)
-        change = (step * n - sag) / (n - slope * (x_at * l + y_at * m))
+        # A ray that has arrived stays, so that its bits do not depend on the others of its batch.
+        change = np.where(moving, (step * n - sag) / (n - slope * (x_at * l + y_at * m)), 0.0)
         step -= change
-        if not np.any(np.abs(change) > CONVERGED * (1 + np.abs(x_at) + np.abs(y_at))):  # False for NaN
-            break
-    else:
-        step = np.where(np.abs(change) <= CONVERGED * (1 + np.abs(x_at) + np.abs(y_at)), step, np.nan)
-    return np.asarray(step)
+        moving = np.abs(change) > CONVERGED * (1 + np.abs(x_at) + np.abs(y_at))  # False for NaN
+        if not moving.any():
+            return np.asarray(step)
+    return np.where(moving, np.nan, step)
 
 
 def sag_and_slope(surface: Surface, square: Array) -> tuple[Array, Array]:
