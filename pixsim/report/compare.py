@@ -460,7 +460,9 @@ def _condition_settings(prepared: Prepared) -> list[tuple[str, list[Any]]]:
     tables = []
     for each in prepared.circumstances.conditions:
         values = [(path, reduce(getitem, path, each.set)) for path in paths_of(each.set)]
-        tables.append((f"condition {each.name}", [(".".join(path), shown_value(value), "", "set") for path, value in values]))
+        tables.append(
+            (f"condition {each.name}", [(".".join(path), shown_value(value, path[-1]), "", "set") for path, value in values])
+        )
     return tables
 
 

@@ -89,5 +89,5 @@ def record_rows(
     for key, value in record.model_dump(exclude_none=True, exclude=set(left_out)).items():
         meaning = re.sub(r"\bNone: ", "left out: ", fields[key].description or "")
         source = (sources or {}).get(f"{name}.{key}", "default" if value == fields[key].default else "set")
-        rows.append((key, shown_value(value), meaning, source))
+        rows.append((key, shown_value(value, key), meaning, source))
     return rows

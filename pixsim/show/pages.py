@@ -60,12 +60,16 @@ def _environment() -> Environment:
     return environment
 
 
-def shown_value(value: Any) -> Any:
-    """Return a value for a table cell: a curve of (wavelength in nm, value) in words, by its size and range, and so is a table."""
+def shown_value(value: Any, name: str = "") -> Any:
+    """Return a value for a table cell: a curve of (wavelength in nm, value) in words, by its size and range, and so is a table.
+
+    name : of the setting
+    """
     if isinstance(value, dict):
-        return ", ".join(f"{name} {shown_value(inner)}" for name, inner in value.items())
+        return ", ".join(f"{name} {shown_value(inner, name)}" for name, inner in value.items())
     if isinstance(value, tuple | list) and value and isinstance(value[0], tuple | list):
-        return f"curve of {len(value)} points, {value[0][0]:g} to {value[-1][0]:g} nm"
+        unit = "mm" if name == "chief_ray_angle" else "nm"
+        return f"curve of {len(value)} points, {value[0][0]:g} to {value[-1][0]:g} {unit}"
     return value
 
 

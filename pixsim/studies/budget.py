@@ -59,8 +59,9 @@ from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
-from pixsim.sensor.pixel import PixelPhysics, derive, pitch_for_fill_factor_um
+from pixsim.sensor.pixel import PixelPhysics, derive, largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
+from pixsim.studies.evaluations import largest_pixel_um
 from pixsim.viewer.display import white_header
 from pixsim.viewer.score import ImagingChain, SceneCache, chain_at_pitch, prepare_scene
 
@@ -248,13 +249,17 @@ def chains_of(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = 
     return at
 
 
+ROUNDED = 1e-3  # of a pitch, that rounding to four digits may add
+
+
 def pitch_range_um(setup: Setup) -> tuple[float, float]:
-    """Return the range of pitches to search: as in a study, from 5 % fill factor to 15 µm, limited by the pixel count.
+    """Return the range of pitches to search: as in a study, from 5 % fill factor to 15 µm, limited by pixel count and microlenses.
 
     Modern processes reach 5 % at 0.4 µm, which would be 46 million pixels on the paper's die.
     """
     usual, die_um = PitchRange(), 1e3 * setup.camera.die_mm
-    largest, smallest = min(usual.max_um, die_um / MIN_PIXELS), die_um / MAX_PIXELS
+    widest_um = (1 - ROUNDED) * largest_pitch_um(setup.pixel, setup.technology)
+    largest, smallest = min(usual.max_um, die_um / MIN_PIXELS, widest_um), die_um / MAX_PIXELS
     if setup.pixel.fill_factor is not None:  # the fill-factor law does not apply
         return max(smallest, min(setup.pixel.pitch_um / 3, largest / 3)), largest
     process = with_fill_factor_law(setup.technology, setup.pixel.fill_factor_law)
@@ -669,7 +674,7 @@ def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Se
     """Return the study with the settings of least work for its tolerance, calibrated at its first technology's optimum."""
     assert study.tolerance_delta_e
     first = study.technologies[0]
-    process, pixel = technology_of(study, first), pixel_of(study, first, study.pitch.max_um)
+    process, pixel = technology_of(study, first), pixel_of(study, first, largest_pixel_um(study, first))
     border_um = study.pitch.largest_um
     settings = study.exposure, study.display, study.seed
     more: dict[str, Any] = {"at_optimum": True, "border_um": border_um, "process": process, "correction": study.correction}

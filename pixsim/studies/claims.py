@@ -23,6 +23,7 @@ from pixsim.sensor.pixel import derive, fill_factor_law, physics_of
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.evaluations import largest_pixel_um
 from pixsim.studies.result import Curve, StudyResult, interval_words
 from pixsim.viewer.display import picture_size_um
 
@@ -309,7 +310,11 @@ def response_note(study: Study) -> str:
     """Return a note that compares the quantum efficiency of a study with that of its reference process."""
     stated = reference_process(study)
     wavelength_nm = np.arange(300.0, 1101.0)
-    used = float(physics_of(study, REFERENCE_TECHNOLOGY, study.pitch.max_um).quantum_efficiency(wavelength_nm).max())
+    used = float(
+        physics_of(study, REFERENCE_TECHNOLOGY, largest_pixel_um(study, REFERENCE_TECHNOLOGY))
+        .quantum_efficiency(wavelength_nm)
+        .max()
+    )
     reference = f"{stated.peak_quantum_efficiency:g} ({stated.sources.get('peak_quantum_efficiency', 'no source')})"
     apart = not math.isclose(used, stated.peak_quantum_efficiency, rel_tol=0.01)
     verdict = "The two contradict each other" if apart else "The two agree"

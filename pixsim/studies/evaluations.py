@@ -205,6 +205,11 @@ def largest_lens_um(study: Study, technology: str) -> float:
     return largest_um if math.isinf(largest_um) else math.floor(1e4 * largest_um) / 1e4
 
 
+def largest_pixel_um(study: Study, technology: str) -> float:
+    """Return the largest pixel of a study's range in a technology: `pitch.max_um`, or the widest with a microlens."""
+    return min(study.pitch.max_um, largest_lens_um(study, technology))
+
+
 def light_of(study: Study, scenes: SceneCache, technology: str) -> SharedLight:
     """Return the light that all pitches of a technology share, and other technologies of the same response."""
     physics = _any_physics(study, technology)

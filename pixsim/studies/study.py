@@ -49,7 +49,7 @@ from pixsim.studies.evaluations import (
     Row,
     Sampling,
     first_sampling,
-    largest_lens_um,
+    largest_pixel_um,
     most_channels,
     study_pitches_um,
     warn_of_clipped_white,
@@ -454,8 +454,7 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     """
     scene, camera = scene_for(study, variant)
     first = study.technologies[0]
-    largest_um = min(study.pitch.max_um, largest_lens_um(study, first))
-    largest, tried = [physics_of(study, first, largest_um)], measured_pixels(study)
+    largest, tried = [physics_of(study, first, largest_pixel_um(study, first))], measured_pixels(study)
     scene, plan = first_film(study, scene, camera)
     plan_of = partial(study_plan, camera=camera, study=study)
     options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress}

@@ -14,6 +14,7 @@ from helpers.tiny import tiny_toml
 from pixsim.base.config import checked, settings_layer, settings_text
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, CameraOptions, Run, Study
+from pixsim.report.settings import record_rows
 from pixsim.studies.compare import matched_cameras
 from pixsim.studies.study import load_study
 
@@ -155,3 +156,8 @@ def test_cameras_of_a_comparison_share_the_lens_and_its_table() -> None:
     assert seen.chief_ray_angle == tuple((2 * height, angle) for height, angle in ROWS)
     _, seen = matched_cameras([reference, larger], "lens")
     assert seen.chief_ray_angle == ROWS
+
+
+def test_pages_show_the_range_of_a_table_in_its_unit() -> None:
+    rows = {name: value for name, value, *_ in record_rows("camera", CameraOptions(chief_ray_angle=ROWS), from_data_sheet=False)}
+    assert rows["chief_ray_angle"] == "curve of 3 points, 0 to 2 mm"

@@ -13,12 +13,14 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Study
+from pixsim.base.parameters import Camera, Run, Study
 from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
 from pixsim.optics.stack import collected_shares
 from pixsim.report.axes import optima_table
 from pixsim.report.maps import axis_plates
 from pixsim.sensor.pixel import photodiode_widths_um, physics_of
+from pixsim.studies.budget import Setup, pitch_range_um
+from pixsim.studies.evaluations import largest_pixel_um
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import curve_table, delta_e_against_pitch
 from pixsim.studies.study import load_study
@@ -123,6 +125,19 @@ def test_gain_is_an_axis_of_a_study(tmp_path: Path) -> None:
     plain = physics_of(study, "0.35um", 6.0).read_noise_e
     assert noise[0] ** 2 - plain**2 == pytest.approx(16 * (noise[1] ** 2 - plain**2), rel=1e-9)
     assert np.all(amplified.delta_e != base.delta_e)
+
+
+def test_ranges_of_sizes_end_at_the_widest_microlens() -> None:
+    """Those of a study's largest pixel, and of the calibration for a tolerance of ΔE, rounded to four digits too."""
+    stack = {"height_um": 3.0, "index": 1.5, "microlens": "square"}
+    widest_um = 3.0 * math.sqrt(math.pi)
+    study = Study(name="x", technologies=("4t-bsi",), pixel={"stack": stack})
+    assert largest_pixel_um(study, "4t-bsi") == pytest.approx(widest_um, abs=1e-4)
+    run = Run(pixel={"technology": "4t-bsi", "pitch_um": 2.0, "stack": stack})
+    _, high_um = pitch_range_um(Setup.of(run, Camera()))
+    assert 0.995 * widest_um < float(f"{high_um:.4g}") < widest_um
+    plain = pitch_range_um(Setup.of(Run(pixel={"technology": "4t-bsi", "pitch_um": 2.0, "stack": {"enabled": False}}), Camera()))
+    assert plain[1] == 15.0
 
 
 def test_study_refuses_a_wrong_stack_before_it_renders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
