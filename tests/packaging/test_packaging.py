@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 BUILD = "import sys; from hatchling import build; getattr(build, sys.argv[1])(sys.argv[2])"
 UNREACHABLE = ("Could not find a version", "No matching distribution", "connection", "Failed to establish", "Read timed out")
+AN_AGE_AGO_S = 1.0e9
 MAX_S = 6 * HANG_S  # packages are downloaded, and half of the tests run
 TEXT_FILES = (".py", ".toml", ".csv", ".j2", ".xml", ".md", ".spd", ".txt", "METADATA", "py.typed")
 QUICK_TESTS = {  # about half of the quick tests of every package, which need no other tools than pytest
@@ -72,13 +73,17 @@ def build(hook: str, source: Path, out: Path, hatchling: str) -> Path:
 
 @pytest.fixture(scope="module")
 def shipped(hatchling: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The wheel, the sdist, and the wheel built from the sdist."""
+    """The wheel, the sdist, and both built from the sdist, whose files have another age and other rights."""
     folder = tmp_path_factory.mktemp("shipped")
     wheel, sdist = (build(f"build_{kind}", ROOT, folder / kind, hatchling) for kind in ("wheel", "sdist"))
     with tarfile.open(sdist) as archive:
         archive.extractall(folder / "unpacked", filter="data")
     (source,) = (folder / "unpacked").iterdir()
-    return {"wheel": wheel, "sdist": sdist, "second": build("build_wheel", source, folder / "second", hatchling)}
+    for path in source.rglob("*"):
+        os.utime(path, (AN_AGE_AGO_S, AN_AGE_AGO_S))
+        path.chmod(0o700 if path.is_dir() else path.stat().st_mode & 0o100 | 0o600)
+    again = {kind: build(f"build_{kind}", source, folder / f"second {kind}", hatchling) for kind in ("wheel", "sdist")}
+    return {"wheel": wheel, "sdist": sdist, "second": again["wheel"], "second sdist": again["sdist"]}
 
 
 def contents(wheel: Path) -> dict[str, bytes]:
@@ -115,6 +120,20 @@ def test_sdist_builds_same_wheel_without_caches(shipped: dict[str, Path]):
         names = archive.getnames()
     assert any(name.endswith("/tests/packaging/test_packaging.py") for name in names)
     assert not [name for name in names if re.search(r"__pycache__|\.pyc$|_cache/|pixsim-out|\.part$|/\.git/", name)]
+
+
+def test_archives_are_the_same_bytes_twice(shipped: dict[str, Path]):
+    assert shipped["second sdist"].read_bytes() == shipped["sdist"].read_bytes()
+    assert shipped["second"].read_bytes() == shipped["wheel"].read_bytes()
+
+
+def test_citation_states_this_version(shipped: dict[str, Path]):
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {PROJECT['version']}\n" in text
+    assert re.findall(r"^license:\n((?:  - .*\n)+)", text, re.MULTILINE) == ["  - BSD-3-Clause\n  - Apache-2.0\n"]
+    assert PROJECT["license"] == "BSD-3-Clause AND Apache-2.0"
+    with tarfile.open(shipped["sdist"]) as archive:
+        assert any(name.endswith("/CITATION.cff") for name in archive.getnames())
 
 
 def test_metadata_state_tested_systems(shipped: dict[str, Path]):
@@ -163,6 +182,27 @@ def test_installed_package_works_in_empty_environment(kind: str, shipped: dict[s
     assert_it_works(python, tmp_path / "some where")
     if kind == "wheel":
         assert_types_are_seen(python, tmp_path)
+
+
+# What each extra brings; that of `llvm` is tested above, and the others are for those who work on pixsim.
+EXTRAS = {"cluster": "distributed", "envi": "spectral"}
+
+
+def test_extras_are_all_tested():
+    assert {*PROJECT["optional-dependencies"]} == {*EXTRAS, "llvm", "docs", "test"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_wheel_installs_with_each_extra_alone(extra: str, shipped: dict[str, Path], tmp_path: Path):
+    python = venv(tmp_path / "with one extra")
+    pip_install(python, f"{shipped['wheel']}[{extra}]", folder=tmp_path)
+    others = [name for name in EXTRAS.values() if name != EXTRAS[extra]]
+    script = f"import {EXTRAS[extra]}, importlib.util as u; print([name for name in {others} if u.find_spec(name)])"
+    for command in ([python, "-m", "pip", "check"], [python.with_name("pixsim"), "--version"], [python, "-c", script]):
+        done = run(*command, folder=tmp_path)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.strip() == "[]", "the other extras are not there"
 
 
 def assert_types_are_seen(python: Path, folder: Path) -> None:
