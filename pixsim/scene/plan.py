@@ -445,13 +445,14 @@ def decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: bo
         return Decision(STACK, full, reason, "" if full else "its shares")
     check_efficiency(physics)
     axis, corner = stack_shares(physics, camera, GREEN_NM)
-    kind = f"microlens {stack.height_um:g} µm" if stack.microlens else f"opening {stack.height_um:g} µm"
+    kind = f"{'microlens' if stack.microlens else 'opening'} {stack.height_um:.4g} µm"
     reason = f"{kind} above the photodiode: a pixel collects {axis:.0%} of its light on axis, {corner:.0%} in the corner"
     reason += (
         f" ({GREEN_NM:g} nm)" if camera.chief_ray_angle is None else f" ({GREEN_NM:g} nm, chief rays of camera.chief_ray_angle)"
     )
     if stack.microlens:
-        reason += f"; from f/{stack.lossless_f_number:.3g} on, light on axis is lost by diffraction only"
+        slower = f"from f/{stack.lossless_f_number:.3g} on" if stack.lossless_f_number else "at every f-number"
+        reason += f"; {slower}, light on axis is lost by diffraction only"
     error = scale_error(physics, camera_pupil(camera), half_sizes_um(physics, pixels_on(camera.die_um, physics.pitch_um)), spare_e)
     if error is None:
         return Decision(STACK, True, reason)

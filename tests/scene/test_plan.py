@@ -174,6 +174,17 @@ def test_make_plan_decisions_have_reasons(name, full):
 BARE = {"height_um": 8.0, "index": 1.5, "shift": "optimal"}
 
 
+def test_decide_stack_names_the_height_and_where_no_light_is_lost() -> None:
+    """A wide lens of a technology lies at p/√π; from there no ray of any lens in air misses so large a photodiode."""
+    scene = load("csf", resolution=64)
+    for pitch_um, words in ((6.5, "microlens 3.667 µm above"), (1.4, "microlens 2.4 µm above")):
+        plan = make_plan(scene, pixsim.Camera(), pixsim.Pixel(technology="4t-bsi", pitch_um=pitch_um))
+        reason = decision(plan, "pixel stack").reason
+        assert words in reason
+        assert ("at every f-number, light" in reason) == (pitch_um == 6.5)
+        assert ("from f/1.13 on, light" in reason) == (pitch_um == 1.4)
+
+
 def test_decide_stack_says_what_it_left_out_and_the_evaluation_does_it() -> None:
     """A slow lens, whose narrow cones of light meet photodiodes alike everywhere; not a fast one, a small tolerance, or --full."""
     scene, slow, pixel = load("csf", resolution=64), pixsim.Camera(f_number=45.0), pixsim.Pixel(pitch_um=10.0, stack=BARE)
