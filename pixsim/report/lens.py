@@ -36,6 +36,8 @@ MTF_POINTS = 61
 PSF_SPOTS = 6  # rms radii along a side of a PSF
 PSF_SAMPLES = 3  # of the width λN along a side
 MOST_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
+MOST_WIDTHS = 300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
+GRID, LINE_BINS = 81, 4096  # of rays across the stop, and of their line spread functions
 SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
 DRAWN_FIELDS = (0.0, 0.7, 1.0)
 DRAWN_HEIGHTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # in the stop
@@ -70,6 +72,7 @@ class LensData:
     field_deg : (F,) of spots, PSFs and MTFs
     spots : one of each field
     psfs : (n, n) of each field, means over squares of `psf_pitch_um`; the chief ray of the primary wavelength in the middle
+    geometric : whether aberrations are so large that PSFs and MTFs are those of rays, times the limit of diffraction
     frequency_lp_per_mm : (n,)
     mtf : (F, 2, n), tangential and sagittal
     rms_waves : (F,), rms wavefront of the primary wavelength without piston and tilt
@@ -85,6 +88,7 @@ class LensData:
     spots: Sequence[Spot]
     psfs: Sequence[Array]
     psf_pitch_um: float
+    geometric: bool
     frequency_lp_per_mm: Array
     mtf: Array
     rms_waves: Array
@@ -142,6 +146,7 @@ class LensData:
             "stop_semi_diameter_mm": lens.stop_semi_diameter_mm,
             "fresnel_transmittance": lens.fresnel_transmittance(lens.primary_nm),
             "pitch_um": self.pitch_um,
+            "mtf_of": "rays times the limit of diffraction" if self.geometric else "waves",
             "first_order": [plain(each) for each in first],
             "glasses": [{"name": glass.name, "source": glass.source} for glass in lens.prescription.glasses],
             "fields": [plain(each) for each in fields],
@@ -178,10 +183,16 @@ def lens_data(lens: Lens, wavelength_nm: Sequence[float] | None = None, pitch_um
     cutoff = float(cutoff_cy_per_mm(shortest, f_number))
     highest = max(1.1 * max(asked), min(cutoff, 1.5 * max(asked), 150.0))
     frequency = np.unique(np.concatenate([np.linspace(0.0, highest, MTF_POINTS), asked]))
-    pitch = max(1e-3 * shortest * f_number / PSF_SAMPLES, PSF_SPOTS * max(spot.rms_um for spot in spots) / MOST_SAMPLES)
-    pitch = min(pitch, 500 / highest)
-    psfs = point_spreads(lens, fields, wavelengths, pitch, PSF_SPOTS * max(spot.rms_um for spot in spots))
-    mtf = np.array([[line_mtf(psf.sum(axis=1 - axis), pitch, frequency) for axis in (0, 1)] for psf in psfs])
+    side = PSF_SPOTS * max(spot.rms_um for spot in spots)
+    geometric = side > MOST_WIDTHS * 1e-3 * shortest * f_number
+    pitch = min(max(1e-3 * shortest * f_number / PSF_SAMPLES, side / MOST_SAMPLES), 500 / min(highest, 1.05 * cutoff))
+    if geometric:
+        pitch = side / MOST_SAMPLES
+        psfs, mtf = ray_spreads(lens, fields, wavelengths, pitch, frequency)
+    else:
+        psfs = point_spreads(lens, fields, wavelengths, pitch, side)
+        mtf = np.array([[line_mtf(psf.sum(axis=1 - axis), pitch, frequency) for axis in (0, 1)] for psf in psfs])
+    mtf[..., frequency > cutoff] = 0.0  # where samples of the PSF would repeat lower frequencies
     chief = lens.chief_ray(curve, primary)
     tangential, sagittal = lens.foci_mm(curve, primary)
     ends = lens.chief_ray(curve[:, None], np.array([wavelengths.min(), wavelengths.max()])).height_mm
@@ -196,7 +207,7 @@ def lens_data(lens: Lens, wavelength_nm: Sequence[float] | None = None, pitch_um
     }
     first = [lens.first_order(float(nm)) for nm in wavelengths]
     return LensData(
-        lens, wavelengths, first, fields, spots, psfs, pitch, frequency, mtf, rms_wavefronts(lens, fields), curve,
+        lens, wavelengths, first, fields, spots, psfs, pitch, geometric, frequency, mtf, rms_wavefronts(lens, fields), curve,
         {name: np.asarray(values) for name, values in curves.items()}, pitch_um,
     )  # fmt: skip
 
@@ -237,6 +248,32 @@ def point_spreads(lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: 
         window = even_window(light, 0.0, float(height), pitch_um, math.ceil(side_um / pitch_um))
         found.append(np.fft.fftshift(periodic_psf(light, 0.0, float(height), pitch_um, window)))
     return found
+
+
+def ray_spreads(
+    lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, frequency_lp_per_mm: Array
+) -> tuple[list[Array], Array]:
+    """Return PSFs of rays, as `point_spreads` does, and MTFs (F, 2, n): those of the rays times the limit of diffraction."""
+    grid = np.linspace(-1, 1, GRID)
+    x, y = (part[np.hypot(*np.meshgrid(grid, grid)) <= 1] for part in np.meshgrid(grid, grid))
+    f_number = lens.first_order(lens.primary_nm).f_number
+    limit = np.mean([diffraction_otf(frequency_lp_per_mm, float(nm), f_number) for nm in wavelength_nm], axis=0)
+    edges = (np.arange(MOST_SAMPLES + 2) - (MOST_SAMPLES + 1) / 2) * pitch_um
+    psfs, mtf = [], []
+    for angle in field_deg:
+        waves = lens.wavefront(angle, wavelength_nm, x, y)
+        seen = waves.passed & np.isfinite(waves.opd_waves)
+        off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, lens.primary_nm).height_mm
+        across, along = 1e3 * waves.x_mm[seen], 1e3 * (waves.y_mm + off)[seen]
+        counts = np.histogram2d(along, across, [edges, edges])[0]
+        psfs.append(counts / max(along.size, 1))
+        lines = []
+        for values in (along, across):
+            reach = max(float(np.abs(values).max(initial=0.0)), pitch_um) * (1 + 1e-9)
+            line, _ = np.histogram(values, LINE_BINS, (-reach, reach))
+            lines.append(line_mtf(line.astype(float), 2 * reach / LINE_BINS, frequency_lp_per_mm) * limit)
+        mtf.append(lines)
+    return psfs, np.array(mtf)
 
 
 def line_mtf(line: Array, pitch_um: float, frequency_lp_per_mm: Array) -> Array:
@@ -381,6 +418,11 @@ def spot_plate(data: LensData) -> Plate:
     return Plate("spots", caption, figure, dict(table))
 
 
+def how(data: LensData) -> str:
+    """Return how PSFs and MTFs were computed, for captions."""
+    return "of rays and the limit of diffraction, since aberrations are large" if data.geometric else "with diffraction"
+
+
 def psf_plate(data: LensData) -> Plate:
     """Show the point spread functions of some fields on one scale."""
     shown = shown_fields(data)
@@ -405,7 +447,7 @@ def psf_plate(data: LensData) -> Plate:
         table |= coarse
     panels[0].set_ylabel("y (µm)")
     caption = (
-        f"Point spread functions of the {len(data.wavelength_nm)} wavelengths together, with diffraction; brightness is the square "
+        f"Point spread functions of the {len(data.wavelength_nm)} wavelengths together, {how(data)}; brightness is the square "
         "root of the irradiance over its maximum. y points away from the axis. The table has means over blocks."
     )
     return Plate("psf", caption, figure, table)
@@ -433,9 +475,7 @@ def mtf_plate(data: LensData) -> Plate:
     axes.set(xlim=(0, frequency[-1]), ylim=(0, 1.02))
     finish(axes, "frequency (line pairs/mm)", "MTF", None)
     below(figure, axes, 5)
-    caption = (
-        "MTF of the wavelengths together, with diffraction: tangential (lines across the radius) and sagittal (lines along it)."
-    )
+    caption = f"MTF of the wavelengths together, {how(data)}: tangential (lines across the radius) and sagittal (lines along it)."
     return Plate("mtf", caption, figure, table)
 
 

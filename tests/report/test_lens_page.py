@@ -15,7 +15,7 @@ from helpers.looks import Elements, text_of
 
 import pixsim
 from pixsim.optics.diffraction import diffraction_otf
-from pixsim.report.lens import FIGURES, LensData, lens_data, line_mtf, spot_points
+from pixsim.report.lens import FIGURES, LensData, lens_data, line_mtf, ray_spreads, spot_points
 
 
 @cache
@@ -43,6 +43,30 @@ def test_mtf_at_low_frequencies_is_that_of_the_spot() -> None:
         geometric = abs(np.exp(2j * np.pi * 10e-3 * off_um).mean())
         assert data.mtf_at(10.0)[index, axis] == pytest.approx(geometric, abs=0.03)
     assert data.mtf_at(10.0)[index, 0] < data.mtf_at(10.0)[index, 1] - 0.05
+
+
+def test_large_aberrations_take_the_mtf_of_rays() -> None:
+    """The triplet ten times as large: one lens by both ways, at low frequencies, where they agree."""
+    large = lens_data(pixsim.load_lens("cooke_triplet").scaled(10.0), [550.0])
+    assert large.geometric
+    assert not triplet().geometric
+    assert large.as_dict()["mtf_of"].startswith("rays")
+    # Ten times the size at a tenth of the frequency: the same rays.
+    small = triplet()
+    rays = ray_spreads(small.lens, small.field_deg, np.array([550.0]), 1.0, np.array([0.0, 5.0]))[1][:, :, 1]
+    waves = np.array([[line_mtf(psf.sum(axis=1 - axis), small.psf_pitch_um, np.array([5.0]))[0] for axis in (0, 1)]
+                      for psf in small.psfs])  # fmt: skip
+    assert np.abs(rays - waves).max() < 0.01
+    assert (rays < 0.95).any()
+    assert all(psf.sum() == pytest.approx(1.0, abs=0.05) for psf in large.psfs)
+
+
+def test_mtf_beyond_the_limit_of_diffraction_is_nothing() -> None:
+    """A pixel far smaller than the lens resolves: 1/(λN) is 364 lp/mm."""
+    data = lens_data(triplet().lens, [550.0], 0.1)
+    assert data.asked_lp_per_mm[-1] == 5000.0
+    assert (data.mtf_at(5000.0) == 0).all()
+    assert data.mtf_at(30.0) == pytest.approx(triplet().mtf_at(30.0), abs=2e-3)
 
 
 def test_mtf_of_a_line_is_its_transform() -> None:
