@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
+MAX_WAVELENGTHS = 24  # of `lens`, as in design programs
 SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
 
 
@@ -596,6 +597,8 @@ def lens(
     for name, value in [*positive, ("--pitch-um", pitch_um), *(("--wavelength-nm", nm) for nm in wavelength_nm or [])]:
         if value is not None and not 0 < value < float("inf"):
             raise invalid(name, f"{value:g}", "a number above 0")
+    if wavelength_nm and len(wavelength_nm) > MAX_WAVELENGTHS:
+        raise invalid("--wavelength-nm", f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}")
     if field_deg is not None and not 0 <= field_deg < 90:
         raise invalid("--field-deg", f"{field_deg:g}", "0 to below 90 degrees")
     chosen = chosen_lens(load_lens(file), focal_length_mm, f_number, field_deg, refocus, object_distance_m)

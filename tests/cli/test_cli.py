@@ -167,6 +167,7 @@ INVALID = {
     "lens phone --f-number 2.8": ["f_number: got 2.8", "at least 3.5, the widest of 'phone'"],
     "lens phone --focal-length-mm -5": ["--focal-length-mm: got -5", "above 0"],
     "lens phone --field-deg 80": ["field_deg: got", "where the chief ray", "the largest of its file is 31.76 degrees"],
+    f"lens phone{' --wavelength-nm 500' * 25}": ["--wavelength-nm: got 25 of them; allowed: at most 24"],
     "lens phone --wavelength-nm 900": ["wavelength_nm: got 900", "400 to 750"],
     "lens phone --object-distance-m 0.001": ["object_distance_mm: got 1", "a real image"],
     "lens phone --out taken": ["taken", "cannot be written", "--out"],
