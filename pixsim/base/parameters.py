@@ -260,7 +260,8 @@ def read_cells(path: Path, what: str, allowed: str) -> tuple[list[tuple[int, lis
         lines = read_text(path, what, allowed, MAX_FILE_BYTES).splitlines()
     except PixsimError as error:
         raise ValueError(str(error).removesuffix(".").partition(": ")[2]) from None
-    separator = next((mark for mark in ";\t" if any(mark in line for line in lines)), ",")
+    plain = [line for line in lines if not line.lstrip().startswith("#")]  # a comment may have any mark
+    separator = next((mark for mark in ";\t" if any(mark in line for line in plain)), ",")
     try:
         rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
     except csv.Error as error:

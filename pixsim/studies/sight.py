@@ -111,10 +111,12 @@ class Sight:
 
     def is_as_clear_as(self, other: Sight) -> bool:
         """Return whether this shows the same as the other, with no less light, and no more noise or blur."""
+        if self.what != other.what:  # sensors of other filters have other numbers of channels
+            return False
         brighter = np.array(self.white_e_per_s) >= np.array(other.white_e_per_s) * (1 - ROUNDING)
         cleaner = np.array(self.noise) <= np.array(other.noise) * (1 + ROUNDING)
         sharper = self.f_number <= other.f_number
-        return self.what == other.what and sharper and bool(brighter.all() and cleaner.all())
+        return sharper and bool(brighter.all() and cleaner.all())
 
 
 def clearest(sights: Mapping[str, Sight]) -> dict[str, str]:

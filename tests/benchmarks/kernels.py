@@ -35,7 +35,7 @@ from pixsim.viewer import scielab
 from pixsim.viewer.demosaic import demosaic
 from pixsim.viewer.display import WHITE_XYZ, frame_luminance
 from pixsim.viewer.scielab import PUBLISHED_GAUSSIANS
-from pixsim.viewer.score import ImagingChain, chain_at_pitch, prepare_scene
+from pixsim.viewer.score import ImagingChain, PreparedScene, chain_at_pitch, prepare_scene
 
 Work = Callable[[], object]
 NM = np.arange(400.0, 701.0, 10.0)
@@ -209,6 +209,31 @@ def parts() -> None:
         print(f"{pitch_um:15.1f} µm: {1e3 * whole:8.1f} {1e3 * sum_:8.1f} {whole / sum_:6.2f}  {text}", flush=True)
 
 
+MAX_COLOUR_RATIO = 2.5  # of the time of an evaluation with colour filters to that of one without
+COLOUR = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
+
+
+def colour() -> None:
+    """An evaluation of 1024² pixels with a Bayer mosaic, bilinear demosaicing, and without."""
+    print(f"\n1024² pixels, s: {'grey':>8} {'colour':>8} {'ratio':>6}  at most {MAX_COLOUR_RATIO:g}")
+    film, sheet = chart(1024), {"technology": "4t-bsi", "pitch_um": CAMERA.die_um[1] / 1024, "stack": {"enabled": False}}
+    for dots in (512, 1024):
+        display = DISPLAY.model_copy(update={"dots": dots})
+        seconds = []
+        for pixel in (Pixel(**sheet), Pixel(**sheet, colour=COLOUR)):
+            physics = derive(pixel)
+            light = prepare_scene(film, CAMERA, physics, display)
+            light.store_integrals()
+            chain_at_pitch(light, physics, EXPOSURE).simulate(0)  # the matrix is fitted once a light
+
+            def evaluation(light: PreparedScene = light, physics: PixelPhysics = physics) -> None:
+                chain_at_pitch(light, physics, EXPOSURE).simulate(1).statistics()
+
+            seconds.append(median_s(evaluation, 7))
+        print(f"{dots:10} dots: {seconds[0]:8.3f} {seconds[1]:8.3f} {seconds[1] / seconds[0]:6.2f}", flush=True)
+
+
 if __name__ == "__main__":
     targets()
     parts()
+    colour()
