@@ -191,13 +191,20 @@ def diffracted_rates(irradiance: SpectralImage, camera: Camera, channels: Sequen
     if the plan left diffraction out. Diffusion of charge between pixels without microlenses is part of it. Negative values from
     ringing remain; `pixel_signal` clips them after integration.
     """
+    weights = [electrons_per_joule(physics, irradiance) for physics in channels]
+    return diffracted(irradiance, camera, weights, diffusion_of(channels[0]))
+
+
+def diffracted(
+    irradiance: SpectralImage, camera: Camera, weights: Sequence[Array], blur: Callable[[Array, float], Array] | None
+) -> list[Array]:
+    """Return `diffracted_rates` of any weights, [(B,)] per W m⁻² nm⁻¹, with the further MTF of `diffract_sum`: per µm²."""
     f_number: float | None = camera.effective_f_number
-    blur = diffusion_of(channels[0])
     if irradiance.header.get("diffraction") is False:
         if blur is None:
-            return [ideal_rate(irradiance, physics) for physics in channels]
+            return [_per_um2(irradiance.weighted(weight)) for weight in weights]
         f_number = None
-    nm, weights = irradiance.wavelength_nm, [electrons_per_joule(physics, irradiance) for physics in channels]
+    nm = irradiance.wavelength_nm
     pictures: Iterable[tuple[NDArray[np.float32], list[Array]]]
     if irradiance.factors:
         factors = zip(*irradiance.factors, strict=True)
@@ -206,10 +213,14 @@ def diffracted_rates(irradiance: SpectralImage, camera: Camera, channels: Sequen
         one = np.eye(nm.size)
         seen = np.flatnonzero(np.any(weights, axis=0)).tolist()
         pictures = ((irradiance.band(band), [weight * one[band] for weight in weights]) for band in seen)
-    rates = diffract_sums(pictures, len(channels), irradiance.shape, irradiance.pitch_um, nm, f_number, blur)
-    for rate in rates:
-        rate *= M2_PER_UM2
-    return rates
+    return [
+        _per_um2(rate) for rate in diffract_sums(pictures, len(weights), irradiance.shape, irradiance.pitch_um, nm, f_number, blur)
+    ]
+
+
+def _per_um2(rate: Array) -> Array:
+    rate *= M2_PER_UM2
+    return rate
 
 
 def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | None:

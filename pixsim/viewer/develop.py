@@ -1,7 +1,7 @@
 """Frames of colour sensors → light of the display's primaries; and the picture of an ideal camera.
 
 In this order: black level and expected dark charge are subtracted, each channel is divided by the electrons of the scene's white
-(white balance), high lights are clipped to white, the mosaic is interpolated, means over the display's dots are taken, and one
+(white balance), the mosaic is interpolated, saturated high lights are made white, means over the display's dots are taken, and one
 matrix leads from the camera's channels to XYZ under the scene's lamp, to the display's white (adaptation) and to its primaries.
 The matrix from the channels to XYZ is fitted to patches 1-18 of ISO 17321 under the lamp, with its course within the bands.
 
@@ -16,6 +16,8 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
@@ -32,6 +34,8 @@ from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.colour_matrix import RANK_TOLERANCE, check_noise_gains, colour_errors, fit_matrix
 from pixsim.viewer.demosaic import demosaic, demosaic_covariance
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, on_dots, white_cd_per_m2, white_spectrum
+
+SATURATED = 0.99  # of the saturation level
 
 
 @dataclass(frozen=True)
@@ -217,7 +221,7 @@ def balanced_planes(
     saturation_e : electrons at which a pixel saturates
     shading : by which each value of the frame is divided
 
-    What is brighter than the lowest saturation level of all balanced channels is clipped to it: saturated pixels are white.
+    Where a channel is saturated, or interpolated from a saturated pixel, nothing is known of the colour: it is shown as white.
 
     Raises PixsimError for a frame without colour filters.
     """
@@ -225,18 +229,32 @@ def balanced_planes(
     if layout is None:
         raise invalid("frame", "one without colour filters", "a frame of a pixel with [pixel.colour]")
     picture, by_channel = frame.electrons, balance(develop, layout, white_e)
+    full = picture >= SATURATED * saturation_e - frame.mean_dark_e
     letters = layout.channels
     places = letters if layout.is_stacked else "".join(row[: frame.dn.shape[1]] for row in layout.cell[: frame.dn.shape[0]])
     if shading is not None:
         picture /= shading
-    highest = float((saturation_e - frame.mean_dark_e) / by_channel.max())
     for part, letter in zip(layout.parts(picture), places, strict=True):
         part /= by_channel[letters.index(letter)]
-    np.minimum(picture, max(highest, 0.0), out=picture)
     if layout.is_stacked:
-        return np.split(picture, layout.planes)
-    planes = demosaic(picture, layout.cell, demosaic_method(develop, layout))
-    return [planes[:, :, channel] for channel in range(planes.shape[2])]
+        planes = np.split(picture, layout.planes)
+    else:
+        channels = demosaic(picture, layout.cell, demosaic_method(develop, layout))
+        planes = [channels[:, :, channel] for channel in range(channels.shape[2])]
+    if full.any():
+        _whiten(planes, full, layout)
+    return planes
+
+
+def _whiten(planes: Sequence[Array], full: NDArray[np.bool_], layout: Layout) -> None:
+    """Make the pixels neutral, in place, that know a channel from a saturated one: as bright as their brightest channel."""
+    if layout.is_stacked:
+        near = np.any(np.split(full, layout.planes), axis=0)
+    else:
+        near = maximum_filter(full, [2 * len(part) - 1 for part in (layout.cell, layout.cell[0])])
+    brightest = np.max([plane[near] for plane in planes], axis=0)
+    for plane in planes:
+        plane[near] = brightest
 
 
 def frame_rgb(

@@ -1,0 +1,78 @@
+"""What a mean ΔE is made of: each part vanishes where its cause does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pixsim.base.parameters import Camera, Develop, Display, Exposure, Pixel
+from pixsim.light.spectral import SpectralImage, colour_matching, d65, luminous_weight
+from pixsim.optics import irradiance_factor
+from pixsim.sensor.pixel import derive
+from pixsim.viewer.parts import Parts, delta_e_parts
+from pixsim.viewer.score import chain_at_pitch, prepare_scene
+
+NM = np.arange(402.5, 700.0, 5.0)
+CAMERA = Camera(die_mm=0.1)
+# Without codes that hide small parts.
+DISPLAY = Display(dots=40, bits=16, white_cd_per_m2=1e3)
+QUIET: dict[str, Any] = dict.fromkeys(
+    ("prnu", "dsnu", "read_noise_e", "reset_noise_factor", "dark_current_e_per_s", "offset_fpn", "column_fpn"), 0
+)
+FILTERS = {
+    k: [[float(x), float(0.5 * np.exp(-(((x - c) / 45) ** 2)))] for x in range(400, 701, 10)]
+    for k, c in zip("RGB", (600, 540, 460), strict=True)
+}
+
+
+def observer() -> dict[str, Any]:
+    """Quantum efficiencies that see XYZ."""
+    nm = np.arange(400.0, 701.0)
+    seen = colour_matching(nm) / nm[:, None]
+    return {letter: list(zip(nm.tolist(), (0.6 * seen[:, k] / seen.max()).tolist(), strict=True)) for k, letter in enumerate("RGB")}
+
+
+def parts(colour: dict[str, Any] | None, **fields: Any) -> Parts:
+    white = d65(NM) * 1e3 * float(irradiance_factor(4.0, 0.0, CAMERA.magnification))
+    white = white / (luminous_weight(NM, np.full(NM.size, 5.0)) * d65(NM)).sum()
+    y, x = np.mgrid[:64, :64]
+    reddish, bluish = 0.2 + 0.6 * (NM > 580), 0.2 + 0.6 * (NM < 500)
+    pictures = np.array([0.5 + 0.4 * np.sin(x / 4 + y / 9), 0.5 - 0.4 * np.sin(x / 4 + y / 9)], np.float32)
+    header = {"lamp_w_per_m2_sr_nm": white.tolist()}
+    image = SpectralImage(
+        NM, np.full(NM.size, 5.0), 100 / 64, factors=(np.array([reddish, bluish]) * white, pictures), header=header
+    )
+    bare = {"technology": "4t-bsi", "pitch_um": 2.0, "stack": {"enabled": False}, "bits": 16, "colour": colour}
+    physics = derive(Pixel(**bare | fields))
+    light = prepare_scene(image, CAMERA, physics, DISPLAY)
+    chain = chain_at_pitch(light, physics, Exposure(), develop=Develop(matrix="least_squares"))
+    found = delta_e_parts(image, CAMERA, physics, light, chain, "parts", 1)
+    assert found.noise + found.mosaic + found.colour_error + found.blur == pytest.approx(found.mean_delta_e, abs=1e-12)
+    assert found.dots_per_pixel == pytest.approx(2.0 / 2.5)
+    return found
+
+
+def test_each_part_has_its_cause() -> None:
+    noisy = {"read_noise_e": 100.0}
+    whole = parts({"quantum_efficiencies": FILTERS}, **noisy)
+    assert min(whole.noise, whole.mosaic, whole.colour_error, whole.blur) > 0.02
+    # The observer's own channels have no colour error, and the same blur; pixels that know all channels no mosaic.
+    exact = parts({"quantum_efficiencies": observer()}, **noisy)
+    assert abs(exact.colour_error) < 2e-3
+    assert exact.blur == pytest.approx(whole.blur, rel=1e-12)
+    layers = parts({"pattern": "stacked", "quantum_efficiencies": FILTERS}, **noisy)
+    assert abs(layers.mosaic) < 1e-6
+    assert layers.colour_error == pytest.approx(whole.colour_error, rel=1e-9)
+    grey = parts(None, quantum_efficiency=0.5, **noisy)
+    assert (grey.mosaic, grey.colour_error) == (0.0, 0.0)
+    assert grey.noise > 0.02
+
+
+def test_crosstalk_between_colours_is_no_colour_error() -> None:
+    """The matrix takes it apart; what is left is in the mosaic, and the blur of neighbours of the same light."""
+    stack = {"height_um": 4.0, "index": 1.5, "microlens": "none"}
+    alone, mixed = (parts({"quantum_efficiencies": FILTERS}, stack=stack | {"crosstalk": c}, **QUIET) for c in (0.0, 0.1))
+    assert mixed.colour_error == pytest.approx(alone.colour_error, rel=0.05)
+    assert mixed.blur > alone.blur + 0.01
