@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import ColourOptions, Curves, PixelOptions, channels_of
+from pixsim.sensor.camera_data import camera_sensitivities
 
 STACK_MARK, ROW_MARK = "+", "/"
 Values = TypeVar("Values", np.float64, np.bool_)
@@ -138,8 +139,6 @@ def _curves(colour: ColourOptions) -> Curves:
 
 @lru_cache
 def _of_camera(name: str, letters: str) -> Curves:
-    from pixsim.sensor.camera_data import camera_sensitivities
-
     nm, values = camera_sensitivities(name)
     if missing := [letter for letter in letters if letter not in "RGB"]:
         hint = "Give their responses by a CSV file with a column for each letter."

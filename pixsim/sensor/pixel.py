@@ -37,6 +37,7 @@ from pixsim.base.parameters import (
 )
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.optics.stack import LOWEST_LENS, Stack
+from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.mismatch import DarkSpread, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
@@ -948,7 +949,7 @@ def sheet_disagreements(pixel: Pixel, technology: Technology | None = None) -> l
     Raises PixsimError as `derive` does.
     """
     if pixel.dynamic_range_db is None and pixel.snr_max_db is None and pixel.saturation_capacity_e is None:
-        return []
+        return _lost_scales(pixel)
     own = {"pitch_um": pixel.data_sheet_pitch_um or pixel.pitch_um, "data_sheet_pitch_um": None}
     p = derive(pixel.model_copy(update=own), technology)
     noise_e, offset_e = p.noise_floor_e, math.hypot(p.offset_fpn_e, p.column_fpn_e)
@@ -971,7 +972,18 @@ def sheet_disagreements(pixel: Pixel, technology: Technology | None = None) -> l
             f"dynamic_range_db = {asked_db:g}, but the pixel has {ends_db[0]:.1f} (saturation over the sensitivity threshold, EMVA "
             f"1288) to {ends_db[1]:.1f} (full well over temporal dark noise)."
         )
-    return [f"pixel: {text} {CAUSES}" for text in found]
+    return [*(f"pixel: {text} {CAUSES}" for text in found), *_lost_scales(pixel)]
+
+
+def _lost_scales(pixel: Pixel) -> list[str]:
+    """Return a sentence if the sensitivities of the pixel's channels have no common scale."""
+    camera = pixel.colour.sensitivities if pixel.colour else None
+    if not isinstance(camera, str) or has_common_scale(camera):
+        return []
+    return [
+        f"pixel.colour.sensitivities: each channel of {camera} was scaled to its own peak; their ratio is unknown, and with it the "
+        "noise before white balance. Balanced colours do not depend on it."
+    ]
 
 
 @checks_arguments

@@ -18,7 +18,7 @@ from pixsim.sensor.collection import shared
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.correction import correct
 from pixsim.sensor.integration import lights_of, mean_signal_rate
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import PixelPhysics, derive, sheet_disagreements
 from pixsim.sensor.raw import RawFrame, read_frame, write_frame
 from pixsim.sensor.readout import capture_from_rates, frame_mean_dn, frame_variance_dn2, make_sensor, sample_sensor
 
@@ -353,3 +353,9 @@ def test_diffusion_and_lights_follow_the_channels() -> None:
     lights = lights_of(light(), CAMERA, p)
     assert len(lights) == 3
     assert len({one.illumination.weight for one in lights}) == 3
+
+
+def test_cameras_whose_channels_lost_their_ratio_are_named() -> None:
+    for camera, warned in (("Nikon_D5100", True), ("ARRI_D21", True), ("Nikon_D810", False)):
+        given = pixel({"sensitivities": camera, "peak_quantum_efficiency": 0.5})
+        assert any(f"each channel of {camera} was scaled to its own peak" in text for text in sheet_disagreements(given)) is warned

@@ -1,0 +1,84 @@
+"""Studies of colour filters: the monochrome case is that of a study without them, and what the errors are made of adds up."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import pixsim
+from pixsim.base.config import packaged
+from pixsim.base.parameters import Study, merge
+from pixsim.report.axes import parts_table
+from pixsim.sensor.pixel import physics_of
+from pixsim.studies.cases import cases_of
+from pixsim.studies.study import load_study
+
+SMALL: dict[str, Any] = {
+    **{"name": "filters", "technologies": ["4t-bsi"], "repeats": 2, "resolution": 128, "camera": {"die_mm": 0.2}},
+    **{"pixel": {"stack": {"enabled": False}}, "display": {"dots": 24}, "pitch": {"values_um": [2.0, 2.5, 3.0, 4.0, 6.0]}},
+}
+CAMERA = {"sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
+FILTERS = {
+    "name": "filters",
+    "values": [
+        {"label": "none", "set": {"pixel": {"bits": 10}}},
+        {"label": "RGGB", "set": {"pixel": {"colour": CAMERA}}},
+        {"label": "quad", "set": {"pixel": {"colour": {"pattern": "quad_rggb", "binning": True, **CAMERA}}}},
+    ],
+}
+
+
+def rows_of(folder: Path, filters: str | None = None) -> list[dict[str, str]]:
+    with (folder / "results.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if filters is None or row["filters"] == filters]
+    return [{name: value for name, value in row.items() if name not in ("key", "filters")} for row in rows]
+
+
+@pytest.mark.filterwarnings("ignore:.*black level")
+def test_study_of_filters(tmp_path: Path) -> None:
+    pixsim.study(Study.model_validate(SMALL), out=tmp_path / "plain", jobs=1)
+    result = pixsim.study(Study.model_validate(merge(SMALL, {"axis": [FILTERS]})), out=tmp_path / "filters", jobs=1)
+    assert rows_of(tmp_path / "filters", "none") == rows_of(tmp_path / "plain")
+    assert len(rows_of(tmp_path / "filters", "RGGB")) == len(rows_of(tmp_path / "plain"))
+    table = parts_table(result)
+    parts = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
+    assert [row["pixel"].split(", ")[1] for row in parts] == ["none", "RGGB", "quad"]
+    for row in parts:
+        total = sum(float(row[name]) for name in ("noise", "mosaic", "colour_error", "blur"))
+        assert total == pytest.approx(float(row["mean_delta_e"]), abs=1e-9)
+    dots = [float(row["dots_per_pixel"]) * 200 / 24 / float(row["pitch_um"]) for row in parts]
+    assert dots == pytest.approx([1, 1, 2])  # two photodiodes side by side are read as one
+    score = result.case(filters="RGGB").scores("4t-bsi", 2.5, 1)[0]
+    assert score.image.shape == (*score.delta_e.shape, 3)
+    assert np.ptp(score.ideal, axis=2).max() < 0.02  # a grey chart is grey in colour: to a code of the display
+
+
+def test_packaged_study_of_filters_is_possible() -> None:
+    """All cases have possible pixels, of files beside the study."""
+    study = load_study("colour")
+    assert Path(packaged("data/studies")["colour"]).is_file()
+    cases = cases_of(study)
+    assert len(cases) == 10
+    channels = [len(physics_of(case.study, "4t-bsi", 2.0).channels) for case in cases[::2]]
+    assert channels == [1, 3, 3, 3, 3]
+
+
+def test_run_in_colour_writes_coloured_pictures(tmp_path: Path) -> None:
+    from helpers.commands import command
+
+    options = "--pixel.technology 4t-bsi --pixel.pitch-um 20 --pixel.colour.matrix RG,GB --pixel.colour.sensitivities Nikon_D810"
+    options += " --pixel.colour.peak-quantum-efficiency 0.5 --display.dots 64 --resolution 48 --render-noise 1e4"
+    options += " --develop.demosaic malvar2004 --json"
+    code, out, err = command(f"run macbeth {options} --out", tmp_path / "run")
+    assert code == 0, err
+    assert '"layout": "RG/GB"' in out
+    for name in ("ideal.png", "image.png"):
+        codes = np.asarray(Image.open(tmp_path / "run" / name), float)
+        assert codes.shape[2] == 3
+        red = codes[int(0.62 * len(codes)), int(0.42 * codes.shape[1])]  # the third patch of the third row
+        assert red[0] > 2 * max(red[1:])
