@@ -12,7 +12,6 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ndtr
 
 from pixsim.base.arrays import Array
@@ -102,6 +101,8 @@ def peak_e(variance: Callable[[float], float], brightest_e: float) -> float:
     best = int(np.argmax([variance(electrons) for electrons in coarse.tolist()]))
     bounds = float(coarse[max(best - 1, 0)]), float(coarse[min(best + 1, coarse.size - 1)])
     options = {"xatol": PEAK_WITHIN * brightest_e}
+    from scipy.optimize import minimize_scalar  # imported where it is needed: it takes 0.1 s
+
     return float(minimize_scalar(lambda electrons: -variance(electrons), bounds=bounds, method="bounded", options=options).x)
 
 
@@ -148,6 +149,8 @@ def full_well_for_e(
             for side in (-RISE_OVER, RISE_OVER)
         )
         return above - below
+
+    from scipy.optimize import brentq  # imported where it is needed: it takes 0.1 s
 
     low_e, high_e = capacity_e, MAX_WELL * capacity_e
     for range_e in (adc_range_e, None):
