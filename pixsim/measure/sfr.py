@@ -21,7 +21,8 @@ from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder, publishing, write_json
-from pixsim.sensor.raw import BITS_OF_PICTURES, SUFFIXES, number_of, read_picture
+from pixsim.sensor.colour import Layout
+from pixsim.sensor.raw import BITS_OF_PICTURES, SUFFIXES, layout_of, number_of, read_picture
 from pixsim.show.figures import COLOURS, new_figure
 from pixsim.show.pages import Plate
 
@@ -315,11 +316,17 @@ class EdgePicture:
 def read_edge_picture(path: Path) -> EdgePicture:
     """A linear greyscale picture: raw.exr of `pixsim run`, an EXR of one channel, .npy, .npz of one array, 16-bit .png or .tiff.
 
-    Raises PixsimError if the file is missing, damaged, in colour, or encoded for a display, such as an 8-bit PNG.
+    Raises PixsimError if the file is missing, damaged, in colour, of a sensor with colour filters, or encoded for a display, such
+    as an 8-bit PNG.
     """
     data, metadata = read_picture(path, "edge picture", (*SUFFIXES, ".npy"))
     if data.dtype.kind not in "biuf":
         raise invalid("edge picture", f"'{path}' of {data.dtype}", "real numbers")
+    if (layout := layout_of(metadata, data.shape)) is not None and len(layout.channels) > 1:
+        got = f"'{path}', a frame of the channels {', '.join(layout.channels)} in the layout {layout}"
+        raise invalid(
+            "edge picture", got, "the pixels of one channel", one_channel(layout, data.shape, number_of(metadata, "pitch_um"))
+        )
     numbers: dict[str, float] = {}
     is_image = path.suffix.lower() in (".png", ".tif", ".tiff")
     for name, (low, high) in METADATA_RANGES.items():
@@ -332,6 +339,19 @@ def read_edge_picture(path: Path) -> EdgePicture:
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
     return EdgePicture(data, numbers.get("pitch_um"), numbers.get("black_level_dn"), top)
+
+
+def one_channel(layout: Layout, shape: tuple[int, ...], pitch_um: float) -> str:
+    """Return the lines of Python and the option that measure the channel with the most pixels of a frame (rows, columns)."""
+    letter = layout.channels[int(np.argmax(layout.shares))]
+    if layout.is_stacked:
+        rows = shape[0] // layout.planes
+        part, step = f"{layout.channels.index(letter) * rows}:{(layout.channels.index(letter) + 1) * rows}", 1
+    else:
+        row, column = next((y, cell.index(letter)) for y, cell in enumerate(layout.cell) if letter in cell)
+        part, step = f"{row}::{len(layout.cell)}, {column}::{len(layout.cell[0])}", len(layout.cell[0])
+    option = f", with --pitch-um {step * pitch_um:g}" if math.isfinite(pitch_um) else ""
+    return f"Save one of them, np.save('{letter}.npy', pixsim.read_frame(FILE).dn[{part}]), and measure that file{option}."
 
 
 def sfr_summary(edge: EdgeResponse, pitch_um: float | None) -> dict[str, Any]:

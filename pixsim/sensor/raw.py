@@ -196,10 +196,10 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     _check_whole(f"raw frame '{path}'", dn)
     numbers = {name: value for name in FACTS if math.isfinite(value := number_of(metadata, name))}
     facts: dict[str, Any] = {name: round(value) if name == "bits" else value for name, value in numbers.items()}
-    return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts, layout=_layout_of(metadata, dn.shape))
+    return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts, layout=layout_of(metadata, dn.shape))
 
 
-def _layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None:
+def layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None:
     """Return the layout that a file states; None if it is absent or, as another program's item may be, no layout of the frame."""
     try:
         layout = Layout.of_text(str(metadata[LAYOUT]))

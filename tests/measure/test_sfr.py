@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,11 @@ from helpers.commands import assert_refused, command
 from PIL import Image
 from scipy.special import erf
 
-from pixsim import PixsimError, edge_response
+from pixsim import PixsimError, edge_response, read_frame, write_frame
 from pixsim.light.exr import write_channels
 from pixsim.measure.sfr import NYQUIST_CY_PER_PX, first_crossing, read_edge_picture, sfr_line, sfr_summary as summary
+from pixsim.sensor.colour import Layout
+from pixsim.sensor.raw import RawFrame
 
 SIDE = 320
 DARK, LIGHT = 100.0, 1000.0
@@ -121,6 +124,28 @@ def test_edge_response_saturated_or_outside_region_raises() -> None:
     edge_response(gaussian_edge(), saturation=1023.0)
     with pytest.raises(PixsimError, match="within 0,0,320,320"):
         edge_response(gaussian_edge(), region=(0, 0, 321, 100))
+
+
+@pytest.mark.parametrize(
+    ("layout", "place", "pitch_um"),
+    [("GR/BG", np.s_[0::2, 0::2], 6), ("RG/GB", np.s_[0::2, 1::2], 6), ("R+G+B", np.s_[0:320], 3)],
+    ids=str,
+)
+def test_frame_of_a_colour_sensor_is_refused_with_a_way_to_one_channel(
+    layout: str, place: object, pitch_um: float, tmp_path: Path
+) -> None:
+    """Channels differ in their signal: mixed, they look like noise. The hint leads to the edge that one channel sees."""
+    frame = np.rint(100 * gaussian_edge())
+    frame = np.concatenate([frame, frame, frame]) if "+" in layout else np.rint(frame * np.tile([[1.0, 0.5], [0.5, 1]], (160, 160)))
+    raw = RawFrame(frame.astype(np.uint32), pitch_um=3.0, layout=Layout.of_text(layout))
+    write_frame(tmp_path / "raw.exr", raw)
+    with pytest.raises(PixsimError, match=r"one channel\. Save one of them") as caught:
+        read_edge_picture(tmp_path / "raw.exr")
+    text = re.search(r"dn(\[.*?\])\), and measure that file, with --pitch-um (\S+)\.$", str(caught.value))
+    assert text is not None
+    assert float(text[2]) == pitch_um
+    found = eval(f"dn{text[1]}", {"dn": read_frame(tmp_path / "raw.exr").dn})
+    assert (found == frame[place]).all()
 
 
 def test_read_edge_picture_all_formats_agree(tmp_path: Path) -> None:
