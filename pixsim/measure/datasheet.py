@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import NO_TECHNOLOGY, Exposure, Pixel
 from pixsim.base.progress import Stage
-from pixsim.measure import estimators
+from pixsim.measure import colour as colours, estimators
+from pixsim.measure.colour import Colour, measure_colour
 from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, Series, Stack, root
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.photodiode import stored_signal_e
@@ -69,7 +71,8 @@ class DataSheet:
 
     light : series over photons per pixel. dim : the same below its first exposure, for S/N. dark : a pair without light.
     dark_series : over seconds. warm : dark series by temperature in K. dark_stack, bright_stack : at 0 and 50 % of saturation.
-    grey : (frames, rows, columns) at 13 % of saturation, DN.
+    grey : (frames, rows, columns) at 13 % of saturation, DN. channels : of a colour sensor, the light series of its other channels.
+    colour : fields of a chart on a colour sensor; its problem in words if their colours cannot be told apart; None if monochrome.
     """
 
     experiment: Experiment = field(repr=False)
@@ -83,6 +86,8 @@ class DataSheet:
     grey: Array = field(repr=False)
     grey_photons: float
     bright_photons: float
+    channels: dict[str, tuple[Experiment, PhotonTransfer]] = field(default_factory=dict, repr=False)
+    colour: Colour | str | None = None
 
     @property
     def pixels(self) -> int:
@@ -182,6 +187,17 @@ class DataSheet:
                 "K and all values derived from it are wrong by some per cent, because the quantisation noise is no longer "
                 f"1/12 DN². Use more than {pixel.bits} bits (pixel.bits)."
             )
+        p = self.experiment.physics
+        if p.layout is not None:
+            notes.append(
+                f"colour filters {p.layout}: EMVA 1288, ISO 15739 and ISO 12232 take each channel for itself. Values without the "
+                f"name of a channel are those of {p.channel}, in light of {self.experiment.wavelength_nm:g} nm; gain, dark noise "
+                "and dark current are those of all channels."
+            )
+        if p.bin_side > 1:
+            notes.append(f"binning: a pixel of this sheet is the sum of {p.bin_side} × {p.bin_side} pixels of {p.pitch_um:g} µm.")
+        if isinstance(self.colour, str):
+            notes.append(f"no colour matrix: {self.colour}")
         if self.full_in_the_dark:
             notes.append(
                 f"hot pixels: {100 * self.full_in_the_dark:.2g} % of the pixels are full in the last exposure of the dark series, "
@@ -197,17 +213,20 @@ class DataSheet:
 
 def make_datasheet(pixel: Pixel, exposure: Exposure | None = None, *, stage: Stage | None = None, **how: Any) -> DataSheet:
     """Measure one simulated device of a pixel; `how` are the keywords of `make_experiment`, which raises PixsimError."""
-    return measure(make_experiment(pixel, exposure, **how), stage)
+    return measure(make_experiment(pixel, exposure, **how), stage, how.get("wavelength_nm"))
 
 
-def measure(experiment: Experiment, stage: Stage | None = None) -> DataSheet:
-    """Capture every frame of the experiment and return its data sheet; `stage` receives the progress."""
+def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: float | None = None) -> DataSheet:
+    """Capture every frame of the experiment and return its data sheet; `stage` receives the progress.
+
+    wavelength_nm : of the light on the other channels of a colour sensor; None takes the peak of each
+    """
     report_progress = stage or (lambda name: lambda done, note="": None)
 
-    def pairs(name: str, photons: Array) -> Series:
+    def pairs(name: str, photons: Array, of: Experiment = experiment) -> Series:
         report_fraction, measured = report_progress(name), []
         for index, level in enumerate(photons.tolist()):
-            measured.append(estimators.pair(*experiment.frames(2, level, name, index)))
+            measured.append(estimators.pair(*of.frames(2, level, name, index)))
             report_fraction((index + 1) / photons.size)
         return estimators.series(photons, measured)
 
@@ -220,12 +239,21 @@ def measure(experiment: Experiment, stage: Stage | None = None) -> DataSheet:
     stacks = [
         estimators.stack(experiment.frames(count, level, name)) for level, name in ((0.0, "dark stack"), (bright, "bright stack"))
     ]
+    others = experiment.physics.layout.channels if experiment.physics.layout else ""
+    channels: dict[str, tuple[Experiment, PhotonTransfer]] = {}
+    pixels, measured_prnu = math.prod(experiment.sensor.shape), estimators.prnu(*stacks).value
+    spread = 0.0 if math.isnan(measured_prnu) else measured_prnu
+    dark = estimators.pair(*experiment.frames(2, 0.0, "dark"))
+    for letter in others.replace(experiment.physics.channel, ""):
+        own = experiment.of_channel(letter, wavelength_nm)
+        series_ = pairs(f"channel {letter}", own.photons, own)
+        channels[letter] = (own, estimators.photon_transfer(series_, dark.mean_dn, dark.variance_dn2, pixels, spread))
     report_progress("dark series")
     return DataSheet(
         experiment,
         light=light,
         dim=dim,
-        dark=estimators.pair(*experiment.frames(2, 0.0, "dark")),
+        dark=dark,
         dark_series=experiment.dark_series(),
         warm={temperature_k: experiment.dark_series(temperature_k) for temperature_k in experiment.temperatures_k},
         dark_stack=stacks[0],
@@ -233,11 +261,25 @@ def measure(experiment: Experiment, stage: Stage | None = None) -> DataSheet:
         grey=np.stack([*experiment.frames(GREY_FRAMES, grey, "grey")]).astype(float),
         grey_photons=grey,
         bright_photons=bright,
+        channels=channels,
+        colour=_colour(experiment, spread),
     )
 
 
+def _colour(experiment: Experiment, gain_spread: float) -> Colour | str | None:
+    """The colour of a sensor; the problem in words if it has filters that tell no colours apart."""
+    if experiment.physics.layout is None:
+        return None
+    try:
+        return measure_colour(experiment, gain_spread)
+    except PixsimError as error:
+        return str(error)
+
+
 EMVA, NOISE, SPEED = "EMVA 1288", "ISO 15739", "ISO 12232"
+COLOUR = f"ISO 17321-1 and noise in colour, illuminant {colours.LAMP}"
 ROUNDING = 1e-9
+PRIMARIES = "red", "green", "blue"
 PARTS = ("of columns", "col"), ("of rows", "row"), ("of single pixels", "pixel")
 
 
@@ -267,7 +309,7 @@ class Entry:
 
 def entries(sheet: DataSheet) -> list[Entry]:
     """All lines of the data sheet, grouped by standard."""
-    return [*sensitivity(sheet), *spatial(sheet), *dark(sheet), *noise(sheet), *speed(sheet)]
+    return [*sensitivity(sheet), *channels(sheet), *spatial(sheet), *dark(sheet), *noise(sheet), *speed(sheet), *colour(sheet)]
 
 
 def sheet_summary(sheet: DataSheet) -> dict[str, Any]:
@@ -325,6 +367,56 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
         line(EMVA, "linearity error, lowest", "LE_min", "%", linearity_estimate(sheet, "lowest"), 100 * true.lowest, of_line),
         line(EMVA, "linearity error, highest", "LE_max", "%", linearity_estimate(sheet, "highest"), 100 * true.highest, of_line)
     ]  # fmt: skip
+
+
+def channels(sheet: DataSheet) -> list[Entry]:
+    """Responsivity, quantum efficiency, threshold and saturation of the other channels of a colour sensor."""
+    lines = []
+    for letter, (e, t) in sheet.channels.items():
+        k, eta, at = e.physics.dn_per_e, e.efficiency, f"channel {letter}, {e.wavelength_nm:g} nm"
+        dark_e = math.sqrt(sheet.true_dark_noise_e**2 + QUANTISATION_DN2 / k**2)
+        saturation_e = variance_peak_e(e.physics, e.integration_s, float(e.photons[-1]) * eta)
+        lines += [
+            line(EMVA, f"responsivity, {at}", f"R_{letter}", "DN/p", t.responsivity_dn_per_p, k * eta, "K η"),
+            line(EMVA, f"quantum efficiency, {at}", f"η_{letter}", "%", t.efficiency * 100, 100 * eta,
+                 "QE(λ) · fill factor, for the whole pixel"),
+            line(EMVA, f"sensitivity threshold, {at}", f"μ_p.min.{letter}", "p", t.threshold_p, (dark_e + 0.5) / eta,
+                 "(√(σ_d² + σ_q²/K²) + ½) / η", "quantisation-limited: an upper bound" if t.limited else ""),
+            line(EMVA, f"saturation capacity, {at}", f"μ_p.sat.{letter}", "p", t.saturation_p, saturation_e / eta,
+                 "peak of the model's expected variance", "standard error: one exposure step"),
+        ]  # fmt: skip
+    return lines
+
+
+def colour(sheet: DataSheet) -> list[Entry]:
+    """SMI, noise gains of the colour matrix, white balance, and SNR of luminance and chrominance of a colour sensor."""
+    c = sheet.colour
+    if not isinstance(c, Colour):
+        return []
+    true, row = c.truth.rendition, "norm of the row of the matrix from balanced channels to the display's linear light"
+    balance = zip(c.channels, c.white_balance, c.true_white_balance.tolist(), strict=True)
+    grey = "from the parameters: 18 % grey with white at 72 % of saturation"
+    lines = [
+        line(COLOUR, "sensitivity metamerism index", "SMI", "", c.estimate(colours.smi), colours.smi(true),
+             "100 - 5.5 · mean ΔE*ab of patches 1-18, least mean ΔE"),
+        *(
+            line(COLOUR, f"noise gain of {name}", f"G_{name[0].upper()}", "", c.estimate(gain), gain(true), row)
+            for name, gain in ((name, partial(colours.noise_gain, primary=at)) for at, name in enumerate(PRIMARIES))
+        ),
+        *(
+            line(COLOUR, f"white balance, channel {letter}", f"WB_{letter}", "", gain, true_gain, "largest signal of white over it")
+            for letter, gain, true_gain in balance
+        ),
+    ]  # fmt: skip
+    names = (
+        ("signal over noise of luminance", "SNR_Y", "Y"),
+        ("signal over noise of chrominance", "SNR_C", "R - Y and B - Y together"),
+    )
+    for (name, symbol, of), measured, expected in zip(names, c.snr(), c.true_snr(), strict=True):
+        lines.append(
+            line(COLOUR, name, symbol, "dB", decibel(measured), 20 * math.log10(expected), f"{grey}; temporal noise of {of}")
+        )
+    return lines
 
 
 def linearity_estimate(sheet: DataSheet, name: str) -> Estimate:

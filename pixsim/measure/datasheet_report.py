@@ -280,9 +280,12 @@ def described(sheet: DataSheet) -> str:
     rows, columns = e.sensor.shape
     assumed = f"; {p.pixel.assumption}" if p.pixel.assumption else ""
     exposed = f"{1e3 * e.integration_s:.4g} ms" + (f", {p.gain_db:g} dB" if p.gain_db else "")
+    filters = f", filters {p.layout}" if p.layout else ""
+    of = f" on channel {p.channel}" if p.channel else ""
     return (
-        f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels, {p.pixel.bits} bits, black level {p.pixel.black_level_dn:g} DN, "
-        f"{p.pixel.temperature_k:g} K; {columns} × {rows} pixels, {e.wavelength_nm:g} nm, {exposed}{assumed}"
+        f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels{filters}, {p.pixel.bits} bits, "
+        f"black level {p.pixel.black_level_dn:g} DN, {p.pixel.temperature_k:g} K; "
+        f"{columns} × {rows} pixels, {e.wavelength_nm:g} nm{of}, {exposed}{assumed}"
     )
 
 

@@ -300,8 +300,9 @@ def parts(images: Stack) -> tuple[Estimate, Estimate, Estimate]:
     row_dn2 = ((rows * columns - columns) * of_rows - rows * (total - of_columns)) / rest
     pixel_dn2 = rows * columns * (total - of_columns - of_rows) / rest
     return (
-        Estimate(column_dn2, spatial_error(column_dn2, noise / rows, columns)),
-        Estimate(row_dn2, spatial_error(row_dn2, noise / columns, rows)),
+        # Temporal noise adds to the means themselves, with what single pixels leave in them.
+        Estimate(column_dn2, spatial_error(of_columns, noise / rows, columns)),
+        Estimate(row_dn2, spatial_error(of_rows, noise / columns, rows)),
         Estimate(pixel_dn2, spatial_error(pixel_dn2, noise, rows * columns)),
     )
 
@@ -359,7 +360,7 @@ def daylight_e_per_lx_s(physics: PixelPhysics) -> float:
     spectrum = d65(DAYLIGHT_NM)
     electrons = physics.band_quantum_efficiency(DAYLIGHT_NM, step) * photons_per_joule(DAYLIGHT_NM) * spectrum
     lux = float((luminous_weight(DAYLIGHT_NM, step) * spectrum).sum())
-    area_um2 = collected_area_um2(physics, even_light(DAYLIGHT_NM, electrons))
+    area_um2 = collected_area_um2(physics, even_light(DAYLIGHT_NM, electrons)) * physics.bin_side**2
     return float(electrons.sum()) * M2_PER_UM2 * area_um2 / lux
 
 

@@ -44,6 +44,8 @@ MAX_LIGHT = 4.0  # times saturation, of generated charge: end of the search for 
 class Experiment:
     """The sensor and the exposures of a photon-transfer experiment.
 
+    All pixels of a colour sensor have the filter of the channel that has the most: EMVA 1288 takes each channel for itself.
+
     photons : (n,) per pixel, in rising order, one for each pair of the light series
     dark_times_s, temperatures_k : of the dark series
     asked_black_dn : black level given by the user; that of the sensor's pixel is the one used
@@ -75,6 +77,19 @@ class Experiment:
         mean_e = np.full(exposed.shape, photons * self.efficiency)
         return read_out(mean_e, integration_s, exposed, stream("datasheet", self.seed, *key))
 
+    def of_channel(self, letter: str, wavelength_nm: float | None) -> Experiment:
+        """The light series of the same device under the filter of another channel, to the same electrons.
+
+        wavelength_nm : of the light; None takes the peak of the channel's response
+
+        Raises PixsimError for a wavelength without response.
+        """
+        physics = replace(self.physics, channel=letter)
+        nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
+        efficiency = checked_efficiency(physics, nm)
+        photons = self.photons * (self.efficiency / efficiency)
+        return replace(self, sensor=replace(self.sensor, physics=physics), wavelength_nm=nm, photons=photons)
+
     def frames(self, count: int, photons: float, *key: object) -> Iterator[Frames]:
         """Frames under the same light at the integration time of the light series."""
         return (self.frame(photons, self.integration_s, *key, index) for index in range(count))
@@ -95,7 +110,8 @@ class Experiment:
     def warmed(self, temperature_k: float) -> Sensor:
         """The same device at another temperature: only its dark current changes, not its maps."""
         pixel = Pixel.model_validate(self.physics.pixel.model_dump() | {"temperature_k": temperature_k})
-        warm = replace(derive(pixel), full_well_e=self.physics.full_well_e, gain_db=self.physics.gain_db)
+        own = self.physics
+        warm = replace(derive(pixel).as_read, full_well_e=own.full_well_e, gain_db=own.gain_db, channel=own.channel)
         return replace(self.sensor, physics=warm)
 
 
@@ -103,6 +119,20 @@ def pixel_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
     """Electrons per photon on a whole pixel, fill factor included: η of EMVA 1288."""
     light = even_light(np.array([wavelength_nm]), np.ones(1))
     return float(physics.quantum_efficiency(wavelength_nm)) * collected_fraction(physics, light)
+
+
+def checked_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
+    """`pixel_efficiency`; raises PixsimError at a wavelength without response."""
+    efficiency = pixel_efficiency(physics, wavelength_nm)
+    if not efficiency > 0:
+        such = f"a wavelength with a response, such as {peak_wavelength_nm(physics):g} nm"
+        raise invalid("wavelength_nm", f"{wavelength_nm:g}", f"{such} of channel {physics.channel}" if physics.channel else such)
+    return efficiency
+
+
+def most_frequent_channel(physics: PixelPhysics) -> PixelPhysics:
+    """A colour pixel with the channel that has the most pixels; a monochrome one as it is."""
+    return physics if physics.layout is None else physics.channels[int(np.argmax(physics.layout.shares))]
 
 
 def peak_wavelength_nm(physics: PixelPhysics) -> float:
@@ -203,13 +233,11 @@ def make_experiment(
     """
     warn_of_disagreements(pixel)
     exposure = exposure or Exposure()
-    raw = derive(pixel).at_gain(exposure.gain_db)
+    raw = most_frequent_channel(derive(pixel).at_gain(exposure.gain_db).as_read)
     time_s = usual_integration_s(raw, exposure)
     physics = with_black_level(raw, time_s)
     nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
-    efficiency = pixel_efficiency(physics, nm)
-    if not efficiency > 0:
-        raise invalid("wavelength_nm", f"{nm:g}", f"a wavelength with a response, such as {peak_wavelength_nm(physics):g} nm")
+    efficiency = checked_efficiency(physics, nm)
     brightest = BEYOND_SATURATION * filling_light_e(physics, time_s) / efficiency
     photons = brightest * np.arange(1, exposures + 1) / exposures
     return Experiment(
