@@ -716,24 +716,21 @@ class StackOptions(Record):
         return self
 
 
+BAYER = {"rggb": ("RG", "GB"), "grbg": ("GR", "BG"), "gbrg": ("GB", "RG"), "bggr": ("BG", "GR")}  # upper row first
 PATTERNS: dict[str, tuple[str, ...]] = {
-    "rggb": ("RG", "GB"),
-    "grbg": ("GR", "BG"),
-    "gbrg": ("GB", "RG"),
-    "bggr": ("BG", "GR"),
+    **BAYER,
     "quad_rggb": ("RRGG", "RRGG", "GGBB", "GGBB"),
     "rccb": ("RC", "CB"),
     "stacked": ("RGB",),
 }
-BAYER = ("rggb", "grbg", "gbrg", "bggr")
 LARGEST_CELL = 8  # rows and columns of a unit cell
 BIN = 2  # pixels along a side of those whose charge is summed
 
 
-def channels_of(cell: Iterable[str]) -> str:
+def channels_of(cell: Iterable[str]) -> tuple[str, ...]:
     """The letters of a unit cell: R, G and B first, then the others in their order of appearance."""
-    letters = "".join(dict.fromkeys("".join(cell)))
-    return "".join(letter for letter in "RGB" if letter in letters) + "".join(letter for letter in letters if letter not in "RGB")
+    letters = dict.fromkeys("".join(cell))
+    return (*(letter for letter in "RGB" if letter in letters), *(letter for letter in letters if letter not in "RGB"))
 
 
 def binned_cell(cell: Sequence[str]) -> tuple[str, ...]:
@@ -850,7 +847,7 @@ class ColourOptions(Record):
     @property
     def is_bayer(self) -> bool:
         """Whether what is read has the unit cell of a Bayer phase."""
-        return not self.is_stacked and self.cell in [PATTERNS[phase] for phase in BAYER]
+        return not self.is_stacked and self.cell in BAYER.values()
 
     @property
     def curves(self) -> Curves | None:

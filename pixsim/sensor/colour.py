@@ -64,7 +64,7 @@ class Layout:
         return STACK_MARK.join(self.cell[0]) if self.is_stacked else ROW_MARK.join(self.cell)
 
     @property
-    def channels(self) -> str:
+    def channels(self) -> tuple[str, ...]:
         """The letters: R, G and B first, then the others in their order of appearance."""
         return channels_of(self.cell)
 
@@ -138,7 +138,7 @@ def _curves(colour: ColourOptions) -> Curves:
 
 
 @lru_cache
-def _of_camera(name: str, letters: str) -> Curves:
+def _of_camera(name: str, letters: tuple[str, ...]) -> Curves:
     nm, values = camera_sensitivities(name)
     if missing := [letter for letter in letters if letter not in "RGB"]:
         hint = "Give their responses by a CSV file with a column for each letter."

@@ -26,10 +26,10 @@ from scipy.ndimage import correlate, correlate1d
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import did_you_mean, invalid
+from pixsim.base.parameters import BAYER, channels_of
 from pixsim.viewer.display import SPLINE_DEGREE, average_axis
 
 Method = Literal["bilinear", "malvar2004", "menon2007", "interpolate"]
-BAYER = {"rggb": ("RG", "GB"), "grbg": ("GR", "BG"), "gbrg": ("GB", "RG"), "bggr": ("BG", "GR")}
 MAX_VALUE = 1e300  # sums of these do not overflow
 MAX_CELL = 16  # pixels along a side of the unit cell
 MENON_REACH = 8  # pixels: 4 that decide on the direction, 2 for green and for red or blue, 2 of the refinement
@@ -135,13 +135,6 @@ def unit_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
     if others:
         raise invalid("pattern", f"{list(cell)} with {', '.join(map(repr, others))}", allowed)
     return cell
-
-
-@checks_arguments
-def channels_of(cell: Sequence[str]) -> tuple[str, ...]:
-    """Return the letters of the channels of a unit cell, in the order of `demosaic`."""
-    letters = dict.fromkeys("".join(cell))
-    return (*(letter for letter in "RGB" if letter in letters), *(letter for letter in letters if letter not in "RGB"))
 
 
 @checks_arguments

@@ -22,7 +22,7 @@ from scipy.ndimage import maximum_filter
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.parameters import Camera, Develop, Display
+from pixsim.base.parameters import BAYER, Camera, Develop, Display
 from pixsim.light.spectral import SpectralImage, colour_matching, d65
 from pixsim.light.standard import CHROMATIC_PATCHES, patch_reflectance
 from pixsim.optics.thin_lens import irradiance_factor
@@ -207,8 +207,7 @@ def balance(develop: Develop, layout: Layout, white_e: Array) -> Array:
 
 def demosaic_method(develop: Develop, layout: Layout) -> Any:
     """Return the method of interpolation for a layout."""
-    bayer = sorted("".join(layout.cell)) == sorted("RGGB") and layout.cell[0][0] != layout.cell[-1][0]
-    return develop.demosaic or ("bilinear" if bayer and len(layout.cell) == 2 else "interpolate")
+    return develop.demosaic or ("bilinear" if layout.cell in BAYER.values() else "interpolate")
 
 
 @checks_arguments

@@ -10,7 +10,8 @@ import pytest
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.viewer.demosaic import BAYER, channels_of, demosaic, demosaic_covariance, unit_cell
+from pixsim.base.parameters import BAYER, channels_of
+from pixsim.viewer.demosaic import demosaic, demosaic_covariance, unit_cell
 from pixsim.viewer.display import average_axis
 
 DATA = Path(__file__).parents[1] / "data" / "demosaic" / "padded.npz"
