@@ -97,7 +97,7 @@ def survey(
     progress("parse and render")
     start = time.perf_counter()
     scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
-    camera = scene.camera(settings.camera)
+    camera = scene.camera(settings.camera, settings.lens)
     if settings.resolution:
         scene = scene.with_resolution(settings.resolution)
     plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, tolerance_e=settings.tolerance_e)

@@ -132,6 +132,9 @@ def settings_layer(path: Path) -> Layer:
     camera = table.get("camera")
     if isinstance(camera, dict) and "chief_ray_angle" in camera:
         table = {**table, "camera": camera | {"chief_ray_angle": resolve_file(path, camera["chief_ray_angle"])}}
+    lens = table.get("lens")
+    if isinstance(lens, dict) and "file" in lens:
+        table = {**table, "lens": lens | {"file": resolve_file(path, lens["file"])}}
     scene = table.get("scene")
     if isinstance(scene, dict) and "chart" in scene:
         table = {**table, "scene": scene | {"chart": resolve_file(path, scene["chart"])}}
@@ -351,7 +354,7 @@ FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
     ("camera", "chief_ray_angle"): as_chief_ray_angles,
     **{("pixel", "colour", name): as_curves for name, as_curves in AS_CURVES.items()},
 }
-FILES = (("scene", "file"), ("scene", "parameters", "chart"), ("pixel", "technology"), *FILES_OF_VALUES)
+FILES = (("scene", "file"), ("lens", "file"), ("scene", "parameters", "chart"), ("pixel", "technology"), *FILES_OF_VALUES)
 SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`
 
 
@@ -374,6 +377,8 @@ def settings_text(record: Record, command: str, uncertainty: Uncertainty | None 
         table["axis"] = [_without_files_of_axis(axis) for axis in table["axis"]]
     for condition in table.get("condition", ()):
         condition["set"] = _without_files(condition["set"])
+    if "file" in table.get("lens", {}):
+        table["lens"]["file"] = whole_path(table["lens"]["file"])
     if "technologies" in table:
         table["technologies"] = [whole_path(name) for name in table["technologies"]]
     for by_name in ("process", "sensors"):

@@ -51,7 +51,8 @@ else:
 # Documented in the reference; the other names are internal.
 __all__ = [
     "Axis", "AxisValue", "Camera", "CameraOptions", "ColourOptions", "Condition", "Correction", "DarkCurrent", "Develop", "Display",
-    "Effort", "Exposure", "PitchRange", "Pixel", "PixelOptions", "Run", "StackOptions", "Study", "StudyScene", "pixel_of",
+    "Effort", "Exposure", "LensOptions", "PitchRange", "Pixel", "PixelOptions", "Run", "StackOptions", "Study", "StudyScene",
+    "pixel_of",
 ]  # fmt: skip
 
 
@@ -1087,8 +1088,55 @@ FASTEST_WORKING_F_NUMBER = 0.5
 CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
 
 
+class LensOptions(Record):
+    """A real lens, traced from its prescription, in place of the thin lens of the camera."""
+
+    file: str | None = Field(
+        None,
+        description="prescription: a .toml or .zmx file, or the name of a packaged lens, as phone (absent: an ideal thin lens)",
+    )
+    focal_length_mm: FocalLength | None = Field(
+        None, description="focal length to which the whole lens is scaled (absent: its largest field reaches the corner of the die)"
+    )
+    refocus: Literal["paraxial", "axis", "field"] = Field(
+        "axis",
+        description="focus on the object: 'paraxial'; 'axis', least rms wavefront there; 'field', least on average over the die",
+    )
+    ideal: Literal["distorted", "undistorted"] = Field(
+        "distorted", description="ideal image: 'distorted' as the lens does at one wavelength, or 'undistorted'"
+    )
+
+    @model_serializer(mode="wrap")
+    def _nothing_without_file(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a real lens settings are written, and hashed, as if there were no such table."""
+        return {} if self.file is None else dict(handler(self))
+
+    @model_validator(mode="after")
+    def _has_a_file(self) -> Self:
+        if self.file is None and (given := [name for name in LensOptions.model_fields if name in self.model_fields_set - {"file"}]):
+            raise ValueError(f"{', '.join(given)} without file; allowed: with the lens's prescription in lens.file")
+        return self
+
+
+class TracedLens(LensOptions):
+    """The real lens of a camera: the file is scaled to the focal length and stopped down.
+
+    f_number : as engraved: focal length over entrance pupil
+    field_mm : half diagonal of the die, for refocus = "field"
+    content : hash of the file
+    """
+
+    file: str
+    focal_length_mm: FocalLength
+    f_number: FNumber
+    field_mm: Annotated[float, Field(gt=0)]
+    content: str
+
+
 class Camera(Record):
     """A thin lens in air and the die behind it, focused on a plane.
+
+    With a real `lens`, the thin lens has its paraxial image distance, its numerical aperture on the axis, and its chief rays.
 
     With u the object distance: magnification m = f/(u - f), image distance v = f(1 + m), aperture radius f/2N.
 
@@ -1110,6 +1158,13 @@ class Camera(Record):
         description="CSV file of image_height_mm, deg and perhaps relative_illumination: directions of the light on pixels with a "
         "stack, and the fall-off in place of the thin lens's if that column is there (absent: those of the thin lens)",
     )
+    lens: TracedLens | None = Field(None, description="real lens, from `Scene.camera` with `LensOptions` (absent: a thin lens)")
+
+    @model_serializer(mode="wrap")
+    def _without_absent_lens(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A camera without a real lens is written, and hashed, as if there were none."""
+        table: dict[str, Any] = handler(self)
+        return {name: value for name, value in table.items() if name != "lens" or value is not None}
 
     @model_validator(mode="after")
     def _forms_an_image(self) -> Self:
@@ -1208,6 +1263,17 @@ class Camera(Record):
         return len(tables) == 1 and self.model_copy(update={"chief_ray_angle": other.chief_ray_angle}) == other
 
     @property
+    def options(self) -> CameraOptions:
+        """The options that make this camera again; with a real lens, beside its `LensOptions`."""
+        of_lens = {"lens", "focal_length_mm", "chief_ray_angle"} if self.lens else {"lens"}
+        return CameraOptions(**self.model_dump(exclude=of_lens) | ({"f_number": self.lens.f_number} if self.lens else {}))
+
+    @property
+    def lens_options(self) -> LensOptions:
+        """The options of its real lens, if it has one."""
+        return LensOptions(**self.lens.model_dump(include=set(LensOptions.model_fields))) if self.lens else LensOptions()
+
+    @property
     def fov_deg(self) -> float:
         """Full horizontal field of view."""
         return math.degrees(2 * math.atan(self.die_mm / (2 * self.image_distance_mm)))
@@ -1290,6 +1356,10 @@ class CameraOptions(Record):
         """
         if self.pixels is not None and self.die_mm is None:
             raise invalid("camera.pixels", list(self.pixels), "pixels together with pixel.pitch_um, or die_mm and die_height_mm")
+        fixed = ("focal_length_mm", "f_number", "object_distance_m", "chief_ray_angle") if camera.lens else ()
+        if changed := [name for name in fixed if getattr(self, name) is not None]:
+            got = f"camera.{changed[0]} for light that came through the lens '{camera.lens.file if camera.lens else ''}'"
+            raise invalid("camera", got, "the lens of that light", "Render the scene with the other lens.")
         return Camera(**camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"}))
 
     @checks_arguments
@@ -1847,6 +1917,7 @@ class Study(Effort):
     )
     scene: StudyScene = Field(StudyScene(), description="scene of the study")
     camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
+    lens: LensOptions = Field(LensOptions(), description="real lens in place of the camera's thin one")
     pixel: PixelOptions = Field(PixelOptions(), description="pixel, without technology and pitch")
     exposure: Exposure = Field(Exposure(), description="exposure of every frame")
     correction: Correction = Field(Correction(), description="correction of every frame by the camera")
@@ -2005,6 +2076,7 @@ class Run(Effort):
         default_factory=dict, description="values of the scene's <default> parameters, as -D sets them"
     )
     camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
+    lens: LensOptions = Field(LensOptions(), description="real lens in place of the camera's thin one")
     pixel: Pixel = Field(Pixel(), description="pixel of the sensor")
     exposure: Exposure = Field(Exposure(), description="exposure of the frame")
     correction: Correction = Field(Correction(), description="correction of the frame by the camera")

@@ -170,7 +170,7 @@ def plan(
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
-    camera = loaded.camera(chosen.camera)
+    camera = loaded.camera(chosen.camera, chosen.lens)
     if chosen.resolution:
         loaded = loaded.with_resolution(chosen.resolution)
     render_options: dict[str, Any] = {"exposure": chosen.exposure, "display": chosen.display}

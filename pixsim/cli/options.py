@@ -28,6 +28,7 @@ from pixsim.base.parameters import (
     Display,
     Exposure,
     Layer,
+    LensOptions,
     PitchRange,
     Pixel,
     Record,
@@ -125,7 +126,7 @@ def choices_of(annotation: Any) -> tuple[str, ...]:
     return tuple(choice for inner in get_args(annotation) if get_origin(inner) for choice in choices_of(inner))
 
 
-def field_option(record: type[Record], name: str, **more: Any) -> Parameter:
+def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
     """How the help and the completion show an option that is text, and that a field of a record validates."""
     info = record.model_fields[name]
     default: Any = None if info.is_required() else info.default
@@ -177,6 +178,9 @@ complete_technology = packaged_or_files(lambda: packaged("data/technologies"), "
 complete_sensor = packaged_or_files(lambda: [*packaged("data/technologies"), NO_TECHNOLOGY], ".toml")
 
 
+complete_lens = packaged_or_files(lambda: packaged("data/lenses"), ".toml", ".zmx")
+
+
 Config = Annotated[list[Path] | None, Parameter(help="TOML file with tables [camera], [pixel], …; later files take precedence.")]
 Define = Annotated[
     list[str] | None,
@@ -215,6 +219,8 @@ def option_table(record: type[Record], name: str, inside: str = "") -> Any:
             fields.append((key, option_table(records[0], key.replace("_", "-"), name), field(default=None)))
             continue
         more = {"completer": complete_sensor, "metavar": "NAME|FILE"} if key == "technology" else {}
+        if record is LensOptions and key == "file":
+            more = {"name": ("--lens.file", "--lens"), "completer": complete_lens, "metavar": "NAME|FILE"}
         how = field_option(record, key, allow_leading_hyphen=True, **more)
         fields.append((key, Annotated[str | None, how], field(default=None)))
     table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
@@ -224,6 +230,7 @@ def option_table(record: type[Record], name: str, inside: str = "") -> Any:
 
 if TYPE_CHECKING:
     CameraTable: TypeAlias = Any
+    LensTable: TypeAlias = Any
     PixelTable: TypeAlias = Any
     ExposureTable: TypeAlias = Any
     CorrectionTable: TypeAlias = Any
@@ -232,6 +239,7 @@ if TYPE_CHECKING:
     PitchTable: TypeAlias = Any
 else:
     CameraTable = option_table(CameraOptions, "camera")
+    LensTable = option_table(LensOptions, "lens")
     PixelTable = option_table(Pixel, "pixel")
     ExposureTable = option_table(Exposure, "exposure")
     CorrectionTable = option_table(Correction, "correction")
@@ -249,6 +257,7 @@ class SceneOptions:
     define: Define = None
     linear: Linear = False
     camera: CameraTable = None
+    lens: LensTable = None
     pixel: PixelTable = None
     exposure: ExposureTable = None
     correction: CorrectionTable = None

@@ -14,7 +14,7 @@ from pixsim.base.units import unit_of
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110
-# Plausible values for fields without a default.
+# Plausible values for fields without a default, by name or by table and name.
 EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "name": "my-study", "streams": "chen2000", "title": "How small should my pixel be?",
     "technologies": ["0.35um", "4t-bsi"], "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
@@ -33,7 +33,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "colour": {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5},
     "demosaic": "bilinear",
     "quantum_efficiency_includes": "microlens", "quantum_efficiency_f_number": 8.0, "quantum_efficiency_pitch_um": 1.4,
-    "white_cd_per_m2": 1000.0,
+    "white_cd_per_m2": 1000.0, "lens.file": "phone",
     "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],
     "sensors": {"my_sensor.toml": {"pitch_um": 3.75, "technology": "4t-bsi"}},
     "sources": {"pixel.bits": "data sheet, page 3"}, "quick": {"repeats": 4},
@@ -127,8 +127,9 @@ def _fields(properties: dict[str, Any], shown: tuple[str, ...], table: str) -> I
         unit = unit_of(name) and f"in {unit_of(name)}"
         comment = "; ".join(filter(None, [field.get("description", ""), unit, allowed(field), default]))
         yield from textwrap.wrap(comment, WIDTH, initial_indent="## ", subsequent_indent="##   ")
-        if name in EXAMPLES and (is_set or optional or value is ...):
-            value = EXAMPLES[name]
+        example = EXAMPLES.get(table + name, EXAMPLES.get(name))
+        if example is not None and (is_set or optional or value is ...):
+            value = example
         yield ("" if is_set else "# ") + f"{name} = {toml_value(value)}"
 
 

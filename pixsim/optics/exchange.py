@@ -20,11 +20,12 @@ from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import replacing
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, CameraOptions, Layer
+from pixsim.base.parameters import Camera, CameraOptions, Layer, LensOptions
 from pixsim.base.version import VERSION
 from pixsim.light import foreign
 from pixsim.light.exr import read_exr, read_header
 from pixsim.light.spectral import MAX_VALUE, SpectralImage
+from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.optics.camera_light import camera_factor
 
 ALLOWED_NM = (300.0, 1200.0)  # where glass transmits and silicon responds
@@ -64,15 +65,20 @@ def read_irradiance(
 
 
 def read_with_camera(
-    path: str | os.PathLike[str], options: CameraOptions, units: str | None = None
+    path: str | os.PathLike[str], options: CameraOptions, units: str | None = None, lens: LensOptions | None = None
 ) -> tuple[SpectralImage, Camera]:
     """Read irradiance as `read_irradiance` does, and its camera: the file's metadata, overridden by the options.
 
-    A file from pixsim states its camera. Another file may state its pitch, and so the width of the die.
+    A file from pixsim states its camera and its real lens. Another file may state its pitch, and so the width of the die; light on
+    the sensor has the distortion and the fall-off that it has, and gets the blur of a real lens.
     """
+    lens = lens or LensOptions()
     path = Path(path)
     if path.suffix.lower() == ".exr" and "pixsim" in read_header(path):
         image = _read_pixsim_exr(path, None, units, None)
+        if lens.file is not None:
+            got = f"'{lens.file}' for light of '{path}', which came through its own"
+            raise invalid("lens.file", got, "the lens of that light", "Render the scene with this lens.")
         camera_metadata = image.header.get("camera") or {}
         die = {"die_mm": image.pitch_um * image.shape[1] / 1e3} if options.die_mm is None else {}
         camera = options.over(checked(Camera, [Layer({**camera_metadata, **die}, f"camera in '{path}'")]))
@@ -81,7 +87,7 @@ def read_with_camera(
     cube = foreign.read_cube(path)
     pitch_known = cube.pitch_um is not None and options.die_mm is None
     die_mm = _positive(path, "pitch_um", cube.pitch_um) * cube.data.shape[1] / 1e3 if pitch_known else Camera().die_mm
-    camera = options.over(checked(Camera, [Layer({"die_mm": die_mm}, f"'{path}'")]))
+    camera = camera_with_lens(options.over(checked(Camera, [Layer({"die_mm": die_mm}, f"'{path}'")])), options, lens)
     return _from_cube(path, cube, camera, units, None), camera
 
 

@@ -28,15 +28,17 @@ OUTLINE_ANGLES = 181  # from 0 to π; a corner of a vignetted pupil is rounded o
 DEGREE = 12  # of the polynomial; 5e-4 waves are left of the phone lens
 WINDOW = 1.5  # sides of a PSF: in the window it is computed in, light from beyond folds back
 SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
+MOST_SAMPLES = 320  # of a pupil: a PSF with more takes too long
 MAX_WINDOW = 4096  # film cells
-TRIED = (0.3, 0.6, 0.8, 1.0)  # of the way to the corner and to the sides of a picture, where the error of tiles is tried
+TRIED = ((0.6, 0.6), (1.0, 1.0), (1.0, 0.0))  # of the way to the corner of a picture, where the error of tiles is tried
 
 
 @dataclass(frozen=True)
 class PupilRays:
     """Rays of one wavelength to an image point, in the frame of its field: axis 0 sagittal, axis 1 away from the optical axis.
 
-    cosines : (rays, 2) direction cosines over the whole stop, up to its rim, also of rays that an aperture clips
+    cosines : (rays, 2) direction cosines over the stop, up to its rim, also of rays that an aperture clips; half of it will do,
+        since the other half is mirrored
     opd_waves : (rays,) against the reference sphere around the chief ray's image point, in waves: the PSF is that of the pupil
         function exp(-2πi W), and light is deflected by λ ∂W/∂(direction cosine)
     outline : (points, 2) direction cosines around the rays that pass, in the order of their angle
@@ -106,7 +108,8 @@ def fit_wavefronts(wavelength_nm: float, height_um: Array, wavefronts: Sequence[
             got = f"{np.isfinite(front.opd_waves).sum()} rays at {height:g} µm from the axis"
             raise invalid("wavefront", got, f"at least {2 * len(exponents)} finite rays over the stop")
         low, high = front.cosines.min(axis=0), front.cosines.max(axis=0)
-        half, middle = (high - low) / 2, np.array([0.0, (high[1] + low[1]) / 2])
+        half = np.array([max(high[0], -low[0]), (high[1] - low[1]) / 2])
+        middle = np.array([0.0, (high[1] + low[1]) / 2])
         u, v = ((front.cosines - middle) / half).T
         terms = u[:, None] ** exponents[:, 0] * v[:, None] ** exponents[:, 1]
         coefficients = np.linalg.lstsq(terms, front.opd_waves, rcond=None)[0]
@@ -229,6 +232,16 @@ def even_window(light: Light, x_um: float, y_um: float, pitch_um: float, cells: 
         got = f"{window * pitch_um:.4g} µm of {window} film cells"
         raise invalid("PSF window", got, f"at most {MAX_WINDOW} cells", "Take a coarser film or a smaller f-number.")
     return window
+
+
+def most_cells(light: Light, pitch_um: float) -> int:
+    """Return the odd number of film cells along a side of the largest PSF whose pupil has `MOST_SAMPLES` across; 0 for none.
+
+    On a film so coarse that it is 0, a PSF falls on one cell.
+    """
+    cutoff = max(2 * float(front.numbers[:, :2].max()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
+    cells = int(MOST_SAMPLES / (WINDOW * pitch_um * cutoff))
+    return cells - (cells + 1) % 2 if cells >= 3 else 0
 
 
 def periodic_psf(light: Light, x_um: float, y_um: float, pitch_um: float, window: int) -> Array:
@@ -450,47 +463,64 @@ def field_blur(light: Light, shape: tuple[int, int], pitch_um: float, spacing: i
     return FieldBlur(wide, pitch_um, spacing, tile_psfs(light, pitch_um, spacing, cells, tiles_alike(wide, spacing)))
 
 
-def picture_error(approximate: NDArray[np.complex128], exact: NDArray[np.complex128], pitch_um: float, aperture_um: float) -> float:
+def picture_error(
+    approximate: NDArray[np.complex128], exact: NDArray[np.complex128], pitch_um: float, aperture_um: float, slope: float = 0.0
+) -> float:
     """Return a bound for the rms error of a blurred picture relative to its rms about the mean, from two transforms of a window.
 
-    It holds for every picture whose power spectrum does not rise with the frequency: that is a mixture of spectra which are even
-    up to some frequency, so the largest ratio of these is the bound. White noise and random dots are among them.
+    It holds for every picture whose power spectrum falls with the frequency f at least as f^-slope: such a spectrum is a mixture of
+    those that fall so up to some frequency and end there, and the largest ratio of these is the bound.
 
     approximate, exact : (window, window // 2 + 1), as `rfft2` orders them
     aperture_um : side of the square photodiodes or dots that average the picture
+    slope : 0 for white noise and random dots, 2 for edges, charts and natural scenes
     """
     window = len(exact)
     fy, fx = np.fft.fftfreq(window, pitch_um)[:, None], np.fft.rfftfreq(window, pitch_um)
     box = np.sinc(fy * aperture_um) * np.sinc(fx * aperture_um)
     weight = np.where((np.arange(exact.shape[1]) == 0) | (np.arange(exact.shape[1]) == window / 2), 1.0, 2.0) * box**2
-    order = np.argsort(np.hypot(fy, fx), axis=None, kind="stable")[1:]  # without frequency 0
+    frequency = np.hypot(fy, fx)
+    weight /= np.maximum(frequency, 1 / (window * pitch_um)) ** slope
+    order = np.argsort(frequency, axis=None, kind="stable")[1:]  # without frequency 0
     error, power = (np.cumsum((np.abs(values) ** 2 * weight).ravel()[order]) for values in (approximate - exact, exact))
     return float(np.sqrt((error / power).max()))
 
 
-def tile_error(light: Light, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int, aperture_um: float) -> float:
+def lone_psf_error(
+    light: Light, x_um: float, y_um: float, pitch_um: float, cells: int, aperture_um: float, slope: float = 0.0
+) -> float:
+    """Return `picture_error` of a PSF that is cut off, with its veil, at an image point."""
+    psf = point_spread(light, x_um, y_um, pitch_um, cells)
+    return _error_of(light, x_um, y_um, pitch_um, [psf], aperture_um, slope)
+
+
+def _error_of(
+    light: Light, x_um: float, y_um: float, pitch_um: float, psfs: Sequence[Psf], aperture_um: float, slope: float
+) -> float:
+    """Return `picture_error` of the mean of PSFs in place of that of an image point."""
+    cells = len(psfs[0].kernel)
+    window = even_window(light, x_um, y_um, pitch_um, cells)
+    exact = rfft2(periodic_psf(light, x_um, y_um, pitch_um, window))
+    wide = np.zeros((window, window))
+    wide[:cells, :cells] = np.mean([psf.kernel for psf in psfs], axis=0)
+    frequency = np.hypot(np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3))
+    veil = float(np.mean([psf.lacking for psf in psfs])) * veil_mtf(frequency, beyond_um(cells, pitch_um))
+    transform = rfft2(np.roll(wide, (-(cells // 2), -(cells // 2)), axis=(0, 1))) + veil
+    return picture_error(transform, exact, pitch_um, aperture_um, slope)
+
+
+def tile_error(
+    light: Light, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int, aperture_um: float, slope: float = 0.0
+) -> float:
     """Return `picture_error` of tiles where it is largest: a point amid four tiles has the mean of their PSFs, cut off.
 
-    Points from the axis to the corner of a picture (H, W), and to the middle of its sides, are tried.
+    Points on the way to the corner of a picture (H, W), in it, and at the middle of its longer side are tried.
     """
-    half = [n / 2 / spacing for n in shape]
-    tried = {
-        (max(0, math.floor(part * half[1] * x - 0.5)), max(0, math.floor(part * half[0] * y - 0.5)))
-        for part in TRIED
-        for x, y in ((1, 1), (1, 0), (0, 1))
-    }
+    half = [n / 2 / spacing for n in sorted(shape)]
+    places = {tuple(max(0, math.floor(part * n - 0.5)) for part, n in zip(way, half[::-1], strict=True)) for way in TRIED}
     worst = 0.0
-    for x, y in sorted(tried):
+    for x, y in sorted(places):
+        around = tile_psfs(light, pitch_um, spacing, cells, [(x + i, y + j) for i in (0, 1) for j in (0, 1)])
         middle_um = (x + 0.5) * spacing * pitch_um, (y + 0.5) * spacing * pitch_um
-        window = even_window(light, *middle_um, pitch_um, cells)
-        exact = rfft2(periodic_psf(light, *middle_um, pitch_um, window))
-        around = tile_psfs(light, pitch_um, spacing, cells, [(x + i, y + j) for i in (0, 1) for j in (0, 1)]).values()
-        kernel = sum(psf.kernel for psf in around) / 4
-        lacking = sum(psf.lacking for psf in around) / 4
-        wide = np.zeros((window, window))
-        wide[:cells, :cells] = kernel
-        frequency = np.hypot(np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3))
-        veil = lacking * veil_mtf(frequency, beyond_um(cells, pitch_um))
-        transform = rfft2(np.roll(wide, (-(cells // 2), -(cells // 2)), axis=(0, 1))) + veil
-        worst = max(worst, picture_error(transform, exact, pitch_um, aperture_um))
+        worst = max(worst, _error_of(light, *middle_um, pitch_um, list(around.values()), aperture_um, slope))
     return worst

@@ -17,7 +17,7 @@ import numpy as np
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
 from pixsim.base.machine import processors
-from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, CameraOptions, Condition, Record, Run, paths_of
+from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, paths_of
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.settings import LightLevel, record_rows, scene_rows
 from pixsim.scene.charts import MAX_LP_PER_MM
@@ -322,10 +322,9 @@ def settings_files(prepared: Prepared) -> dict[str, str]:
         return texts | {file: settings_text(own, f"(in the folder above) {command}", **_all_but_sensor(own)) for file, own in owns}
     scene = scene_table(prepared.sensors[0].scene.path.parent, prepared.settings.scene)
     shared = prepared.settings.model_copy(update={"scene": scene, "window_mm": None})
-    texts = {SETTINGS_FILE: settings_text(shared, command, camera={}, pixel={}, exposure={})}
+    texts = {SETTINGS_FILE: settings_text(shared, command, camera={}, lens={}, pixel={}, exposure={})}
     for file, sensor in zip(files, prepared.sensors, strict=True):
-        camera = CameraOptions.model_validate(sensor.camera.model_dump())
-        own = prepared.settings.model_copy(update={"camera": camera, "pixel": sensor.pixel, "exposure": sensor.exposure})
+        own = prepared.settings.model_copy(update=sensor.own)
         texts[file] = settings_text(own, f"(in the folder above) {command}", **_all_but_sensor(own))
     return texts
 

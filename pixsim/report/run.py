@@ -18,7 +18,7 @@ from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
 from pixsim.base.errors import invalid
 from pixsim.base.files import PROVENANCE, check_replaceable, digest_of, output_folder, publishing, write_json
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Correction, Develop, Display, Exposure, Record, Run
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Correction, Develop, Display, Exposure, Record, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
@@ -295,13 +295,13 @@ def prepared_run(
     from pixsim.studies.preparation import View, choose_view
 
     scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
-    whole = scene.camera(settings.camera)
+    whole = scene.camera(settings.camera, settings.lens)
     camera, pitch_um = whole.window(settings.window_mm), settings.pixel.pitch_um
     sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if sheet else View()
     check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
     dot_edges_um(camera.die_um, pitch_um, settings.display, pitch_um)
-    chosen = {"camera": CameraOptions.model_validate(whole.model_dump()), "display": view.display(settings.display)}
+    chosen = {"camera": whole.options, "display": view.display(settings.display)}
     scene = scene.with_resolution(settings.resolution) if settings.resolution else scene
     return view.scene(scene), camera, settings.model_copy(update=chosen | {"scene": view.parameters(settings.scene)}), view
 
@@ -357,11 +357,11 @@ def light_of_picture(source: str, settings: Run, units: str | None) -> Light:
     from pixsim.optics.exchange import read_with_camera
     from pixsim.studies.preparation import View, choose_view
 
-    image, camera = read_with_camera(source, settings.camera, units)
+    image, camera = read_with_camera(source, settings.camera, units, settings.lens)
     pixels_along(camera.die_um[1], settings.pixel.pitch_um)
     sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(settings.pixel.pitch_um, camera, settings.display, None) if sheet else View()
-    chosen = {"camera": CameraOptions.model_validate(camera.model_dump()), "display": view.display(settings.display)}
+    chosen = {"camera": camera.options, "display": view.display(settings.display)}
     return Light(image, camera, str(Path(source).resolve()), settings.model_copy(update=chosen), {"chosen": view.as_dict()})
 
 

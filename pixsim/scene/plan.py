@@ -14,6 +14,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import colour_matching, photons_per_joule, photopic_efficiency
+from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.scene import bands as spectral_bands, film, rules
@@ -21,6 +22,7 @@ from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.mitsuba import nodes_of
+from pixsim.scene.real_lens import decide_real_lens, real_lens_warnings
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
@@ -69,6 +71,7 @@ class Plan:
     sampler : plugin of Mitsuba
     given_spp : whether an option sets `spp`
     full : whether nothing may be left out
+    tiling : of the blur of a real lens; None for a thin lens, and where a thin lens takes its place
     """
 
     lights: tuple[Light, ...]
@@ -90,6 +93,12 @@ class Plan:
     given_spp: bool = False
     exact: bool = False
     full: bool = False
+    tiling: Tiling | None = None
+
+    @checks_arguments
+    def camera_of(self, camera: Camera) -> Camera:
+        """Return the camera of the render: without its real lens where the plan leaves that out."""
+        return without_lens(camera) if self.tiling is None else camera
 
     @property
     def passes(self) -> int:
@@ -184,9 +193,12 @@ def make_render_plan(
         raise invalid("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1, a relative error of mean electrons")
     pixels = [pixel] if isinstance(pixel, Pixel) else pixel or []
     camera = camera or scene.camera()
-    state = scene.for_camera(camera)
+    tiling, real_lens = decide_real_lens(scene, camera, pixels[0] if pixels else None, tolerance_e, full)
+    whole, camera = camera, camera if tiling else without_lens(camera)
+    seen = rendered_camera(camera)
+    state = scene.for_camera(seen)
     sensor = sensor_node(state, scene.sensor_id)[1]
-    height, width = (max(1, side) for side in scene.film_shape(camera, state))  # the renderer checks the size
+    height, width = (max(1, side) for side in scene.film_shape(seen, state))  # the renderer checks the size
     bodies = find_bodies(state, sensor)
     lamps = checked_lamps(find_lamps(state, scene.choice.variant))
     surfaces = find_surfaces(state, scene.choice.variant)
@@ -197,17 +209,17 @@ def make_render_plan(
         lamps, surfaces, met, _witnesses(pixels), tolerance_e, full, band_count, any(one.colour for one in pixels)
     )
     by_index, tables = rules.decide_tables(state, full)
-    lens, focus = rules.decide_lens(state, camera, bodies, width / height, pixels[0] if pixels else None, tolerance_e, full)
+    lens, focus = rules.decide_lens(state, seen, bodies, width / height, pixels[0] if pixels else None, tolerance_e, full)
     # An unfocused chart differs from its picture, and the lens needs samples too.
-    chart = rules.lone_chart(state, camera, bodies, (height, width)) if lens == "perspective" else None
+    chart = rules.lone_chart(state, seen, bodies, (height, width)) if lens == "perspective" else None
     scene_spp = sample_count(state, sensor)
     passes = sum(len(light.fit.passes) for light in lights)
     explicit = "spp" in scene.parameters
     finer = (width / max(1, film_size(state, sensor)[1])) ** 2
     spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit, finer)
-    diffraction = rules.decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full)
+    diffraction = rules.decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full or tiling is not None)
     bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
-    warnings = []
+    warnings = real_lens_warnings(whole, tiling, focus, tolerance_e)
     if surfaces.short:
         ranges = ", ".join(surfaces.short)
         warnings.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
@@ -227,13 +239,14 @@ def make_render_plan(
         given_spp=explicit,
         diffraction=diffraction.kept,
         regular_tables=by_index,
-        decisions=(*spectral, tables, bounces, focus, samples, diffraction),
+        decisions=(*spectral, tables, bounces, focus, samples, diffraction, *real_lens),
         full_passes=full_passes,
         full_spp=scene_spp,
         chart=chart,
         tolerance_e=tolerance_e,
         warnings=tuple(warnings),
         full=full,
+        tiling=tiling,
     )
     return _without_samples(plan) if exact and not full else plan
 
@@ -389,7 +402,7 @@ def decide_oversampling(
     A scene without detail takes a coarser film than the XML's. Every other film has at least two samples for each detail that
     matters on the display, within its limits, if the display is given; the XML's film is the least.
     """
-    height, width = (max(1, side) for side in scene.film_shape(camera, scene.for_camera(camera)))
+    height, width = (max(1, side) for side in scene.film_shape(camera, scene.for_camera(rendered_camera(camera))))
     uniform, free = plan.chart is not None and plan.chart.uniform, scene.resolution is None
     given = not free or "resolution" in scene.parameters
     # Error of taking the fall-off at the middle of a sample for its mean: it grows as the width squared, so halve the samples.

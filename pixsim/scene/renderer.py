@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -18,6 +19,7 @@ from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import WHOLE, SpectralImage
+from pixsim.optics.camera_lens import LENS_HEADER, Distortion, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Pulse
@@ -149,10 +151,12 @@ class Renderer:
     def __init__(
         self, scene: Scene, camera: Camera, plan: Plan, seed: int, *, keep: bool = False, ends_at_s: float | None = None
     ) -> None:
+        camera = plan.camera_of(camera)
         self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
-        text = scene.text_for_camera(camera)
+        self.seen, self.distortion = rendered_camera(camera), distortion_of(camera)
+        text = scene.text_for_camera(self.seen)
         state = parse_tree(text.text, scene.choice.variant)
-        self.size = scene.film_shape(camera, state)
+        self.size = scene.film_shape(self.seen, state)
         for side in self.size:
             check_resolution(side)
         if not (plan.exact or ALLOWED_SPP[0] <= plan.spp <= ALLOWED_SPP[1]):
@@ -160,7 +164,7 @@ class Renderer:
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
         self.on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
         self.scalar = scene.choice.variant.startswith("scalar")
-        lens: dict[str, Any] = {"type": plan.lens, "fov": camera.fov_deg}
+        lens: dict[str, Any] = {"type": plan.lens, "fov": self.seen.fov_deg}
         if plan.lens == "thinlens":
             lens |= {"aperture_radius": camera.aperture_radius_m, "focus_distance": camera.object_distance_m}
         lamps = tuple(Lamps(light.lamp.pictures, light.lamp.spectrum is not None) for light in plan.lights)
@@ -199,7 +203,15 @@ class Renderer:
                 self.cache.store(index, level, *result)
         elif progress:
             progress(1.0)
-        return result
+        if self.distortion is None:
+            return result
+        return [self._distorted(planes, self.distortion) for planes in result[0]], result[1]
+
+    def _distorted(self, planes: Picture, distortion: Distortion) -> NDArray[np.float32]:
+        """Return pictures (H, W, pulses) as the chief rays of the real lens show them."""
+        widening = self.seen.die_mm / self.camera.die_mm
+        moved = [distortion.applied(planes[:, :, pulse], self.pitch_um, widening) for pulse in range(planes.shape[2])]
+        return np.stack(moved, axis=2).astype(np.float32)
 
     def _rendered(self, index: int, level: int, progress: Progress | None) -> tuple[Pictures, int]:
         """Render each strip of each pass as an average of renders in float64, with consecutive seeds."""
@@ -310,6 +322,8 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
         "diffraction": plan.diffraction,
         "pixsim": VERSION,
     }
+    if plan.tiling is not None:
+        header[LENS_HEADER] = asdict(plan.tiling)
     spectra = [light.lamp.spectrum for light in plan.lights]
     if len(spectra) == 1 and spectra[0] is not None:
         header["lamp_w_per_m2_sr_nm"] = spectra[0].cell_means(plan.bands.edges_nm).tolist()

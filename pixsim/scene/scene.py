@@ -16,7 +16,8 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
-from pixsim.base.parameters import Camera, CameraOptions, content_hash
+from pixsim.base.parameters import Camera, CameraOptions, LensOptions, content_hash
+from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.scene import charts, variant as variants
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, is_neutral, named_files
 from pixsim.scene.film import FILM_ROUNDING
@@ -76,14 +77,14 @@ class Scene:
         return parse_tree(self.text(**more).text, self.choice.variant)
 
     @checks_arguments
-    def camera(self, options: CameraOptions | None = None) -> Camera:
-        """Return the camera of the file, overridden by the options.
+    def camera(self, options: CameraOptions | None = None, lens: LensOptions | None = None) -> Camera:
+        """Return the camera of the file, overridden by the options, with a real lens if `lens` names one.
 
         A Mitsuba scene does not state the die. If its lens is given by numbers, a die option scales the focal length; if the
         lens is given by parameters, the focal length stays and the field of view changes. The die has the shape of the film,
         unless an option gives its height.
 
-        Raises PixsimError if the lens is invalid.
+        Raises PixsimError if the lens is invalid, and as `camera_with_lens` does.
         """
         options = options or CameraOptions()
         fixed = any(name not in self.names or name in self.parameters for name in LENS_PARAMETERS)
@@ -95,7 +96,7 @@ class Scene:
         if options.die_height_mm is None and height != width and height > 0:
             height_mm = (own.die_mm if options.die_mm is None else options.die_mm) * height / width
             options = options.model_copy(update={"die_height_mm": height_mm})
-        return options.over(own)
+        return camera_with_lens(options.over(own), options, lens or LensOptions())
 
     @checks_arguments
     def for_camera(self, camera: Camera) -> Tree:

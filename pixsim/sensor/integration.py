@@ -22,6 +22,7 @@ from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage, photons_per_joule
+from pixsim.optics.camera_lens import Tiling, blur_of, groups_of, tiling_of
 from pixsim.optics.diffraction import diffract_sums
 from pixsim.sensor.collection import (
     Collection,
@@ -189,7 +190,7 @@ def diffracted_rates(irradiance: SpectralImage, camera: Camera, channels: Sequen
 
     There is one convolution per spectrum of a factored image (exact, with the white-light OTF), else one per band, and none
     if the plan left diffraction out. Diffusion of charge between pixels without microlenses is part of it. Negative values from
-    ringing remain; `pixel_signal` clips them after integration.
+    ringing remain; `pixel_signal` clips them after integration. The blur of a real lens varies over the field.
     """
     weights = [electrons_per_joule(physics, irradiance) for physics in channels]
     return diffracted(irradiance, camera, weights, diffusion_of(channels[0]))
@@ -199,6 +200,9 @@ def diffracted(
     irradiance: SpectralImage, camera: Camera, weights: Sequence[Array], blur: Callable[[Array, float], Array] | None
 ) -> list[Array]:
     """Return `diffracted_rates` of any weights, [(B,)] per W m⁻² nm⁻¹, with the further MTF of `diffract_sum`: per µm²."""
+    tiling = tiling_of(irradiance, camera)
+    if tiling is not None:
+        return [_per_um2(real_lens_rate(irradiance, camera, tiling, weight, blur)) for weight in weights]
     f_number: float | None = camera.effective_f_number
     if irradiance.header.get("diffraction") is False:
         if blur is None:
@@ -221,6 +225,35 @@ def diffracted(
 def _per_um2(rate: Array) -> Array:
     rate *= M2_PER_UM2
     return rate
+
+
+def real_lens_rate(
+    irradiance: SpectralImage, camera: Camera, tiling: Tiling, electrons: Array, transfer: Callable[[Array, float], Array] | None
+) -> Array:
+    """Return electrons s⁻¹ m⁻² of photodiode behind a real lens, (H, W).
+
+    There is one blur for each spectrum of a factored image, else for each group of neighbouring bands.
+
+    electrons : (B,) s⁻¹ m⁻² of photodiode per W m⁻² nm⁻¹ in each band, or other weights
+    transfer : MTF of what follows the lens, as for `diffract_sum`
+    """
+    if not tiling.psf_um:  # the film is too coarse to show it
+        return irradiance.weighted(electrons)
+    nm, lights = irradiance.wavelength_nm, []
+    if irradiance.factors and np.all(electrons * irradiance.factors[0] >= 0):
+        for spectrum, picture in zip(*irradiance.factors, strict=True):
+            lights.append((picture.astype(float), electrons * spectrum))
+    else:
+        for bands in groups_of(np.abs(electrons * irradiance.mean_spectrum())):
+            share = bands * np.abs(electrons * irradiance.mean_spectrum())
+            nearest = np.abs(nm - (share * nm).sum() / share.sum()).argmin()  # one band for all of the group
+            lights.append((irradiance.weighted(np.where(bands, electrons, 0.0)), np.eye(nm.size)[nearest]))
+    total = np.zeros(irradiance.shape)
+    for picture, weight in lights:
+        if weight.any():
+            blur = blur_of(camera, irradiance.shape, irradiance.pitch_um, tiling, nm, weight, transfer)
+            total += float(weight.sum()) * blur.blurred(picture)
+    return total
 
 
 def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | None:

@@ -27,6 +27,7 @@ from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Exposure, Layer, Pixel, Run, Study
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera_lens import lens_on_die
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.collection import warn_of_stack_limits
@@ -58,7 +59,7 @@ Match = Literal["view", "lens", "own"]
 CONFIDENCE = 0.95
 SENSORS = (2, 8)  # of a comparison; the page shows each in full
 REPEATS = (2, 10_000)
-OF_A_SENSOR = ("camera", "pixel", "exposure")  # tables that each file has of its own; the others are those of the first
+OF_A_SENSOR = ("camera", "lens", "pixel", "exposure")  # tables that each file has of its own; the others are those of the first
 # Limits by the clock and calibrations differ between sensors: neither their film nor their noise would be the same.
 NOT_COMPARED = {
     "tolerance_delta_e": "the film's error is measured and stated; --repeats and --render-noise make results surer",
@@ -135,8 +136,7 @@ def matched_cameras(cameras: Sequence[Camera], match: Match, window_mm: float | 
     if match == "view":
         seen = [reference, *(_with_view_of(reference, camera) for camera in cameras[1:])]
     elif match == "lens":
-        dies = ({"die_mm": camera.die_mm, "die_height_mm": camera.die_height_mm} for camera in cameras)
-        seen = [reference.model_copy(update=die) for die in dies]  # cropped below to a field that all of them have
+        seen = [lens_on_die(reference, camera) for camera in cameras]  # cropped below to a field that all of them have
     else:
         seen = list(cameras)
     seen[0] = seen[0].window(window_mm)
@@ -147,6 +147,8 @@ def matched_cameras(cameras: Sequence[Camera], match: Match, window_mm: float | 
 
 def _with_view_of(reference: Camera, camera: Camera) -> Camera:
     """Return a camera with the die of `camera` and the field of view of `reference`: 1/f = 1/u + 1/v, with v as the width."""
+    if reference.lens is not None:
+        return lens_on_die(reference, camera, same_view=True)
     v_mm, u_mm = reference.image_distance_mm * camera.die_mm / reference.die_mm, 1e3 * reference.object_distance_m
     lens = {"focal_length_mm": u_mm * v_mm / (u_mm + v_mm)}
     if camera.die_mm == reference.die_mm:  # without rounding
@@ -187,6 +189,11 @@ class Contestant:
     pixel: Pixel
     exposure: Exposure
     scene: Scene
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """Its own settings, as tables of `Run`."""
+        return {"camera": self.camera.options, "lens": self.camera.lens_options, "pixel": self.pixel, "exposure": self.exposure}
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -398,7 +405,7 @@ def _prepare(
         raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
     loaded = load_scene(scene, variant=variant, sensor=sensor, **settings.scene)
     loaded = loaded.with_resolution(settings.resolution) if settings.resolution else loaded
-    whole = _whole_cameras(names, loaded, [run.camera for run in runs])
+    whole = _whole_cameras(names, loaded, runs)
     if settings.window_mm is not None:
         whole[0].window(settings.window_mm)
     cameras = matched_cameras(whole, match, settings.window_mm)
@@ -431,14 +438,18 @@ def _prepare(
     return Prepared(str(scene), settings, match, repeats, tuple(contestants), view, names[finest], border, sensor, variant)
 
 
-def _whole_cameras(names: Sequence[str], scene: Scene, options: Sequence[CameraOptions]) -> list[Camera]:
+def _whole_cameras(names: Sequence[str], scene: Scene, runs: Sequence[Run]) -> list[Camera]:
     """Return each file's own camera. A file without a die, such as a technology's, has that of the first file which states one."""
-    die = next((each.model_dump(include={"die_mm", "die_height_mm"}) for each in options if each.die_mm is not None), None)
+    die = next(
+        (each.model_dump(include={"die_mm", "die_height_mm"}) for each in (run.camera for run in runs) if each.die_mm is not None),
+        None,
+    )
     cameras = []
-    for name, each in zip(names, options, strict=True):
+    for name, run in zip(names, runs, strict=True):
+        each = run.camera
         own = each if die is None or each.die_mm is not None else CameraOptions(**die | each.model_dump(exclude_none=True))
         with named(name):
-            cameras.append(scene.camera(own))
+            cameras.append(scene.camera(own, run.lens))
     return cameras
 
 
@@ -778,8 +789,7 @@ def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Pro
         plan = prepared.plan(sensor, scene)
         for note in plan.warnings:
             warn(note)
-        own = {"camera": CameraOptions(**sensor.camera.model_dump()), "pixel": sensor.pixel, "exposure": sensor.exposure}
-        settings, physics = prepared.settings.model_copy(update=own), derive(sensor.pixel)
+        settings, physics = prepared.settings.model_copy(update=sensor.own), derive(sensor.pixel)
 
         def plan_of(scene: Scene) -> Plan:
             return prepared.plan(sensor, scene)

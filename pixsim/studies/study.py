@@ -253,7 +253,7 @@ def repeated_settings(prepared: Prepared, chosen: Study, image: SpectralImage, a
         "file": file if file in packaged_scenes() else str(scene.path),
         "parameters": scene_table(scene.path.parent, kept.scene.parameters),
     }
-    camera = scene.camera(kept.camera).model_dump(exclude_none=True)
+    camera = scene.camera(kept.camera, kept.lens).options.model_dump(exclude_none=True)
     spreads = spreads_of_study(kept, prepared.uncertainty)
     return settings_text(kept, repeating_command(prepared.variant, asked), spreads, scene=of_scene, camera=camera)
 
@@ -334,7 +334,7 @@ def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] 
         loaded = load_scene(study.scene.file, variant=variant, **parameters)
         known[key] = loaded.with_resolution(study.resolution) if study.resolution else loaded
     scene = known[key]
-    return scene, scene.camera(study.camera).window(study.window_mm)
+    return scene, scene.camera(study.camera, study.lens).window(study.window_mm)
 
 
 @dataclass(frozen=True)

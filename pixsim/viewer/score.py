@@ -17,6 +17,7 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.notes import warn
 from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, check_develop
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera_lens import ideal_light
 from pixsim.sensor.collection import (
     Collection,
     ColourCollection,
@@ -396,6 +397,7 @@ def ideal_on_dots(
     border_um : largest pitch scored on the same dots
     rendition : of a colour sensor
     """
+    irradiance = ideal_light(irradiance, camera)
     size_um, array_um = displays.picture_size_um(irradiance), array_size_um(irradiance, camera)
     edges_um = displays.dot_edges_um(size_um, physics.as_read.read_pitch_um, display, border_um, array_um)
     if rendition is None:

@@ -17,6 +17,7 @@ from pixsim.base.parameters import (
     Pixel,
     Run,
     Study,
+    TracedLens,
     content_hash,
     explain,
     merge,
@@ -65,6 +66,8 @@ def test_content_hash_depends_on_every_field():
     values = Camera(die_height_mm=2.0).model_dump(exclude={"chief_ray_angle"})
     changed = [Camera(**{name: value * 0.99}) for name, value in values.items()]
     changed.append(Camera(chief_ray_angle=[[0, 0], [2, 20]]))
+    lens = TracedLens(file="phone", focal_length_mm=3.86, f_number=4, field_mm=1.9, content="0")
+    changed.append(Camera(lens=lens))
     assert len({camera.content_hash for camera in [Camera(), *changed]}) == 1 + len(Camera.model_fields)
     # Digits below single precision, the order of a list and the kind of a value count as well.
     assert content_hash([1.0, 2.0]) != content_hash([2.0, 1.0])

@@ -178,7 +178,9 @@ def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
         tmp_path / "b.toml", more="[exposure]\nmax_integration_s = 0.01\n[display]\ngamma = 1.0\n[scene]\nspp = 4\n[camera.x]\n"
     )
     b.write_text(b.read_text().replace("[camera.x]\n", ""), encoding="utf-8")
-    with pytest.warns(UserWarning, match=r"b\.toml: only \[camera\], \[pixel\], \[exposure\] are used, not display, scene"):
+    with pytest.warns(
+        UserWarning, match=r"b\.toml: only \[camera\], \[lens\], \[pixel\], \[exposure\] are used, not display, scene"
+    ):
         made = prepared([a, b])
     assert [each.exposure.max_integration_s for each in made.sensors] == [0.1, 0.01]
     assert made.settings.display.gamma == 2.2

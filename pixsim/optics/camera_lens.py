@@ -1,0 +1,468 @@
+"""A real lens in a camera: the thin lens that stands for it on the axis, and its chief rays, distortion and blur over the die.
+
+The camera's thin lens has the real one's paraxial image distance for the object's plane and its numerical aperture on the axis;
+`Camera.chief_ray_angle` has the directions of its chief rays and its fall-off. So whatever knows cameras knows the light of a
+real lens. Distortion and blur follow from the trace: the scene is rendered from the middle of the entrance pupil without
+distortion, on a film as large as the die and its distortion need, and then seen where the chief rays of the primary wavelength
+arrive. Lateral colour is part of the blur.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.parameters import Camera, CameraOptions, LensOptions, TracedLens, content_hash
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.diffraction import white_otf
+from pixsim.optics.field_blur import (
+    FieldBlur,
+    FittedWavefronts,
+    Light,
+    PupilRays,
+    even_window,
+    field_blur,
+    fit_wavefronts,
+    lone_psf_error,
+    most_cells,
+    periodic_psf,
+    picture_error,
+    tile_error,
+)
+from pixsim.optics.lens import Lens, load_lens
+from pixsim.optics.thin_lens import irradiance_factor
+
+ROWS = 129  # of chief rays from the axis to the corner of the die, linear in between: 3e-5 of the fall-off
+CIRCLE_STEP, CIRCLE_STEPS = 0.99, 400  # towards the axis, to the end of the image circle
+BEYOND = 1e-6  # of the corner's height, so that the last row does not end before it
+NODES = 17  # of wavefronts from the axis to the corner
+RINGS, SPOKES = 14, 21  # of rays through half of the stop for each wavefront
+OUTLINE_SPOKES = 180
+GROUPS = 6  # of wavelengths, for a light's blur
+PSF_CELLS = (17, 33, 65, 97, 129)
+TILES = (16, 32, 64)  # across the longer side of the die
+VIEW_STEPS = 4
+SLOPE = 2.0  # of the power spectra of edges, charts and natural scenes
+CUT_SHARE = 0.3  # of the error of tiles, for what a PSF lacks
+TRIED_CELLS = 33  # of a PSF, with which the error of tiles is found
+USUAL_TOLERANCE = 0.01  # of the rms of a blurred picture about its mean
+LENS_HEADER = "lens_blur"  # entry of an image's header: its `Tiling`
+SPLINE = 5  # degree, for the picture between film cells: 3e-4 of the contrast at a third of the Nyquist frequency
+
+
+def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) -> Camera:
+    """Return a camera with a real lens in place of its thin one; the camera itself without a file.
+
+    camera : with the die and the object's distance
+    given : options; a focal length and chief rays are those of the lens, and `f_number` stops it down
+
+    Raises PixsimError for options that contradict the lens, for a lens that cannot be read, and for a plane without real image.
+    """
+    if chosen.file is None:
+        return camera
+    for name, instead in (
+        ("focal_length_mm", "Set lens.focal_length_mm, to which the whole lens is scaled."),
+        ("chief_ray_angle", ""),
+    ):
+        if getattr(given, name) is not None:
+            raise invalid(f"camera.{name}", f"a value beside lens.file = '{chosen.file}'", "that of the lens", instead)
+    file = str(Path(chosen.file).resolve()) if Path(chosen.file).is_file() else chosen.file
+    own = load_lens(file)
+    field_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
+    focal_mm, f_number = own.first_order(own.primary_nm).focal_length_mm, own.first_order(own.primary_nm).f_number
+    if chosen.focal_length_mm is None:
+        farthest_mm = abs(float(own.chief_ray(own.max_field_deg, own.primary_nm).height_mm))
+        scaled_mm = float(f"{focal_mm * field_mm / farthest_mm:.6g}") if farthest_mm else focal_mm
+    else:
+        scaled_mm = chosen.focal_length_mm
+    lens = TracedLens(
+        file=file,
+        focal_length_mm=scaled_mm,
+        refocus=chosen.refocus,
+        ideal=chosen.ideal,
+        f_number=float(f"{f_number:.9g}") if given.f_number is None else given.f_number,
+        field_mm=field_mm,
+        content=content_hash(repr(own)),
+    )
+    traced = traced_lens(lens, camera.object_distance_m)
+    object_mm = 1e3 * camera.object_distance_m
+    image_mm = traced.paraxial_height_mm
+    focal_mm = object_mm * image_mm / (object_mm + image_mm)
+    sine2 = float(traced.projected_solid_angle_sr(0.0, traced.primary_nm)) / math.pi
+    nominal = math.sqrt((1 - sine2) / sine2) / 2 / (1 + focal_mm / (object_mm - focal_mm))
+    rows = chief_rays(lens, camera.object_distance_m, field_mm)
+    values = {"focal_length_mm": focal_mm, "f_number": nominal, "chief_ray_angle": rows, "lens": lens}
+    return Camera(**camera.model_dump(exclude=set(values)) | values)
+
+
+def lens_on_die(camera: Camera, other: Camera, same_view: bool = False) -> Camera:
+    """Return a camera on the die of another one, whose field its lens may not fill.
+
+    same_view : with its lens made larger or smaller, such that the field of view goes with the width of the die
+    """
+    die = {"die_mm": other.die_mm, "die_height_mm": other.die_height_mm}
+    if camera.lens is None or camera.die_um == other.die_um:
+        return camera.model_copy(update=die)
+    wanted_mm = camera.image_distance_mm * (other.die_mm / camera.die_mm if same_view else 1.0)
+    bare, made = without_lens(camera).model_copy(update=die), camera
+    for _ in range(VIEW_STEPS if same_view else 1):  # the image distance grows nearly as the focal length
+        focal_mm = camera.lens.focal_length_mm if made.lens is None else made.lens.focal_length_mm
+        options = camera.lens_options.model_copy(update={"focal_length_mm": focal_mm * wanted_mm / made.image_distance_mm})
+        made = camera_with_lens(bare, CameraOptions(f_number=camera.lens.f_number), options)
+    return made
+
+
+@lru_cache(maxsize=16)
+def traced_lens(lens: TracedLens, object_distance_m: float) -> Lens:
+    """Return the lens of a camera: scaled, stopped down, and focused on the object's plane.
+
+    Raises PixsimError if its file is another than when the camera was made.
+    """
+    own = load_lens(lens.file)
+    if content_hash(repr(own)) != lens.content:
+        raise invalid("lens.file", f"'{lens.file}', which has changed since this light was made", "the same prescription")
+    scaled = own.scaled(lens.focal_length_mm / own.first_order(own.primary_nm).focal_length_mm)
+    try:
+        scaled = scaled.stopped_down(lens.f_number)
+    except PixsimError as error:
+        raise PixsimError(f"camera.{error}") from None
+    half_deg = math.degrees(math.atan(lens.field_mm / lens.focal_length_mm))
+    return scaled.refocused(lens.refocus, 1e3 * object_distance_m, half_deg)
+
+
+def chief_rays(of_camera: TracedLens, object_distance_m: float, corner_mm: float) -> tuple[tuple[float, float, float], ...]:
+    """Return image heights in mm, chief ray angles in degrees, and relative illuminations, up to the corner of a die.
+
+    Beyond the image circle the illumination is 0.
+    """
+    lens = traced_lens(of_camera, object_distance_m)
+    heights, fields = field_angles(of_camera, object_distance_m, corner_mm)
+    angles = lens.chief_ray(fields, lens.primary_nm).angle_deg
+    light = lens.relative_illumination(fields)
+    rows = [(float(h), float(a), float(r)) for h, a, r in zip(heights, angles, light, strict=True)]
+    rows[0] = (0.0, 0.0, 1.0)
+    if heights[-1] < corner_mm:
+        step = BEYOND * corner_mm
+        rows += [(rows[-1][0] + step, rows[-1][1], 0.0), (max(corner_mm, rows[-1][0] + 2 * step) * (1 + BEYOND), rows[-1][1], 0.0)]
+    return tuple(rows)
+
+
+@lru_cache(maxsize=16)
+def field_angles(of_camera: TracedLens, object_distance_m: float, corner_mm: float) -> tuple[Array, Array]:
+    """Return image heights in mm (n,) and their fields in degrees, from 0 to the corner of a die or the end of the image circle."""
+    lens = traced_lens(of_camera, object_distance_m)
+    nm = lens.primary_nm
+    try:
+        largest = lens.field_of_height(corner_mm * (1 + BEYOND), nm)
+    except PixsimError:  # the image circle ends before the corner
+        largest = math.degrees(math.atan(corner_mm / lens.paraxial_height_mm))
+    for _ in range(CIRCLE_STEPS):
+        fields = np.linspace(0.0, largest, ROWS)
+        try:
+            heights = np.asarray(lens.chief_ray(fields, nm).height_mm)
+        except PixsimError:
+            largest *= CIRCLE_STEP
+            continue
+        rising = 1 + int(np.argmax(np.append(np.diff(heights), -1.0) <= 0))  # beyond it, light folds back
+        if rising == ROWS:
+            return heights, fields
+        largest = float(fields[rising - 1])
+    raise invalid("lens.file", f"'{of_camera.file}', without an image of {corner_mm:g} mm around its axis", "a lens for the die")
+
+
+def _odd_spline(at: Array, values: Array) -> Callable[[Array], Array]:
+    """Return the cubic spline through values of an odd function at positions from 0 on."""
+    from scipy.interpolate import CubicSpline  # takes 0.3 s
+
+    spline: Callable[[Array], Array] = CubicSpline(np.concatenate([-at[:0:-1], at]), np.concatenate([-values[:0:-1], values]))
+    return spline
+
+
+# --- the scene where the chief rays arrive -------------------------------------------------------------------------------------
+
+
+Picture = NDArray[np.float32] | Array
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Where the points of an image would lie without distortion.
+
+    height_mm, undistorted_mm : (n,), from the axis on
+    """
+
+    height_mm: Array
+    undistorted_mm: Array
+
+    @property
+    def widening(self) -> float:
+        """By how much the sides of a picture without distortion are longer, so that it fills the die."""
+        return max(1.0, float((self.undistorted_mm[1:] / self.height_mm[1:]).max()))
+
+    @property
+    def largest_mm(self) -> float:
+        """Largest shift of a point."""
+        return float(np.abs(self.undistorted_mm - self.height_mm).max())
+
+    def applied(self, picture: Picture, pitch_um: float, widening: float) -> Array:
+        """Return a picture (H, W) of pitch · widening, without distortion, as the lens shows it with the pitch, (H, W)."""
+        return _moved(picture, pitch_um, _odd_spline(self.height_mm, self.undistorted_mm), float(self.height_mm[-1]), widening)
+
+    def removed(self, picture: Picture, pitch_um: float) -> Array:
+        """Return a picture that the lens shows, (H, W), without distortion; what it does not show goes on as its sides."""
+        inverse = _odd_spline(self.undistorted_mm, self.height_mm)
+        return _moved(picture, pitch_um, inverse, float(self.undistorted_mm[-1]), 1.0)
+
+
+def _moved(picture: Picture, pitch_um: float, source_mm: Callable[[Array], Array], most_mm: float, widening: float) -> Array:
+    """Return a picture whose points come from other distances from the axis."""
+    from scipy.ndimage import map_coordinates, spline_filter  # takes 0.05 s
+
+    y, x = ((np.arange(n) - (n - 1) / 2) * pitch_um * 1e-3 for n in picture.shape)
+    filtered = spline_filter(np.asarray(picture, float), SPLINE, mode="reflect")
+    result = np.empty(picture.shape)
+    for row, height in enumerate(y):
+        radius = np.maximum(np.hypot(x, height), 1e-12)
+        grown = source_mm(np.minimum(radius, most_mm)) / np.minimum(radius, most_mm) / (widening * pitch_um * 1e-3)
+        at = [height * grown + (picture.shape[0] - 1) / 2, x * grown + (picture.shape[1] - 1) / 2]
+        result[row] = map_coordinates(filtered, at, order=SPLINE, mode="reflect", prefilter=False)
+    return np.clip(result, picture.min(), picture.max())  # a spline overshoots at edges
+
+
+@lru_cache(maxsize=16)
+def distortion_of(camera: Camera) -> Distortion | None:
+    """Return the distortion of a camera's real lens over its die; None for a thin lens."""
+    if camera.lens is None:
+        return None
+    heights, fields = field_angles(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)
+    return Distortion(heights, camera.image_distance_mm * np.tan(np.radians(fields)))
+
+
+def without_lens(camera: Camera) -> Camera:
+    """Return the thin lens that stands for a camera's real one: of its image distance and f-number; a thin lens as it is."""
+    return camera if camera.lens is None else camera.model_copy(update={"lens": None, "chief_ray_angle": None})
+
+
+def rendered_camera(camera: Camera) -> Camera:
+    """Return the thin lens through which the scene is rendered, with a film that is as large as die and distortion need."""
+    distortion = distortion_of(camera)
+    if distortion is None:
+        return camera
+    die = {"die_mm": camera.die_mm * distortion.widening}
+    if camera.die_height_mm is not None:
+        die["die_height_mm"] = camera.die_height_mm * distortion.widening
+    return without_lens(camera).model_copy(update=die)
+
+
+# --- blur -----------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """How the blur of a lens is computed.
+
+    spacing_um : from the middle of a tile to that of the next
+    psf_um : side of the PSFs; 0 on a film that is too coarse to show the blur
+    error : bound for the rms error of a blurred picture, relative to its rms about the mean, if its power spectrum falls as f⁻²
+    """
+
+    spacing_um: float
+    psf_um: float
+    error: float
+
+    def cells(self, pitch_um: float) -> tuple[int, int]:
+        """Return the spacing and the side of the PSFs, an odd number, in film cells."""
+        return max(1, round(self.spacing_um / pitch_um)), 2 * max(1, round(self.psf_um / pitch_um / 2)) + 1
+
+
+@lru_cache(maxsize=16)
+def fitted_wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], nodes: int = NODES) -> tuple[FittedWavefronts, ...]:
+    """Return the wavefronts of a camera's real lens from the axis to the corner of its die, at each wavelength."""
+    assert camera.lens is not None
+    lens = traced_lens(camera.lens, camera.object_distance_m)
+    heights, fields = field_angles(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)
+    at_mm = np.linspace(0.0, float(heights[-1]), nodes)
+    rays = pupil_rays(lens, _odd_spline(heights, fields)(at_mm), np.array(wavelengths_nm))
+    return tuple(fit_wavefronts(nm, 1e3 * at_mm, of_nm) for nm, of_nm in zip(wavelengths_nm, rays, strict=True))
+
+
+def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[PupilRays]]:
+    """Return the rays of fields through half of the stop, for each wavelength; directions are those of points of the reference
+    sphere from its centre, the chief ray's image point.
+    """
+    radius = np.sqrt((np.arange(RINGS) + 1) / RINGS)  # the last ring is the rim
+    turn = np.linspace(0, np.pi, SPOKES)
+    x, y = ((radius[:, None] * part).ravel() for part in (np.sin(turn), np.cos(turn)))
+    fields, nm = np.tile(field_deg, wavelength_nm.size), np.repeat(wavelength_nm, field_deg.size)
+    waves, outline = lens.wavefront(fields, nm, x, y), lens.outline(fields, nm, OUTLINE_SPOKES)
+    spokes = np.stack([np.cos(outline.angle), np.sin(outline.angle)], axis=-1)
+    from_image = lens.first_order(lens.primary_nm).exit_pupil_from_image_mm
+    found = []
+    for at in range(fields.size):
+        cosines, off = waves.cosines[at], np.stack([waves.x_mm[at], waves.y_mm[at]], axis=-1)
+        if math.isfinite(from_image):  # a ray with this direction, off the image point, leaves the sphere a little elsewhere
+            distance = -math.copysign(math.hypot(float(waves.chief_y_mm[at]), from_image), from_image)
+            along = (off * cosines).sum(axis=-1)
+            back = along + np.copysign(np.sqrt(distance**2 + along**2 - np.square(off).sum(axis=-1)), distance)
+            cosines = (back[:, None] * cosines - off) / distance
+        seen = np.isfinite(waves.opd_waves[at])
+        edge = outline.radius[at][:, None] * spokes + outline.centre[at]
+        found.append(PupilRays(cosines[seen], waves.opd_waves[at][seen], edge, 1e3 * float(waves.chief_y_mm[at])))
+    return [found[first : first + field_deg.size] for first in range(0, fields.size, field_deg.size)]
+
+
+def groups_of(weight: Array, groups: int = GROUPS) -> list[NDArray[np.bool_]]:
+    """Return a few groups of neighbouring bands of about equal weight, (B,) each."""
+    seen = weight > 0
+    total = np.cumsum(weight) - weight / 2
+    group = np.minimum((total / max(weight.sum(), np.finfo(float).tiny) * groups).astype(int), groups - 1)
+    return [seen & (group == number) for number in np.unique(group[seen])]
+
+
+def grouped(wavelength_nm: Array, weight: Array) -> tuple[Array, Array]:
+    """Return a few wavelengths, (G,), and their shares: the means of `groups_of`."""
+    members = groups_of(weight)
+    sums = np.array([[weight[group].sum(), (weight * wavelength_nm)[group].sum()] for group in members])
+    return np.round(sums[:, 1] / sums[:, 0], 3), sums[:, 0] / weight.sum()
+
+
+Transfer = Callable[[Array, float], Array] | None
+
+
+def light_of(camera: Camera, wavelength_nm: Array, weight: Array, transfer: Transfer = None) -> Light:
+    """Return the wavefronts of light of some bands, with weights of 0 or more, (B,) each."""
+    nm, share = grouped(wavelength_nm, weight)
+    return Light(fitted_wavefronts(camera, tuple(nm.tolist())), share, transfer)
+
+
+def thin_lens_error(camera: Camera, pitch_um: float, wavelength_nm: Array, weight: Array, aperture_um: float) -> float:
+    """Return a bound for the relative error of electrons if the thin lens stands for the real one: three effects together.
+
+    Distortion moves light across an edge by its shift over the side of the aperture; the fall-off differs from Foote's; and
+    blur differs from the thin lens's diffraction, as `picture_error` has it.
+    """
+    distortion, rows = distortion_of(camera), camera.chief_ray_angle
+    assert distortion is not None
+    assert rows is not None
+    corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
+    height_mm, _, relative = np.array([row for row in rows if row[0] <= corner_mm]).T
+    foote = irradiance_factor(camera.f_number, height_mm / camera.image_distance_mm, camera.magnification)
+    error = 1e3 * distortion.largest_mm / aperture_um + float(np.abs(relative / (foote / foote[0]) - 1).max())
+    if error > 1:
+        return error
+    light, blur = light_of(camera, wavelength_nm, weight), 0.0
+    for part in (0.0, 0.7, 1.0):
+        x_um = part * float(light.fronts[0].height_um[-1])
+        window = even_window(light, x_um, 0.0, pitch_um, min(TRIED_CELLS, most_cells(light, pitch_um)))
+        frequency = np.hypot(np.fft.fftfreq(window, 1e-3 * pitch_um)[:, None], np.fft.rfftfreq(window, 1e-3 * pitch_um))
+        thin = white_otf(
+            frequency, np.array([front.wavelength_nm for front in light.fronts]), light.share, camera.effective_f_number
+        )
+        exact = np.fft.rfft2(periodic_psf(light, x_um, 0.0, pitch_um, window))
+        blur = max(blur, picture_error(thin.astype(complex), exact, pitch_um, aperture_um))
+    return error + blur
+
+
+def dark_share(camera: Camera) -> float:
+    """Return the share of the die's area that no light of the real lens reaches."""
+    if camera.relative_illumination is None:
+        return 0.0
+    heights_mm, relative = camera.relative_illumination
+    y, x = ((np.arange(DARK_CELLS) + 0.5) / DARK_CELLS * side / 2 for side in (camera.height_mm, camera.die_mm))
+    return float(np.mean(np.interp(np.hypot(x, y[:, None]), heights_mm, relative) <= 0))
+
+
+_BLURS: dict[str, FieldBlur] = {}
+KEPT_BLURS = 8
+DARK_CELLS = 512
+
+
+def blur_of(
+    camera: Camera,
+    shape: tuple[int, int],
+    pitch_um: float,
+    tiling: Tiling,
+    wavelength_nm: Array,
+    weight: Array,
+    transfer: Transfer = None,
+) -> FieldBlur:
+    """Return the blur of a camera's real lens; that of the last lights is remembered."""
+    nm, share = grouped(wavelength_nm, weight)
+    behind = [] if transfer is None else transfer(np.linspace(0.0, 500 / pitch_um, 17), float(nm[0])).tolist()
+    key = content_hash(
+        [camera.model_dump(mode="json"), shape, pitch_um, tiling.cells(pitch_um), nm.tolist(), share.tolist(), behind]
+    )
+    if key not in _BLURS:
+        if len(_BLURS) >= KEPT_BLURS:
+            _BLURS.clear()
+        _BLURS[key] = field_blur(light_of(camera, wavelength_nm, weight, transfer), shape, pitch_um, *tiling.cells(pitch_um))
+    return _BLURS[key]
+
+
+def tiling_of(image: SpectralImage, camera: Camera) -> Tiling | None:
+    """Return how the blur of a picture is computed: as its header has it; None for a thin lens.
+
+    A picture from elsewhere has what `choose_tiling` chooses for even light and `USUAL_TOLERANCE`.
+    """
+    if camera.lens is None:
+        return None
+    if stated := image.header.get(LENS_HEADER):
+        return Tiling(**stated)
+    if "camera" in image.header and "lens" not in image.header["camera"] and "plan" in image.header:
+        return None  # the plan left the real lens out
+    nm = tuple(image.wavelength_nm.tolist())
+    return choose_tiling(camera, image.shape, image.pitch_um, nm, (1.0,) * len(nm), 2 * image.pitch_um, USUAL_TOLERANCE)
+
+
+def ideal_light(image: SpectralImage, camera: Camera) -> SpectralImage:
+    """Return the light of the ideal image: that on the sensor, or without distortion where `LensOptions.ideal` asks for it."""
+    distortion = distortion_of(camera)
+    if camera.lens is None or distortion is None or camera.lens.ideal == "distorted" or tiling_of(image, camera) is None:
+        return image
+    return image.with_planes(np.stack([np.float32(distortion.removed(plane, image.pitch_um)) for plane in image.planes]))
+
+
+@lru_cache(maxsize=64)
+def choose_tiling(
+    camera: Camera,
+    shape: tuple[int, int],
+    pitch_um: float,
+    wavelength_nm: tuple[float, ...],
+    weight: tuple[float, ...],
+    aperture_um: float,
+    tolerance: float,
+) -> Tiling:
+    """Return the fewest tiles and the smallest PSFs whose error is within the tolerance; the finest ones if none is.
+
+    tolerance : of the rms of a blurred picture about its mean
+    aperture_um : side of the squares that average the picture: a photodiode, or a dot
+    """
+    light = light_of(camera, np.array(wavelength_nm), np.array(weight))
+    corner_um = min(1e3 * math.hypot(camera.die_mm, camera.height_mm) / 2, float(light.fronts[0].height_um[-1]))
+    places = [(part * corner_um, 0.0) for part in (0.0, 0.7, 1.0)]
+    most = most_cells(light, pitch_um)
+    if not most:
+        return Tiling(1e3 * max(camera.die_mm, camera.height_mm), 0.0, 0.0)
+    fixed = 2 * math.pi * max(front.residual_waves for front in light.fronts)
+    count = TILES[0]
+    while True:
+        spacing = max(1, round(max(shape) / count))
+        error = fixed + tile_error(light, shape, pitch_um, spacing, min(TRIED_CELLS, most), aperture_um, SLOPE)
+        if error <= tolerance or count == TILES[-1]:
+            break
+        needed = count * math.sqrt(error / max(tolerance - fixed, tolerance / 10))  # of second order
+        count = next((more for more in TILES if more >= needed and more > count), TILES[-1])
+    for cells in [*(cells for cells in PSF_CELLS if cells < most), min(most, PSF_CELLS[-1])]:
+        cut = max(lone_psf_error(light, x, y, pitch_um, cells, aperture_um, SLOPE) for x, y in places)
+        if cut <= CUT_SHARE * max(tolerance, error):
+            break
+    error += cut
+    return Tiling(spacing * pitch_um, cells * pitch_um, error)

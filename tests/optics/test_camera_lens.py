@@ -1,0 +1,215 @@
+"""Real lenses in a camera: against their rays, the thin lens that stands for them, and the closed forms of a thin real lens."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run
+from pixsim.optics.camera_lens import (
+    Tiling,
+    blur_of,
+    camera_with_lens,
+    dark_share,
+    distortion_of,
+    field_angles,
+    fitted_wavefronts,
+    grouped,
+    lens_on_die,
+    light_of,
+    rendered_camera,
+    traced_lens,
+    without_lens,
+)
+from pixsim.optics.field_blur import point_spread
+from pixsim.optics.lens import Lens, load_lens
+from pixsim.optics.thin_lens import irradiance_factor
+
+
+def with_lens(file: str, die_mm: float, distance_m: float = 5.0, given: CameraOptions | None = None, **options: object) -> Camera:
+    camera = Camera(die_mm=die_mm, object_distance_m=distance_m, transmittance=0.8)
+    return camera_with_lens(camera, given or CameraOptions(), LensOptions(file=file, **options))
+
+
+def lens_of(camera: Camera) -> Lens:
+    assert camera.lens is not None
+    return traced_lens(camera.lens, camera.object_distance_m)
+
+
+@pytest.mark.parametrize("file", ["singlet", "cooke_triplet"])
+def test_thin_lens_of_a_camera_has_the_real_ones_light_on_the_axis_and_its_chief_rays(file: str) -> None:
+    camera = with_lens(file, 10.0, focal_length_mm=40.0)
+    lens = lens_of(camera)
+    nm = lens.primary_nm
+    assert lens.first_order(nm).focal_length_mm == pytest.approx(40.0, rel=1e-9)
+    factor = float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
+    assert factor == pytest.approx(float(lens.projected_solid_angle_sr(0.0, nm)), rel=1e-9)
+    assert camera.image_distance_mm == pytest.approx(lens.paraxial_height_mm, rel=1e-9)
+    assert camera.transmittance == 0.8  # the glass has no losses of its own
+    rows = np.array(camera.chief_ray_angle)
+    field = lens.field_of_height(4.0, nm)
+    assert np.interp(4.0, rows[:, 0], rows[:, 1]) == pytest.approx(float(lens.chief_ray(field, nm).angle_deg), abs=1e-3)
+    assert np.interp(4.0, rows[:, 0], rows[:, 2]) == pytest.approx(float(lens.relative_illumination(field)), abs=3e-5)
+    assert rows[-1, 0] >= math.hypot(10.0, 10.0) / 2
+
+
+def test_largest_field_reaches_the_corner_unless_a_focal_length_is_given() -> None:
+    own = load_lens("cooke_triplet")
+    camera = with_lens("cooke_triplet", 20.0, 1e4)
+    height_mm = float(lens_of(camera).chief_ray(own.max_field_deg, own.primary_nm).height_mm)
+    assert height_mm == pytest.approx(math.hypot(20.0, 20.0) / 2, rel=3e-3)  # the file's plane and the best focus differ a little
+
+
+def test_f_number_stops_down_and_the_widest_is_named() -> None:
+    camera = with_lens("cooke_triplet", 10.0, given=CameraOptions(f_number=8.0))
+    assert camera.lens is not None
+    assert camera.lens.f_number == 8.0
+    assert camera.f_number == pytest.approx(8.0, rel=0.01)
+    with pytest.raises(PixsimError, match=r"camera\.f_number: got 2; allowed: at least 4\.99998, the widest of 'cooke_triplet'"):
+        with_lens("cooke_triplet", 10.0, given=CameraOptions(f_number=2.0))
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        (CameraOptions(focal_length_mm=4.0), r"camera\.focal_length_mm: .*Set lens\.focal_length_mm"),
+        (CameraOptions(chief_ray_angle=((0.0, 0.0), (9.0, 3.0))), r"camera\.chief_ray_angle: "),
+    ],
+)
+def test_what_the_lens_states_is_refused_beside_it(given: CameraOptions, match: str) -> None:
+    with pytest.raises(PixsimError, match=match):
+        with_lens("singlet", 4.0, given=given)
+
+
+def test_options_without_a_file_are_refused() -> None:
+    with pytest.raises(PixsimError, match=r"refocus without file"):
+        LensOptions(refocus="field")
+
+
+def test_a_changed_file_is_seen(tmp_path: Path) -> None:
+    from importlib import resources
+
+    text = (resources.files("pixsim") / "data/lenses/singlet.toml").read_text(encoding="utf-8")
+    file = tmp_path / "own.toml"
+    file.write_text(text, encoding="utf-8")
+    camera = with_lens(str(file), 4.0)
+    file.write_text(text.replace("thickness_mm = ", "thickness_mm = 1", 1), encoding="utf-8")
+    traced_lens.cache_clear()
+    with pytest.raises(PixsimError, match="has changed since"):
+        lens_of(camera)
+
+
+def test_settings_and_cameras_without_a_lens_are_written_as_before() -> None:
+    assert "lens" not in Camera().model_dump()
+    assert Run().model_dump()["lens"] == {}
+    camera = with_lens("singlet", 4.0)
+    assert camera_with_lens(Camera(**camera.options.over(Camera()).model_dump()), camera.options, camera.lens_options) == camera
+
+
+def test_points_lie_where_the_chief_rays_arrive() -> None:
+    """A spot at v tan θ of a picture without distortion, in any direction, is at the chief ray's height in the picture."""
+    camera = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
+    distortion, lens = distortion_of(camera), lens_of(camera)
+    assert distortion is not None
+    cells, pitch_um = 240, 100.0
+    y, x = np.indices((cells, cells)) - (cells - 1) / 2
+    for field, azimuth in ((8.0, 20.0), (14.0, 230.0)):
+        widening = distortion.widening
+        at = camera.image_distance_mm * math.tan(math.radians(field)) * 1e3 / (pitch_um * widening)
+        turn = math.radians(azimuth)
+        spot = np.exp(-((x - at * math.cos(turn)) ** 2 + (y - at * math.sin(turn)) ** 2) / 18)
+        moved = distortion.applied(spot, pitch_um, widening)
+        found = np.array([(moved * axis).sum() / moved.sum() for axis in (x, y)])
+        height_um = 1e3 * float(lens.chief_ray(field, lens.primary_nm).height_mm)
+        assert abs(height_um / pitch_um - at) > 0.5  # cells
+        np.testing.assert_allclose(found, height_um / pitch_um * np.array([math.cos(turn), math.sin(turn)]), atol=0.02)
+        back = distortion.removed(moved, pitch_um)
+        found = np.array([(back * axis).sum() / back.sum() for axis in (x, y)])
+        np.testing.assert_allclose(found, at * widening * np.array([math.cos(turn), math.sin(turn)]), atol=0.03)
+
+
+def test_film_is_widened_for_distortion_and_seen_by_a_thin_lens() -> None:
+    camera = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
+    seen, distortion = rendered_camera(camera), distortion_of(camera)
+    assert distortion is not None
+    assert seen.lens is None
+    assert seen.die_mm / camera.die_mm == distortion.widening
+    corner = float(distortion.undistorted_mm[-1] / distortion.height_mm[-1])
+    assert 1 < corner <= distortion.widening < 1.02 * corner
+    assert rendered_camera(without_lens(camera)) == without_lens(camera)
+
+
+@pytest.mark.parametrize(("file", "field", "outward"), [("singlet", 5.0, False), ("cooke_triplet", 10.0, True)])
+def test_a_points_picture_has_the_centroid_of_the_traced_spot_in_every_direction(file: str, field: float, outward: bool) -> None:
+    focal_mm = 50.0
+    camera = with_lens(file, 26.0 if outward else 16.0, 1e4, focal_length_mm=focal_mm, refocus="paraxial")
+    lens, nm = lens_of(camera), 550.0
+    node, weight = np.polynomial.legendre.leggauss(12)
+    radius, turn = np.sqrt((1 + node) / 2)[:, None], np.arange(48) * (2 * np.pi / 48)
+    x, y = ((radius * part).ravel() for part in (np.sin(turn), np.cos(turn)))
+    waves = lens.wavefront(np.array([field]), np.array([nm]), x, y)
+    spot_um = 1e3 * float((np.repeat(weight, 48) * waves.y_mm[0]).sum() / 96)
+    assert (spot_um > 0) == outward
+    height_um = 1e3 * float(lens.chief_ray(field, lens.primary_nm).height_mm)
+    shift_um = 1e3 * float(waves.chief_y_mm[0]) - height_um  # lateral colour against the primary wavelength
+    light = light_of(camera, np.array([nm]), np.ones(1))
+    cells, pitch_um = 129, 1.5 if outward else 3.0
+    offsets = (np.arange(cells) - cells // 2) * pitch_um
+    for azimuth in np.radians([0, 45, 90, 135, 180, 225, 270, 315]):
+        outwards = np.array([math.cos(azimuth), math.sin(azimuth)])
+        psf = point_spread(light, *(height_um * outwards), pitch_um, cells)
+        found = np.array([(psf.kernel * offsets).sum(), (psf.kernel * offsets[:, None]).sum()]) / psf.kernel.sum()
+        assert found @ outwards - shift_um == pytest.approx(spot_um, rel=0.15)  # the stop is filled evenly, the pupil nearly so
+        assert abs(found[0] * outwards[1] - found[1] * outwards[0]) < 0.02 * abs(spot_um)
+
+
+def test_interpolated_wavefronts_are_the_traced_ones_between_the_nodes() -> None:
+    camera = with_lens("cooke_triplet", 24.0, focal_length_mm=50.0)
+    (front,), (finer,) = fitted_wavefronts(camera, (550.0,), 17), fitted_wavefronts(camera, (550.0,), 33)
+    middles = front.height_um[:-1] + np.diff(front.height_um) / 2
+    for middle, exact in zip(middles, finer.numbers[1::2], strict=True):
+        found = front.at(float(middle))
+        np.testing.assert_allclose(found[:2], exact[:2], rtol=1e-5)
+        assert np.abs(found[3:30] - exact[3:30]).max() < 2e-3  # waves
+
+
+def test_lens_on_another_die_sees_the_same_field() -> None:
+    camera = with_lens("cooke_triplet", 24.0, 2.0)
+    other = lens_on_die(camera, Camera(die_mm=6.0), same_view=True)
+    assert other.fov_deg == pytest.approx(camera.fov_deg, rel=1e-6)
+    assert other.lens is not None
+    assert camera.lens is not None
+    assert other.lens.focal_length_mm == pytest.approx(camera.lens.focal_length_mm / 4, rel=0.05)
+    assert lens_on_die(camera, camera) == camera
+
+
+def test_a_die_beyond_the_image_circle_is_dark_there() -> None:
+    """US 7,535,658 has no rays beyond some field: the share of the die that stays dark is stated, and has no light."""
+    camera = with_lens("phone", 12.0, 1.0, focal_length_mm=5.2)
+    heights, _ = field_angles(camera.lens, 1.0, math.hypot(12.0, 12.0) / 2)  # type: ignore[arg-type]
+    circle = math.pi * heights[-1] ** 2 / 144 if heights[-1] < 6 else None
+    assert camera.relative_illumination is not None
+    share = dark_share(camera)
+    assert 0 < share < 1
+    if circle is not None:
+        assert share == pytest.approx(1 - circle, abs=0.02)
+
+
+def test_wavelengths_are_grouped_by_their_weight() -> None:
+    nm, share = grouped(np.arange(400.0, 701.0, 10.0), np.ones(31))
+    assert share.sum() == pytest.approx(1)
+    assert nm.size == 6
+    assert (nm * share).sum() == pytest.approx(550.0)
+    nm, share = grouped(np.array([450.0, 550.0, 650.0]), np.array([0.0, 2.0, 0.0]))
+    assert (nm.tolist(), share.tolist()) == ([550.0], [1.0])
+
+
+def test_blur_of_a_lens_preserves_an_even_scene_and_is_remembered() -> None:
+    camera = with_lens("singlet", 6.0)
+    tiling = Tiling(1000.0, 300.0, 0.0)
+    bands, weight = np.array([500.0, 600.0]), np.ones(2)
+    blur = blur_of(camera, (96, 96), 62.5, tiling, bands, weight)
+    np.testing.assert_allclose(blur.blurred(np.ones((96, 96))), 1.0, rtol=1e-12)
+    assert blur_of(camera, (96, 96), 62.5, tiling, bands, weight) is blur
