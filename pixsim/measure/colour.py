@@ -76,7 +76,7 @@ class Colour:
     seed: int = 0
 
     @property
-    def channels(self) -> str:
+    def channels(self) -> tuple[str, ...]:
         assert self.physics.layout is not None
         return self.physics.layout.channels
 

@@ -239,12 +239,12 @@ def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: f
     stacks = [
         estimators.stack(experiment.frames(count, level, name)) for level, name in ((0.0, "dark stack"), (bright, "bright stack"))
     ]
-    others = experiment.physics.layout.channels if experiment.physics.layout else ""
+    others = experiment.physics.layout.channels if experiment.physics.layout else ()
     channels: dict[str, tuple[Experiment, PhotonTransfer]] = {}
     pixels, measured_prnu = math.prod(experiment.sensor.shape), estimators.prnu(*stacks).value
     spread = 0.0 if math.isnan(measured_prnu) else measured_prnu
     dark = estimators.pair(*experiment.frames(2, 0.0, "dark"))
-    for letter in others.replace(experiment.physics.channel, ""):
+    for letter in (each for each in others if each != experiment.physics.channel):
         own = experiment.of_channel(letter, wavelength_nm)
         series_ = pairs(f"channel {letter}", own.photons, own)
         channels[letter] = (own, estimators.photon_transfer(series_, dark.mean_dn, dark.variance_dn2, pixels, spread))
