@@ -79,6 +79,33 @@ MEANINGS = {
 }
 
 
+def colour_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return what the page says of a colour sensor and its picture, (meaning, value) each; none for a monochrome one."""
+    if "colour" not in summary:
+        return []
+    facts = summary["colour"]
+    letters = list(facts["white_e"])
+    gains = ", ".join(f"{gain:.3g}" for gain in facts["noise_gains"])
+    rows = [
+        ("channels of a frame: rows of the unit cell, or planes", facts["layout"]),
+        ("lamp of white balance and matrix", facts["white_spectrum"]),
+        (f"electrons of white in {', '.join(letters)}", ", ".join(f"{value:.4g}" for value in facts["white_e"].values())),
+        (f"matrix from balanced {', '.join(letters)} to the display's light, row of red", _row(facts, 0)),
+        ("row of green", _row(facts, 1)),
+        ("row of blue", _row(facts, 2)),
+        ("noise gains of the matrix in red, green, blue", gains),
+        ("sensitivity metamerism index under this lamp (100: no colour error)", f"{facts['sensitivity_metamerism_index']:.4g}"),
+        ("mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise", f"{facts['patches_mean_delta_e']:.3g}"),
+        ("dots outside the display's gamut: ideal image", f"{summary['ideal_out_of_gamut_fraction']:.2%}"),
+        ("dots outside the display's gamut: the sensor's picture", f"{summary['out_of_gamut_fraction']:.2%}"),
+    ]
+    return rows
+
+
+def _row(facts: dict[str, Any], number: int) -> str:
+    return ", ".join(f"{value:.4g}" for value in facts["matrix_to_display"][number])
+
+
 def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summary: dict[str, Any]) -> None:
     """Write report.html next to the run's other files; it links to them and contains their pictures."""
     window = worst_window([score.delta_e])
@@ -120,6 +147,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "scale_bar": scale(scale_end(statistics["p99_delta_e"])),
         "map": (folder / "delta_e.png").read_bytes(),
         "statistics": [(MEANINGS[key], value) for key, value in statistics.items()],
+        "colour": colour_rows(summary),
         "notes": summary["notes"],
         "blur": blur_words(irradiance, camera, physics, display),
         "film": film_words(summary["film"]) if "film" in summary else "",

@@ -35,7 +35,7 @@ from scipy.special import ndtr, stdtrit
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
-from pixsim.base.errors import invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import told_apart, warn
 from pixsim.base.parameters import (
     DEVELOP,
@@ -273,8 +273,17 @@ def pitches_around_optimum_um(image: SpectralImage, setup: Setup, count: int) ->
         return ()
     scanned = np.geomspace(low, high, SCAN_PITCHES)
     chain_at = chains_of(image, setup, scanned.tolist())
-    errors = [sensor_delta_e(chain_at(p), setup, p, 0) for p in scanned.tolist()]
-    best = float(scanned[int(np.argmin(errors))])
+
+    def error(pitch_um: float) -> float:
+        try:
+            return sensor_delta_e(chain_at(pitch_um), setup, pitch_um, 0)
+        except PixsimError:
+            if setup.pixel.colour is None or pitch_um == scanned[-1]:
+                raise
+            return math.inf  # channels of small pixels mix until no matrix takes them apart
+
+    errors = [error(p) for p in scanned.tolist()]
+    best, low = float(scanned[int(np.argmin(errors))]), float(scanned[int(np.argmax(np.isfinite(errors)))])
     around = np.geomspace(max(low, best / AROUND), min(high, best * AROUND), count)
     return tuple(float(f"{p:.4g}") for p in around)
 

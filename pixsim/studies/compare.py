@@ -743,6 +743,7 @@ def _notes_of(parts: Sequence[Comparison]) -> tuple[str, ...]:
 def _run(prepared: Prepared, jobs: int | None, stage: Stage) -> Comparison:
     """Run the comparison under one condition; its notes are those on black levels and assumptions."""
     made, chains = render_all(prepared, stage)
+    check_pictures_alike([sensor.name for sensor in prepared.sensors], chains)
     frames = stage("sense and score")
     scores = [chain.simulate(*stream_key(prepared, 0)) for chain in chains]
     delta_e = simulate_all(prepared, chains, scores, jobs, frames)
@@ -755,6 +756,20 @@ def _run(prepared: Prepared, jobs: int | None, stage: Stage) -> Comparison:
         clips += [f"{sensor.name}: {sensor.pixel.assumption}"] if sensor.pixel.assumption else []
         compared.append(Compared(sensor, light.image, light.noise, light.film, score, values, dark, step))
     return Comparison(prepared, tuple(compared), tuple(clips))
+
+
+COLOURED = 0.02  # of white, between the primaries of a dot of the ideal image: two codes of 8 bits and more in all but dark greys
+
+
+def check_pictures_alike(names: Sequence[str], chains: Sequence[ImagingChain]) -> None:
+    """Raise PixsimError if monochrome and colour sensors look at a coloured scene: their ideal images differ."""
+    grey = [name for name, chain in zip(names, chains, strict=True) if chain.rendition is None]
+    coloured = [name for name, chain in zip(names, chains, strict=True) if chain.rendition is not None]
+    ideals = [chain.screen.ideal for chain in chains if chain.rendition is not None]
+    if grey and any(float(np.ptp(ideal, axis=2).max()) > COLOURED for ideal in ideals):
+        got = f"{', '.join(grey)} without colour filters and {', '.join(coloured)} with them, in a coloured scene"
+        hint = "Take a grey scene, such as csf, or leave the monochrome sensors out, whose ideal image is grey."
+        raise invalid("sensors", got, "a scene that has one ideal image for all", hint)
 
 
 def stream_key(prepared: Prepared, repeat: int) -> tuple[object, ...]:

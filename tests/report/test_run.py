@@ -19,7 +19,7 @@ import pixsim
 from pixsim.base.parameters import CameraOptions
 from pixsim.light.exr import read_channels, write_channels
 from pixsim.optics.exchange import read_with_camera, write_npz
-from pixsim.report.run import FILES, shown_picture
+from pixsim.report.run import FILES, colour_rows, shown_picture
 from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, factor_for, reduced
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
@@ -412,3 +412,22 @@ def test_run_page_prints(ran: Path, tmp_path: Path) -> None:
     score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
     message = [f"Mean ΔE {score['mean_delta_e']:.3f}", "score.json", "10.6 µm pixels"]
     assert_prints(ran / "report.html", tmp_path, range(3, 6), message, headings, headings[:3])
+
+
+def test_colour_rows_are_those_of_score_json() -> None:
+    """Matrix, noise gains, SMI and shares out of gamut, under the letters of the channels; none for a monochrome sensor."""
+    facts = {
+        "layout": "RG/CB",
+        "white_spectrum": "D65",
+        "white_e": {"R": 1000.0, "B": 2000.0, "C": 3000.0},
+        "matrix_to_display": [[1.5, -0.5, 0.0], [-0.25, 1.25, 0.0], [0.0, -0.125, 1.125]],
+        "noise_gains": [1.58, 1.27, 1.13],
+        "patches_mean_delta_e": 1.64,
+        "sensitivity_metamerism_index": 90.98,
+    }
+    rows = dict(colour_rows({"colour": facts, "ideal_out_of_gamut_fraction": 0.036, "out_of_gamut_fraction": 0.05}))
+    assert rows["electrons of white in R, B, C"] == "1000, 2000, 3000"
+    assert rows["row of green"] == "-0.25, 1.25, 0"
+    assert rows["noise gains of the matrix in red, green, blue"] == "1.58, 1.27, 1.13"
+    assert {"90.98", "1.64", "3.60%", "5.00%"} < set(rows.values())
+    assert colour_rows({}) == []

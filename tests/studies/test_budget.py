@@ -6,12 +6,16 @@ import json
 import math
 from dataclasses import asdict, replace
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import pixsim
+from pixsim.base.errors import PixsimError
 from pixsim.report.wording import budget_lines
+from pixsim.studies import budget
 from pixsim.studies.budget import (
     FINEST_NOISE,
     MAX_ORDER,
@@ -289,3 +293,26 @@ def test_calibration_from_invalid_dict_raises(change):
     for wrong in (values, {}):
         with pytest.raises(ValueError, match="validation error"):
             Calibration.from_dict(wrong)
+
+
+@pytest.mark.parametrize("colour", [None, "filters"])
+def test_pitches_whose_colours_cannot_be_taken_apart_are_left_out_of_the_scan(
+    colour: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Below 2 µm the channels mix here; of a monochrome pixel an error is an error."""
+
+    def delta_e(_: object, __: object, pitch_um: float, ___: int) -> float:
+        if pitch_um < 2:
+            raise PixsimError("noise gains")
+        return pitch_um
+
+    monkeypatch.setattr(budget, "sensor_delta_e", delta_e)
+    monkeypatch.setattr(budget, "chains_of", lambda *_: lambda _: None)
+    monkeypatch.setattr(budget, "pitch_range_um", lambda _: (0.5, 15.0))
+    setup: Any = SimpleNamespace(pixel=SimpleNamespace(colour=colour))
+    image: Any = None
+    if colour is None:
+        with pytest.raises(PixsimError):
+            budget.pitches_around_optimum_um(image, setup, 4)
+        return
+    assert 2 <= budget.pitches_around_optimum_um(image, setup, 4)[0] < 3

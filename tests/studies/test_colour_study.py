@@ -77,6 +77,9 @@ def test_run_in_colour_writes_coloured_pictures(tmp_path: Path) -> None:
     code, out, err = command(f"run macbeth {options} --out", tmp_path / "run")
     assert code == 0, err
     assert '"layout": "RG/GB"' in out
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "filters RG/GB" in page
+    assert "sensitivity metamerism index under this lamp" in page
     for name in ("ideal.png", "image.png"):
         codes = np.asarray(Image.open(tmp_path / "run" / name), float)
         assert codes.shape[2] == 3
