@@ -14,6 +14,7 @@ from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
+from pixsim.base.errors import PixsimError
 from pixsim.base.notes import warn
 from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, check_develop
 from pixsim.light.spectral import SpectralImage
@@ -275,7 +276,17 @@ class ImagingChain:
 
     @cached_property
     def matrix(self) -> Array:
-        """Matrix from balanced channels to the light of the display's primaries, (3, C); only for colour sensors."""
+        """Matrix from balanced channels to the light of the display's primaries, (3, C); only for colour sensors.
+
+        Raises PixsimError as `Rendition.matrix` does, with the pixel's pitch.
+        """
+        try:
+            return self._fitted_matrix()
+        except PixsimError as error:
+            hint = "" if self.collection is None else " Light between neighbours counts: larger pixels mix the channels less."
+            raise PixsimError(f"pixels of {self.physics.read_pitch_um:g} µm: {error}{hint}") from None
+
+    def _fitted_matrix(self) -> Array:
         assert self.rendition is not None
         if self.develop.matrix != "noise_aware":
             return self.rendition.matrix(self.develop)

@@ -110,6 +110,16 @@ def test_luther_camera_with_crosstalk_has_no_colour_error() -> None:
     assert min(np.array(with_it) / without) > 1.05
 
 
+@pytest.mark.filterwarnings("ignore:pixel.stack")  # the Fresnel number of so small a microlens
+def test_pixels_whose_colours_mix_beyond_repair_are_refused_with_their_pitch() -> None:
+    """Half-micron pixels under a high microlens: most light reaches photodiodes of other colours."""
+    stack = {"height_um": 3.0, "index": 1.5, "microlens": "square"}
+    colour = {"pattern": "rggb", "quantum_efficiencies": LUTHER}
+    pixel = sensor(colour, stack=stack, pitch_um=0.5)
+    with pytest.raises(PixsimError, match=r"pixels of 0.5 µm: .*noise gains.*larger pixels mix the channels less"):
+        make_imaging_chain(patch(13, "D65"), CAMERA, pixel, Exposure(), DISPLAY).matrix  # noqa: B018
+
+
 @pytest.mark.parametrize(
     ("develop", "adaptation"),
     [({"demosaic": "malvar2004"}, "cat02"), ({"demosaic": "menon2007"}, "none"), ({"matrix": "least_delta_e"}, "bradford")],
@@ -210,7 +220,9 @@ def test_matrix_that_amplifies_noise_is_refused_with_its_gains() -> None:
     }
     pixel = sensor({"quantum_efficiencies": curves}, read_noise_e=20.0)
     image = patch(13, "D65")
-    with pytest.raises(PixsimError, match=r"colour under the scene's lamp: .*noise gains of [\d., ]+ in R, G, B.*up to 10"):
+    with pytest.raises(
+        PixsimError, match=r"pixels of 4 µm: colour under the scene's lamp: .*noise gains of [\d., ]+ in R, G, B.*up to 10"
+    ):
         make_imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY).matrix  # noqa: B018
     dim = Exposure(integration_s=1e-5)
     gains = make_imaging_chain(image, CAMERA, pixel, dim, DISPLAY, develop=Develop(matrix="noise_aware")).colour_facts(1e-5)
