@@ -398,3 +398,16 @@ def test_invalid_directions_raise():
     ):
         with pytest.raises(PixsimError, match=r"(cosines|weight).*: got"):
             Directions(*wrong)
+
+
+def test_rays_of_wide_pixels_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shares of pixels with more turns of phase than are resolved: right to 1e-6, and nothing is lost by pixels of 10 cm."""
+    wide = Stack(100.0, 70.0, 150.0, 1.5)
+    pupil = elliptic_pupil(numerical_aperture(1.0), 3.0, 30.0)  # its disc is cut by the photodiode's edge
+    limited = collected_shares(wide, pupil, [550.0])
+    monkeypatch.setattr(stacks, "MAX_TURN", math.inf)
+    np.testing.assert_allclose(limited, collected_shares(wide, pupil, [550.0]), atol=1e-6)
+    monkeypatch.undo()
+    giant = collected_shares(Stack(1e5, 0.7e5, 0.6e5, 1.5), elliptic_pupil(numerical_aperture(1.0), 0.0), [550.0])
+    assert giant[0, 2, 2] == pytest.approx(1, abs=1e-5)  # 1 less 2/(π²u), u = 3e5
+    assert giant.sum() <= 1 + 1e-9
