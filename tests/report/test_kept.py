@@ -193,8 +193,12 @@ def test_digest_of_report_unknown_kind_raises(made: tuple[StudyResult, Path]) ->
 AXIS = {"axis": [{"name": "lens", "set": "camera.f_number", "values": [2.0, 2.8]}], "render_noise": 30.0}
 
 
+# Sensor types take 7 s; their report is kept by the same function.
+TYPES = pytest.param({}, "--uncertainty 8 --yes", id="types", marks=pytest.mark.slow)
+
+
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize(("more", "option"), [({}, ""), (AXIS, ""), ({}, "--uncertainty 8 --yes")], ids=["plain", "axis", "types"])
+@pytest.mark.parametrize(("more", "option"), [pytest.param({}, "", id="plain"), pytest.param(AXIS, "", id="axis"), TYPES])
 def test_study_command_again_draws_nothing(
     more: dict[str, Any], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -360,7 +360,11 @@ def test_study_more_values_compute_only_the_new_ones(done: tuple[StudyResult, Pa
 LIGHTS = {"name": "light", "set": [LIGHT, "display.white_cd_per_m2"], "from": 50.0, "to": 100.0}
 
 
-@pytest.mark.parametrize("scene", [{"file": "csf"}, {"file": "macbeth", "parameters": {"spp": 4}}], ids=["computed", "rendered"])
+# Renders take 9 s and are stored by the same function as charts that are computed.
+RENDERED = pytest.param({"file": "macbeth", "parameters": {"spp": 4}}, id="rendered", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("scene", [pytest.param({"file": "csf"}, id="computed"), RENDERED])
 def test_study_lights_in_memory_do_not_grow_with_their_number(
     scene: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
