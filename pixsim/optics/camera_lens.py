@@ -27,7 +27,6 @@ from pixsim.optics.field_blur import (
     FieldBlur,
     FittedWavefronts,
     Light,
-    PupilRays,
     even_window,
     field_blur,
     fit_wavefronts,
@@ -38,14 +37,13 @@ from pixsim.optics.field_blur import (
     tile_error,
 )
 from pixsim.optics.lens import Lens, load_lens
+from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.thin_lens import irradiance_factor
 
 ROWS = 129  # of chief rays from the axis to the corner of the die, linear in between: 3e-5 of the fall-off
 CIRCLE_STEP, CIRCLE_STEPS = 0.99, 400  # towards the axis, to the end of the image circle
 BEYOND = 1e-6  # of the corner's height, so that the last row does not end before it
 NODES = 17  # of wavefronts from the axis to the corner
-RINGS, SPOKES = 14, 21  # of rays through half of the stop for each wavefront
-OUTLINE_SPOKES = 180
 GROUPS = 6  # of wavelengths, for a light's blur
 PSF_CELLS = (17, 33, 65, 97, 129)
 TILES = (16, 32, 64)  # across the longer side of the die
@@ -292,31 +290,6 @@ def fitted_wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], nodes: 
     at_mm = np.linspace(0.0, float(heights[-1]), nodes)
     rays = pupil_rays(lens, _odd_spline(heights, fields)(at_mm), np.array(wavelengths_nm))
     return tuple(fit_wavefronts(nm, 1e3 * at_mm, of_nm) for nm, of_nm in zip(wavelengths_nm, rays, strict=True))
-
-
-def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[PupilRays]]:
-    """Return the rays of fields through half of the stop, for each wavelength; directions are those of points of the reference
-    sphere from its centre, the chief ray's image point.
-    """
-    radius = np.sqrt((np.arange(RINGS) + 1) / RINGS)  # the last ring is the rim
-    turn = np.linspace(0, np.pi, SPOKES)
-    x, y = ((radius[:, None] * part).ravel() for part in (np.sin(turn), np.cos(turn)))
-    fields, nm = np.tile(field_deg, wavelength_nm.size), np.repeat(wavelength_nm, field_deg.size)
-    waves, outline = lens.wavefront(fields, nm, x, y), lens.outline(fields, nm, OUTLINE_SPOKES)
-    spokes = np.stack([np.cos(outline.angle), np.sin(outline.angle)], axis=-1)
-    from_image = lens.first_order(lens.primary_nm).exit_pupil_from_image_mm
-    found = []
-    for at in range(fields.size):
-        cosines, off = waves.cosines[at], np.stack([waves.x_mm[at], waves.y_mm[at]], axis=-1)
-        if math.isfinite(from_image):  # a ray with this direction, off the image point, leaves the sphere a little elsewhere
-            distance = -math.copysign(math.hypot(float(waves.chief_y_mm[at]), from_image), from_image)
-            along = (off * cosines).sum(axis=-1)
-            back = along + np.copysign(np.sqrt(distance**2 + along**2 - np.square(off).sum(axis=-1)), distance)
-            cosines = (back[:, None] * cosines - off) / distance
-        seen = np.isfinite(waves.opd_waves[at])
-        edge = outline.radius[at][:, None] * spokes + outline.centre[at]
-        found.append(PupilRays(cosines[seen], waves.opd_waves[at][seen], edge, 1e3 * float(waves.chief_y_mm[at])))
-    return [found[first : first + field_deg.size] for first in range(0, fields.size, field_deg.size)]
 
 
 def groups_of(weight: Array, groups: int = GROUPS) -> list[NDArray[np.bool_]]:
