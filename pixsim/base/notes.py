@@ -37,22 +37,23 @@ _outer: ContextVar[list[str] | None] = ContextVar("notes", default=None)
 def collected_notes() -> Iterator[list[str]]:
     """Collect the texts of the warnings of the block, each once; they are shown as before, by the filters of the caller.
 
-    A warning counts however often, or in whichever earlier call, it was shown before; a MachineWarning does not. A block
+    A warning counts in whichever earlier call it was shown before; a MachineWarning is shown, and does not count. A block
     inside another shares its list: what a command said before belongs to its result.
     """
     if (outer := _outer.get()) is not None:
         yield outer
         return
     notes: list[str] = []
+    of_machine: list[str] = []  # each once too: a cache folder that cannot be written fails for every entry
     filters, show = list(warnings.filters), warnings.showwarning
 
     def collect(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any, **__: Any) -> None:
         text = str(message).removesuffix(".")
-        is_note = issubclass(category, UserWarning) and not issubclass(category, MachineWarning)
-        if is_note and text in notes:
-            return
-        if is_note:
-            notes.append(text)
+        if issubclass(category, UserWarning):
+            texts = of_machine if issubclass(category, MachineWarning) else notes
+            if text in texts:
+                return
+            texts.append(text)
         with warnings.catch_warnings():
             warnings.resetwarnings()
             warnings.filters[:] = filters  # type: ignore[index]  # a list, though typed as a sequence
