@@ -8,7 +8,7 @@ import numpy as np
 
 from pixsim.base.parameters import Camera, Pixel
 from pixsim.light.spectral import photons_per_joule
-from pixsim.optics.camera_lens import TILES, Tiling, choose_tiling, dark_share, distortion_of, thin_lens_error
+from pixsim.optics.camera_lens import NODES, TILES, Tiling, choose_tiling, dark_share, distortion_of, thin_lens_error
 from pixsim.scene.rules import Decision
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import derive
@@ -45,8 +45,8 @@ def decide_real_lens(
     target = BLUR_TOLERANCES * tolerance_e / (4 if full else 1)
     tiling = choose_tiling(camera, shape, pitch_um, tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um, target)
     tiles = math.ceil(1e3 * max(camera.die_mm, camera.height_mm) / tiling.spacing_um)
-    reason = f"{words}; {tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, from wavefronts of 17 fields: rms error up to "
-    return tiling, [Decision("real lens", True, f"{reason}{tiling.error:.1e} of the contrast", bounded=False)]
+    reason = f"{words}; {tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, from wavefronts of {NODES} fields: rms error "
+    return tiling, [Decision("real lens", True, f"{reason}up to {tiling.error:.1e} of the contrast", bounded=False)]
 
 
 def real_lens_warnings(camera: Camera, tiling: Tiling | None, focus: Decision, tolerance_e: float) -> list[str]:

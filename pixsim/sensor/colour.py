@@ -79,8 +79,15 @@ class Layout:
         letters = "".join(self.cell)
         return np.array([letters.count(letter) / len(letters) for letter in self.channels])
 
+    @property
+    def period(self) -> tuple[int, int]:
+        """Rows and columns of pixels after which the channels of the pixels repeat."""
+        return (1, 1) if self.is_stacked else (len(self.cell), len(self.cell[0]))
+
     def sites(self, letter: str) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """Rows and columns of the unit cell where a channel's pixels are, as products: rows with equal columns together."""
+        """Rows and columns of a `period` where a channel's pixels are, as products: rows with equal columns together."""
+        if self.is_stacked:
+            return [(np.zeros(1, int), np.zeros(1, int))]
         columns = [tuple(at for at, other in enumerate(row) if other == letter) for row in self.cell]
         alike = groupby(sorted(range(len(columns)), key=lambda row: columns[row]), key=lambda row: columns[row])
         return [(np.array(list(rows)), np.array(which)) for which, rows in alike if which]
@@ -99,7 +106,7 @@ class Layout:
         if self.is_stacked:
             yield from np.split(picture, self.planes)
             return
-        height, width = len(self.cell), len(self.cell[0])
+        height, width = self.period
         for row in range(min(height, picture.shape[0])):
             for column in range(min(width, picture.shape[1])):
                 yield picture[row::height, column::width]

@@ -244,8 +244,9 @@ def real_lens_rate(
         for spectrum, picture in zip(*irradiance.factors, strict=True):
             lights.append((picture.astype(float), electrons * spectrum))
     else:
-        for bands in groups_of(np.abs(electrons * irradiance.mean_spectrum())):
-            share = bands * np.abs(electrons * irradiance.mean_spectrum())
+        seen = np.abs(electrons * irradiance.mean_spectrum())
+        for bands in groups_of(seen):
+            share = bands * seen
             nearest = np.abs(nm - (share * nm).sum() / share.sum()).argmin()  # one band for all of the group
             lights.append((irradiance.weighted(np.where(bands, electrons, 0.0)), np.eye(nm.size)[nearest]))
     total = np.zeros(irradiance.shape)
@@ -472,11 +473,10 @@ def array_signal(
     collections = collections_of(physics, [light.illumination for light in lights], (rows, columns))
     side_um = collections[0].aperture_side_um if collections else physics.photodiode_side_um
     signal = np.empty((rows * layout.planes, columns))
-    cell = layout.cell
+    high, wide = layout.period
     for number, (letter, light) in enumerate(zip(layout.channels, lights, strict=True)):
         first = number * rows if layout.is_stacked else 0
-        for down, across in [((0,), (0,))] if layout.is_stacked else layout.sites(letter):
-            high, wide = (1, 1) if layout.is_stacked else (len(cell), len(cell[0]))
+        for down, across in layout.sites(letter):
             which = (
                 np.flatnonzero(np.isin(np.arange(rows) % high, down)),
                 np.flatnonzero(np.isin(np.arange(columns) % wide, across)),

@@ -23,17 +23,16 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import BAYER, Camera, Develop, Display
-from pixsim.light.spectral import SpectralImage, colour_matching, d65
+from pixsim.light.spectral import SpectralImage, colour_matching
 from pixsim.light.standard import CHROMATIC_PATCHES, patch_reflectance
-from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.integration import integrate_axis, response_within
+from pixsim.sensor.integration import response_within
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.colour_matrix import RANK_TOLERANCE, check_noise_gains, colour_errors, fit_matrix
 from pixsim.viewer.demosaic import demosaic, demosaic_covariance
-from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, on_dots, white_cd_per_m2, white_spectrum
+from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, lamp_of, means_on_dots, on_dots, white_lx
 
 SATURATED = 0.99  # of the saturation level
 
@@ -108,12 +107,6 @@ def product(left: Array, right: Array) -> Array:
     return np.asarray((left[:, :, None] * right[None]).sum(axis=1))
 
 
-def lamp_of(irradiance: SpectralImage) -> tuple[Array, str]:
-    """Return the lamp's spectrum in the image's bands, (B,) in any unit, and its name: that of D65 if the lamps share none."""
-    spectrum = white_spectrum(irradiance)
-    return (irradiance.band_mean(d65), "D65") if spectrum is None else (spectrum, "the scene's lamp")
-
-
 def xyz_weights(irradiance: SpectralImage) -> Array:
     """Return the weights (3, B) that turn band values into XYZ, in the unit of the bands times nm."""
     return np.array([irradiance.band_mean(partial(_observer, number)) for number in range(3)]) * irradiance.band_width_nm
@@ -155,6 +148,11 @@ def check_told_apart(responses: Array, lamp: str) -> None:
         raise invalid(f"colour under {lamp}", f"channels of rank {rank}", "three that tell colours apart", hint)
 
 
+def white_y(irradiance: SpectralImage, camera: Camera, display: Display) -> float:
+    """Return the Y on the sensor, on axis, from the scene's white, in the unit of `xyz_weights`, whose Y is luminance over 683."""
+    return white_lx(irradiance, camera, display) * float(xyz_weights(irradiance)[1].sum() / irradiance.luminous_weight().sum())
+
+
 def ideal_rgb(
     irradiance: SpectralImage, camera: Camera, display: Display, to_display: Array, edges_um: tuple[Array, Array]
 ) -> Array:
@@ -166,22 +164,17 @@ def ideal_rgb(
     edges_um : of the dots' rows and columns
     """
     weights = xyz_weights(irradiance)
-    luminous = irradiance.luminous_weight()  # 683 ȳ: the white is known in lx
-    lux = white_cd_per_m2(irradiance, display) * float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
-    white = lux * camera.transmittance * float(weights[1].sum() / luminous.sum())
 
     def on_display(rate: Array) -> Array:
-        for axis, edges in enumerate(edges_um):
-            rate = integrate_axis(rate, irradiance.pitch_um, edges[:-1], edges[1:], axis)
-            rate /= np.diff(edges).reshape((-1, 1) if axis == 0 else (1, -1))
-        return np.maximum(rate, 0.0, out=rate)
+        means = means_on_dots(rate, irradiance.pitch_um, edges_um)
+        return np.maximum(means, 0.0, out=means)
 
     if irradiance.factors and len(irradiance.factors[0]) == 1:  # one picture, in three colours of one spectrum
         picture = on_display(irradiance.factors[1][0].astype(float))
         xyz = [float((weight * irradiance.factors[0][0]).sum()) * picture for weight in weights]
     else:
         xyz = [on_display(irradiance.weighted(weight)) for weight in weights]
-    return mixed(to_display / white, xyz)
+    return mixed(to_display / white_y(irradiance, camera, display), xyz)
 
 
 def mixed(matrix: Array, planes: Sequence[Array]) -> Array:

@@ -87,6 +87,19 @@ def white_spectrum(irradiance: SpectralImage) -> Array | None:
     return irradiance.factors[0][0] if irradiance.factors and len(irradiance.factors[0]) == 1 else None
 
 
+def lamp_of(irradiance: SpectralImage) -> tuple[Array, str]:
+    """Return the lamp's spectrum in the image's bands, (B,) in any unit, and its name: that of D65 if the lamps share none."""
+    spectrum = white_spectrum(irradiance)
+    return (irradiance.band_mean(d65), "D65") if spectrum is None else (spectrum, "the scene's lamp")
+
+
+@checks_arguments
+def white_lx(irradiance: SpectralImage, camera: Camera, display: Display) -> float:
+    """Return the illuminance on the sensor, on axis, from the scene's white. Raises PixsimError as `white_cd_per_m2` does."""
+    factor_sr = irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance
+    return white_cd_per_m2(irradiance, display) * float(factor_sr)
+
+
 @checks_arguments
 def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> float:
     """Return the photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
@@ -95,14 +108,10 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
 
     Raises PixsimError if the eye or the sensor does not respond to that spectrum.
     """
-    factor_sr = irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance
-    white_lx = white_cd_per_m2(irradiance, display) * float(factor_sr)
-    spectrum = white_spectrum(irradiance)
-    if spectrum is None:
-        spectrum = irradiance.band_mean(d65)
+    white, (spectrum, _) = white_lx(irradiance, camera, display), lamp_of(irradiance)
     electrons = float((electrons_per_joule(physics, irradiance) * spectrum).sum())
     lux = float((irradiance.luminous_weight() * spectrum).sum())
-    rate = electrons / lux * white_lx * M2_PER_UM2 if lux > 0 else 0.0
+    rate = electrons / lux * white * M2_PER_UM2 if lux > 0 else 0.0
     low, high = WHITE_E_PER_S_UM2
     if not low < rate < high:
         got = f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx from its light in all bands)"
@@ -249,6 +258,24 @@ def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpola
 
 
 @checks_arguments
+def means_on_dots(picture: Array, pitch_um: float, edges_um: tuple[Array, Array]) -> Array:
+    """Return the means over dots of a picture.
+
+    picture : (H, W), any unit, means over cells
+    pitch_um : of the cells
+    edges_um : of the dots' rows and columns, from `dot_edges_um`
+
+    Returns (rows, columns) in the picture's unit.
+
+    Raises PixsimError as `integrate_axis` does.
+    """
+    for axis, edges in enumerate(edges_um):
+        picture = integrate_axis(picture, pitch_um, edges[:-1], edges[1:], axis)
+        picture /= np.diff(edges).reshape((-1, 1) if axis == 0 else (1, -1))
+    return picture
+
+
+@checks_arguments
 def ideal_luminance(
     irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, edges_um: tuple[Array, Array]
 ) -> Array:
@@ -262,10 +289,7 @@ def ideal_luminance(
 
     Raises PixsimError as `white_rate` does.
     """
-    rate = ideal_rate(irradiance, physics)
-    for axis, edges in enumerate(edges_um):
-        rate = integrate_axis(rate, irradiance.pitch_um, edges[:-1], edges[1:], axis)
-        rate /= np.diff(edges).reshape((-1, 1) if axis == 0 else (1, -1))
+    rate = means_on_dots(ideal_rate(irradiance, physics), irradiance.pitch_um, edges_um)
     rate /= white_rate(irradiance, camera, physics, display)
     return np.maximum(rate, 0.0, out=rate)
 

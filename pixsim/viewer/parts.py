@@ -15,14 +15,12 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.collection import Collection, collection_of, read_as_one
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.integration import M2_PER_UM2, diffracted, diffusion_of, illumination_of, integrate_pixels, pixels_on
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, integration_time_s, make_frame
-from pixsim.viewer.develop import frame_rgb, lamp_of, xyz_weights
-from pixsim.viewer.display import white_cd_per_m2
+from pixsim.viewer.develop import frame_rgb, white_y, xyz_weights
 from pixsim.viewer.score import ImagingChain, PreparedScene, shown
 
 
@@ -69,7 +67,7 @@ def delta_e_parts(
         blur = diffusion_of(physics)
         mean = collection_of(physics, illumination_of(irradiance, camera, physics), _pixels(light, physics))
         seen = diffracted(irradiance, camera, list(xyz_weights(irradiance)), blur)
-        white = _white(irradiance, camera, chain)
+        white = white_y(irradiance, camera, screen.display) * M2_PER_UM2
         observed = [_at_every_pixel(rate, light, physics, mean) / white for rate in seen]
         for channels, matrix in ((planes, own.matrix), (observed, light.rendition.to_display)):
             picture = frame_rgb(channels, still, matrix, screen.size_um, screen.display, screen.dot_edges_um)
@@ -105,11 +103,3 @@ def _at_every_pixel(rate: Array, light: PreparedScene, physics: PixelPhysics, co
         mean = share_with_neighbours(mean, collection.shares) / collection.on_axis / collection.relative((rows, columns))
     side = physics.as_read.bin_side
     return read_as_one(mean, side) / side**2
-
-
-def _white(irradiance: SpectralImage, camera: Camera, chain: ImagingChain) -> float:
-    """Return the Y of the scene's white on axis, in the unit of `diffracted` with the observer's weights."""
-    lamp, _ = lamp_of(irradiance)
-    factor = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
-    lux = white_cd_per_m2(irradiance, chain.screen.display) * factor
-    return lux * float((xyz_weights(irradiance)[1] * lamp).sum() / (irradiance.luminous_weight() * lamp).sum()) * M2_PER_UM2

@@ -58,6 +58,7 @@ EXCEPTIONS = {
     ("source", "pixsim.sensor.pixel.given_efficiency"): "from the data sheet",
     ("source", "pixsim.viewer.display.pixel_edges_um"): "positions of pixels",
     ("source", "pixsim.viewer.display.average_axis"): "the mean of a spline",
+    ("source", "pixsim.viewer.display.means_on_dots"): "the mean of a picture",
     ("source", "pixsim.make_chart"): "the charts name theirs",
     ("source", "pixsim.scene.charts.sine_value"): "a sine",
     ("source", "pixsim.scene.charts.siemens_star"): "sectors",
