@@ -382,6 +382,7 @@ def test_read_edge_picture_invalid_bits_raises(tmp_path, bits):
     [
         {"camera": 3}, {"camera": {"f_number": "x"}}, {"parameters": None, "scene": "csf.xml"}, {"scene": []},
         {"luminance_cd_per_m2": "x"}, {"luminance_cd_per_m2": -1}, {"lamp_w_per_m2_sr_nm": [1]}, {"lamp_w_per_m2_sr_nm": "x"},
+        {"white_lamps": 3}, {"white_lamps": [3]},
     ],
 )  # fmt: skip
 def test_read_picture_invalid_header_raises(tmp_path, header):

@@ -169,10 +169,7 @@ def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: i
     header: dict[str, Any] = {"camera": camera.model_dump()}
     if plan.white_cd_per_m2 is not None:
         header["luminance_cd_per_m2"] = plan.white_cd_per_m2
-    lamps = [light.lamp.spectrum for light in plan.lights]
-    if len(lamps) == 1 and lamps[0] is not None:
-        edges = np.append(CENTRES_NM - BAND_NM / 2, CENTRES_NM[-1] + BAND_NM / 2)
-        header["lamp_w_per_m2_sr_nm"] = lamps[0].cell_means(edges).tolist()
+    header |= plan.white_header(np.append(CENTRES_NM - BAND_NM / 2, CENTRES_NM[-1] + BAND_NM / 2))
 
     def picture(seed: int) -> SpectralImage:
         radiance = tracer.trace(0, whole, sampler, spp, seed)

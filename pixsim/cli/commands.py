@@ -200,6 +200,7 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
     Console(file=text, width=width or Console().width, markup=False, emoji=False).print(table)
     lines = [line.rstrip() for line in text.getvalue().splitlines()]
     lines += [f"warning: {note}" for note in plan.warnings]
+    lines.append(f"white: {plan.light_of_white}")
     lines.append(
         f"{'no samples' if plan.exact else f'{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples'} "
         f"(scene file: {plan.full_spp}); "

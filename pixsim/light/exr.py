@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import check_compression, check_size, opened, quiet_stdout, replacing
-from pixsim.light.spectral import EDGE, WHOLE, SpectralImage
+from pixsim.light.spectral import EDGE, LAMP, WHITE_LAMPS, WHOLE, SpectralImage
 
 MAGIC = 20000630
 LONG_NAMES, TILED = 0x400, 0x200
@@ -125,9 +125,11 @@ def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
         raise ValueError("parameters and camera must be tables")
     if not all(isinstance(header.get(name, ""), str) for name in ("scene", "source", "units")):
         raise ValueError("scene, source and units must be strings")
-    numbers = np.array(metadata["wavelength_nm"] + metadata["band_width_nm"] + header.get("lamp_w_per_m2_sr_nm", []), float)
+    numbers = np.array(metadata["wavelength_nm"] + metadata["band_width_nm"] + header.get(LAMP, []), float)
     if numbers.size % len(metadata["wavelength_nm"]) or not np.isfinite(numbers).all():
         raise ValueError("there must be one finite number for each band")
+    if not isinstance(lamps := header.get(WHITE_LAMPS, []), list) or not all(isinstance(name, str) for name in lamps):
+        raise ValueError(f"{WHITE_LAMPS} must be a list of names")
     reduced = header.get("reduced", {"samples": [1, 1], "factor": 1.0})
     if not (1 <= reduced["factor"] < math.inf and len(reduced["samples"]) == 2 and min(reduced["samples"]) >= 1):
         raise ValueError("reduced must be a factor of at least 1 and two numbers of samples")

@@ -7,7 +7,7 @@ Pictures are stored upright: row 0 is the top of the scene and column 0 its left
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from importlib import resources
@@ -28,6 +28,8 @@ LIGHT_SPEED_M_PER_S = 299792458.0
 WHOLE = slice(None)
 STRIP_VALUES = 1 << 18  # of all bands of a strip: 1 MiB in float32
 MAX_VALUE = float(np.finfo(np.float32).max)
+# Entries of a header: the light of the scene's white, in each band; and the lamps that make it together, if the scene names them.
+LAMP, WHITE_LAMPS = "lamp_w_per_m2_sr_nm", "white_lamps"
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
@@ -273,6 +275,16 @@ class SpectralImage:
         """Return the illuminance 683.002 ∫ ȳ E dλ, (H, W) lx."""
         return self.weighted(self.luminous_weight())
 
+    @property
+    def white_spectrum(self) -> Array | None:
+        """Light of the scene's white in each band, (B,) in any unit; None if it is unknown.
+
+        It is that of the lamps that the scene names as its white, else the spectrum that all lamps share.
+        """
+        if lamp := self.header.get(LAMP):
+            return np.asarray(lamp, float)
+        return self.factors[0][0] if self.factors and len(self.factors[0]) == 1 else None
+
     def validate(self) -> None:
         """Check the values. Raises PixsimError if one is not finite, or is negative and not one of several factors."""
         spectra, picture = self.factors or (np.ones((1, 1)), self.data)
@@ -293,6 +305,17 @@ class SpectralImage:
             f"<SpectralImage {width}×{height} samples of {self.pitch_um:g} µm, {self.wavelength_nm.size} bands "
             f"{self.wavelength_nm[0]:g}–{self.wavelength_nm[-1]:g} nm, {kind}, W m^-2 nm^-1>"
         )
+
+
+def white_words(known: bool, lamps: Sequence[str] = ()) -> str:
+    """Name the light of a scene's white, for messages and reports.
+
+    known : whether its spectrum is known; of an unknown white, that of D65 takes its place
+    lamps : that the scene names as its white
+    """
+    if lamps:
+        return f"the scene's own white, of its lamps {', '.join(lamps)}"
+    return "the scene's lamp" if known else f"D65 (the lamps share no spectrum, and the scene names no {WHITE_LAMPS})"
 
 
 EDGE = 1e-9  # of a sample: rounding errors of a ratio

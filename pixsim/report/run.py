@@ -41,7 +41,7 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
-from pixsim.viewer.display import dot_edges_um, white_header, white_rate, white_spectrum
+from pixsim.viewer.display import dot_edges_um, white_header, white_light, white_rate
 from pixsim.viewer.score import Score, dark_clip, make_imaging_chain
 
 if TYPE_CHECKING:
@@ -283,7 +283,7 @@ def summary_of(
         "border_um": list(score.border_um),
         "pixel": physics.pixel.model_dump(),
         "assumption": physics.pixel.assumption,
-        "white_spectrum": "D65: the lamps share no spectrum" if white_spectrum(irradiance) is None else "the lamps' own",
+        "white_spectrum": white_light(irradiance)[1],
         "irradiance": irradiance.header,
         "dark": dark_clip(physics, time_s, white_e),
         "camera": camera.model_dump(),

@@ -12,6 +12,7 @@ import numpy as np
 from pixsim.base.parameters import Display, PixelOptions, Record
 from pixsim.light.spectral import SpectralImage
 from pixsim.show.pages import shown_value
+from pixsim.viewer.display import white_light
 
 FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel
 
@@ -72,6 +73,7 @@ def scene_rows(
     if isinstance(scene_white, int | float) and scene_white != light.white_cd_per_m2:
         rows.append(("luminance_cd_per_m2", f"{scene_white:.4g}", "white of the scene, which is not shown as display white", ""))
     rows.append(("white_cd_per_m2", f"{light.white_cd_per_m2:.4g}", "scene luminance shown as display white", light.white_from))
+    rows.append(("white_spectrum", white_light(irradiance)[1], "light of the scene's white", ""))
     rows.append(("integration_s", light.exposure, "exposure time: shortest to longest frame", ""))
     return rows
 

@@ -37,6 +37,7 @@ SCENE = """<!-- {title}
      and of the screen, so that the chart fills the die. Made by pixsim chart. -->
 <scene version="3.0.0">
     <default name="white_cd_per_m2" value="{white_cd_per_m2:g}"/>
+    <default name="white_lamps" value="{white_lamps}"/>
     <default name="chart_half_width" value="0.350145791"/>
     <default name="chart_half_height" value="0.350145791"/>
     <default name="resolution" value="1024"/>
@@ -202,8 +203,9 @@ def write_colour_chart(
         )
         for name, file, intensity in zip(PRIMARIES, slides, intensities.T, strict=True)
     ]
+    white = {"white_cd_per_m2": LUMINANCE_CD_PER_M2[1], "white_lamps": ", ".join(PRIMARIES)}
     comment = re.sub("--+", "-", title)  # two hyphens would end it
-    text = SCENE.format(title=comment, white_cd_per_m2=LUMINANCE_CD_PER_M2[1], projectors="\n".join(projectors))
+    text = SCENE.format(title=comment, **white, projectors="\n".join(projectors))
     try:
         with replacing(path) as partial:
             for share, file in zip(change.shares.tolist(), slides, strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement, product
@@ -12,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, first_where
-from pixsim.base.errors import invalid
+from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import digest_of
 from pixsim.base.parameters import Camera
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
-from pixsim.light.spectral import HIGH_NM, LOW_NM, Spectrum, grid_nm, tabulated
+from pixsim.light.spectral import HIGH_NM, LOW_NM, WHITE_LAMPS, Spectrum, grid_nm, tabulated
 from pixsim.scene.assets import EIGHT_BIT
 from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
 
@@ -174,6 +175,37 @@ def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
         if not np.isfinite(values).all() or values.min() < 0:
             raise invalid("emitter", f"radiance {values.min():g}", "finite values of 0 or more")
     return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral() > 0]
+
+
+def white_of(state: Any, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spectrum, ...]:
+    """Return the spectra that add up to the light of the scene's white, in one unit; none if that is unknown.
+
+    lamps : of `find_lamps`
+    names : ids of the emitters that shine on the white together, each with a picture of 1; none: all, if they share a spectrum
+
+    Raises PixsimError for the id of no emitter, of emitters whose spectra have no common unit, and of dark ones.
+    """
+    if not names:
+        known = [lamp.spectrum for lamp in lamps if lamp.spectrum is not None]
+        return (known[0],) if len(lamps) == len(known) == 1 else ()
+    emitters = {node.props.id(): (index, EMISSION.get(node.props.plugin_name())) for index, node in nodes_of(state, "Emitter")}
+    if unknown := [name for name in names if name not in emitters]:
+        allowed = f"ids of emitters of the scene: {', '.join(emitters)}"
+        raise invalid(WHITE_LAMPS, f"'{unknown[0]}'", allowed, did_you_mean(unknown[0], emitters))
+    units = dict.fromkeys(str(emitters[name][1]) for name in names)
+    if len(units) > 1:
+        raise invalid(WHITE_LAMPS, f"'{', '.join(names)}', whose spectra are {' and '.join(units)}", "emitters with one unit")
+    spectra = []
+    for name in names:
+        index = emitters[name][0]
+        lamp = next(lamp for lamp in lamps if index in lamp.pictures)
+        if lamp.spectrum is None:
+            raise invalid(WHITE_LAMPS, f"'{name}', whose spectrum varies over it", "emitters with one spectrum each")
+        power = lamp.pictures[index][1]
+        spectra.append(lamp.spectrum * (power if isinstance(power, float) else 1.0))
+    if not sum(spectrum.integral() for spectrum in spectra) > 0:
+        raise invalid(WHITE_LAMPS, f"'{', '.join(names)}', which are dark", "emitters with light")
+    return tuple(spectra)
 
 
 # The spectral properties of the stock BSDFs.

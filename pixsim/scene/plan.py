@@ -13,13 +13,13 @@ from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
-from pixsim.light.spectral import colour_matching, photons_per_joule, photopic_efficiency
+from pixsim.light.spectral import LAMP, WHITE_LAMPS, Spectrum, colour_matching, photons_per_joule, photopic_efficiency, white_words
 from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.scene import bands as spectral_bands, film, rules
 from pixsim.scene.bands import Bands, Fit, Witness
-from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces
+from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces, white_of
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.mitsuba import nodes_of
 from pixsim.scene.real_lens import decide_real_lens, real_lens_warnings
@@ -56,6 +56,8 @@ class Plan:
     lights : one for each lamp spectrum
     bands : of the result
     white_cd_per_m2 : luminance of texel value 1 of an emissive chart, or None
+    white : spectra that add up to the light of the scene's white; none if it is unknown
+    white_lamps : ids of the emitters that are it, if the scene names them
     lens : "thinlens", or "perspective" if the aperture need not be sampled
     integrator : plugin and its parameters, or None for that of the scene
     spp : samples per film cell in each pass
@@ -94,6 +96,8 @@ class Plan:
     exact: bool = False
     full: bool = False
     tiling: Tiling | None = None
+    white: tuple[Spectrum, ...] = ()
+    white_lamps: tuple[str, ...] = ()
 
     @checks_arguments
     def camera_of(self, camera: Camera) -> Camera:
@@ -151,6 +155,19 @@ class Plan:
         fewer = sum(len(light.fit.pulses) for light in self.lights) < self.bands.width_nm.size
         return fewer or any(bool(light.fit.spectra.min() < 0) for light in self.lights)
 
+    @property
+    def light_of_white(self) -> str:
+        """Name of the light of the scene's white."""
+        return white_words(bool(self.white), self.white_lamps)
+
+    @checks_arguments
+    def white_header(self, edges_nm: Array) -> dict[str, Any]:
+        """Return the entries of an irradiance's header on the light of the scene's white, in bands between edges (B + 1,)."""
+        lamps = {WHITE_LAMPS: list(self.white_lamps)} if self.white_lamps else {}
+        if not self.white:
+            return lamps
+        return {LAMP: np.sum([spectrum.cell_means(edges_nm) for spectrum in self.white], axis=0).tolist()} | lamps
+
     def as_dict(self) -> dict[str, Any]:
         """Return the plan for `pixsim plan --json`."""
         table: dict[str, Any] = {"decisions": [asdict(decision) for decision in self.decisions], "tolerance_e": self.tolerance_e}
@@ -158,6 +175,7 @@ class Plan:
         table |= {"passes": self.passes, "passes_full": self.full_passes, "spp": self.spp, "spp_full": self.full_spp}
         table |= {"resolution": self.resolution, "diffraction": self.diffraction, "warnings": list(self.warnings)}
         table |= {"lens": self.lens, "integrator": self.integrator}
+        table["white_spectrum"] = self.light_of_white
         return table | {"wavelength_nm": self.bands.wavelength_nm.tolist(), "band_width_nm": self.bands.width_nm.tolist()}
 
     def __repr__(self) -> str:
@@ -200,7 +218,9 @@ def make_render_plan(
     sensor = sensor_node(state, scene.sensor_id)[1]
     height, width = (max(1, side) for side in scene.film_shape(seen, state))  # the renderer checks the size
     bodies = find_bodies(state, sensor)
-    lamps = checked_lamps(find_lamps(state, scene.choice.variant))
+    every_lamp = find_lamps(state, scene.choice.variant)
+    lamps = checked_lamps(every_lamp)
+    white = white_of(state, every_lamp if scene.white_lamps else lamps, scene.white_lamps)
     surfaces = find_surfaces(state, scene.choice.variant)
     if not lamps:
         raise invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
@@ -247,6 +267,8 @@ def make_render_plan(
         warnings=tuple(warnings),
         full=full,
         tiling=tiling,
+        white=white,
+        white_lamps=scene.white_lamps,
     )
     return _without_samples(plan) if exact and not full else plan
 

@@ -324,9 +324,7 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     }
     if plan.tiling is not None:
         header[LENS_HEADER] = asdict(plan.tiling)
-    spectra = [light.lamp.spectrum for light in plan.lights]
-    if len(spectra) == 1 and spectra[0] is not None:
-        header["lamp_w_per_m2_sr_nm"] = spectra[0].cell_means(plan.bands.edges_nm).tolist()
+    header |= plan.white_header(plan.bands.edges_nm)
     if white := scene.white_cd_per_m2 or plan.white_cd_per_m2:
         header["luminance_cd_per_m2"] = float(f"{white:.9g}")
     return header

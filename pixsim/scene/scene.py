@@ -17,9 +17,10 @@ from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions, content_hash
+from pixsim.light.spectral import WHITE_LAMPS
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.scene import charts, variant as variants
-from pixsim.scene.contents import check_textures, check_transforms, find_lamp, is_neutral, named_files
+from pixsim.scene.contents import check_textures, check_transforms, find_lamp, find_lamps, is_neutral, named_files, white_of
 from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.judge import SceneText, judge_scene
 from pixsim.scene.mitsuba import children, nodes_of, plain
@@ -47,6 +48,7 @@ class Scene:
     sensor_id : id of the sensor; None if there is only one
     choice : Mitsuba variant, and why it was chosen
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
+    white_lamps : ids of the emitters whose light together is that of white, if the file names them in its <default> white_lamps
     shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter `max_lp_per_mm` sets
     own_chart : a picture that takes the place of the parameter `chart`, which names it
     resolution : film samples across the die, in place of the film's width in the XML
@@ -58,6 +60,7 @@ class Scene:
     sensor_id: str | None
     choice: variants.Choice
     white_cd_per_m2: float | None = None
+    white_lamps: tuple[str, ...] = ()
     own_chart: OwnChart | None = None
     resolution: int | None = None
     shows_csf: bool = False
@@ -228,13 +231,14 @@ def load_scene(
         got = missing(path) if is_path else f"'{scene}'"
         raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
+    lamps = parameters.pop(WHITE_LAMPS, None)
     highest = parameters.pop(charts.MAX_LP_PER_MM, None)
     linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
     given = {name: str(value) for name, value in parameters.items()}
     picture = _picture_of_chart(path, given)
     text = judge_scene(path, given, picture)
     names = text.names
-    also = ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE), (CHART_LINEAR, CHART))
+    also = ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE), (WHITE_LAMPS, WHITE_LAMPS), (CHART_LINEAR, CHART))
     settable = {name for name, needed in also if needed in names | text.defaults.keys()}
     shows_csf = CHART in names and CHART not in given and Path(text.defaults.get(CHART, "")).name == "csf.exr"
     settable |= {charts.MAX_LP_PER_MM} if shows_csf else set()
@@ -247,6 +251,10 @@ def load_scene(
     if white is not None and file_white is None:
         got = f"'{white}', but '{path.name}' has no such <default>"
         raise invalid(WHITE, got, "a scene with this <default>", "Set display.white_cd_per_m2.")
+    file_lamps = text.defaults.get(WHITE_LAMPS)
+    if lamps is not None and file_lamps is None:
+        got = f"'{lamps}', but '{path.name}' has no such <default>"
+        raise invalid(WHITE_LAMPS, got, f'a scene with <default name="{WHITE_LAMPS}" value="…"/>, ids of its emitters')
     if highest is not None and not shows_csf:
         got = f"'{highest}', but the chart of '{path.name}' is another{' (-D chart)' if CHART in given else ''}"
         raise invalid(charts.MAX_LP_PER_MM, got, "the scene csf with its own chart")
@@ -256,6 +264,10 @@ def load_scene(
     loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=shows_csf)
     loaded = _with_own_chart(loaded, text, picture, linear)
     state = loaded.parse()
+    white_lamps = tuple(dict.fromkeys(str((file_lamps if lamps is None else lamps) or "").replace(",", " ").split()))
+    if white_lamps:
+        white_of(state, find_lamps(state, choice.variant), white_lamps)
+        loaded = replace(loaded, white_lamps=white_lamps)
     sensor_of_scene = sensor_node(state, sensor)[1]
     read_camera(sensor_of_scene, Camera().die_mm)
     film_size(state, sensor_of_scene)

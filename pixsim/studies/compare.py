@@ -39,7 +39,7 @@ from pixsim.studies.circumstances import Circumstances, circumstances_of
 from pixsim.studies.engine import results_of, workers_here
 from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
 from pixsim.studies.preparation import View, choose_view, frame_cost, jobs_in_memory
-from pixsim.viewer.display import dot_edges_um, white_header
+from pixsim.viewer.display import dot_edges_um, white_header, white_light
 from pixsim.viewer.score import (
     ImagingChain,
     Score,
@@ -653,6 +653,7 @@ def _summary_of(compared: Compared) -> dict[str, Any]:
         "film": compared.film.as_dict(),
         "render_noise": asdict(compared.noise),
         "dark": compared.dark,
+        "white_spectrum": white_light(compared.irradiance)[1],
         "irradiance": compared.irradiance.header,
     }
 

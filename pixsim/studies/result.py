@@ -39,7 +39,7 @@ from pixsim.studies.evaluations import (
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
-from pixsim.viewer.display import white_rate
+from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip
 
 if TYPE_CHECKING:
@@ -288,6 +288,7 @@ class StudyResult:
         more["window_mm"] = self.study.window_mm
         return {name: value for name, value in more.items() if value} | {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
+            "white_spectrum": white_light(self.irradiance)[1],
             "irradiance": self.irradiance.header,
             "notes": self.notes,
             "curves": [curve.as_dict() | {"dark": self.dark(curve)} for curve in self.curves],
@@ -301,6 +302,7 @@ class StudyResult:
             own = {"at": first.at, "condition": first.condition, "alone": first.alone, "film": part.film and part.film.as_dict()}
             own["agrees"] = {row.statement: row.agrees for row in self.findings[len(cases)]} if self.findings else {}
             cases.append({name: value for name, value in own.items() if value} | {"irradiance": part.irradiance.header})
+            cases[-1]["white_spectrum"] = white_light(part.irradiance)[1]
         return {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
             "chosen": self.view,

@@ -32,7 +32,7 @@ from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.colour_matrix import RANK_TOLERANCE, check_noise_gains, colour_errors, fit_matrix
 from pixsim.viewer.demosaic import demosaic, demosaic_covariance
-from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, lamp_of, means_on_dots, on_dots, white_lx
+from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, means_on_dots, on_dots, white_light, white_lx
 
 SATURATED = 0.99  # of the saturation level
 
@@ -121,7 +121,7 @@ def rendition_of(irradiance: SpectralImage, channels: Sequence[PixelPhysics], di
 
     Raises PixsimError if a channel, or the observer, sees nothing of the lamp.
     """
-    lamp, name = lamp_of(irradiance)
+    lamp, name = white_light(irradiance)
     nodes_nm, shares = irradiance.within
     light = shares * (lamp * irradiance.band_width_nm)[:, None]
     parts = patch_reflectance(nodes_nm)[CHROMATIC_PATCHES]

@@ -18,7 +18,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display
-from pixsim.light.spectral import SpectralImage, d65
+from pixsim.light.spectral import WHITE_LAMPS, SpectralImage, d65, white_words
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.integration import M2_PER_UM2, MAX_PIXELS, electrons_per_joule, ideal_rate, integrate_axis, pixels_on
@@ -78,19 +78,11 @@ def white_header(irradiance: SpectralImage, camera: Camera, display: Display) ->
     return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
 
 
-@checks_arguments
-def white_spectrum(irradiance: SpectralImage) -> Array | None:
-    """Return the spectrum that all lamps of the scene share, in the image's bands, (B,) in any unit; None if they share none."""
-    lamp = irradiance.header.get("lamp_w_per_m2_sr_nm")
-    if lamp:
-        return np.asarray(lamp, float)
-    return irradiance.factors[0][0] if irradiance.factors and len(irradiance.factors[0]) == 1 else None
-
-
-def lamp_of(irradiance: SpectralImage) -> tuple[Array, str]:
-    """Return the lamp's spectrum in the image's bands, (B,) in any unit, and its name: that of D65 if the lamps share none."""
-    spectrum = white_spectrum(irradiance)
-    return (irradiance.band_mean(d65), "D65") if spectrum is None else (spectrum, "the scene's lamp")
+def white_light(irradiance: SpectralImage) -> tuple[Array, str]:
+    """Return the light of the scene's white in the image's bands, (B,) in any unit, and its name: that of D65 if it is unknown."""
+    spectrum = irradiance.white_spectrum
+    words = white_words(spectrum is not None, irradiance.header.get(WHITE_LAMPS, ()))
+    return irradiance.band_mean(d65) if spectrum is None else spectrum, words
 
 
 @checks_arguments
@@ -104,11 +96,11 @@ def white_lx(irradiance: SpectralImage, camera: Camera, display: Display) -> flo
 def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> float:
     """Return the photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
 
-    The white has the spectrum of the scene's lamps if they share one, else that of D65.
+    Its spectrum is that of `white_light`.
 
     Raises PixsimError if the eye or the sensor does not respond to that spectrum.
     """
-    white, (spectrum, _) = white_lx(irradiance, camera, display), lamp_of(irradiance)
+    white, (spectrum, _) = white_lx(irradiance, camera, display), white_light(irradiance)
     electrons = float((electrons_per_joule(physics, irradiance) * spectrum).sum())
     lux = float((irradiance.luminous_weight() * spectrum).sum())
     rate = electrons / lux * white * M2_PER_UM2 if lux > 0 else 0.0

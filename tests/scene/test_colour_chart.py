@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import colour
@@ -14,8 +15,11 @@ from pixsim.light.exr import read_channels
 from pixsim.light.spectral import colour_matching, photopic_efficiency
 from pixsim.optics.camera_light import camera_factor
 from pixsim.scene import charts
-from pixsim.scene.colour_chart import MEAN, PRIMARIES, modulation, primaries, primaries_xyz, slide, write_colour_chart
+from pixsim.scene.colour_chart import MEAN, PRIMARIES, PROJECTOR_M, modulation, primaries, primaries_xyz, slide, write_colour_chart
+from pixsim.viewer.develop import xyz_weights
+from pixsim.viewer.parts import noiseless_frame
 from pixsim.viewer.scielab import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
+from pixsim.viewer.score import make_imaging_chain
 
 RED_GREEN, BLUE_YELLOW = modulation(-XYZ_FROM_OPPONENT[:, 1]), modulation(XYZ_FROM_OPPONENT[:, 2])
 
@@ -82,6 +86,38 @@ def test_scene_gives_three_spectra_times_three_slides(written: Path, die_height_
         seen = picture * light / (full * lens)
         assert seen == pytest.approx(expected, abs=0.01 * MEAN)
     assert np.abs(expected - expected[:, ::-1]).max() > 0.05 * MEAN  # blue, which changes least
+
+
+def test_white_of_the_chart_is_that_of_its_lamps(written: Path) -> None:
+    """A camera that is no observer shows even slides as the grey they are; balanced for D65, which they look like, it would not.
+
+    The white of the file is 1000 cd/m², with the chromaticity of D65, to the 6 digits of the scene and CIE's steps of 5 nm.
+    """
+    camera = pixsim.Camera(die_mm=0.2)
+    image = pixsim.render(pixsim.load_scene(written, resolution=16, variant="scalar_spectral"), camera)
+    assert image.header["white_lamps"] == list(PRIMARIES)
+    assert image.white_spectrum is not None
+    full = 1 / (math.pi * PROJECTOR_M**2)  # of a screen, by a lamp of intensity 1 through a slide of 1
+    xyz = full * 683.002 * xyz_weights(image) @ image.white_spectrum
+    assert xyz[1] == pytest.approx(1000, rel=1e-4)
+    assert xyz[:2] / xyz.sum() == pytest.approx([0.3127, 0.3290], abs=1e-4)
+    even = image.with_planes(np.full((3, 16, 16), full * MEAN, np.float32))
+    pixel = pixsim.Pixel(
+        technology="4t-bsi",
+        pitch_um=5.0,
+        prnu=0,
+        stack={"enabled": False},
+        colour={"sensitivities": "Nikon_D810", "peak_quantum_efficiency": 0.5},
+    )
+
+    def shown(light: pixsim.SpectralImage) -> np.ndarray:
+        chain = make_imaging_chain(light, camera, pixel, pixsim.Exposure(), pixsim.Display(dots=8))
+        return chain.light(noiseless_frame(chain, 0.01)).mean(axis=(1, 2))
+
+    assert shown(even) == pytest.approx([MEAN] * 3, rel=1e-4)
+    assert np.ptp(shown(even)) < 1e-6
+    del even.header["lamp_w_per_m2_sr_nm"], even.header["white_lamps"]
+    assert np.ptp(shown(even)) > 0.02
 
 
 def test_invalid_change_raises() -> None:

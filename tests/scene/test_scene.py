@@ -16,7 +16,7 @@ from pixsim.base.parameters import CameraOptions
 from pixsim.light.exr import write_channels
 from pixsim.light.spectral import grid_nm
 from pixsim.scene import charts
-from pixsim.scene.contents import Lamp, find_lamp, find_lamps
+from pixsim.scene.contents import Lamp, find_lamp, find_lamps, white_of
 from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.scene import packaged_scenes
 
@@ -336,6 +336,61 @@ def test_find_lamps_are_grouped_by_spectrum(tmp_path):
     # Mitsuba's srgb model of white is flat, and an emitter's colour is times d65.
     white = lamp_of(tmp_path, area('<rgb name="radiance" value="2, 2, 2"/>'))
     assert white.luminance_cd_per_m2 == pytest.approx(2 * D65_LUMINANCE, rel=1e-3)
+
+
+def light_of_white(folder: Path, names: str, *emitters: str) -> np.ndarray:
+    """Return the light of a scene's white at each nm, from the lamps that its <default> names."""
+    default = f'<default name="white_lamps" value="{names}"/>'
+    scene = load(write_scene(folder, default, sensor_xml(), *emitters))
+    assert scene.white_lamps == tuple(names.replace(",", " ").split())
+    spectra = white_of(scene.parse(), find_lamps(scene.parse(), scene.choice.variant), scene.white_lamps)
+    return np.sum([spectrum.at(grid_nm()) for spectrum in spectra], axis=0)
+
+
+def named(name: str, emitter: str) -> str:
+    """Return an emitter with an id."""
+    return emitter.replace("<emitter ", f'<emitter id="{name}" ', 1)
+
+
+def test_light_of_named_lamps_is_that_of_white(tmp_path: Path) -> None:
+    """The sum over the lamps, also of those that share a spectrum; 1e-4 as of a single lamp."""
+    lamps = [
+        named("a", area(line(0, 470))),
+        named("b", area(line(0, 235))),
+        named("c", area(REGULAR)),
+        named("d", area(line(9, 9))),
+    ]
+    rising = grid_nm() - 360
+    assert light_of_white(tmp_path, "a", *lamps) == pytest.approx(rising, rel=1e-4, abs=1e-4)
+    assert light_of_white(tmp_path, "a, b c", *lamps) == pytest.approx(2.5 * rising, rel=1e-4, abs=1e-4)
+    same = [named("a", area(d65_xml(3))), named("b", area(d65_xml(1)))]
+    assert light_of_white(tmp_path, "b", *same) == pytest.approx(d65_radiance(grid_nm(), D65_LUMINANCE), rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ("lamp, sun", ["white_lamps", "'sun'", "lamp, spot, dark, coloured"]),
+        ("lamp, spot", ["radiance and intensity", "one unit"]),
+        ("coloured", ["'coloured'", "varies"]),
+        ("dark", ["'dark'", "emitters with light"]),
+    ],
+)
+def test_lamps_that_are_no_white_are_refused(tmp_path: Path, names: str, words: list[str]) -> None:
+    pixsim.write_chart(tmp_path / "grey.exr", np.full((2, 2), 0.5, np.float32))
+    spot = '<emitter type="spot"><spectrum name="intensity" value="2"/></emitter>'
+    emitters = {"lamp": area(line(0, 1)), "spot": spot, "dark": area(line(0, 0)), "coloured": area(bitmap("radiance", ""))}
+    path = write_scene(
+        tmp_path, '<default name="white_lamps" value=""/>', sensor_xml(), *(named(*each) for each in emitters.items())
+    )
+    with pytest.raises(PixsimError) as caught:
+        load(path, white_lamps=names)
+    assert all(word in str(caught.value) for word in words), caught.value
+
+
+def test_white_lamps_need_their_default(tmp_path: Path) -> None:
+    with pytest.raises(PixsimError, match=r"white_lamps.*no such <default>"):
+        load("macbeth", white_lamps="lamp")
 
 
 @pytest.mark.parametrize("luminance", [0.01, 100, 1e6])
