@@ -17,12 +17,13 @@ from pixsim.light.spectral import LAMP, WHITE_LAMPS, Spectrum, colour_matching, 
 from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
+from pixsim.optics.lens_defocus import Defocus
 from pixsim.scene import bands as spectral_bands, film, rules
 from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces, white_of
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.mitsuba import nodes_of
-from pixsim.scene.real_lens import decide_real_lens, real_lens_warnings
+from pixsim.scene.real_lens import decide_defocus, decide_real_lens, real_lens_warnings
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
@@ -74,6 +75,7 @@ class Plan:
     given_spp : whether an option sets `spp`
     full : whether nothing may be left out
     tiling : of the blur of a real lens; None for a thin lens, and where a thin lens takes its place
+    defocus : what the thin lens's defocus is off at depths of the scene behind a real lens, largest errors first
     """
 
     lights: tuple[Light, ...]
@@ -98,6 +100,7 @@ class Plan:
     tiling: Tiling | None = None
     white: tuple[Spectrum, ...] = ()
     white_lamps: tuple[str, ...] = ()
+    defocus: tuple[Defocus, ...] = ()
 
     @checks_arguments
     def camera_of(self, camera: Camera) -> Camera:
@@ -176,6 +179,10 @@ class Plan:
         table |= {"resolution": self.resolution, "diffraction": self.diffraction, "warnings": list(self.warnings)}
         table |= {"lens": self.lens, "integrator": self.integrator}
         table["white_spectrum"] = self.light_of_white
+        if self.defocus:  # infinity is no number of JSON
+            table["defocus"] = [
+                {name: value if math.isfinite(value) else None for name, value in asdict(one).items()} for one in self.defocus
+            ]
         return table | {"wavelength_nm": self.bands.wavelength_nm.tolist(), "band_width_nm": self.bands.width_nm.tolist()}
 
     def __repr__(self) -> str:
@@ -239,7 +246,11 @@ def make_render_plan(
     spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit, finer)
     diffraction = rules.decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full or tiling is not None)
     bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
-    warnings = real_lens_warnings(whole, tiling, focus, tolerance_e)
+    defocus: list[Defocus] = []
+    if tiling is not None and focus.kept:
+        defocus, of_depth = decide_defocus(state, bodies, camera, seen, width / height, pixels[0] if pixels else None, tolerance_e)
+        real_lens += of_depth
+    warnings = real_lens_warnings(whole, tiling, defocus, tolerance_e)
     if surfaces.short:
         ranges = ", ".join(surfaces.short)
         warnings.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
@@ -269,6 +280,7 @@ def make_render_plan(
         tiling=tiling,
         white=white,
         white_lamps=scene.white_lamps,
+        defocus=tuple(defocus),
     )
     return _without_samples(plan) if exact and not full else plan
 

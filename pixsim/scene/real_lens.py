@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from pixsim.base.parameters import Camera, Pixel
 from pixsim.light.spectral import photons_per_joule
 from pixsim.optics.camera_lens import NODES, TILES, Tiling, choose_tiling, dark_share, distortion_of, thin_lens_error
-from pixsim.scene.rules import Decision
+from pixsim.optics.lens_defocus import Defocus, defocus_at, largest_disc_um, signed_disc_um, smallest_disc_um
+from pixsim.scene.contents import LAMBERTIAN, Body
+from pixsim.scene.mitsuba import nodes_of
+from pixsim.scene.rules import ALIKE, Decision
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import derive
 
 SEEN_NM = np.arange(400.0, 701.0, 10.0)  # light for which tiles are chosen: even in energy, as the sensor sees it
 THIN_LENS_SHARE = 0.5  # of the tolerance, for a thin lens in place of the real one
+DEFOCUS = "defocus of the lens"  # subject of a decision
+NEAREST = 4.0  # times nearer than the plane in focus: the least depth of shapes that reach further, or of unknown size
+STATED = 3  # errors of defocus in a warning
+MOST_STATED = 10.0  # of the contrast
 BLUR_TOLERANCES = 10.0  # of mean electrons, for the rms error of the blur over the rms of a picture: 1 % by default
 
 
@@ -49,17 +58,95 @@ def decide_real_lens(
     return tiling, [Decision("real lens", True, f"{reason}up to {tiling.error:.1e} of the contrast", bounded=False)]
 
 
-def real_lens_warnings(camera: Camera, tiling: Tiling | None, focus: Decision, tolerance_e: float) -> list[str]:
+def decide_defocus(
+    state: Any, bodies: Sequence[Body], camera: Camera, seen: Camera, aspect: float, pixel: Pixel | None, tolerance_e: float
+) -> tuple[list[Defocus], list[Decision]]:
+    """Return what the thin lens's defocus is off at depths of the scene, largest errors first, and the decision.
+
+    Neither if all of it is in focus.
+
+    camera, seen : with the real lens, and the thin lens through which the scene is rendered
+    """
+    physics = derive(pixel) if pixel else None
+    weight = photons_per_joule(SEEN_NM) * (physics.quantum_efficiency(SEEN_NM) if physics else 1.0)
+    least_um = smallest_disc_um(camera, float((weight * SEEN_NM).sum() / weight.sum()))
+    ranges, unknown = depth_ranges_m([body for body in bodies if body.in_view(seen, aspect)], camera, state)
+    discs = tried_discs_um([(signed_disc_um(camera, near), signed_disc_um(camera, far)) for near, far in ranges], least_um, camera)
+    if not discs:
+        return [], []
+    aperture_um = physics.aperture_side_um if physics else max(least_um, 1.0)
+    given = tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um
+    found = sorted((defocus_at(camera, disc, *given) for disc in discs), key=lambda one: -one.error)
+    words = f"out of focus, a thin lens's discs with the blur that the lens has in focus: rms error up to {_amount(found[0])}"
+    if unknown:
+        words += f"; {unknown}"
+    if any(node.props.plugin_name() not in LAMBERTIAN for _, node in nodes_of(state, "BSDF")):
+        words += "; what surfaces mirror or refract lies at other depths, which are not judged"
+    return found, [Decision(DEFOCUS, False, words, "a trace for each depth", bounded=False)]
+
+
+def depth_ranges_m(bodies: Sequence[Body], camera: Camera, state: Any) -> tuple[list[tuple[float, float]], str]:
+    """Return the nearest and farthest depths of bodies, and what of the scene has no known place.
+
+    Bodies reach to a part of the distance in focus at least; from there to infinity goes what has no known place.
+    """
+    nearest = camera.object_distance_m / NEAREST
+    ranges, unknown = [], 0
+    for body in bodies:
+        if body.corners is None:
+            unknown += 1
+            continue
+        near, far = body.depths_m
+        if far > 0:
+            ranges.append((near if near > 0 and far < nearest else min(max(near, nearest), far), far))
+    if unknown:
+        ranges.append((nearest, math.inf))
+    if any(node.props.plugin_name() not in ALIKE for _, node in nodes_of(state, "Emitter")):
+        ranges.append((math.inf, math.inf))
+    words = f"{unknown} shape{'s' * (unknown > 1)} of unknown size taken as from {nearest:.3g} m to infinity" if unknown else ""
+    return ranges, words
+
+
+def tried_discs_um(ranges: Sequence[tuple[float, float]], least_um: float, camera: Camera) -> list[float]:
+    """Return discs, with sign, at which defocus is judged: at most one an octave and sign, of those that ranges of depth have.
+
+    Discs below `least_um` count less than diffraction; in place of those beyond `largest_disc_um` its disc is judged.
+    """
+    limit_um = largest_disc_um(camera, float(SEEN_NM[0]))
+    octaves = [least_um * 2.0**k for k in range(math.ceil(math.log2(max(limit_um / least_um, 1.0))) + 1)]
+    ladder = [sign * min(disc, limit_um) for disc in octaves for sign in (-1, 1)]
+    kept: dict[tuple[bool, int], float] = {}
+    for low, high in ranges:
+        for disc in [low, high, *(step for step in ladder if low < step < high)]:
+            size = min(abs(disc), limit_um)
+            if size >= least_um / 2:
+                place = disc > 0, round(math.log2(size / least_um))
+                kept[place] = max(kept.get(place, 0.0), size)
+    return [size if behind else -size for (behind, _), size in sorted(kept.items())]
+
+
+def _amount(found: Defocus) -> str:
+    """Return an error with where it is."""
+    where = "infinity" if math.isinf(found.depth_m) else f"{found.depth_m:.3g} m"
+    size = f"{found.error:.1%} of the contrast" if found.error < MOST_STATED else "more than the contrast"
+    return f"{size} at {where}, with discs of {found.disc_um:.3g} µm"
+
+
+def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[Defocus], tolerance_e: float) -> list[str]:
     """Return what a real lens does to the picture that the simulation cannot show rightly, or that a user may not expect."""
     if camera.lens is None:
         return []
     notes = []
     if dark := dark_share(camera):
         notes.append(f"{dark:.1%} of the die lies beyond the image circle of '{camera.lens.file}', where no light arrives")
-    if tiling is not None and focus.kept:
+    wrong = [found for found in defocus if found.error > BLUR_TOLERANCES * tolerance_e]
+    if wrong:
+        right = [found for found in defocus if found not in wrong]
+        largest = "; ".join(_amount(found) for found in wrong[:STATED])
         notes.append(
-            f"not all of the scene is known to be in focus ({focus.reason}): the rest gets a thin lens's defocus, and then "
-            "the blur that the real lens has in focus, which is wrong where both are of like size"
+            "what is out of focus gets a thin lens's disc and the blur that the real lens has in focus, which is wrong by more "
+            f"than {BLUR_TOLERANCES * tolerance_e:.1%}: {largest}"
+            + (f"; it is right with discs up to {max(found.disc_um for found in right):.3g} µm" if right else "")
         )
     if tiling is not None and tiling.error > BLUR_TOLERANCES * tolerance_e:
         notes.append(

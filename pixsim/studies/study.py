@@ -456,6 +456,8 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     first = study.technologies[0]
     largest, tried = [physics_of(study, first, largest_pixel_um(study, first))], measured_pixels(study)
     scene, plan = first_film(study, scene, camera)
+    for note in plan.warnings:
+        warn(note)
     plan_of = partial(study_plan, camera=camera, study=study)
     options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress}
     made = render_and_measure(scene, camera, plan, study, largest, tried, **options)

@@ -8,8 +8,13 @@ import pytest
 
 from pixsim import evaluate, load_scene, render
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
-from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, ideal_light, traced_lens, without_lens
+from pixsim.light.spectral import photons_per_joule
+from pixsim.optics.camera_lens import LENS_HEADER, Tiling, distortion_of, ideal_light, traced_lens, without_lens
+from pixsim.optics.lens_defocus import defocus_error, depth_of_disc_m, largest_disc_um, signed_disc_um
+from pixsim.scene.contents import Body
 from pixsim.scene.plan import make_render_plan
+from pixsim.scene.real_lens import SEEN_NM, depth_ranges_m, tried_discs_um
+from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import diffracted_rate, ideal_rate
 from pixsim.sensor.pixel import derive
 
@@ -141,10 +146,109 @@ def test_plans_without_a_real_lens_say_nothing_of_it() -> None:
     assert "real lens" not in [decision.subject for decision in plan.decisions]
 
 
-def test_scenes_with_depth_are_told_what_is_wrong() -> None:
+DEPTHS = """
+<scene version="3.0.0">
+    <default name="resolution" value="32"/>
+    <default name="spp" value="16"/>
+    <integrator type="path"/>
+    <sensor type="thinlens" id="camera">
+        <float name="fov" value="40"/>
+        <float name="aperture_radius" value="0.001"/>
+        <float name="focus_distance" value="0.1"/>
+        <transform name="to_world"><lookat origin="0, 0, 0" target="0, 0, 1" up="0, 1, 0"/></transform>
+        <sampler type="multijitter"><integer name="sample_count" value="$spp"/></sampler>
+        <film type="hdrfilm">
+            <integer name="width" value="$resolution"/>
+            <integer name="height" value="$resolution"/>
+            <string name="pixel_format" value="rgb"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+    <emitter type="constant"><spectrum name="radiance" value="1"/></emitter>
+    <shape type="sphere"><point name="center" x="0" y="0" z="NEAR"/><float name="radius" value="0.0002"/></shape>
+    <shape type="rectangle">
+        <transform name="to_world"><scale value="0.3"/><rotate y="1" angle="180"/><translate z="FAR"/></transform>
+    </shape>
+</scene>
+"""
+
+
+def scene_of_depths(tmp_path: Path, near_m: float, far_m: float) -> Scene:
+    file = tmp_path / "depths.xml"
+    file.write_text(DEPTHS.replace("NEAR", f"{near_m}").replace("FAR", f"{far_m}"), encoding="utf-8")
+    return load_scene(file)
+
+
+@pytest.fixture
+def some_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plans take a moment where their tiles do not matter."""
+    monkeypatch.setattr("pixsim.scene.real_lens.choose_tiling", lambda *_: Tiling(500.0, 20.0, 0.005))
+
+
+@pytest.mark.usefixtures("some_tiles")
+@pytest.mark.parametrize(("near_m", "far_m", "lens"), [(0.08, 0.2, "singlet"), (0.0995, 0.1007, "phone")])
+def test_plan_says_by_how_much_defocus_is_wrong_in_scenes_with_depth(
+    near_m: float, far_m: float, lens: str, tmp_path: Path
+) -> None:
+    scene = scene_of_depths(tmp_path, near_m, far_m)
+    camera = scene.camera(CameraOptions(die_mm=4.8), LensOptions(file=lens))
+    plan = make_render_plan(scene, camera, PIXEL)
+    (decision,) = [decision for decision in plan.decisions if decision.subject == "defocus of the lens"]
+    worst = plan.defocus[0]
+    assert decision.reason.startswith("out of focus, a thin lens's discs")
+    assert f"{worst.error:.1%} of the contrast" in decision.reason
+    physics = derive(PIXEL)
+    weight = photons_per_joule(SEEN_NM) * physics.quantum_efficiency(SEEN_NM)
+    for found in plan.defocus:  # the depths of the scene, and the errors of traces there
+        assert near_m - 0.000201 < found.depth_m < far_m * (1 + 1e-6)
+        assert abs(signed_disc_um(camera, found.depth_m)) == pytest.approx(found.disc_um)
+        traced = defocus_error(camera, found.depth_m, tuple(SEEN_NM), tuple(weight), physics.aperture_side_um)
+        assert traced == pytest.approx(found.error, rel=1e-3)
+    depths = [found.depth_m for found in plan.defocus]
+    farthest = min(far_m, depth_of_disc_m(camera, largest_disc_um(camera, SEEN_NM[0])))
+    assert (min(depths), max(depths)) == pytest.approx((near_m - 0.0002, farthest), rel=1e-6)
+    assert plan.as_dict()["defocus"][0] == {"depth_m": worst.depth_m, "disc_um": worst.disc_um, "error": worst.error}
+    told = [note for note in plan.warnings if "out of focus" in note]
+    if lens == "singlet":
+        assert f"wrong by more than 1.0%: {worst.error:.1%} of the contrast at" in told[0]
+    else:
+        assert 1e-3 < worst.error < 0.01  # separable within ten times the tolerance of electrons
+        assert not told
+        (strict,) = [note for note in make_render_plan(scene, camera, PIXEL, tolerance_e=1e-4).warnings if "out of focus" in note]
+        assert f"wrong by more than 0.1%: {worst.error:.1%}" in strict
+
+
+@pytest.mark.usefixtures("some_tiles")
+def test_shapes_of_unknown_size_and_mirrors_are_told_with_the_defocus() -> None:
     scene, camera = through("singlet", 6.0, 32, "still_life")
     plan = make_render_plan(scene, camera, PIXEL)
-    assert any("thin lens's defocus" in note for note in plan.warnings)
+    assert any("gets a thin lens's disc and the blur that the real lens has in focus" in note for note in plan.warnings)
+    (decision,) = [decision for decision in plan.decisions if decision.subject == "defocus of the lens"]
+    assert "what surfaces mirror or refract lies at other depths, which are not judged" in decision.reason
+
+
+def test_depths_are_those_of_the_shapes_in_view() -> None:
+    camera = Camera(object_distance_m=2.0)
+    corners = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 3.0]])
+    state = load_scene("flat").parse()
+    floor, unknown = Body(0, corners, None), Body(1, None, None)
+    behind, near = Body(2, -np.abs(corners) - 1, None), Body(3, corners / 40 + [0, 0, 0.2], None)
+    assert depth_ranges_m([floor, behind], camera, state) == ([(0.5, 3.0)], "")
+    ((low, high),), words = depth_ranges_m([near], camera, state)
+    assert (low, high, words) == (pytest.approx(0.175), pytest.approx(0.275), "")
+    ranges, words = depth_ranges_m([unknown], camera, state)
+    assert ranges == [(0.5, math.inf)]
+    assert words == "1 shape of unknown size taken as from 0.5 m to infinity"
+
+
+def test_discs_are_judged_once_an_octave_on_each_side() -> None:
+    camera = Camera(focal_length_mm=50.0, f_number=2.0)
+    assert tried_discs_um([(0.0, 0.3)], 1.0, camera) == []
+    assert tried_discs_um([(-9.0, 0.2)], 1.0, camera) == [-1.0, -2.0, -4.0, -9.0]
+    assert tried_discs_um([(3.0, 3.1), (3.2, 3.3)], 1.0, camera) == [3.3]
+    everywhere = tried_discs_um([(-math.inf, math.inf)], 1.0, camera)
+    assert max(everywhere) == -min(everywhere) == largest_disc_um(camera, SEEN_NM[0]) > 100
+    assert 2 * math.log2(max(everywhere)) + 1 < len(everywhere) < 2 * math.log2(max(everywhere)) + 4
 
 
 def test_bands_of_a_scene_with_several_spectra_are_blurred_in_groups(singlet) -> None:
