@@ -3,10 +3,12 @@
 Both are those of a thin lens (`pixsim.optics.thin_lens`), unless the camera has a table of chief ray angles. Then the exit pupil
 is the same disc, as wide on the axis, but seen at the table's angle: its semi-axes in direction cosines are about NA cos CRA, and
 NA cos³CRA along the field. The fall-off remains Foote's, of the field angle seen from the lens, unless the table has one.
+A real lens has the pupil of its trace: the directions at each image point whose rays, traced backwards, get through.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +16,28 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, ChiefRayAngles
+from pixsim.base.parameters import Camera, ChiefRayAngles, TracedLens
 from pixsim.light.spectral import WHOLE
-from pixsim.optics.pupil import Pupil, numerical_aperture
+from pixsim.optics.camera_lens import field_angles, traced_lens
+from pixsim.optics.pupil import Directions, Pupil, numerical_aperture
 from pixsim.optics.thin_lens import field_factor, irradiance_factor, thin_lens_pupil
+
+RINGS, SPOKES = 24, 48  # of rays of a traced pupil
+DARK = 1e-4  # of the light on the axis: at the end of an image circle
+
+
+@dataclass(frozen=True)
+class RealLens:
+    """A traced lens in front of a sensor.
+
+    lens : prescription with its scale, f-number and focus
+    object_distance_m : of the plane in focus
+    corner_mm : distance of the sensor's corner from the axis
+    """
+
+    lens: TracedLens
+    object_distance_m: float
+    corner_mm: float
 
 
 @dataclass(frozen=True)
@@ -28,12 +48,14 @@ class CameraPupil:
     image_distance_um : from the lens to the sensor; infinite for a pupil that is the same everywhere
     magnification : image over object size
     chief_ray_angle : `Camera.chief_ray_angle`
+    real : whose pupil is traced, with `chief_ray_angle` of its trace; None: that of a thin lens
     """
 
     f_number: float
     image_distance_um: float
     magnification: float = 0.0
     chief_ray_angle: ChiefRayAngles | None = None
+    real: RealLens | None = None
 
     @property
     def numerical_aperture(self) -> float:
@@ -41,9 +63,16 @@ class CameraPupil:
         return numerical_aperture(self.f_number * (1 + abs(self.magnification)))
 
     @checks_arguments
-    def at(self, x_um: ArrayLike, y_um: ArrayLike) -> Pupil:
-        """Return the pupils at points of the sensor, (...) as x (columns) and y (rows) broadcast, from the axis."""
+    def at(self, x_um: ArrayLike, y_um: ArrayLike, rings: int = RINGS, spokes: int = SPOKES) -> Pupil | Directions:
+        """Return the pupils at points of the sensor, (...) as x (columns) and y (rows) broadcast, from the axis.
+
+        Beyond the image circle of a real lens, where no light arrives, it is that of the outermost light.
+
+        rings, spokes : of rays of a traced pupil; spokes a multiple of 4
+        """
         x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
+        if self.real is not None:
+            return self._traced(np.hypot(x, y), np.arctan2(y, x), rings, spokes)
         radius_um, azimuth_deg = np.hypot(x, y), np.degrees(np.arctan2(y, x))
         if self.chief_ray_angle is None:
             tangent = radius_um / self.image_distance_um
@@ -52,10 +81,28 @@ class CameraPupil:
             tangent = np.tan(np.radians(np.interp(1e-3 * radius_um, height_mm, angle_deg)))
         return thin_lens_pupil(self.f_number, tangent, azimuth_deg, self.magnification)
 
+    def _traced(self, radius_um: Array, azimuth: Array, rings: int, spokes: int) -> Directions:
+        """Return the pupils at distances from the axis and azimuths in radians, (...); each distance is traced once."""
+        assert self.real is not None
+        assert self.chief_ray_angle is not None
+        lens = traced_lens(self.real.lens, self.real.object_distance_m)
+        heights_mm, fields_deg = field_angles(self.real.lens, self.real.object_distance_m, self.real.corner_mm)
+        lit_mm = max(row[0] for row in self.chief_ray_angle if len(row) < 3 or row[2] > DARK)
+        wanted_um, which = np.unique(np.minimum(radius_um, min(1e3 * lit_mm, 1e3 * float(heights_mm[-1]))), return_inverse=True)
+        fields = np.interp(1e-3 * wanted_um, heights_mm, fields_deg)
+        found, which = lens.directions(fields, lens.primary_nm, 0.0, rings, spokes), which.reshape(radius_um.shape)
+        cosine, sine = np.cos(azimuth), np.sin(azimuth)
+        turn = np.stack([np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)], -2)  # rows: where +x and +y go
+        chief = (found.chief_cosines[which][..., None, :] @ turn)[..., 0, :]
+        return Directions(found.cosines[which] @ turn, found.weight[which], chief)
+
 
 def camera_pupil(camera: Camera) -> CameraPupil:
     """Return the pupil of a camera."""
-    return CameraPupil(camera.f_number, 1e3 * camera.image_distance_mm, camera.magnification, camera.chief_ray_angle)
+    real = None
+    if camera.lens is not None:
+        real = RealLens(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)
+    return CameraPupil(camera.f_number, 1e3 * camera.image_distance_mm, camera.magnification, camera.chief_ray_angle, real)
 
 
 @checks_arguments

@@ -474,7 +474,7 @@ def _diffracted_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: A
     shape = pupil.chief_cosines.shape[:-1]
     result = np.empty((math.prod(shape), wavelength_nm.size, OFFSETS.size, OFFSETS.size))
     for band, nm in enumerate(wavelength_nm):
-        rays = pupil.directions(*_nodes_for(stack, pupil.widest, nm)) if isinstance(pupil, Pupil) else pupil
+        rays = pupil.directions(*nodes_for(stack, pupil.widest, nm)) if isinstance(pupil, Pupil) else pupil
         spot_um = 1e-3 * nm * stack.height_um / (stack.index * stack.pitch_um)
         farthest = 3 * stack.pitch_um / spot_um + FAR_SPOTS
         landing = np.clip(stack.landing_um(rays) / spot_um, -farthest, farthest).reshape(len(result), -1, 2)
@@ -522,7 +522,7 @@ def _collected_of_spots(landing: Array, value: Array, slope: Array) -> Array:
     return np.asarray(result)
 
 
-def _nodes_for(stack: Stack, widest: float, wavelength_nm: float) -> tuple[int, int]:
+def nodes_for(stack: Stack, widest: float, wavelength_nm: float) -> tuple[int, int]:
     """Return the rings and spokes of a pupil that resolve the spot, for an error below 1e-7.
 
     A share is band-limited: over the pupil's radius its phase turns by at most 2π NA p/λ along x and as much along y. Where it

@@ -494,9 +494,9 @@ def decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: bo
     axis, corner = stack_shares(physics, camera, GREEN_NM)
     kind = f"{'microlens' if stack.microlens else 'opening'} {stack.height_um:.4g} µm"
     reason = f"{kind} above the photodiode: a pixel collects {axis:.0%} of its light on axis, {corner:.0%} in the corner"
-    reason += (
-        f" ({GREEN_NM:g} nm)" if camera.chief_ray_angle is None else f" ({GREEN_NM:g} nm, chief rays of camera.chief_ray_angle)"
-    )
+    rays = ", chief rays of camera.chief_ray_angle" if camera.chief_ray_angle is not None else ""
+    rays = f", rays of '{camera.lens.file}'" if camera.lens is not None else rays
+    reason += f" ({GREEN_NM:g} nm{rays})"
     if stack.microlens:
         slower = f"from f/{stack.lossless_f_number:.3g} on" if stack.lossless_f_number else "at every f-number"
         reason += f"; {slower}, light on axis is lost by diffraction only"

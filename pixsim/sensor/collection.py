@@ -24,9 +24,9 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Correction, Display, StackOptions
-from pixsim.optics.camera_light import CameraPupil, camera_pupil
+from pixsim.optics.camera_light import RINGS, SPOKES, CameraPupil, camera_pupil
 from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
-from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits
+from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits, nodes_for
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.crosstalk import share_with_neighbours, shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
@@ -333,7 +333,12 @@ def _shares_at(
     stack: Stack, charge: StackOptions | None, pupil: CameraPupil, y_um: Array, x_um: Array, nm: Array, weight: Array
 ) -> Array:
     """Return the weighted sum over wavelengths (K,) of the shares at places on the sensor (...), (..., 5, 5)."""
-    seen = pupil.at(x_um, y_um)
+    rings, spokes = RINGS, SPOKES
+    if stack.microlens and pupil.real is not None:
+        rings, spokes = (
+            max(pair) for pair in zip(nodes_for(stack, pupil.numerical_aperture, nm.min()), (rings, spokes), strict=True)
+        )
+    seen = pupil.at(x_um, y_um, rings, spokes + -spokes % 4)
     if stack.microlens:
         spread = _spread(stack, charge, pupil.numerical_aperture, nm)
         optical = collected_shares(stack, seen, nm)

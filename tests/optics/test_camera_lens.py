@@ -26,6 +26,7 @@ from pixsim.optics.camera_lens import (
 from pixsim.optics.field_blur import point_spread
 from pixsim.optics.lens import Lens, load_lens
 from pixsim.optics.thin_lens import irradiance_factor
+from tests.scene.test_real_lens import THIN
 
 
 def with_lens(file: str, die_mm: float, distance_m: float = 5.0, given: CameraOptions | None = None, **options: object) -> Camera:
@@ -81,6 +82,23 @@ def test_f_number_stops_down_and_the_widest_is_named() -> None:
 def test_what_the_lens_states_is_refused_beside_it(given: CameraOptions, match: str) -> None:
     with pytest.raises(PixsimError, match=match):
         with_lens("singlet", 4.0, given=given)
+
+
+@pytest.mark.parametrize("f_number", [1.000000005, 3.857109995, 9.999999996])
+def test_a_lens_is_its_own_widest_at_any_scale(f_number: float, tmp_path: Path) -> None:
+    """Its f-number in nine digits is not below the widest, whatever the digits."""
+    file = tmp_path / "thin.toml"
+    own = THIN.replace("value_mm = 0.1", f"value_mm = {load_lens_focal(tmp_path) / f_number:.17g}")
+    file.write_text(own, encoding="utf-8")
+    camera = with_lens(str(file), 1.0, focal_length_mm=20.0, refocus="paraxial")
+    assert camera.lens is not None
+    assert camera.lens.f_number == pytest.approx(f_number, rel=1e-8)
+
+
+def load_lens_focal(tmp_path: Path) -> float:
+    file = tmp_path / "wide.toml"
+    file.write_text(THIN, encoding="utf-8")
+    return load_lens(file).first_order(550.0).focal_length_mm
 
 
 def test_options_without_a_file_are_refused() -> None:
