@@ -33,10 +33,11 @@ from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, largest_pitch_um, physics_of, pitch_for_fill_factor_um
 from pixsim.sensor.readout import Sensor, make_frame
-from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
+from pixsim.sensor.technology import Technology, label_of, technology_of, with_fill_factor_law
 from pixsim.show.pages import csv_text
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
+from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.score import (
     ImagingChain,
     PreparedScene,
@@ -53,7 +54,7 @@ PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fr
 COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_E_STATISTICS)
 TEXTS = COLUMNS[:2]
 FEW_PARTS = 64
-FROM_CACHE = "frame from cache"  # in the rows of a worker only
+FROM_CACHE, LEFT_OUT = "frame from cache", "left out"  # in the rows of a worker only; the second holds the reason
 Row = dict[str, str]
 MAX_BYTES = 1 << 28  # a million rows
 MAX_LINE = 1 << 14
@@ -157,6 +158,7 @@ class ResultsFile:
         return csv_text([row[name] for name in self.columns] for row in rows).encode()
 
 
+FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola
 REPEATS_PER_TASK = 8  # evaluations after which a worker reports
 FILES_OF_MEMORY = 2  # lights in files, for each that is stored in memory: fewer batches draw the same sensors again
 Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors; both in order
@@ -326,12 +328,17 @@ class ChainOfCase(ImagingChain):
 
 
 def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
-    """Return the rows of a task."""
+    """Return the rows of a task; of pixels whose colours cannot be told apart, the reason in their place."""
     key = task.light_key, task.pitch_um
     if getattr(_recent, "key", None) != key:
         chain = chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
         _recent.chain = ChainOfCase(**vars(chain)) if task.columns else chain
         _recent.key = key
+    if _recent.chain.rendition is not None:
+        try:
+            _recent.chain.matrix  # noqa: B018 – it stays in the chain
+        except AlikeChannelsError as error:
+            return [{"key": key, LEFT_OUT: str(error)} for key in task.keys.values()]
     rows = []
     for repeat, score, cached in scores_of(_recent.chain, task.study, list(task.keys), task.frames_key):
         numbers = {name: repr(value) for name, value in score.statistics().items()}
@@ -542,6 +549,7 @@ class Evaluations:
         self.parts, self._workers = parts, workers
         self._results = ResultsFile(results, tuple(parts[0].case.columns))
         self._done: dict[str, Row] = {}
+        self._left_out: dict[str, str] = {}
         self._batch = 0
         lights = {
             (id(part.scenes), _light_key(part.study, part.scenes, technology))
@@ -607,7 +615,7 @@ class Evaluations:
             ]
             for part, sampling in zip(self.parts, samplings, strict=True)
         ]
-        unknown = [set(own) - self._done.keys() for own in keys]
+        unknown = [set(own) - self._done.keys() - self._left_out.keys() for own in keys]
         parts_of: dict[str, list[int]] = {}
         for number, own in enumerate(unknown):
             for key in own:
@@ -616,7 +624,8 @@ class Evaluations:
         def known(numbers: Iterable[int]) -> Iterator[tuple[int, list[Row]]]:
             for number in numbers:
                 if keys[number] and not unknown[number]:
-                    yield number, [self._done[key] | self.parts[number].case.columns for key in keys[number]]
+                    own = self.parts[number].case.columns
+                    yield number, [self._done[key] | own for key in keys[number] if key in self._done]
 
         yield from known(range(len(keys)))
         missing = total = sum(len(task.keys) for calls in batches for task, _ in calls)
@@ -624,9 +633,11 @@ class Evaluations:
         together = batches if self._workers.client else [[call for calls in batches for call in calls]]
         for calls in together:
             for rows in results_of(evaluate_task, calls, self._workers):
-                self._results.append(rows)
-                self._done |= {row["key"]: row for row in rows}
-                self.counts.evaluations_made += len(rows)
+                made = [row for row in rows if LEFT_OUT not in row]
+                self._results.append(made)
+                self._done |= {row["key"]: row for row in made}
+                self._left_out |= {row["key"]: row[LEFT_OUT] for row in rows if LEFT_OUT in row}
+                self.counts.evaluations_made += len(made)
                 self.counts.frames_reused += sum(FROM_CACHE in row for row in rows)
                 missing -= len(rows)
                 if progress:
@@ -636,6 +647,33 @@ class Evaluations:
                     unknown[number] -= {row["key"] for row in rows}
                 yield from known(changed)
 
+    def left_out(self, number: int, sampling: Sampling) -> dict[str, dict[float, str]]:
+        """Return technology -> pitch in µm -> the reason why a part has no rows of it."""
+        found: dict[str, dict[float, str]] = {}
+        for technology, sensors in sampling.items():
+            for pitch_um, count in sensors.items():
+                keys = self.parts[number].fingerprints.keys(technology, pitch_um, range(count)).values()
+                for key in self._left_out.keys() & keys:
+                    found.setdefault(technology, {})[pitch_um] = self._left_out[key]
+        return found
+
+    def possible(self, number: int, sampling: Sampling) -> Sampling:
+        """Return the sampling of a part without the pitches that have no rows.
+
+        Raises PixsimError that names its case if too few are left.
+        """
+        left_out = self.left_out(number, sampling)
+        kept = {
+            name: {pitch_um: count for pitch_um, count in sensors.items() if pitch_um not in left_out.get(name, {})}
+            for name, sensors in sampling.items()
+        }
+        for name, sensors in kept.items():
+            if name in left_out and len(sensors) < FEWEST_SIZES:
+                where = ", ".join(filter(None, (label_of(name), self.parts[number].case.words)))
+                sizes = f"{len(sensors)} of {len(sampling[name])} pixel sizes are possible, and a curve needs {FEWEST_SIZES}"
+                raise PixsimError(f"{where}: {sizes}. {left_out[name][max(left_out[name])]}")
+        return kept
+
     def _batches(self, samplings: Sequence[Sampling]) -> list[list[tuple[Task, Callable[[], SharedLight]]]]:
         """Return the tasks that are missing, each evaluation once, with the function that makes their light.
 
@@ -643,7 +681,7 @@ class Evaluations:
         """
         groups: dict[object, list[Task]] = {}
         lights: dict[object, tuple[Part, str]] = {}
-        done = set(self._done)
+        done = set(self._done) | set(self._left_out)
         for part, sampling in zip(self.parts, samplings, strict=True):
             for technology, sensors in sampling.items():
                 light = id(part.scenes), _light_key(part.study, part.scenes, technology)

@@ -41,6 +41,7 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.budget import FilmSampling, Settled, Setup, coarser, film_error, sensor_delta_e, without_warnings
+from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display import white_header
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
@@ -145,12 +146,14 @@ def measure_film(
     keep: bool = False,
     correction: Correction = NO_CORRECTION,
     develop: Develop = DEVELOP,
+    larger: Sequence[PixelPhysics] = (),
 ) -> FilmError:
     """Return the error of a film for each of some pixels, from its picture.
 
     chart : that the film shows, if nothing else; its detail is known
     tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
     keep : use the cache, for the picture of a render, whose header states everything that it depends on
+    larger : increasing; the first whose channels are told apart takes the place of a smaller pixel whose channels are not
     """
 
     def measure() -> FilmError:
@@ -158,17 +161,27 @@ def measure_film(
             shown = image.with_planes(image.planes, header=image.header | white_header(image, camera, display))
         settings = exposure, display, chart
         more: dict[str, Any] = {"correction": correction, "develop": develop}
-        measured = [film_steps(shown, camera, physics, *settings, **more).error() for physics in pixels]
+
+        def steps_of(physics: PixelPhysics) -> tuple[float, tuple[float, float]]:
+            instead = [each for each in larger if each.pitch_um > physics.pitch_um]
+            for each in (physics, *instead):
+                try:
+                    return each.pitch_um, film_steps(shown, camera, each, *settings, **more).error()
+                except AlikeChannelsError:
+                    if each is (instead or [physics])[-1]:
+                        raise
+            raise AssertionError("unreachable")
+
+        pitches, measured = zip(*(steps_of(physics) for physics in pixels), strict=True)
         if tolerance_delta_e is None:
             tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
         else:
             tolerated = [tolerance_delta_e] * len(measured)
-        pitches = tuple(physics.pitch_um for physics in pixels)
         return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in measured), tuple(tolerated))
 
     if not keep:
         return measure()
-    sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in pixels]
+    sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in (*pixels, *larger)]
     records = camera, exposure, correction, develop, display
     settings = [*(record.model_dump() for record in records), tolerance_delta_e]
     key = content_hash([image.header, sensed, *settings, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
@@ -310,6 +323,7 @@ def render_and_measure(
     plan_of: Callable[[Scene], Plan],
     settled: Settled | None = None,
     progress: Progress | None = None,
+    larger: Sequence[PixelPhysics] = (),
 ) -> Rendered:
     """Render a scene within the limits of a run or a study, by `render_on_film`.
 
@@ -318,6 +332,7 @@ def render_and_measure(
     measured : pixels for which the error of the film is measured
     plan, plan_of : as for `render_on_film`
     settled : a calibration for a tolerance, which has measured the film
+    larger : of `measure_film`
     """
 
     def render(scene: Scene, plan: Plan) -> tuple[SpectralImage, RenderNoise]:
@@ -329,7 +344,7 @@ def render_and_measure(
             calibrated = settled.calibration.film(image.shape[1]).delta_e
             return film_for_tolerance(image, measured, calibrated, settled.tolerance_delta_e)
         options: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": settings.tolerance_delta_e, "keep": True}
-        options |= {"correction": settings.correction, "develop": settings.develop}
+        options |= {"correction": settings.correction, "develop": settings.develop, "larger": larger}
         return measure_film(image, camera, measured, settings.exposure, settings.display, **options)
 
     fixed = "set by --resolution" if settings.resolution else ""

@@ -67,6 +67,7 @@ class Curve:
     data_sheet : whether the sensor is described by its data sheet only, without a process
     alike_um : smallest and largest of the pitches that the film cannot tell from the best; None if it can
     at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
+    left_out : pitches in µm that are not among them, each with the reason
     """
 
     technology: str
@@ -82,6 +83,7 @@ class Curve:
     at: dict[str, float | int | str] = field(default_factory=dict)
     condition: str = ""
     alone: str = ""
+    left_out: tuple[tuple[float, str], ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -181,6 +183,7 @@ class Curve:
             "fill_factor": self.fill_factor.tolist(),
             "mean_delta_e": mean.tolist(),
             "ci95_delta_e": ci95.tolist(),
+            **({"left_out": {f"{pitch_um:g}": reason for pitch_um, reason in self.left_out}} if self.left_out else {}),
             **({} if self.fresnel_number is None else {"fresnel_number": self.fresnel_number.tolist()}),
         }
 

@@ -130,6 +130,7 @@ def draw_types(
         with closing(evaluations.rows(samplings, progress())) as found_rows:
             for number, own_rows in found_rows:  # the workers go on while a curve is fitted
                 rows[number] = own_rows
+                evaluations.possible(number, samplings[number])
                 curves[number] = [curve_of(parts[number].study, name, own_rows) for name in samplings[number]]
         evaluations.finish(rows)
     found = []
@@ -152,6 +153,8 @@ def sample_of(sample: Sample, technology: str) -> Sample:
 def _common_range_um(studies: Sequence[Study], curve: Curve) -> tuple[float, float]:
     """Return the smallest and the largest pitch that every sensor type allows."""
     ends = [study_pitches_um(study, curve.technology)[[0, -1]] for study in studies]
+    if curve.left_out:
+        ends.append(curve.pitch_um[[0, -1]])
     return float(max(low for low, _ in ends)), float(min(high for _, high in ends))
 
 

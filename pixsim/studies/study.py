@@ -36,7 +36,7 @@ from pixsim.light.stored import PictureFile
 from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import PixelPhysics, physics_of, warn_of_disagreements
-from pixsim.sensor.technology import technology_of
+from pixsim.sensor.technology import label_of, technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
 from pixsim.studies.engine import Workers, results_of, workers_for
@@ -57,8 +57,9 @@ from pixsim.studies.evaluations import (
 )
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs, study_plan
-from pixsim.studies.result import Curve, StudyResult, curve_of
+from pixsim.studies.result import Curve, StudyResult, curve_of, few
 from pixsim.studies.sight import Sight, clearest
+from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display import dot_edges_um, white_header
 from pixsim.viewer.score import SceneCache
 
@@ -446,21 +447,31 @@ def _prepare(study: Study, variant: str | None, view: View | None = None, scenes
     return Prepared(study, scene, camera, view, variant)
 
 
-def render_for(study: Study, variant: str | None = None, progress: Progress | None = None, settled: Settled | None = None) -> Light:
+def render_for(
+    study: Study, variant: str | None = None, progress: Progress | None = None, settled: Settled | None = None, words: str = ""
+) -> Light:
     """Return the study's irradiance, the camera that it was rendered with, and the error of its film.
 
     Its noise is adequate for the largest pixel that the study allows, the least noisy one, and its film for the smallest
     photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
+
+    words : of the case, for an error
     """
     scene, camera = scene_for(study, variant)
     first = study.technologies[0]
     largest, tried = [physics_of(study, first, largest_pixel_um(study, first))], measured_pixels(study)
+    coloured = study.options_of(first).colour is not None
     scene, plan = first_film(study, scene, camera)
     for note in plan.warnings:
         warn(note)
     plan_of = partial(study_plan, camera=camera, study=study)
     options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress}
-    made = render_and_measure(scene, camera, plan, study, largest, tried, **options)
+    options["larger"] = [physics_of(study, first, pitch) for pitch in study_pitches_um(study, first).tolist()] if coloured else []
+    try:
+        made = render_and_measure(scene, camera, plan, study, largest, tried, **options)
+    except AlikeChannelsError as error:
+        where = ", ".join(filter(None, (label_of(first), words)))
+        raise AlikeChannelsError(f"{where}: none of its pixel sizes is possible. {error}") from None
     made.image.header.update(white_header(made.image, camera, study.display))
     return made.image, camera, made.film
 
@@ -489,20 +500,23 @@ def render_all(
     """
     keys = [light_hash(case.study) for case in cases]
     studies = {key: case.study for case, key in zip(cases, keys, strict=True)}
+    words = {key: case.words for case, key in zip(reversed(cases), reversed(keys), strict=True)}
     lights: dict[str, Light] = {}
     if len(studies) == 1:
-        lights = {key: render_for(study, variant, stage("render"), settled) for key, study in studies.items()}
+        lights = {key: render_for(study, variant, stage("render"), settled, words[key]) for key, study in studies.items()}
     elif first_film(cases[0].study, *scene_for(cases[0].study, variant))[1].exact:
-        lights = _computed_lights(studies, variant, stage("render"), workers, store)
+        lights = _computed_lights(studies, words, variant, stage("render"), workers, store)
     else:
         for key, study in studies.items():
-            image, camera, film = render_for(study, variant, stage(f"render {len(lights) + 1} of {len(studies)}"))
+            progress = stage(f"render {len(lights) + 1} of {len(studies)}")
+            image, camera, film = render_for(study, variant, progress, words=words[key])
             lights[key] = store(image), camera, film
     return [lights[key] for key in keys]
 
 
 def _computed_lights(
     studies: Mapping[str, Study],
+    words: Mapping[str, str],
     variant: str | None,
     progress: Progress,
     workers: Workers,
@@ -525,7 +539,7 @@ def _computed_lights(
     left = [key for key in studies if measured_in[key] == key]
     while left:
         for key, (image, camera, film) in results_of(
-            _render_task, [((key, studies[key], variant), _nothing) for key in left], workers
+            _render_task, [((key, studies[key], variant, words[key]), _nothing) for key in left], workers
         ):
             lights[key] = store(image), camera, film
             progress((len(studies) + len(lights)) / (2 * len(studies)))
@@ -556,10 +570,10 @@ def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[
     return key, (image, camera, sight) if sight else None
 
 
-def _render_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, Light]:
+def _render_task(task: tuple[str, Study, str | None, str], _: None) -> tuple[str, Light]:
     """Return the key of a task, and its light."""
-    key, study, variant = task
-    return key, render_for(study, variant)
+    key, study, variant, words = task
+    return key, render_for(study, variant, words=words)
 
 
 # The sensors decide on the noise and the film of a render, and so does a part of the display.
@@ -599,6 +613,7 @@ def evaluate_cases(
     samplings = [first_sampling(part.study) for part in made]
     rows: list[list[Row]] = [[] for _ in made]
     curves: list[tuple[Curve, ...]] = [() for _ in made]
+    left_out: list[dict[str, dict[float, str]]] = [{} for _ in made]
     with evaluations.resumed():
         for group in evaluations.groups():
             changed = group
@@ -609,6 +624,9 @@ def evaluate_cases(
                 with closing(evaluations.rows(wanted, progress())) as found_rows:
                     for number, own_rows in found_rows:  # the workers go on while a curve is fitted
                         study, rows[number] = made[number].study, own_rows
+                        if left := evaluations.left_out(number, samplings[number]):
+                            left_out[number] = merge(left_out[number], left)
+                            samplings[number] = evaluations.possible(number, samplings[number])
                         curves[number] = tuple(curve_of(study, technology, own_rows) for technology in study.technologies)
                         more = next_round(study, curves[number], samplings[number])
                         if more != samplings[number]:
@@ -618,14 +636,28 @@ def evaluate_cases(
             evaluations.end_group()
         evaluations.finish(rows)
     found = []
-    for part, own, (irradiance, camera, film) in zip(made, curves, lights, strict=True):
+    warn_of_left_out(cases, left_out)
+    for part, own, left, (irradiance, camera, film) in zip(made, curves, left_out, lights, strict=True):
         warn_of_clipped_white(part.study, part.scenes)
         warn_of_stacks(part.study, irradiance, camera)
-        own = tuple(replace(curve, at=part.case.at, condition=part.case.condition, alone=part.case.alone) for curve in own)
+        of_case: dict[str, Any] = {"at": part.case.at, "condition": part.case.condition, "alone": part.case.alone}
+        own = tuple(replace(curve, **of_case, left_out=tuple(left.get(curve.technology, {}).items())) for curve in own)
         result = StudyResult(part.study, own, irradiance, camera, film=film, view=view.as_dict())
         result.__dict__["scenes"] = part.scenes  # expensive to prepare again
         found.append(result)
     return found, evaluations.counts
+
+
+def warn_of_left_out(cases: Sequence[Case], left_out: Sequence[Mapping[str, Mapping[float, str]]]) -> None:
+    """Warn of the pixel sizes that a study leaves out of each of its cases."""
+    notes = []
+    for case, own in zip(cases, left_out, strict=True):
+        for name, sizes in own.items():
+            which = ", ".join(filter(None, (label_of(name), case.words)))
+            listed = ", ".join(f"{pitch_um:g}" for pitch_um in sorted(sizes))
+            notes.append(f"{which}: {listed} µm left out: {sizes[max(sizes)]}")
+    for note in few([notes]):
+        warn(note)
 
 
 def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:

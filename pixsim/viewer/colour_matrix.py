@@ -34,6 +34,11 @@ from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ
 from pixsim.viewer.scielab import delta_e, xyz_to_lab
 
+
+class AlikeChannelsError(PixsimError):
+    """Channels so nearly alike that the matrix which takes them apart amplifies noise too much; larger pixels may be possible."""
+
+
 Fit = Literal["least_squares", "least_delta_e", "noise_aware"]
 STANDARD_NM = np.arange(380.0, 781.0, 5.0)  # of the tables of illuminants, patches and cameras
 MAX_STEP_NM = 20.0  # between sensitivities: above, the maxima of narrow filters would be missed
@@ -78,7 +83,7 @@ def colour_matrix(
         matrix = fit_matrix(balanced[CHROMATIC_PATCHES], patches[CHROMATIC_PATCHES], white, method)
         check_noise_gains(matrix, white)
     except PixsimError as error:
-        raise PixsimError(f"under illuminant {illuminant}: {error}") from None
+        raise type(error)(f"under illuminant {illuminant}: {error}") from None
     return matrix
 
 
@@ -247,12 +252,12 @@ def noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "b
 
 @checks_arguments
 def check_noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "bradford") -> None:
-    """Raise PixsimError if a matrix amplifies noise more than 10 times; the arguments are those of `noise_gains`."""
+    """Raise AlikeChannelsError if a matrix amplifies noise more than 10 times; the arguments are those of `noise_gains`."""
     gains = noise_gains(matrix, white_xyz, adaptation)
     if not gains.max() <= MAX_NOISE_GAIN:
         got = f"noise gains of {', '.join(f'{gain:.3g}' for gain in gains)} in R, G, B"
         hint = "The channels are nearly alike under this lamp. Choose filters that overlap less, or a lamp with a broader spectrum."
-        raise invalid("colour matrix", got, f"gains up to {MAX_NOISE_GAIN:g}", hint)
+        raise AlikeChannelsError(str(invalid("colour matrix", got, f"gains up to {MAX_NOISE_GAIN:g}", hint)))
 
 
 def _lamp(wavelength_nm: Array, power: Array) -> Array:

@@ -67,7 +67,7 @@ class Rendition:
             matrix = _fitted(*key, develop.matrix, covariance.tobytes() if covariance is not None else None)
             check_noise_gains(matrix, self.white_xyz, self.adaptation)
         except PixsimError as error:
-            raise PixsimError(f"colour under {self.lamp}: {error}") from None
+            raise type(error)(f"colour under {self.lamp}: {error}") from None
         return product(self.to_display, matrix)
 
     def mixed_by(self, mixing: Array, rates: Array) -> Rendition:

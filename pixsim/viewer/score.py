@@ -284,7 +284,7 @@ class ImagingChain:
             return self._fitted_matrix()
         except PixsimError as error:
             hint = "" if self.collection is None else " Light between neighbours counts: larger pixels mix the channels less."
-            raise PixsimError(f"pixels of {self.physics.read_pitch_um:g} µm: {error}{hint}") from None
+            raise type(error)(f"pixels of {self.physics.read_pitch_um:g} µm: {error}{hint}") from None
 
     def _fitted_matrix(self) -> Array:
         assert self.rendition is not None

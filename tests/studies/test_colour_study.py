@@ -12,6 +12,7 @@ from PIL import Image
 
 import pixsim
 from pixsim.base.config import packaged
+from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Study, merge
 from pixsim.report.axes import parts_table
 from pixsim.sensor.pixel import physics_of
@@ -56,6 +57,47 @@ def test_study_of_filters(tmp_path: Path) -> None:
     score = result.case(filters="RGGB").scores("4t-bsi", 2.5, 1)[0]
     assert score.image.shape == (*score.delta_e.shape, 3)
     assert np.ptp(score.ideal, axis=2).max() < 0.02  # a grey chart is grey in colour: to a code of the display
+
+
+@pytest.mark.filterwarnings("ignore:.*black level", "ignore:.*Fresnel", "ignore:.*, lens .*left out")
+def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
+    """With the reason beside them; the other sizes have the numbers of a study that never had them, also when it is resumed."""
+    pixel = {"colour": CAMERA, "stack": {"enabled": True}}
+    kept = [1.2, 2.0, 2.5, 3.0, 4.0]
+
+    def run(folder: str, *more_um: float, **settings: Any) -> pixsim.StudyResult:
+        table = merge(SMALL, {"pixel": pixel, "pitch": {"values_um": [*more_um, *kept]}, **settings})
+        return pixsim.study(Study.model_validate(table), out=tmp_path / folder, jobs=1)
+
+    run("alone")
+    for _ in range(2):
+        with pytest.warns(UserWarning, match=r"4t-bsi: 0.45, 0.6 µm left out: pixels of 0.6 µm: .*noise gains of"):
+            result = run("mixed", 0.45, 0.6)
+        (curve,) = result.curves
+        assert curve.pitch_um.tolist() == kept
+        assert [pitch_um for pitch_um, _ in curve.left_out] == [0.45, 0.6]
+        assert list(result.as_dict()["curves"][0]["left_out"]) == ["0.45", "0.6"]
+        assert rows_of(tmp_path / "mixed") == rows_of(tmp_path / "alone")
+    lens = {"name": "lens", "set": "camera.f_number", "values": [2.8, 4.0]}
+    result = run("axis", 0.45, axis=[lens])
+    assert [curve.pitch_um.tolist() for curve in result.curves] == [kept, kept]
+
+
+@pytest.mark.filterwarnings("ignore:.*Fresnel")
+@pytest.mark.parametrize(
+    ("sizes_um", "axis", "words"),
+    [
+        ([0.45, 0.5, 0.55, 0.6, 0.65], [], "4t-bsi: none of its pixel sizes is possible. pixels of 0.65 µm"),
+        ([0.45, 0.5, 0.55, 0.6, 2.0], [], "4t-bsi: 1 of 5 pixel sizes are possible, and a curve needs 3. pixels of 0.6 µm"),
+        ([0.45, 0.5, 0.55, 0.6, 0.65], [{"name": "f", "set": "camera.f_number", "values": [4.0]}], "4t-bsi, f 4: none of its"),
+    ],
+    ids=["none", "few", "case"],
+)
+def test_study_without_possible_sizes_names_the_case(tmp_path: Path, sizes_um: list[float], axis: list[Any], words: str) -> None:
+    pixel = {"colour": CAMERA, "stack": {"enabled": True}}
+    table = merge(SMALL, {"pixel": pixel, "pitch": {"values_um": sizes_um}, "axis": axis, "resolution": 64})
+    with pytest.raises(PixsimError, match=f"{words}.*noise gains"):
+        pixsim.study(Study.model_validate(table), out=tmp_path / "out", jobs=1)
 
 
 def test_packaged_study_of_filters_is_possible() -> None:
