@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import check_compression, check_size, opened, quiet_stdout, replacing
+from pixsim.base.mapped import release
 from pixsim.light.spectral import EDGE, LAMP, WHITE_LAMPS, WHOLE, SpectralImage
 
 MAGIC = 20000630
@@ -319,7 +320,7 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage, *, factors_onl
         channels = {_band_channel(nm): partial(shown.band, band) for band, nm in enumerate(shown.wavelength_nm)}
         header["spectralLayoutVersion"] = "1.0"
     if image.factors:
-        channels |= {f"factor.{r}": picture.__getitem__ for r, picture in enumerate(image.factors[1])}
+        channels |= {f"factor.{r}": partial(_released, picture) for r, picture in enumerate(image.factors[1])}
     tables = {"wavelength_nm": image.wavelength_nm, "band_width_nm": image.band_width_nm}
     tables |= {"within_nm": image.within[0], "within_shares": image.within[1]}
     tables |= {"spectra_w_per_m2_nm": image.factors[0]} if image.factors else {}
@@ -327,6 +328,13 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage, *, factors_onl
     header["pixsim"] = json.dumps(metadata, sort_keys=True)
     with writing(path) as unfinished:
         write_rows(unfinished, channels, image.shape, header)
+
+
+def _released(picture: NDArray[np.float32], rows: slice) -> NDArray[np.float32]:
+    """Return rows of a picture, which then need not be in memory."""
+    values = np.array(picture[rows])
+    release(picture[rows])
+    return values
 
 
 def _merged(image: SpectralImage) -> SpectralImage:

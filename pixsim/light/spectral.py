@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pixsim.base.arguments import check_broadcast, checks_arguments
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.mapped import is_mapped, release
 
 # The public names; everything else is internal.
 __all__ = ["SpectralImage", "colour_matching", "d65", "luminous_weight", "photons_per_joule", "photopic_efficiency"]
@@ -142,7 +143,8 @@ class SpectralImage:
             if pictures.ndim != 3 or spectra.shape != (len(pictures), self.wavelength_nm.size):
                 raise invalid("factors", f"{spectra.shape} and {pictures.shape}", "spectra (r, B), pictures (r, H, W)")
         else:
-            self.data = np.ascontiguousarray(data, np.float32)
+            values = np.asarray(data, np.float32)
+            self.data = values if is_mapped(values) else np.ascontiguousarray(values)
             if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
                 hint = bands_last_hint(self.data.shape, self.wavelength_nm.size)
                 raise invalid("data", self.data.shape, f"(rows, columns, bands), here (H, W, {self.wavelength_nm.size})", hint)
@@ -170,7 +172,9 @@ class SpectralImage:
         spectra, pictures = self.factors[0].astype(np.float32), self.factors[1][:, rows]
         total = np.zeros(pictures.shape[1:], np.float32)
         for spectrum, picture in zip(spectra, pictures, strict=True):
-            total += spectrum[index] * picture
+            for part in strips(*pictures.shape[1:]):
+                total[part] += spectrum[index] * picture[part]
+                release(picture[part])
         return total
 
     @property
@@ -209,6 +213,7 @@ class SpectralImage:
         total = np.zeros([len(range(*span.indices(n))) for span, n in zip(part, self.shape, strict=True)])
         for factor, picture in terms:
             total += factor * picture.astype(float)
+            release(picture)
         return total
 
     @checks_arguments
@@ -230,7 +235,9 @@ class SpectralImage:
             raise invalid("columns", columns, f"1 to {width}, and at least one row of square samples")
         before = self.header.get("reduced", {"samples": [height, width], "factor": 1.0})
         header = self.header | {"reduced": {"samples": before["samples"], "factor": float(f"{before['factor'] * ratio:.12g}")}}
-        planes = np.stack([_box_means(plane, rows, columns) for plane in self.planes])
+        planes = np.empty((len(self.planes), rows, columns), np.float32)
+        for plane, means in zip(self.planes, planes, strict=True):
+            means[:] = _box_means(plane, rows, columns)
         return self.with_planes(planes, pitch_um=self.pitch_um * ratio, header=header)
 
     @property
@@ -259,7 +266,11 @@ class SpectralImage:
         if not self.factors:
             return self.data.mean(axis=(0, 1), dtype=float)
         spectra, pictures = self.factors
-        return (spectra * pictures.mean(axis=(1, 2), dtype=float)[:, None]).sum(axis=0)
+        means = np.empty(len(pictures))
+        for number, picture in enumerate(pictures):
+            means[number] = picture.mean(dtype=float)
+            release(picture)
+        return (spectra * means[:, None]).sum(axis=0)
 
     @checks_arguments
     def band_mean(self, response: Callable[[Array], Array]) -> Array:
@@ -287,8 +298,8 @@ class SpectralImage:
 
     def validate(self) -> None:
         """Check the values. Raises PixsimError if one is not finite, or is negative and not one of several factors."""
-        spectra, picture = self.factors or (np.ones((1, 1)), self.data)
-        low, high = (float(picture.min()), float(picture.max())) if picture.size else (math.nan, math.nan)  # min and max keep NaN
+        spectra, _ = self.factors or (np.ones((1, 1)), None)
+        low, high = extremes(self.planes)
         others = self.pitch_um, self.wavelength_nm, self.band_width_nm, *self.within, spectra
         if not all(np.abs(values).max() <= MAX_VALUE for values in (low, high, *others)):
             got = f"values from {low:g} to {high:g}, and a value here or among the bands or spectra that is not finite"
@@ -327,17 +338,39 @@ def _box_means(picture: NDArray[np.float32], rows: int, columns: int) -> NDArray
     ratio = width / columns
     edges_x = np.linspace(0, width, columns + 1)
     edges_y = (height - rows * ratio) / 2 + ratio * np.arange(rows + 1)
-    total = _running(_running(picture.astype(float), edges_y).T, edges_x).T
+    total = _running(_running(picture, edges_y).T, edges_x).T
     # A mean lies in the range of its values, but for rounding errors.
-    return np.clip(total / ratio**2, picture.min(), picture.max()).astype(np.float32)
+    return np.clip(total / ratio**2, *extremes(picture[None])).astype(np.float32)
 
 
-def _running(values: Array, edges: Array) -> Array:
+def _running(values: NDArray[Any], edges: Array) -> Array:
     """Return the integrals of the rows of `values`, taken as constant in each, between edges in units of a row."""
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     at = np.clip(edges, 0, len(values))
     below = np.minimum(at.astype(int), len(values) - 1)
-    return np.diff(total[below] + (at - below)[:, None] * values[below], axis=0)
+    result, total = np.empty((edges.size, values.shape[1])), np.zeros((1, values.shape[1]))
+    for rows in strips(*values.shape):  # a picture in float64 need not be in memory
+        strip = values[rows].astype(float)
+        total = np.cumsum(np.concatenate([total[-1:], strip]), axis=0)  # up to each row, and with the last one
+        here = np.flatnonzero((below >= rows.start) & (below < rows.stop))
+        row = below[here] - rows.start
+        result[here] = total[row] + (at[here] - below[here])[:, None] * strip[row]
+        release(values[rows])
+    return np.diff(result, axis=0)
+
+
+def extremes(planes: NDArray[np.float32]) -> tuple[float, float]:
+    """Return the lowest and the highest value of planes (n, H, W); NaN if one is NaN, or there is none."""
+    if not planes.size:
+        return math.nan, math.nan
+    if not is_mapped(planes):
+        return float(planes.min()), float(planes.max())
+    low, high = math.inf, -math.inf
+    for plane in planes:
+        for rows in strips(*plane.shape):
+            part = plane[rows]
+            low, high = float(np.minimum(low, part.min())), float(np.maximum(high, part.max()))  # which keep NaN
+            release(part)
+    return low, high
 
 
 LOW_NM, HIGH_NM = 360.0, 830.0  # the range that Mitsuba samples

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arguments import check_broadcast, checks_arguments
-from pixsim.base.arrays import Array, dct, empty_planes, inverse_dct, strips_of
+from pixsim.base.arrays import Array, dct, empty_planes, inverse_dct, strips, strips_of
 from pixsim.base.errors import invalid
+from pixsim.base.mapped import release
 
 NM_PER_MM = 1e6
 OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
@@ -150,7 +151,10 @@ def diffract_sums(
         lit = [channel for channel in range(channels) if np.any(weights[channel])]
         if lit:
             plane = empty_planes(*shape) if spare is None else spare
-            plane[...] = picture
+            values = np.asarray(picture)
+            for rows in strips(*shape):
+                plane[rows] = values[rows]
+                release(values[rows])
             spectrum = dct(plane)
             spare = spectrum
             new = [channel for channel in lit if channel not in totals]

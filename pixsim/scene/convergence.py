@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
+from pixsim.base.mapped import release, zeros
 from pixsim.base.notes import told_apart, warn
 from pixsim.base.parameters import Camera, Effort, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
@@ -101,10 +102,11 @@ def render_until(
         step_start = time.perf_counter()
         for number, half in enumerate(halves):
             pictures, spp = job.run(runs, _pair_progress(progress, number, noise), level)
-            halves[number] = half or [np.zeros(picture.shape) for picture in pictures]
+            halves[number] = half or [zeros(picture.shape) for picture in pictures]
             for total, picture in zip(halves[number], pictures, strict=True):
                 for rows in strips(*total.shape[:2]):  # in place, a few rows at a time
                     total[rows] += spp * picture[rows]
+                    release(total[rows], picture[rows])
             del picture, pictures  # or it would be a third picture in memory
             runs, samples = runs + 1, samples + spp
         weight, at_level = weight + spp, at_level + 1
@@ -140,8 +142,11 @@ def render_until(
         hint = "Give --max-seconds for more samples, or raise --render-noise" if max_seconds is None else RAISE
         warn(f"{cause}: {remains}. {hint}")
     for mean, odd in zip(*halves, strict=True):  # in place: pictures of all bands are large
-        mean += odd
-        mean /= 2 * weight
+        for rows in strips(*mean.shape[:2]):
+            mean[rows] += odd[rows]
+            mean[rows] /= 2 * weight
+            release(mean[rows], odd[rows])
+    del odd
     halves.pop()
     rounded = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
     return job.image(halves[0], samples, render_noise=rounded), noise
@@ -227,6 +232,7 @@ def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, par
         rate = np.zeros(fall_off.shape)
         for picture, unit in zip(pictures, units, strict=True):
             rate += np.einsum("ijp,p->ij", picture[rows, which], unit)
+            release(picture[rows, which])
         return rate * fall_off
 
     return Columns((rows.stop - rows.start, part[1].stop - start), columns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import cached_property
@@ -11,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base import cache
+from pixsim.base import cache, mapped
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import invalid
+from pixsim.base.mapped import release, zeros
 from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
@@ -95,6 +97,7 @@ class CachedRenders:
 Picture = NDArray[np.float32] | Array
 # Samples per kernel, about 1.5 s on two cores; Ctrl-C and progress are handled between kernels.
 SAMPLES_PER_KERNEL = 1 << 25
+CELLS_PER_KERNEL = 1 << 23  # memory for their sums, in float32 and float64; fewer samples than 4 in a cell are rare
 SCALAR_STRIPS = 16
 SAMPLES_PER_STRIP = 1 << 16  # of scalar variants; with fewer, the start of a render takes longer than the samples
 SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
@@ -210,8 +213,11 @@ class Renderer:
     def _distorted(self, planes: Picture, distortion: Distortion) -> NDArray[np.float32]:
         """Return pictures (H, W, pulses) as the chief rays of the real lens show them."""
         widening = self.seen.die_mm / self.camera.die_mm
-        moved = [distortion.applied(planes[:, :, pulse], self.pitch_um, widening) for pulse in range(planes.shape[2])]
-        return np.stack(moved, axis=2).astype(np.float32)
+        result: NDArray[np.float32] = zeros(planes.shape, np.float32)
+        for pulse in range(planes.shape[2]):
+            result[:, :, pulse] = distortion.applied(planes[:, :, pulse], self.pitch_um, widening)
+            release(planes, result)
+        return result
 
     def _rendered(self, index: int, level: int, progress: Progress | None) -> tuple[Pictures, int]:
         """Render each strip of each pass as an average of renders in float64, with consecutive seeds."""
@@ -227,7 +233,7 @@ class Renderer:
         parts = [slice(*borders) for borders in pairwise(self._strip_borders(spp))]
         first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * self.plan.passes * renders * len(parts)
         for scene, light in enumerate(self.plan.lights):
-            planes = np.zeros((*self.size, len(light.fit.pulses)), np.float32)
+            planes: NDArray[np.float32] = zeros((*self.size, len(light.fit.pulses)), np.float32)
             for channels in light.fit.passes:
                 responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
                 for rows in parts:
@@ -240,6 +246,7 @@ class Renderer:
                         if progress:
                             progress(number / (self.plan.passes * renders * len(parts)))
                     planes[rows, :, list(channels)] = total
+                    release(planes[rows])
             pictures.append(planes)
         return pictures, renders * spp
 
@@ -247,34 +254,53 @@ class Renderer:
         """Return the pictures of a chart from its texels. Every pulse has the spectrum of the lamp, so they are all alike."""
         assert self.plan.chart is not None
         picture = self.plan.chart.picture()
-        return [np.repeat(picture[:, :, None], len(light.fit.pulses), axis=2) for light in self.plan.lights]
+        return [np.broadcast_to(picture[:, :, None], (*picture.shape, len(light.fit.pulses))) for light in self.plan.lights]
 
     def _strip_borders(self, spp: int) -> list[int]:
         """Return the rows that divide a render into parts, so that Ctrl-C works between them."""
         height, width = self.size
         samples = height * width * spp
-        strips = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP)) if self.scalar else -(-samples // SAMPLES_PER_KERNEL)
-        return np.linspace(0, height, min(strips, height) + 1).astype(int).tolist()
+        if self.scalar:
+            parts = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP))
+        else:
+            parts = max(-(-samples // SAMPLES_PER_KERNEL), -(-height * width // CELLS_PER_KERNEL))
+        return np.linspace(0, height, min(parts, height) + 1).astype(int).tolist()
 
     def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
         """Return the irradiance of mean pictures with `spp` samples per film cell; `more` goes into the header."""
-        if not any(picture.any() for picture in pictures):
+        if not any(self._lit(picture) for picture in pictures):
             hint = "Check that the chart faces the camera and is lit, and that hide_emitters is off: area lights are one-sided."
             raise invalid("rendered picture", "a black picture", "some light", hint)
         header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | more
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
-            stored = np.empty((len(planes), *self.size), np.float32)
+            stored: NDArray[np.float32] = zeros((len(planes), *self.size), np.float32)
             for rows in strips(*self.size):
                 fall_off = self.fall_off(rows)
                 for place, plane in zip(stored, planes, strict=True):
                     place[rows] = plane[rows] * fall_off
+                    release(place[rows])
+                release(*(picture[rows] for picture in pictures))
             return self._image(header, factors=(self.spectra, stored))
-        data = np.empty((*self.size, self.plan.bands.width_nm.size), np.float32)
+        bands = self.plan.bands.width_nm.size
+        if 4 * bands * math.prod(self.size) > mapped.MOST_BYTES:  # in a file each band has a place of its own
+            data = np.moveaxis(zeros((bands, *self.size), np.float32), 0, 2)
+        else:
+            data = np.empty((*self.size, bands), np.float32)
         for rows in strips(*self.size):
             for band, values in enumerate(self._bands([picture[rows] for picture in pictures], self.fall_off(rows))):
                 data[rows, :, band] = values
+                release(data[rows, :, band])
+            release(*(picture[rows] for picture in pictures))
         return self._image(header, data=data)
+
+    def _lit(self, picture: Picture) -> bool:
+        """Return whether there is light in a picture (H, W, pulses)."""
+        for rows in strips(*self.size):
+            if picture[rows].any():
+                return True
+            release(picture[rows])
+        return False
 
     def _bands(self, pictures: Sequence[Picture], fall_off: Array) -> Iterator[Array]:
         """Iterate over the irradiance in each band; all bands at once would fill the memory."""

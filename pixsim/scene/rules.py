@@ -15,6 +15,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from pixsim.base.arrays import Array, strips
+from pixsim.base.mapped import release, zeros
 from pixsim.base.parameters import Camera, Pixel
 from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
 from pixsim.optics.diffraction import diffract
@@ -57,9 +58,10 @@ class Chart:
             _cell_weights(count, n, per_sample, which)
             for count, n, per_sample, which in zip(self.shape, self.texels.shape, self.texels_per_sample, part, strict=True)
         )
-        picture = np.empty((down.shape[0], across.shape[0]))
+        picture: Array = zeros((down.shape[0], across.shape[0]))
         for rows in strips(*picture.shape):  # the matrices are sparse; strips save memory
             picture[rows] = (across @ (down[rows] @ padded).T).T
+            release(picture[rows])
         return picture
 
     @cached_property

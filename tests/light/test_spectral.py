@@ -6,16 +6,19 @@ import json
 import struct
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
 import pytest
 
 import pixsim
+from pixsim.base import mapped
 from pixsim.base.errors import PixsimError
 from pixsim.light import exr, spectral
 from pixsim.light.exr import _merged, read_channels, read_header, reduced_to_fit, write_channels
 from pixsim.light.spectral import SpectralImage, Spectrum
+from pixsim.optics.diffraction import diffract_sum
 from pixsim.optics.exchange import read_irradiance
 from pixsim.scene import variant
 from pixsim.scene.bands import BAND_EDGES_NM
@@ -23,6 +26,7 @@ from pixsim.scene.mitsuba import import_mitsuba
 
 BANDS_NM = np.arange(370.0, 821.0, 10.0)
 D65_TEXT = "S0.550,000000nm"
+MIB = 1 << 20
 
 
 def any_float32(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
@@ -481,3 +485,38 @@ def test_spectrum_invalid_table_raises(nodes, values):
     got = "two nodes or more, in increasing order" if (nodes, values) in NO_TABLES else "NaN or infinity"
     with pytest.raises(PixsimError, match=rf"spectrum: got .*{got}"):
         Spectrum(np.array(nodes, float), np.array(values, float))
+
+
+@pytest.mark.parametrize("kind", ["factors", "data"])
+def test_light_in_a_file_is_the_same_and_not_in_memory(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twelve planes of 1 MiB: every sum over them holds at most two planes of float64 and the strips."""
+    values = np.random.default_rng(1).random((12, 512, 512), np.float32)
+    nm, spectra = np.linspace(450.0, 650.0, 12), np.random.default_rng(2).random((12, 12))
+    images = []
+    for most in (mapped.MOST_BYTES, MIB):
+        monkeypatch.setattr(mapped, "MOST_BYTES", most)
+        planes = mapped.zeros(values.shape, np.float32)
+        planes[:] = values
+        content: dict[str, Any] = {"factors": (spectra, planes)} if kind == "factors" else {"data": np.moveaxis(planes, 0, 2)}
+        images.append(SpectralImage(nm, 20.0, 4.0, **content))
+    weight, camera = np.linspace(1.0, 2.0, 12), pixsim.Camera()
+
+    def sums(image: SpectralImage) -> list[np.ndarray]:
+        image.validate()
+        rate = diffract_sum(((plane, weight) for plane in image.planes), image.shape, 4.0, nm, camera.effective_f_number)
+        return [rate, image.weighted(weight), image.band(3), image.mean_spectrum(), image.box_reduced(64).planes]
+
+    in_memory = sums(images[0])
+    assert mapped.is_mapped(images[1].planes)
+    tracemalloc.start()
+    try:
+        in_file = sums(images[1])
+        peak_mib = tracemalloc.get_traced_memory()[1] / MIB
+    finally:
+        tracemalloc.stop()
+    for one, other in zip(in_memory, in_file, strict=True):
+        if one.shape == (12,):  # a mean over another order of the same numbers
+            np.testing.assert_allclose(one, other, rtol=1e-12)
+        else:
+            np.testing.assert_array_equal(one, other)
+    assert 4 < peak_mib < 10  # two planes of 2 MiB, the results before them, tables; all planes in float64 would have 24

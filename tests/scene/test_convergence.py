@@ -15,6 +15,7 @@ from helpers.commands import command
 from helpers.edits import load
 
 import pixsim
+from pixsim.base import mapped
 from pixsim.base.parameters import Run
 from pixsim.scene import convergence, film
 from pixsim.scene.convergence import (
@@ -93,6 +94,17 @@ def test_render_until_noise_holds_over_levels():
     assert reported <= target
     # It ends where its estimate is low: a few per cent to one side, of a noise that has itself 5 %.
     assert true_noise([image for image, _ in result], exposure) == pytest.approx(reported, rel=0.25)
+
+
+@pytest.mark.parametrize("name", ["csf", "macbeth"])
+def test_pictures_in_files_are_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where sums and pictures lie changes no bit of the light and its noise."""
+    in_memory, noise = until(LOOSE, name=name)
+    monkeypatch.setattr(mapped, "MOST_BYTES", 0)
+    in_file, same = until(LOOSE, name=name)
+    assert mapped.is_mapped(in_file.planes) > mapped.is_mapped(in_memory.planes)
+    np.testing.assert_array_equal(in_file.planes, in_memory.planes)
+    assert same == noise
 
 
 class Noisy:

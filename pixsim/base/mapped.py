@@ -1,0 +1,63 @@
+"""Arrays in files without a name, for those too large for memory: the memory holds only the parts that are in use.
+
+They are arrays like all others. Code that goes through one in parts releases each part, which stays in the file and in what the
+system has left of memory for files.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import os
+import tempfile
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from pixsim.base.notes import MachineWarning, warn
+
+MOST_BYTES = 1 << 28  # of an array in memory: a picture of 8192² in float32
+
+
+def zeros(shape: tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
+    """Return an array of zeros: in memory up to `MOST_BYTES`, else in a file in the folder for temporary files.
+
+    Its space is free again when nothing uses the array, however the process ends. Where the disk has too little of it, the memory
+    holds the array after all, with a warning.
+    """
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if size <= MOST_BYTES or not hasattr(os, "posix_fallocate"):  # macOS
+        return np.zeros(shape, dtype)
+    try:
+        with tempfile.TemporaryFile() as file:
+            os.posix_fallocate(file.fileno(), 0, size)  # a page without space on the disk would end the process
+            content = mmap.mmap(file.fileno(), size)
+    except OSError as error:
+        folder, gib = tempfile.gettempdir(), size / (1 << 30)
+        text = f"'{folder}' has no room for {gib:.1f} GiB ({error.strerror}), which memory holds instead; set TMPDIR"
+        warn(text, MachineWarning)
+        return np.zeros(shape, dtype)
+    return np.frombuffer(content, dtype).reshape(shape)
+
+
+def release(*parts: NDArray[Any]) -> None:
+    """Take parts of arrays out of memory where a file has them; arrays in memory stay as they are."""
+    for part in parts:
+        if part.nbytes and (content := _file_of(part)) is not None:
+            start = np.frombuffer(content, np.uint8).ctypes.data
+            low, high = np.lib.array_utils.byte_bounds(part)
+            first = (low - start) // mmap.PAGESIZE * mmap.PAGESIZE
+            content.madvise(mmap.MADV_DONTNEED, first, min(high - start, len(content)) - first)
+
+
+def is_mapped(array: NDArray[Any]) -> bool:
+    """Return whether a file has the content of an array."""
+    return _file_of(array) is not None
+
+
+def _file_of(array: NDArray[Any]) -> mmap.mmap | None:
+    base: Any = array
+    while isinstance(base, np.ndarray | memoryview):
+        base = base.base if isinstance(base, np.ndarray) else base.obj
+    return base if isinstance(base, mmap.mmap) else None
