@@ -19,6 +19,7 @@ from pixsim.base.files import check_replaceable, output_folder, publishing, writ
 from pixsim.base.machine import processors
 from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, paths_of
 from pixsim.report.pictures import crops, picture_axes
+from pixsim.report.run import colour_rows
 from pixsim.report.settings import LightLevel, record_rows, scene_rows
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.technology import label_of
@@ -399,6 +400,7 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
         "scale_bar": scale(end),
         "maps": {c.name: (folder / f"pictures/delta_e_{c.name}.png").read_bytes() for c in result.sensors},
         "settings": [("scene", common), *_records(result), *_condition_settings(prepared)],
+        "colours": [(c.name, colour_rows(c.score.statistics() | {"colour": c.colour})) for c in shown.sensors if c.colour],
         "seed": prepared.settings.seed,
         "files": comparison_files(prepared) | {"provenance.json": "versions and wall times"},
     }

@@ -79,6 +79,12 @@ MEANINGS = {
 }
 
 
+IDEALS = {
+    True: "in colour: compare with colour sensors only, since that of a monochrome sensor is grey",
+    False: "grey, as that of a monochrome sensor: the mean ΔE of both may be compared",
+}
+
+
 def colour_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Return what the page says of a colour sensor and its picture, (meaning, value) each; none for a monochrome one."""
     if "colour" not in summary:
@@ -88,14 +94,15 @@ def colour_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     gains = ", ".join(f"{gain:.3g}" for gain in facts["noise_gains"])
     rows = [
         ("channels of a frame: rows of the unit cell, or planes", facts["layout"]),
-        ("lamp of white balance and matrix", facts["white_spectrum"]),
+        ("light of white, for white balance, matrix and ideal image", facts["white_spectrum"]),
         (f"electrons of white in {', '.join(letters)}", ", ".join(f"{value:.4g}" for value in facts["white_e"].values())),
         (f"matrix from balanced {', '.join(letters)} to the display's light, row of red", _row(facts, 0)),
-        ("row of green", _row(facts, 1)),
-        ("row of blue", _row(facts, 2)),
+        ("the same, row of green", _row(facts, 1)),
+        ("the same, row of blue", _row(facts, 2)),
         ("noise gains of the matrix in red, green, blue", gains),
         ("sensitivity metamerism index under this lamp (100: no colour error)", f"{facts['sensitivity_metamerism_index']:.4g}"),
         ("mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise", f"{facts['patches_mean_delta_e']:.3g}"),
+        ("ideal image", IDEALS[facts["ideal_is_coloured"]]),
         ("dots outside the display's gamut: ideal image", f"{summary['ideal_out_of_gamut_fraction']:.2%}"),
         ("dots outside the display's gamut: the sensor's picture", f"{summary['out_of_gamut_fraction']:.2%}"),
     ]

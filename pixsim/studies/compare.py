@@ -44,6 +44,7 @@ from pixsim.viewer.score import (
     ImagingChain,
     Score,
     chain_at_pitch,
+    check_one_ideal,
     clip_words,
     clips_dark,
     dark_clip,
@@ -470,6 +471,7 @@ class Compared:
     delta_e : (repeats,) mean ΔE of each frame
     dark : effect of clipping dark pixels at 0 DN, as `pixsim.viewer.score.dark_clip`
     steps : on this film and on coarser ones, for the film's error of a difference
+    colour : channels, matrix and noise gains, as in score.json; None for a monochrome sensor
     """
 
     sensor: Contestant
@@ -480,6 +482,7 @@ class Compared:
     delta_e: Array = field(repr=False)
     dark: dict[str, float] = field(repr=False)
     steps: FilmSteps = field(repr=False)
+    colour: dict[str, Any] | None = field(default=None, repr=False)
 
     @property
     def name(self) -> str:
@@ -653,6 +656,7 @@ def _summary_of(compared: Compared) -> dict[str, Any]:
         "film": compared.film.as_dict(),
         "render_noise": asdict(compared.noise),
         "dark": compared.dark,
+        **({} if compared.colour is None else {"colour": compared.colour}),
         "white_spectrum": white_light(compared.irradiance)[1],
         "irradiance": compared.irradiance.header,
     }
@@ -744,7 +748,9 @@ def _notes_of(parts: Sequence[Comparison]) -> tuple[str, ...]:
 def _run(prepared: Prepared, jobs: int | None, stage: Stage) -> Comparison:
     """Run the comparison under one condition; its notes are those on black levels and assumptions."""
     made, chains = render_all(prepared, stage)
-    check_pictures_alike([sensor.name for sensor in prepared.sensors], chains)
+    named_chains = [(sensor.name, chain) for sensor, chain in zip(prepared.sensors, chains, strict=True)]
+    grey = [name for name, chain in named_chains if chain.rendition is None]
+    check_one_ideal(grey, {name: chain.screen.ideal for name, chain in named_chains if chain.rendition is not None})
     frames = stage("sense and score")
     scores = [chain.simulate(*stream_key(prepared, 0)) for chain in chains]
     delta_e = simulate_all(prepared, chains, scores, jobs, frames)
@@ -755,22 +761,9 @@ def _run(prepared: Prepared, jobs: int | None, stage: Stage) -> Comparison:
         dark = dark_clip(score.physics, time_s, chain.white_e_per_s * time_s)
         clips += [f"{sensor.name}: {clip_words(dark, sensor.pixel.model_dump())}"] if clips_dark(dark) else []
         clips += [f"{sensor.name}: {sensor.pixel.assumption}"] if sensor.pixel.assumption else []
-        compared.append(Compared(sensor, light.image, light.noise, light.film, score, values, dark, step))
+        colour = None if chain.rendition is None else chain.colour_facts(time_s)
+        compared.append(Compared(sensor, light.image, light.noise, light.film, score, values, dark, step, colour))
     return Comparison(prepared, tuple(compared), tuple(clips))
-
-
-COLOURED = 0.02  # of white, between the primaries of a dot of the ideal image: two codes of 8 bits and more in all but dark greys
-
-
-def check_pictures_alike(names: Sequence[str], chains: Sequence[ImagingChain]) -> None:
-    """Raise PixsimError if monochrome and colour sensors look at a coloured scene: their ideal images differ."""
-    grey = [name for name, chain in zip(names, chains, strict=True) if chain.rendition is None]
-    coloured = [name for name, chain in zip(names, chains, strict=True) if chain.rendition is not None]
-    ideals = [chain.screen.ideal for chain in chains if chain.rendition is not None]
-    if grey and any(float(np.ptp(ideal, axis=2).max()) > COLOURED for ideal in ideals):
-        got = f"{', '.join(grey)} without colour filters and {', '.join(coloured)} with them, in a coloured scene"
-        hint = "Take a grey scene, such as csf, or leave the monochrome sensors out, whose ideal image is grey."
-        raise invalid("sensors", got, "a scene that has one ideal image for all", hint)
 
 
 def stream_key(prepared: Prepared, repeat: int) -> tuple[object, ...]:

@@ -45,7 +45,9 @@ from pixsim.viewer.score import (
     Score,
     SharedLight,
     chain_at_pitch,
+    check_one_ideal,
     prepare_scene,
+    shown,
     warn_of_clipping,
 )
 
@@ -250,6 +252,25 @@ def chain_at(
     if isinstance(light, SpectralImage):
         light = prepare_scene(light, camera, physics, study.display, border_um=study.pitch.largest_um)
     return chain_at_pitch(light, physics, study.exposure, study.correction, study.develop)
+
+
+def check_ideals(parts: Sequence[Part]) -> None:
+    """Raise PixsimError if monochrome and colour sensors of a study look at one coloured scene, under the same condition."""
+    groups: dict[tuple[str, str], tuple[list[str], dict[int, tuple[str, Part, str]]]] = {}
+    for part in parts:
+        grey, coloured = groups.setdefault((part.study.scene.file, part.case.condition), ([], {}))
+        for technology in part.study.technologies:
+            name = ", ".join(filter(None, (label_of(technology), part.case.words)))
+            if part.study.options_of(technology).colour is None:
+                grey.append(name)
+            else:  # the ideal image does not depend on the filters
+                coloured.setdefault(id(part.scenes), (name, part, technology))
+    for grey, coloured in groups.values():
+        if grey:
+            for name, part, technology in coloured.values():
+                physics = _any_physics(part.study, technology)
+                ideal = part.scenes.ideal(physics, part.study.pitch.largest_um)
+                check_one_ideal(grey, {name: shown(ideal, part.study.display)})
 
 
 def warn_of_clipped_white(study: Study, scenes: SceneCache) -> None:

@@ -48,6 +48,7 @@ from pixsim.studies.evaluations import (
     ResultsFile,
     Row,
     Sampling,
+    check_ideals,
     first_sampling,
     largest_pixel_um,
     most_channels,
@@ -609,6 +610,7 @@ def evaluate_cases(
         scenes = caches.setdefault(key, SceneCache(irradiance, camera, case.study.display))
         scenes.channels = max(scenes.channels, most_channels(case.study))
         made.append(Part(case, scenes))
+    check_ideals(made)
     evaluations = Evaluations(made, results, workers)
     samplings = [first_sampling(part.study) for part in made]
     rows: list[list[Row]] = [[] for _ in made]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
-from pixsim.base.errors import PixsimError
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, check_develop
 from pixsim.light.spectral import SpectralImage
@@ -311,6 +311,7 @@ class ImagingChain:
             "noise_gains": np.sqrt((self.matrix**2).sum(axis=1)).tolist(),
             "patches_mean_delta_e": float(errors.mean()),
             "sensitivity_metamerism_index": metamerism_index(errors),
+            "ideal_is_coloured": is_coloured(self.screen.ideal),
             "dots_per_pixel": 1.0 if dot_um is None else pitch_um / dot_um,
         }
 
@@ -416,6 +417,26 @@ def ideal_on_dots(
     return edges_um, ideal_rgb(irradiance, camera, display, rendition.to_display, edges_um)
 
 
+COLOURED = 0.02  # of white, between the primaries of a dot of the ideal image: two codes of 8 bits and more in all but dark greys
+
+
+def is_coloured(ideal: Array) -> bool:
+    """Return whether an ideal image, (H, W) or (H, W, 3), shows colours."""
+    return ideal.ndim == 3 and float(np.ptp(ideal, axis=2).max()) > COLOURED
+
+
+def check_one_ideal(grey: Sequence[str], coloured: Mapping[str, Array]) -> None:
+    """Raise PixsimError if monochrome and colour sensors look at a coloured scene: their ideal images differ.
+
+    grey : names of the monochrome sensors
+    coloured : name of each colour sensor -> its ideal image
+    """
+    if grey and any(is_coloured(ideal) for ideal in coloured.values()):
+        got = f"{', '.join(grey)} without colour filters and {', '.join(coloured)} with them, in a coloured scene"
+        hint = "Take a grey scene, such as csf, or leave the monochrome sensors out, whose ideal image is grey."
+        raise invalid("sensors", got, "a scene that has one ideal image for all", hint)
+
+
 def fraction_beyond_white(light: Array) -> float:
     """Return the fraction of dots of an ideal image, (H, W) or (3, H, W), that are brighter than display white."""
     luminance = light if light.ndim == 2 else mixed(displays.XYZ_FROM_RGB[1:2] / displays.WHITE_XYZ[1], list(light))[0]
@@ -494,8 +515,12 @@ class SceneCache:
         """
         if key in self._beyond_white and self.display.raster != "one_to_one":
             return self._beyond_white[key]
+        return fraction_beyond_white(self.ideal(physics, border_um))
+
+    def ideal(self, physics: PixelPhysics, border_um: float) -> Array:
+        """Return what the ideal image of a pixel asks of the dots, as `ideal_on_dots`."""
         rendition = None if physics.layout is None else rendition_of(self.irradiance, physics.channels, self.display)
-        return fraction_beyond_white(ideal_on_dots(self.irradiance, self.camera, physics, self.display, border_um, rendition)[1])
+        return ideal_on_dots(self.irradiance, self.camera, physics, self.display, border_um, rendition)[1]
 
     def clear(self) -> None:
         """Drop all prepared scenes; they are made again when needed."""

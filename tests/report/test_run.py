@@ -419,6 +419,7 @@ def test_colour_rows_are_those_of_score_json() -> None:
     facts = {
         "layout": "RG/CB",
         "white_spectrum": "D65",
+        "ideal_is_coloured": False,
         "white_e": {"R": 1000.0, "B": 2000.0, "C": 3000.0},
         "matrix_to_display": [[1.5, -0.5, 0.0], [-0.25, 1.25, 0.0], [0.0, -0.125, 1.125]],
         "noise_gains": [1.58, 1.27, 1.13],

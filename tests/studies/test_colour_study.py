@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,12 @@ from pixsim.base.config import packaged
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Study, merge
 from pixsim.report.axes import parts_table
+from pixsim.scene.colour_chart import modulation, write_colour_chart
 from pixsim.sensor.pixel import physics_of
 from pixsim.studies.cases import cases_of
 from pixsim.studies.study import load_study
+from pixsim.viewer.scielab import XYZ_FROM_OPPONENT
+from pixsim.viewer.score import check_one_ideal
 
 SMALL: dict[str, Any] = {
     **{"name": "filters", "technologies": ["4t-bsi"], "repeats": 2, "resolution": 128, "camera": {"die_mm": 0.2}},
@@ -108,6 +112,61 @@ def test_packaged_study_of_filters_is_possible() -> None:
     assert len(cases) == 10
     channels = [len(physics_of(case.study, "4t-bsi", 2.0).channels) for case in cases[::2]]
     assert channels == [1, 3, 3, 3, 3]
+
+
+def test_monochrome_and_colour_sensors_have_one_ideal_in_a_grey_scene_only() -> None:
+    grey, red = (np.full((4, 4, 3), rgb) for rgb in ((0.5, 0.5, 0.5), (0.6, 0.5, 0.5)))
+    check_one_ideal(["mono"], {"rgb": grey})
+    check_one_ideal([], {"in red": red, "also": red})
+    with pytest.raises(PixsimError, match=r"sensors: got mono without colour filters and rgb, in red with.*Take a grey scene"):
+        check_one_ideal(["mono"], {"rgb": grey, "in red": red})
+
+
+@pytest.fixture(scope="module")
+def red_green(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A coloured chart of few cycles."""
+    path = tmp_path_factory.mktemp("chart") / "redgreen.xml"
+    write_colour_chart(path, modulation(-XYZ_FROM_OPPONENT[:, 1]), "red-green", width=256, height=64, die_mm=0.2)
+    return path
+
+
+def test_study_does_not_compare_monochrome_and_colour_in_a_coloured_scene(red_green: Path, tmp_path: Path) -> None:
+    """Nor does it evaluate anything: the error comes before."""
+    coarse = {"resolution": 32, "render_noise": 1e3, "pitch": {"values_um": [4.0, 5.0, 6.0, 7.0, 8.0]}}
+    table = merge(SMALL, {**coarse, "scene": {"file": str(red_green)}, "axis": [merge(FILTERS, {"values": FILTERS["values"][:2]})]})
+    with pytest.raises(PixsimError, match=r"4t-bsi, none without colour filters and 4t-bsi, RGGB with them, in a coloured scene"):
+        pixsim.study(Study.model_validate(table), out=tmp_path, jobs=1)
+
+
+@pytest.mark.filterwarnings("ignore:.*Fresnel")
+def test_comparison_in_colour(red_green: Path, tmp_path: Path) -> None:
+    """From the command to the page: the better filters win, with the white of the chart, pictures in colour, and their matrices."""
+    from helpers.commands import command
+
+    sensors = {"quiet": {"pitch_um": 2.0}, "noisy": {"pitch_um": 2.0, "read_noise_e": 60.0}}
+    for name, pixel in sensors.items():
+        fields = "\n".join(f"{key} = {value}" for key, value in pixel.items())
+        colour = '[pixel.colour]\nsensitivities = "Sony_ILCE-7M4"\npeak_quantum_efficiency = 0.65'
+        text = f'[camera]\ndie_mm = 0.2\n[pixel]\ntechnology = "4t-bsi"\nblack_level_dn = 64\n{fields}\n{colour}\n'
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
+    files = f"{tmp_path / 'quiet.toml'} {tmp_path / 'noisy.toml'}"
+    options = "--resolution 64 --display.dots 32 --render-noise 1 --repeats 2 --jobs 1 --exposure.integration-s 0.002 --json"
+    code, out, err = command(f"compare {files} --scene {red_green} {options} --out", tmp_path / "out")
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["difference"]["noisy"] > 0.3
+    for sensor in found["sensors"].values():
+        assert sensor["white_spectrum"] == "the scene's own white, of its lamps red, green, blue"
+        assert sensor["colour"]["ideal_is_coloured"]
+        assert sensor["colour"]["layout"] == "RG/GB"
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    for words in ("noise gains of the matrix", "compare with colour sensors only", "white, of its lamps red, green, blue"):
+        assert words in page
+    ideal = np.asarray(Image.open(tmp_path / "out/pictures/ideal_quiet.png"), float)
+    assert np.ptp(ideal, axis=2).max() > 60  # of 255: the lowest lines change between red and green
+    monochrome = command(f"compare {files} 4t-bsi --scene {red_green} {options} --out", tmp_path / "mixed")
+    assert monochrome[0] == 2
+    assert "4t-bsi without colour filters and quiet, noisy with them, in a coloured scene" in monochrome[2]
 
 
 def test_run_in_colour_writes_coloured_pictures(tmp_path: Path) -> None:

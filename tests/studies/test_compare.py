@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import pickle
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,6 @@ from pixsim.studies.compare import (
     Prepared,
     Task,
     chain_of,
-    check_pictures_alike,
     matched_cameras,
     mean_interval,
     prepare,
@@ -171,23 +169,6 @@ def test_technologies_keep_the_view_of_run() -> None:
     assert made.view.as_dict() == {}
     assert made.settings.display == pixsim.Display()
     assert MAX_LP_PER_MM not in made.sensors[1].scene.parameters
-
-
-def test_monochrome_and_colour_sensors_are_not_compared_in_a_coloured_scene() -> None:
-    """Their ideal images differ: a grey scene has one for both, and coloured scenes rank colour sensors."""
-    grey, red = (np.full((4, 4, 3), rgb) for rgb in ((0.5, 0.5, 0.5), (0.6, 0.5, 0.5)))
-    chains = {
-        name: SimpleNamespace(rendition=rendition, screen=SimpleNamespace(ideal=ideal))
-        for name, rendition, ideal in (("mono", None, grey[..., 0]), ("rgb", 1, grey), ("in red", 1, red), ("also", 1, red))
-    }
-
-    def check(*names: str) -> None:
-        check_pictures_alike(names, [chains[name] for name in names])  # type: ignore[misc]
-
-    check("mono", "rgb")
-    check("in red", "also")
-    with pytest.raises(PixsimError, match=r"sensors: got mono without colour filters and in red with them.*Take a grey scene"):
-        check("mono", "in red")
 
 
 def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
