@@ -428,7 +428,7 @@ def test_colour_rows_are_those_of_score_json() -> None:
     }
     rows = dict(colour_rows({"colour": facts, "ideal_out_of_gamut_fraction": 0.036, "out_of_gamut_fraction": 0.05}))
     assert rows["electrons of white in R, B, C"] == "1000, 2000, 3000"
-    assert rows["row of green"] == "-0.25, 1.25, 0"
+    assert rows["the same, row of green"] == "-0.25, 1.25, 0"
     assert rows["noise gains of the matrix in red, green, blue"] == "1.58, 1.27, 1.13"
     assert {"90.98", "1.64", "3.60%", "5.00%"} < set(rows.values())
     assert colour_rows({}) == []
