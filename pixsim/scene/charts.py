@@ -131,9 +131,11 @@ def slanted_edge(width: int = 1024, height: int = 1024, dark: float = 0.1) -> ND
     x, y = ((np.arange(size * factor) + 0.5) / (size * factor) for size in (width, height))
     # All points of a line to the right of the edge are inside, so the first one says how many each texel has.
     first = np.searchsorted(x - 0.5, (0.5 - y) * slope, side="right").reshape(height, factor)
-    ends, cover = factor * np.arange(1, width + 1), np.empty((height, width))
+    ends, cover = factor * np.arange(1, width + 1), np.zeros((height, width))
     for row, starts in enumerate(first):
-        cover[row] = np.clip(ends - starts[:, None], 0, factor).sum(axis=0) / factor**2
+        begin, beyond = starts.min() // factor, starts.max() // factor + 1  # the edge crosses the texels between
+        cover[row, begin:beyond] = np.clip(ends[begin:beyond] - starts[:, None], 0, factor).sum(axis=0) / factor**2
+        cover[row, beyond:] = 1.0
     return (dark + (1 - dark) * cover).astype(np.float32)
 
 

@@ -486,11 +486,11 @@ def _file_of(node: Any) -> Path:
 
 KEPT_PICTURES, MAX_KEPT_BYTES = 4, 1 << 24
 _kept: dict[str, dict[str, NDArray[np.float32]]] = {}
+_sound: set[str] = set()  # digests of pictures whose texels are all finite, and 0 or more
 
 
-def _channels_of(path: Path) -> dict[str, NDArray[np.float32]]:
+def _channels_of(path: Path, digest: str) -> dict[str, NDArray[np.float32]]:
     """Return the channels of an EXR, not to be changed; the last small ones are kept, since a render asks several times."""
-    digest = digest_of(path)
     channels = _kept.pop(digest, None) or read_channels(path)[0]
     if sum(texels.nbytes for texels in channels.values()) <= MAX_KEPT_BYTES:
         _kept[digest] = channels
@@ -517,14 +517,16 @@ def check_textures(state: Any) -> None:
         if path in raw and path.suffix.lower() in EIGHT_BIT:
             raise invalid(what, f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as written by pixsim chart")
         if path.suffix.lower() == ".exr":
-            channels = _channels_of(path)
+            digest = digest_of(path)
+            channels = _channels_of(path, digest)
             if path in raw and len(channels) > 1:
                 raise invalid(what, f"channels {', '.join(channels)} with raw = true", "one channel, Y")
-            for name, texels in channels.items():
+            for name, texels in channels.items() if digest not in _sound else ():
                 if at := first_where(~(np.isfinite(texels) & (texels >= 0))):
                     row, column = at
                     got = f"{texels[row, column]} at row {row}, column {column} of channel {name}"
                     raise invalid(what, got, "finite texels of 0 or more")
+            _sound.add(digest)
 
 
 BEYOND: dict[str, Literal["edge", "wrap", "symmetric"]] = {"clamp": "edge", "repeat": "wrap", "mirror": "symmetric"}
@@ -538,12 +540,14 @@ class EmittedPicture:
     texels : (rows, columns), as in the file
     along_u, along_v : 1, or -1 if columns or rows run against the shape's u or v
     beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if they are not interpolated linearly
+    source : hash of its file
     """
 
     texels: Array = field(repr=False)
     along_u: float = 1.0
     along_v: float = 1.0
     beyond: Literal["edge", "wrap", "symmetric"] | None = "edge"
+    source: str = ""
 
 
 def emitted_picture(state: Any, emitter: Any) -> EmittedPicture | None:
@@ -570,5 +574,6 @@ def emitted_picture(state: Any, emitter: Any) -> EmittedPicture | None:
         return None
     linear = node.props.get("filter_type", "bilinear") == "bilinear" and set(node.props.keys()) <= KNOWN_OF_BITMAPS
     beyond = BEYOND.get(str(node.props.get("wrap_mode", "repeat"))) if linear else None
-    texels = next(iter(_channels_of(path).values())).astype(float)
-    return EmittedPicture(texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond)
+    source = digest_of(path)
+    texels = next(iter(_channels_of(path, source).values())).astype(float)
+    return EmittedPicture(texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond, source)

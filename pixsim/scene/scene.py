@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -52,6 +52,7 @@ class Scene:
     shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter `max_lp_per_mm` sets
     own_chart : a picture that takes the place of the parameter `chart`, which names it
     resolution : film samples across the die, in place of the film's width in the XML
+    _texts : its judged texts so far, by their parameters
     """
 
     path: Path
@@ -64,6 +65,7 @@ class Scene:
     own_chart: OwnChart | None = None
     resolution: int | None = None
     shows_csf: bool = False
+    _texts: dict[str, SceneText] = field(default_factory=dict, repr=False, compare=False)
 
     @checks_arguments
     def text(self, **more: object) -> SceneText:
@@ -72,7 +74,10 @@ class Scene:
         given.pop(charts.MAX_LP_PER_MM, None)  # of pixsim: `for_camera` makes the chart
         if self.own_chart:
             given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
-        return judge_scene(self.path, given)
+        key = repr(sorted(given.items()))
+        if key not in self._texts:  # a render asks ten times
+            self._texts[key] = judge_scene(self.path, given)
+        return self._texts[key]
 
     @checks_arguments
     def parse(self, **more: object) -> Tree:

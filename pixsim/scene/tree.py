@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from pixsim.base.parameters import content_hash
 from pixsim.scene.mitsuba import parse
 
 MAX_TEXT = 1 << 20  # characters of a scene whose tree is kept
+MAX_SMALL, SMALL_TREES = 1 << 16, 32  # characters of a scene whose tree stays in memory, and how many do
 
 
 class Kind(NamedTuple):
@@ -130,8 +132,16 @@ def parse_tree(text: str, variant: str) -> Tree:
     """Return the tree of a judged text. Raises PixsimError if Mitsuba cannot parse it."""
     if len(text) > MAX_TEXT:
         return tree_of(parse(text, variant))
+    return _last_trees(text, variant) if len(text) <= MAX_SMALL else _kept_tree(text, variant)
+
+
+def _kept_tree(text: str, variant: str) -> Tree:
+    """Return the tree of a text, which is kept in the cache."""
     key = content_hash([cache.version_fingerprint("mitsuba", "drjit"), variant, text])
     return cache.load_or_compute("trees", key, _from_json, lambda: tree_of(parse(text, variant)), _to_json)
+
+
+_last_trees = lru_cache(SMALL_TREES)(_kept_tree)  # a case of a study asks for its trees ten times
 
 
 def tree_of(state: Any) -> Tree:
@@ -158,9 +168,9 @@ def _plain(kind: str, value: Any) -> Any:
     is_json = isinstance(value, list | dict | str | int)
     match kind:
         case "Transform":
-            return Transform(np.array(value if is_json else value.matrix, float))
+            return Transform(_fixed(value if is_json else value.matrix))
         case "Vector" | "Color":
-            return np.array(value, float)
+            return _fixed(value)
         case "Spectrum":
             return Table(**value) if is_json else Table(list(value.wavelengths), list(value.values), value.is_uniform())
         case "Reference":
@@ -168,6 +178,13 @@ def _plain(kind: str, value: Any) -> Any:
         case "ResolvedReference":
             return Reference(value if is_json else value.index())
     return value
+
+
+def _fixed(numbers: Any) -> Array:
+    """Return an array that is not to be changed: many ask for the same tree."""
+    array = np.array(numbers, float)
+    array.setflags(write=False)
+    return array
 
 
 def _to_json(tree: Tree) -> dict[str, Any]:
