@@ -66,6 +66,12 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def unpaged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages of studies have neither figures nor pictures, which take longer than the small study that they are of."""
+    monkeypatch.setattr("pixsim.report.study.draw_section", lambda section, _: (section, [], None, []))
+
+
+@pytest.fixture
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
     """Frames captured in this process so far, without those that measure the film."""
     frames: list[Frame] = []

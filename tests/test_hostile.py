@@ -779,7 +779,7 @@ def restored(path: Path, whole: bytes) -> Iterator[None]:
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("contents", "examples"), [("changed", 60), ("random", 20)])
+@pytest.mark.parametrize(("contents", "examples"), [("changed", 30), ("random", 10)])
 def test_reader_changed_file_is_read_or_rejected(targets, kind, contents, examples):
     path, whole, reader = targets[kind]
     a_change = st.builds(partial(changed, whole), CHANGES, st.just(1.0) | st.floats(0, 1), st.sampled_from([0, 0, 0, 2]))

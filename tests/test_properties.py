@@ -280,7 +280,7 @@ def assert_possible(frame: Frame) -> None:
 def test_evaluate_is_finite_and_in_range_or_raises() -> None:
     outcomes: Counter[str] = Counter()
 
-    @settings(max_examples=120, **REPEATABLE)
+    @settings(max_examples=60, **REPEATABLE)
     @given(chains())
     def scored(chain: dict[str, Any]) -> None:
         with only_explained_errors(outcomes):
@@ -330,7 +330,7 @@ def any_technology() -> st.SearchStrategy[Technology]:
 def test_capture_any_technology_is_possible_or_raises() -> None:
     outcomes: Counter[str] = Counter()
 
-    @settings(max_examples=150, **REPEATABLE)
+    @settings(max_examples=80, **REPEATABLE)
     @given(any_technology(), pixels(), LEVELS, values(Exposure))
     def captured(process: dict[str, Any], fields: dict[str, Any], level: tuple[Any, ...], exposure: dict[str, Any]) -> None:
         fields.pop("capacitance", None)
@@ -348,7 +348,7 @@ def test_capture_any_technology_is_possible_or_raises() -> None:
     assert outcomes["accepted"] > 0.4 * outcomes.total(), outcomes
 
 
-@settings(max_examples=60, **REPEATABLE)
+@settings(max_examples=25, **REPEATABLE)
 @given(chains())
 def test_evaluate_same_seed_is_identical(chain: dict[str, Any]) -> None:
     with only_explained_errors(Counter()):
@@ -402,7 +402,7 @@ JUNK = st.recursive(
 )
 
 
-@settings(max_examples=300, **REPEATABLE)
+@settings(max_examples=150, **REPEATABLE)
 @given(st.sampled_from(FIELDS), JUNK)
 def test_record_any_value_is_within_bounds_or_raises(field: tuple[type[Record], str], junk: object) -> None:
     record, name = field

@@ -801,7 +801,9 @@ def schema(kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", 
 def cache(
     *,
     clear: Annotated[bool, Parameter(help="Remove the entries.")] = False,
-    kind: Annotated[str | None, Parameter(help="Only entries of this kind; `pixsim cache` lists the kinds.")] = None,
+    kind: Annotated[
+        str | None, Parameter(metavar="KIND", help="Only entries of this kind; `pixsim cache` lists the kinds.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Show or clear the cache: renders, frames of studies, calibrations.

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -51,11 +49,22 @@ def test_run_help_shows_type_choices_and_default_of_every_field(monkeypatch: pyt
             assert choice in kind.split("|")
 
 
-@pytest.mark.parametrize("name", ["run", "study", "plan", "compare", "accuracy", "datasheet", "lens", "sfr", "chart", "template"])
-def test_help_names_no_value_str(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", sorted(name for name in app if not name.startswith("-")))
+def test_help_has_usage_and_example_and_names_no_value_str(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """STR says nothing of the value; every one has a name or a list of choices."""
     text = shown_help(name, monkeypatch)
+    assert "Usage: pixsim" in text
+    assert "--json" in text
+    assert re.search(rf"pixsim {name} \S|Example", text)
     assert [line for line in text.splitlines() if re.search(r"-[\w.-]+ STR\b", line)] == []
+
+
+def test_options_match_fields_of_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An option --table.name-of-field has the name table.name_of_field in a file."""
+    text = shown_help("run", monkeypatch)
+    options = {name.replace("-", "_") for name in re.findall(r"--((?:camera|pixel|exposure|display)\.[a-z0-9-]+)", text)}
+    tables = {table: Run.model_fields[table].annotation for table in ("camera", "pixel", "exposure", "display")}
+    assert options == {f"{table}.{name}" for table, record in tables.items() for name in record.model_fields}
 
 
 @pytest.mark.parametrize(
@@ -128,14 +137,6 @@ def test_completion_knows_scenes_studies_technologies_and_choices(tmp_path: Path
     assert {*packaged("data/lenses"), "mine.toml"} <= completed("lens", "")
     assert technologies | {"none"} <= completed("run", "csf", "--pixel.technology", "")
     assert completed("run", "csf", "--display.interpolation", "") == {"linear", "nearest", "cubic"}
-
-
-@pytest.mark.parametrize("shell", ["bash", *(pytest.param(other, marks=pytest.mark.slow) for other in ("zsh", "fish"))])
-def test_completion_script_asks_for_names(shell: Literal["bash", "zsh", "fish"]) -> None:
-    script = app.generate_completion(prog_name="pixsim", shell=shell)
-    assert "__complete" in script
-    if program := shutil.which(shell):
-        subprocess.run([program, "-n"], input=script, text=True, check=True, capture_output=True)
 
 
 def test_complete_study_hidden_and_missing_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ So the judge uses a finer chart, and a lens of 100 mm at 50 m: the fall-off of t
 from __future__ import annotations
 
 import importlib
+from collections.abc import Sequence
 from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -178,10 +179,10 @@ def second_curve(rate: np.ndarray, half_window_px: float) -> Curve:
     return frequency, mtf[:, 1] / np.sinc(frequency / 4) / np.sinc(frequency / 2)
 
 
-def second_rows(work: Work) -> list[dict[str, object]]:
+def second_rows(work: Work, settings: Sequence[Setting] = SETTINGS) -> list[dict[str, object]]:
     """quickMTF against theory with the same gate, and against pixsim."""
     table = []
-    for setting in SETTINGS:
+    for setting in settings:
         edge, pixsim_curve = estimate(setting, work)
         curve = second_curve(sensed(work, setting), edge.half_window_px)
         off = worst(curve, setting, work)
@@ -235,7 +236,7 @@ def test_sfr_with_noise_is_unbiased() -> None:
 
 def test_quickmtf_agrees() -> None:
     pytest.importorskip("quickMTF", reason="the second estimator, quickMTF, is in the test extra")
-    assert not not_met(second_rows(BOUNDED))
+    assert not not_met(second_rows(BOUNDED, SETTINGS[::5]))  # each pitch and f-number, and both angles
 
 
 LENSED = {"height_um": 8.0, "index": 1.5, "microlens": "square", "shift": "optimal", "crosstalk": 0.15}

@@ -362,7 +362,10 @@ def test_colour_entries_are_those_of_another_program(colour_sheet: DataSheet) ->
     assert [lines[f"G_{name}"].true for name in "RGB"] == pytest.approx(gains, rel=3e-4)
 
 
-@pytest.mark.parametrize("colour", [{}, {"pattern": "stacked"}, {"pattern": "quad_rggb", "binning": True}], ids=str)
+STACKED = pytest.param({"pattern": "stacked"}, marks=pytest.mark.slow)  # each takes two seconds
+
+
+@pytest.mark.parametrize("colour", [{}, STACKED, {"pattern": "quad_rggb", "binning": True}], ids=str)
 def test_colour_standard_errors_match_repeats(colour: dict[str, object]) -> None:
     """Six devices: the root mean square of their pulls. Of 8 quantities, a false alarm in 250 runs of new seeds."""
     pixel, pulls = colour_pixel(colour=D5100 | colour), []

@@ -33,7 +33,7 @@ die_mm = 1.5
 """
 
 
-pytestmark = pytest.mark.usefixtures("undrawn")
+pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
 
 
 @pytest.fixture

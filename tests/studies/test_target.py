@@ -24,7 +24,7 @@ from pixsim.studies.result import Curve, StudyResult, target_notes
 from pixsim.studies.study import next_round
 from pixsim.viewer.score import ImagingChain, Score
 
-pytestmark = pytest.mark.usefixtures("undrawn")
+pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
 Sensors = dict[float, int]
 PITCH = np.geomspace(5.3, 15, 9).round(4)
 START: Sensors = dict.fromkeys(PITCH.tolist(), 2)
