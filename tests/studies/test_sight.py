@@ -28,9 +28,9 @@ def lights_of(patch: pytest.MonkeyPatch, **over: Any) -> tuple[list[Case], list[
     measured: list[str] = []
     cases = cases_of(Study.model_validate(merge(SMALL, over)))
 
-    def counted(study: Study, *more: Any) -> Light:
+    def counted(study: Study, *more: Any, **named: Any) -> Light:
         measured.append(next(case.words for case in cases if case.study == study))
-        return render_for(study, *more)
+        return render_for(study, *more, **named)
 
     patch.setattr(sweep, "render_for", counted)
     return list(cases), render_all(cases, None, lambda _: lambda *_: None, Workers(1), store=lambda image: image), measured
