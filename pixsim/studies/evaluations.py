@@ -17,14 +17,16 @@ from collections.abc import Callable, Collection, Container, Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import chain, islice
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import opened, read_bytes, replacing
+from pixsim.base.files import opened, replacing
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, channels_of, content_hash, pixel_of
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
@@ -37,6 +39,7 @@ from pixsim.sensor.technology import Technology, label_of, technology_of, with_f
 from pixsim.show.pages import csv_text
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.rows import Row, RowStore, StoredRows
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.score import (
     ImagingChain,
@@ -57,9 +60,9 @@ COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_
 TEXTS = COLUMNS[:2]
 FEW_PARTS = 64
 FROM_CACHE, LEFT_OUT = "frame from cache", "left out"  # in the rows of a worker only; the second holds the reason
-Row = dict[str, str]
-MAX_BYTES = 1 << 28  # a million rows
+MAX_BYTES = 1 << 31  # eight million rows
 MAX_LINE = 1 << 14
+ROWS_AT_ONCE = 1 << 10  # that are written
 
 
 class ResultsFile:
@@ -73,19 +76,28 @@ class ResultsFile:
         after = COLUMNS.index("repeat") + 1
         self.columns = (*COLUMNS[:after], *more, *COLUMNS[after:])
 
-    def read(self) -> dict[str, Row]:
+    def read(self) -> RowStore:
         """Return complete rows by key; an incomplete last line is ignored."""
+        found = RowStore(self.columns)
+        for row in self._whole_rows():
+            found[row["key"]] = row
+        return found
+
+    def _whole_rows(self) -> Iterator[Row]:
+        """Iterate over the complete rows, one in memory at a time."""
         if not self.path.is_file():
-            return {}
+            return
         allowed = "the rows of a study"
-        whole, newline, _ = read_bytes(self.path, "results", allowed, MAX_BYTES).rpartition(b"\n")
-        lines = (whole + newline).decode(errors="replace").replace("\0", "").split("\n")
-        table = csv.DictReader(line for line in lines if len(line) <= MAX_LINE)
-        try:
-            return {row["key"]: {name: row.get(name) or "" for name in self.columns} for row in table if self._is_whole(row)}
-        except csv.Error as error:
-            hint = "Move the file away: its rows are then computed again."
-            raise invalid("results", f"'{self.path}' ({error})", allowed, hint) from None
+        with opened(self.path, "results", allowed, MAX_BYTES) as file:
+            try:
+                for row in csv.DictReader(_lines(file)):
+                    if self._is_whole(row):
+                        yield {name: row.get(name) or "" for name in self.columns}
+            except csv.Error as error:
+                hint = "Move the file away: its rows are then computed again."
+                raise invalid("results", f"'{self.path}' ({error})", allowed, hint) from None
+            except OSError as error:
+                raise invalid("results", f"'{self.path}' ({error.strerror})", allowed) from None
 
     def check_replaceable(self) -> None:
         """Raise PixsimError if the file has content and does not begin with the columns of a study: it is another program's."""
@@ -105,29 +117,37 @@ class ResultsFile:
         except (KeyError, TypeError, ValueError):
             return False
 
-    def resume(self, is_expected: Callable[[Row], bool]) -> dict[str, Row]:
+    def resume(self, is_expected: Callable[[Row], bool]) -> RowStore:
         """Return the expected rows by key. If there are others, copy the file to FILE.old; leave only the expected rows."""
-        known = self.read()
-        done = {key: row for key, row in known.items() if is_expected(row)}
+        done, has_others = RowStore(self.columns), False
+        for row in self._whole_rows():
+            if is_expected(row):
+                done[row["key"]] = row
+            else:
+                has_others = True
+                done.pop(row["key"], None)
         has_content = self.path.is_file() and self.path.stat().st_size > len(self._text([self._head])) + 1
-        if has_content and (len(done) < len(known) or not known):
+        if has_content and (has_others or not done):
             self._back_up()
         self.write(done.values())
         return done
 
-    def finish(self, rows: Collection[Row]) -> None:
-        """Leave only these rows in the file, copied to FILE.old first if it holds others."""
-        if set(self.read()) - {row["key"] for row in rows}:
+    def finish(self, parts: Sequence[StoredRows]) -> None:
+        """Leave only the rows of these parts in the file, copied to FILE.old first if it holds others."""
+        keys = {key for rows in parts for key in rows.keys}
+        if any(row["key"] not in keys for row in self._whole_rows()):
             self._back_up()
-        self.write(rows)
+        self.write(row for rows in parts for row in rows)
 
     def _back_up(self) -> None:
         shutil.copyfile(self.path, self.path.with_name(self.path.name + ".old"))
 
-    def write(self, rows: Collection[Row]) -> None:
+    def write(self, rows: Iterable[Row]) -> None:
         """Replace the file, completely or not at all."""
-        with self._clear_write_errors(), replacing(self.path) as partial:
-            partial.write_bytes(self._text([self._head, *rows]))
+        left = chain([self._head], rows)
+        with self._clear_write_errors(), replacing(self.path) as partial, partial.open("wb") as file:
+            while some := list(islice(left, ROWS_AT_ONCE)):
+                file.write(self._text(some))
 
     def append(self, rows: Collection[Row]) -> None:
         """Append all of the rows, or none if writing fails."""
@@ -161,6 +181,17 @@ class ResultsFile:
 
 
 FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola
+
+
+def _lines(file: IO[bytes]) -> Iterator[str]:
+    """Iterate over the lines of a file that have an end and at most `MAX_LINE` characters."""
+    while line := file.readline(MAX_LINE + 1):
+        if line.endswith(b"\n"):
+            yield line[:-1].decode(errors="replace").replace("\0", "")
+        while not line.endswith(b"\n") and (line := file.readline(MAX_LINE)):
+            pass
+
+
 REPEATS_PER_TASK = 8  # evaluations after which a worker reports
 FILES_OF_MEMORY = 2  # lights in files, for each that is stored in memory: fewer batches draw the same sensors again
 Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors; both in order
@@ -406,7 +437,7 @@ class Fingerprints:
     irradiance: SpectralImage
     stored: bool = True
     _pixels: dict[tuple[str, float], str] = field(default_factory=dict, init=False, repr=False)
-    _keys: dict[tuple[str, float, int], str] = field(default_factory=dict, init=False, repr=False)
+    _keys: dict[tuple[str, float], dict[int, str]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def imaging(self) -> str:
@@ -441,12 +472,11 @@ class Fingerprints:
 
     def keys(self, technology: str, pitch_um: float, repeats: Iterable[int]) -> dict[int, str]:
         """Return the key of the row of each repeat."""
-        keys = {}
+        keys, known = {}, self._keys.setdefault((technology, pitch_um), {})
         for repeat in repeats:
-            sensor = technology, pitch_um, repeat
-            if sensor not in self._keys:
-                self._keys[sensor] = content_hash([self.pixel(technology, pitch_um), self.display, repeat])
-            keys[repeat] = self._keys[sensor]
+            if repeat not in known:
+                known[repeat] = content_hash([self.pixel(technology, pitch_um), self.display, repeat])
+            keys[repeat] = known[repeat]
         return keys
 
     def is_expected_row(self, row: Row) -> bool:
@@ -569,7 +599,7 @@ class Evaluations:
     def __init__(self, parts: Sequence[Part], results: Path, workers: Workers) -> None:
         self.parts, self._workers = parts, workers
         self._results = ResultsFile(results, tuple(parts[0].case.columns))
-        self._done: dict[str, Row] = {}
+        self._done = RowStore(self._results.columns)
         self._left_out: dict[str, str] = {}
         self._batch = 0
         lights = {
@@ -621,7 +651,7 @@ class Evaluations:
         finally:
             _recent.__dict__.clear()  # in this process; a worker keeps its last chain until its next task
 
-    def rows(self, samplings: Sequence[Sampling], progress: Progress | None = None) -> Generator[tuple[int, list[Row]]]:
+    def rows(self, samplings: Sequence[Sampling], progress: Progress | None = None) -> Generator[tuple[int, StoredRows]]:
         """Yield the number of each part that has a sampling with its rows, in their order, as soon as all of them are known.
 
         Raises PixsimError if the file cannot be written; finished rows stay in it.
@@ -637,16 +667,17 @@ class Evaluations:
             for part, sampling in zip(self.parts, samplings, strict=True)
         ]
         unknown = [set(own) - self._done.keys() - self._left_out.keys() for own in keys]
-        parts_of: dict[str, list[int]] = {}
+        parts_of: dict[str, tuple[int, ...]] = {}
         for number, own in enumerate(unknown):
+            alone = (number,)  # one for all of them
             for key in own:
-                parts_of.setdefault(key, []).append(number)
+                parts_of[key] = (*parts_of[key], number) if key in parts_of else alone
 
-        def known(numbers: Iterable[int]) -> Iterator[tuple[int, list[Row]]]:
+        def known(numbers: Iterable[int]) -> Iterator[tuple[int, StoredRows]]:
             for number in numbers:
                 if keys[number] and not unknown[number]:
-                    own = self.parts[number].case.columns
-                    yield number, [self._done[key] | own for key in keys[number] if key in self._done]
+                    found = [key for key in keys[number] if key in self._done]
+                    yield number, StoredRows(self._done, found, self.parts[number].case.columns)
 
         yield from known(range(len(keys)))
         missing = total = sum(len(task.keys) for calls in batches for task, _ in calls)
@@ -656,7 +687,7 @@ class Evaluations:
             for rows in results_of(evaluate_task, calls, self._workers):
                 made = [row for row in rows if LEFT_OUT not in row]
                 self._results.append(made)
-                self._done |= {row["key"]: row for row in made}
+                self._done.update((row["key"], row) for row in made)
                 self._left_out |= {row["key"]: row[LEFT_OUT] for row in rows if LEFT_OUT in row}
                 self.counts.evaluations_made += len(made)
                 self.counts.frames_reused += sum(FROM_CACHE in row for row in rows)
@@ -748,6 +779,6 @@ class Evaluations:
         """Number of lights behind the lens that fit into memory together."""
         return min(part.scenes.capacity for part in self.parts)
 
-    def finish(self, rows: list[list[Row]]) -> None:
+    def finish(self, rows: Sequence[StoredRows]) -> None:
         """Leave only these rows in the file, in their order."""
-        self._results.finish([row for part in rows for row in part])
+        self._results.finish(rows)

@@ -30,7 +30,6 @@ from pixsim.studies.evaluations import (
     REPEATS_PER_TASK,
     Counts,
     Fingerprints,
-    Row,
     block_key,
     chain_at,
     light_of,
@@ -39,6 +38,7 @@ from pixsim.studies.evaluations import (
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
+from pixsim.studies.rows import Row
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip
 
@@ -432,19 +432,20 @@ def few(notes: Sequence[Sequence[str]]) -> list[str]:
     return [*each[: SHOWN_NOTES - 1], f"and {len(each) - SHOWN_NOTES + 1} more notes of this kind, of other cases"]
 
 
-def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
+def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:
     """Return the curve of one technology, with its optimum, from the rows of a study."""
-    rows = [row for row in rows if row["technology"] == technology]
-    pitches = np.array(sorted({float(row["pitch_um"]) for row in rows}))
-    place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
-    repeats = 1 + max(int(row["repeat"]) for row in rows)
-    statistics = {name: np.full((pitches.size, repeats), np.nan) for name in ("integration_s", *DELTA_E_STATISTICS)}
+    names = ("pitch_um", "repeat", "fill_factor", "integration_s", *DELTA_E_STATISTICS)
+    own = (row for row in rows if row["technology"] == technology)  # a million tables would not fit into memory
+    pitch_um, repeat, fill, *values = (
+        np.fromiter((float(row[name]) for row in own for name in names), float).reshape(-1, len(names)).T
+    )
+    pitches, place = np.unique(pitch_um, return_inverse=True)
+    which = place, repeat.astype(int)
+    statistics = {name: np.full((pitches.size, 1 + which[1].max()), np.nan) for name in names[3:]}
+    for numbers, of_rows in zip(statistics.values(), values, strict=True):
+        numbers[which] = of_rows
     fill_factor = np.zeros(pitches.size)
-    for row in rows:
-        index = place[float(row["pitch_um"])]
-        for name, values in statistics.items():
-            values[index, int(row["repeat"])] = float(row[name])
-        fill_factor[index] = float(row["fill_factor"])
+    fill_factor[place] = fill
     fit = fit_curve(pitches, statistics["mean_delta_e"], partial(photodiode_widths_um, study, technology))
     process = technology_of(study, technology)
     sheet = process.name == NO_TECHNOLOGY

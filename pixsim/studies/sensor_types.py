@@ -20,9 +20,10 @@ from pixsim.base.progress import Progress
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.claims import scaling_rows
 from pixsim.studies.engine import Workers
-from pixsim.studies.evaluations import Evaluations, Part, Row, Sampling, most_channels, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, Part, Sampling, most_channels, study_pitches_um
 from pixsim.studies.indices import total_indices
 from pixsim.studies.result import Curve, StudyResult, curve_of
+from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.uncertainty import (
     LEAST_DRAWS,
     MOST_DRAWS,
@@ -124,7 +125,7 @@ def draw_types(
             samplings.append(few)
     evaluations = Evaluations(parts, folder / TYPES_FILE, workers)
     count = len(sample.draws)
-    rows: list[list[Row]] = [[] for _ in parts]
+    rows = [NO_ROWS for _ in parts]
     curves: list[list[Curve]] = [[] for _ in parts]
     with evaluations.resumed():
         with closing(evaluations.rows(samplings, progress())) as found_rows:

@@ -46,7 +46,6 @@ from pixsim.studies.evaluations import (
     Evaluations,
     Part,
     ResultsFile,
-    Row,
     Sampling,
     check_ideals,
     first_sampling,
@@ -59,6 +58,7 @@ from pixsim.studies.evaluations import (
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs, study_plan
 from pixsim.studies.result import Curve, StudyResult, curve_of, few
+from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sight import Sight, clearest
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display import dot_edges_um, white_header
@@ -613,7 +613,7 @@ def evaluate_cases(
     check_ideals(made)
     evaluations = Evaluations(made, results, workers)
     samplings = [first_sampling(part.study) for part in made]
-    rows: list[list[Row]] = [[] for _ in made]
+    rows = [NO_ROWS for _ in made]
     curves: list[tuple[Curve, ...]] = [() for _ in made]
     left_out: list[dict[str, dict[float, str]]] = [{} for _ in made]
     with evaluations.resumed():

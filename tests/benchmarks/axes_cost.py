@@ -26,7 +26,8 @@ from pixsim.report.axes import write_axes_report
 from pixsim.studies import evaluations
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.engine import Workers, workers_here
-from pixsim.studies.evaluations import Row, Task
+from pixsim.studies.evaluations import Task
+from pixsim.studies.rows import Row
 from pixsim.studies.study import prepare, run_prepared
 from pixsim.viewer import score
 from pixsim.viewer.score import SharedLight
