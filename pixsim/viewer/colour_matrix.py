@@ -44,6 +44,7 @@ STANDARD_NM = np.arange(380.0, 781.0, 5.0)  # of the tables of illuminants, patc
 MAX_STEP_NM = 20.0  # between sensitivities: above, the maxima of narrow filters would be missed
 NEEDED_NM = (400.0, 700.0)  # range of sensitivities; the observer has 99.8 % of X, Y and Z in it
 RANK_TOLERANCE = 1e-6  # smallest over largest singular value; noise gains are a million there
+NOISE_TOLERANCE = 1e-12  # in place of it with noise, which may be much larger in one channel than in the others
 MAX_NOISE_GAIN = 10.0  # of the display's linear RGB; 52 measured cameras have 1.3 to 3, stacked sensors 6 to 9
 SMI_PER_DELTA_E = 5.5  # of the sensitivity metamerism index, ISO 17321-1
 SMOOTHING_DELTA_E = (1.0, 1e-1, 1e-2, 1e-3, 1e-5, 1e-7)
@@ -152,19 +153,32 @@ def fit_matrix(
 
     channels = responses.shape[1]
     # Rows of the matrix to X/Xn, Y/Yn, Z/Zn sum to 1, so that white is kept: 1/C plus what is orthogonal to (1, …, 1). Of that, the
-    # fit turns combinations that are orthonormal over the patches.
-    from_equal = responses.mean(axis=1, keepdims=True) * np.ones(3)
+    # fit turns combinations that are orthonormal over the patches and their noise: both may be large in one channel only.
+    seen = responses if noise is None else np.vstack([responses, _root(noise.sum(axis=0))])
+    from_equal = seen.mean(axis=1, keepdims=True) * np.ones(3)
     orthogonal = np.linalg.svd(np.ones((1, channels)))[2][1:]
-    basis, sizes, turns = np.linalg.svd(responses @ orthogonal.T, full_matrices=False)
-    kept = sizes > RANK_TOLERANCE * sizes[0]
+    basis, sizes, turns = np.linalg.svd(seen @ orthogonal.T, full_matrices=False)
+    kept = sizes > (RANK_TOLERANCE if noise is None else NOISE_TOLERANCE) * sizes[0]
     basis, turns = basis[:, kept], turns[kept] / sizes[kept, None] @ orthogonal
-    error = _MeanError(basis, turns, from_equal, target, noise)
-    free = (basis.T @ (target - from_equal)).ravel()
+    wanted = target if noise is None else np.vstack([target, np.zeros((channels, 3))])
+    free = (basis.T @ (wanted - from_equal)).ravel()
+    patches = slice(0, len(target))
+    error = _MeanError(basis[patches], turns, from_equal[patches], target, noise)
     options: dict[str, Any] = {"gtol": 1e-5, "maxiter": 300}
     for smoothing in SMOOTHING_DELTA_E:
         found = minimize(error, free, args=(smoothing,), method="BFGS", jac=True, options=options)
-        free, options["hess_inv0"] = found.x, (found.hess_inv + found.hess_inv.T) / 2
+        free, curvature = found.x, (found.hess_inv + found.hess_inv.T) / 2
+        # After a search that rounding stopped, it may be of no use.
+        useful = np.isfinite(curvature).all() and np.linalg.eigvalsh(curvature)[0] > 0
+        options["hess_inv0"] = curvature if useful else None
     return np.asarray(white[:, None] * (1 / channels + free.reshape(-1, 3).T @ turns))
+
+
+def _root(covariance: Array) -> Array:
+    """Return a matrix (C, C) whose product of its transpose with itself is a covariance (C, C)."""
+    deviation = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    variances, directions = np.linalg.eigh(covariance / np.multiply.outer(deviation, deviation))  # of correlations
+    return np.asarray(np.sqrt(np.maximum(variances, 0.0))[:, None] * directions.T * deviation)
 
 
 class _MeanError:

@@ -76,6 +76,16 @@ def test_noise_gains_are_those_of_the_reference(case: str) -> None:
     assert noise_gains(100 * matrix, 100 * white) == pytest.approx(noise_gains(matrix, white), rel=1e-12)  # any unit
 
 
+@pytest.mark.parametrize("case", [case for case in CASES if case.endswith("/D55")])
+def test_metamerism_index_of_the_same_sums_is_that_of_the_reference(case: str) -> None:
+    """The way from sensitivities to SMI, in steps of 5 nm as the reference takes them: to rounding, where the gate is 0.05."""
+    responses, xyz, white = patches_of(case)
+    theirs = metamerism_index(colour_errors(reference()[f"{case}/M_opt"], responses, xyz, white))
+    camera, power = camera_sensitivities(case.partition("/")[0]), illuminant("D55", STANDARD_NM)
+    ours = colour_errors(colour_matrix(*camera), chart_responses(STANDARD_NM, camera[1], power)[:18], xyz, white)
+    assert metamerism_index(ours) == pytest.approx(theirs, abs=1e-6)
+
+
 def test_metamerism_index_of_all_cameras() -> None:
     """SMI of 52 cameras: 84.34, 91.46 and 93.19 (min, median, max) by another program."""
     power = illuminant("D55", STANDARD_NM)
@@ -161,6 +171,20 @@ def test_noise_aware_has_the_least_expected_error(case: str, white_e: float) -> 
     for other in others:
         gain = other - aware
         assert gain.mean() > 3 * gain.std() / np.sqrt(len(gain))
+
+
+@pytest.mark.parametrize("white_e", [1e4, 1e-3, 1e-20])
+def test_noise_aware_fit_of_a_channel_that_hardly_sees_the_lamp(white_e: float) -> None:
+    """The worse a channel is, the less it counts, down to nothing: the limit is a camera of the two others, at any light."""
+    responses, xyz, white = patches_of(D5100)
+    fits = []
+    for worse in (1e9, 1e12, 1e15):
+        covariance = shot_noise(responses, white_e)
+        covariance[:, 2, 2] *= worse
+        fits.append(fit_matrix(responses, xyz, white, "noise_aware", covariance))
+        assert fits[-1].sum(axis=1) == pytest.approx(white, abs=1e-9)
+    assert np.abs(fits[-1][:, 2]).max() < 1e-6
+    assert fits[1] == pytest.approx(fits[2], abs=1e-4)
 
 
 def test_noise_aware_error_is_the_one_it_minimises() -> None:
