@@ -100,18 +100,51 @@ def demosaic_covariance(
     >>> np.diag(demosaic_covariance("rggb", "bilinear", [1.0, 1.0, 1.0])).tolist()
     [0.5625, 0.625, 0.5625]
     """
+    cell, values = _checked_noise("variance", variance, pattern, method, dot_px)
+    return np.asarray(np.einsum("cdk,...k->...cd", _covariance_per_variance(cell, method, dot_px, interpolation), values))
+
+
+@checks_arguments
+def demosaic_column_covariance(
+    pattern: str | Sequence[str],
+    method: Method,
+    deviation: ArrayLike,
+    dot_px: float | None = None,
+    interpolation: Literal["nearest", "linear", "cubic"] = "linear",
+) -> Array:
+    """Return the covariance of the demosaiced channels, (..., C, C), if each column of pixels has one offset, unlike the others'.
+
+    It is the mean as in `demosaic_covariance`. An average over the rows of a dot does not make such noise less, and channels that
+    share columns have it in common.
+
+    deviation : (..., C) standard deviation of the offset in each channel, any unit; after white balance they differ
+
+    The other arguments and the errors are those of `demosaic_covariance`.
+
+    >>> demosaic_column_covariance("rggb", "bilinear", np.ones(3)).diagonal().tolist()  # G at R has 1/2, 1/4, 1/4 of three columns
+    [0.75, 0.6875, 0.75]
+    """
+    cell, values = _checked_noise("deviation", deviation, pattern, method, dot_px)
+    products = _column_products(cell, method, dot_px, interpolation)
+    return np.asarray(np.einsum("cdkl,...k,...l->...cd", products, values, values))
+
+
+def _checked_noise(
+    name: str, noise: ArrayLike, pattern: str | Sequence[str], method: Method, dot_px: float | None
+) -> tuple[tuple[str, ...], Array]:
+    """The unit cell, and the noise of its channels (..., C), checked."""
     cell = unit_cell(pattern)
     check_method(cell, method)
     if method == "menon2007":
         hint = "Take the covariance of malvar2004 or bilinear in its place."
         raise invalid("method", "'menon2007', which has no covariance in closed form", "bilinear, malvar2004, interpolate", hint)
-    values, count = np.asarray(variance, float), len(channels_of(cell))
+    values, count = np.asarray(noise, float), len(channels_of(cell))
     if values.ndim == 0 or values.shape[-1] != count or not (np.isfinite(values).all() and (values >= 0).all()):
         got = f"shape {values.shape}" if values.shape[-1:] != (count,) else "numbers below 0 or not finite"
-        raise invalid("variance", got, f"(..., {count}), finite numbers not below 0, for channels {', '.join(channels_of(cell))}")
+        raise invalid(name, got, f"(..., {count}), finite numbers not below 0, for channels {', '.join(channels_of(cell))}")
     if dot_px is not None and not 1e-3 <= dot_px <= 1e3:
         raise invalid("dot_px", f"{dot_px:g}", "0.001 to 1000 pixels, or None for the pixels themselves")
-    return np.asarray(np.einsum("cdk,...k->...cd", _covariance_per_variance(cell, method, dot_px, interpolation), values))
+    return cell, values
 
 
 @checks_arguments
@@ -272,6 +305,31 @@ def _covariance_per_variance(cell: tuple[str, ...], method: Method, dot_px: floa
     covariance = np.stack([each[letters == channel].sum(axis=0) for channel in channels], axis=-1)
     covariance.flags.writeable = False
     return covariance
+
+
+@lru_cache(maxsize=64)
+def _column_products(cell: tuple[str, ...], method: Method, dot_px: float | None, interpolation: str) -> Array:
+    """Return the covariance (C, C) of the channels for column offsets with the deviations 1 in two channels, (C, C, C, C).
+
+    The last two axes are theirs. Rows at one place of the unit cell have the same weights for the columns; a dot has a share of
+    its rows at each place.
+    """
+    weights, channels = _weights(cell, method), channels_of(cell)
+    rows, columns, _, ky, kx = weights.shape
+    letters = np.array([list(row) for row in cell])
+    y, x, dy, dx = np.ogrid[:rows, :columns, :ky, :kx]
+    source = letters[(y + dy - ky // 2) % rows, (x + dx - kx // 2) % columns]  # of each sample of each place
+    own = np.stack([(weights * (source == channel)[:, :, None]).sum(axis=3) for channel in channels], axis=-1)
+    u, at = np.ogrid[:columns, :kx]
+    left = own[:, (u - at + kx // 2) % columns, :, at]  # from each column to those around, (columns, kx, rows, C, C)
+    along_x, between = left, np.eye(rows) / rows
+    if dot_px is not None:
+        products = _dot_products(dot_px, interpolation, int(np.ceil(dot_px)) + 2 * SPLINE_REACH)
+        along_x = np.einsum("ij,ujpck->uipck", _toeplitz(products[:kx]), left)
+        apart = np.arange(1 - products.size, products.size)
+        shares = np.bincount(apart % rows, products[np.abs(apart)], rows) / rows
+        between = shares[np.arange(rows)[:, None] - np.arange(rows)]
+    return np.asarray(np.einsum("uipck,uiqdl,pq->cdkl", along_x, left, between) / columns)
 
 
 def _toeplitz(values: Array) -> Array:

@@ -30,8 +30,8 @@ from pixsim.sensor.integration import response_within
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
-from pixsim.viewer.colour_matrix import RANK_TOLERANCE, check_noise_gains, colour_errors, fit_matrix
-from pixsim.viewer.demosaic import demosaic, demosaic_covariance
+from pixsim.viewer.colour_matrix import RANK_TOLERANCE, Fit, check_noise_gains, colour_errors, fit_matrix
+from pixsim.viewer.demosaic import demosaic, demosaic_column_covariance, demosaic_covariance
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, means_on_dots, on_dots, white_light, white_lx
 
 SATURATED = 0.99  # of the saturation level
@@ -62,13 +62,20 @@ class Rendition:
         Raises PixsimError, naming the lamp, if the channels do not tell the patches' colours apart, or if the matrix amplifies
         noise more than 10 times.
         """
-        key = self.responses.tobytes(), self.xyz.tobytes(), tuple(self.white_xyz.tolist()), self.responses.shape
         try:
-            matrix = _fitted(*key, develop.matrix, covariance.tobytes() if covariance is not None else None)
+            matrix = self.fitted(develop.matrix, covariance)
             check_noise_gains(matrix, self.white_xyz, self.adaptation)
         except PixsimError as error:
             raise type(error)(f"colour under {self.lamp}: {error}") from None
         return product(self.to_display, matrix)
+
+    def fitted(self, method: Fit, covariance: Array | None = None) -> Array:
+        """Return the matrix from balanced channels to XYZ under the lamp, (3, C), however much it amplifies noise.
+
+        Raises PixsimError if the channels do not tell the patches' colours apart.
+        """
+        key = self.responses.tobytes(), self.xyz.tobytes(), tuple(self.white_xyz.tolist()), self.responses.shape
+        return _fitted(*key, method, covariance.tobytes() if covariance is not None else None)
 
     def mixed_by(self, mixing: Array, rates: Array) -> Rendition:
         """Return what channels see that exchange light before they are read, (C, C), of rates (C,) of white in each.
@@ -92,14 +99,13 @@ class Rendition:
 
 @lru_cache(maxsize=64)
 def _fitted(
-    responses: bytes, xyz: bytes, white_xyz: tuple[float, ...], shape: tuple[int, int], method: str, covariance: bytes | None
+    responses: bytes, xyz: bytes, white_xyz: tuple[float, ...], shape: tuple[int, int], method: Fit, covariance: bytes | None
 ) -> Array:
     """Return the matrix from balanced channels to XYZ, (3, C)."""
     count, channels = shape
     seen, wanted = np.frombuffer(responses).reshape(shape), np.frombuffer(xyz).reshape(count, 3)
     noise = None if covariance is None else np.frombuffer(covariance).reshape(count, channels, channels)
-    method_of: Any = method
-    return np.asarray(fit_matrix(seen, wanted, np.array(white_xyz), method_of, noise))
+    return np.asarray(fit_matrix(seen, wanted, np.array(white_xyz), method, noise))
 
 
 def product(left: Array, right: Array) -> Array:
@@ -277,7 +283,7 @@ def noise_covariance(
     """Return the covariance of the balanced channels on each patch, (P, C, C), as means over a dot.
 
     It is that of the pixels over frames and sensors in closed form, through the weights of the interpolation; for menon2007, whose
-    weights depend on the picture, through those of malvar2004.
+    weights depend on the picture, through those of malvar2004. The offsets of columns are the same in all rows.
 
     white_e : (C,) electrons of the white in this exposure
     dot_um : side of a dot on the sensor; None: dots are pixels
@@ -286,11 +292,16 @@ def noise_covariance(
     assert layout is not None
     by_channel = balance(develop, layout, white_e)
     electrons = np.maximum(rendition.responses, 0.0) * white_e
-    variance = frame_variance_dn2(electrons, integration_s, physics) / physics.dn_per_e**2 / by_channel**2
+    pixels = frame_variance_dn2(electrons, integration_s, physics) / physics.dn_per_e**2 - physics.column_fpn_e**2
+    variance, columns = np.maximum(pixels, 0.0) / by_channel**2, physics.column_fpn_e / by_channel
     dot_px = None if dot_um is None else min(max(dot_um / physics.read_pitch_um, 1e-3), 1e3)
-    if layout.is_stacked:
-        one = float(demosaic_covariance(["R"], "interpolate", np.ones(1), dot_px, display.interpolation)[0, 0])
-        return np.asarray(one * variance[:, :, None] * np.eye(variance.shape[1]))
-    method = demosaic_method(develop, layout)
+    method: Any = "interpolate" if layout.is_stacked else demosaic_method(develop, layout)
     linear: Any = "malvar2004" if method == "menon2007" else method
-    return demosaic_covariance(layout.cell, linear, variance, dot_px, display.interpolation)
+    if layout.is_stacked:  # the layers of a pixel are read by one column
+        of_pixels, of_columns = (
+            float(each(["R"], linear, np.ones(1), dot_px, display.interpolation)[0, 0])
+            for each in (demosaic_covariance, demosaic_column_covariance)
+        )
+        return of_pixels * variance[:, :, None] * np.eye(columns.size) + of_columns * np.multiply.outer(columns, columns)
+    independent = demosaic_covariance(layout.cell, linear, variance, dot_px, display.interpolation)
+    return independent + demosaic_column_covariance(layout.cell, linear, columns, dot_px, display.interpolation)

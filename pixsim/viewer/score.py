@@ -564,6 +564,22 @@ def chain_of_frames(
     return _chain(light, physics, exposure, correction, develop, np.broadcast_to(0.0, shape), collections)
 
 
+def check_whole_cell(physics: PixelPhysics, shape: tuple[int, ...]) -> None:
+    """Raise PixsimError if a frame (rows, columns) of a mosaic lacks a part of the unit cell, and with it colours.
+
+    physics : of what is read
+    """
+    layout = physics.layout
+    if layout is None:
+        return
+    (high, wide), (rows, columns) = layout.period, shape
+    if rows < high or columns < wide:
+        binned = f" after binning of {physics.bin_side} × {physics.bin_side}" if physics.bin_side > 1 else ""
+        got = f"{physics.pitch_um:g}, which leaves {rows} × {columns} pixels on the die{binned}"
+        allowed = f"at least the unit cell {', '.join(layout.cell)} of {high} × {wide} pixels"
+        raise invalid("pixel.pitch_um", got, allowed, "Choose smaller pixels or a larger die.")
+
+
 def _chain(
     light: PreparedScene,
     physics: PixelPhysics,
@@ -574,6 +590,7 @@ def _chain(
     collections: Sequence[Collection],
 ) -> ImagingChain:
     read, rendition = physics.as_read.at_gain(exposure.gain_db), light.rendition
+    check_whole_cell(read, signal.shape)
     collection: Collection | ColourCollection | None = collections[0] if collections else None
     if collections and rendition is not None:
         collection = light.collection(physics, collections)

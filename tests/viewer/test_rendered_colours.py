@@ -60,11 +60,20 @@ def test_rendered_patches_have_the_colours_of_the_reference(lamp: str) -> None:
     assert errors.max() < 0.05
 
 
-@pytest.mark.parametrize(("camera", "sums"), [("Nikon_D5100", 0.05), ("Canon_EOS_5D_Mark_II", 0.05), ("ARRI_D21", 0.12)])
-def test_matrix_and_index_in_the_bands_of_a_picture(camera: str, sums: float, tmp_path: Path) -> None:
+# By how much SMI of integrals is above that of the reference's sums in steps of 5 nm: below its tolerance of 0.05 for most.
+SUMS = {"Hasselblad_L1D-20c": (0.05, 0.07), "ARRI_D21": (0.08, 0.11)}
+SUMS_OF_OTHERS = 0.02, 0.05
+CAMERAS = [
+    *("Arashi_Vision_Insta360_X5", "Canon_EOS_5D_Mark_II", "Canon_EOS_R5", "Fujifilm_X-T3", "Nikon_D5100", "Nikon_D810"),
+    *("Panasonic_DC-GX9", "Sony_ILCE-7M3", *SUMS),
+]
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_matrix_and_index_in_the_bands_of_a_picture(camera: str, tmp_path: Path) -> None:
     """SMI and matrix of a scene under D55: integrals to 0.005 and 5e-4, and the reference, which sums in steps of 5 nm.
 
-    Sums in steps differ from integrals by up to 0.03 in SMI for most cameras, and 0.095 for the narrow curves of ARRI_D21.
+    With the same sums SMI is that of the reference to 1e-6 (test_colour_matrix.py): the rest is of the sums.
     """
     lamp = tmp_path / "d55.spd"
     nm = np.arange(360.0, 781.0, 5.0)
@@ -89,5 +98,7 @@ def test_matrix_and_index_in_the_bands_of_a_picture(camera: str, sums: float, tm
     with np.load(DATA / "matrices.npz") as file:
         xyz, white = file["D55/XYZ"][:18], file["D55/XYZ_white"]
         responses, reference = file[f"{camera}/D55/camera_rgb_wb"][:18], file[f"{camera}/D55/M_opt"]
-    assert index == pytest.approx(metamerism_index(colour_errors(reference, responses, xyz, white)), abs=sums)
+    theirs = metamerism_index(colour_errors(reference, responses, xyz, white))
+    low, high = SUMS.get(camera, SUMS_OF_OTHERS)
+    assert low < index - theirs < high
     assert matrix == pytest.approx(reference, abs=0.005)
