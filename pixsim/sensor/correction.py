@@ -83,12 +83,20 @@ def correct(
         flat = mean_of(correction.flat_frames, light_e, flat_rng, above_flat)
         if dark is not None:
             flat -= dark
+        level = flat / even  # in the electrons of each channel, which decide on its noise
         if balance is not None:
             flat /= balance
         response = flat / max(float(flat.mean() / np.mean(even)), np.finfo(float).tiny)  # 1 is the mean response on axis
         unresponsive = response < LEAST_RESPONSE * even
         picture /= np.where(unresponsive, even, response)
-        defects |= unresponsive | outliers(flat / even, rounding_e(physics, correction.flat_frames))
+        least_spread, channels = rounding_e(physics, correction.flat_frames), frame.layout
+        if channels is None:
+            defects |= unresponsive | outliers(level, least_spread)
+        else:
+            defects |= unresponsive
+            numbers = channels.numbers(sensor.shape)
+            for own in (numbers == number for number in range(len(channels.channels))):
+                defects[own] |= outliers(level[own], least_spread)
     if correction.defects:
         layout = frame.layout
         pictures, which = ([picture], [defects]) if layout is None else (layout.parts(picture), layout.parts(defects))
