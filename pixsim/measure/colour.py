@@ -28,13 +28,15 @@ from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import frame_variance_dn2, read_out, sample_sensor
 from pixsim.viewer.colour_matrix import STANDARD_NM, chart_responses, chart_xyz, metamerism_index
-from pixsim.viewer.develop import Rendition, check_told_apart
+from pixsim.viewer.develop import Rendition, check_told_apart, product
 from pixsim.viewer.display import XYZ_FROM_RGB
 
 LAMP = "D55"  # the default of ISO 17321-1
 WHITE_SHARE = 0.13 / 0.18  # of saturation
 GREY = 0.18  # reflectance
 PAIRS = 2  # frames of each field
+LEAST_WHITE = 5.0  # standard errors of a channel's white: with fewer, its balance is not known
+ROUNDING_DN = 0.01  # of a mean, where there is no noise to see
 REDRAWS = 24  # of the measured means within their standard errors, for those of what follows: known to 15 %
 
 
@@ -83,7 +85,7 @@ class Colour:
     @cached_property
     def measured(self) -> Rendition:
         """The chart as the frames have it; XYZ are those of the tables."""
-        return replace(self.truth.rendition, responses=self.patches_dn / self.white_dn)
+        return replace(self.truth.rendition, responses=np.maximum(self.patches_dn / self.white_dn, 0.0))
 
     @cached_property
     def redrawn(self) -> list[Rendition]:
@@ -121,6 +123,8 @@ class Colour:
         together = variances[1] + variances[2]
         # Of a sum of two variances, with their covariance; normal noise.
         spread = math.sqrt(2 * (variances[1] ** 2 + variances[2] ** 2 + 2 * float(np.mean(noise[1] * noise[2])) ** 2) / count)
+        if not min(variances[0], together) > 0:  # below the rounding of the ADC
+            return Estimate(math.nan, math.nan), Estimate(math.nan, math.nan)
         ratios = luminance / math.sqrt(variances[0]), luminance / math.sqrt(together)
         return Estimate(ratios[0], ratios[0] / math.sqrt(2 * count)), Estimate(ratios[1], ratios[1] * spread / together / 2)
 
@@ -135,19 +139,24 @@ class Colour:
         return mean / math.sqrt(luminance), mean / math.sqrt(sum(chrominance))
 
 
+def matrix_to_display(rendition: Rendition) -> Array:
+    """Return the matrix from balanced channels to the display's primaries, (3, C); noise of a measurement may raise its gains."""
+    return product(rendition.to_display, rendition.fitted(DEVELOP.matrix))
+
+
 def smi(rendition: Rendition) -> float:
     """Return the sensitivity metamerism index of a chart."""
-    return metamerism_index(rendition.errors(rendition.matrix(DEVELOP)))
+    return metamerism_index(rendition.errors(matrix_to_display(rendition)))
 
 
 def noise_gain(rendition: Rendition, primary: int) -> float:
     """Return by how much the matrix amplifies equal noise of the balanced channels in a primary of the display."""
-    return float(np.sqrt(np.square(rendition.matrix(DEVELOP)[primary]).sum()))
+    return float(np.sqrt(np.square(matrix_to_display(rendition)[primary]).sum()))
 
 
 def opponents(rendition: Rendition) -> Array:
     """Return the matrix from balanced channels to Y, R - Y and B - Y of the display's linear light, (3, C)."""
-    red, green, blue = rendition.matrix(DEVELOP)
+    red, green, blue = matrix_to_display(rendition)
     weights = XYZ_FROM_RGB[1] / XYZ_FROM_RGB[1].sum()
     luminance = weights[0] * red + weights[1] * green + weights[2] * blue
     return np.stack([luminance, red - luminance, blue - luminance])
@@ -184,7 +193,8 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
 
     gain_spread : PRNU, which is part of the standard error of the white balance
 
-    Raises PixsimError as `colour_truth` does, and for a frame without pixels of every channel.
+    Raises PixsimError as `colour_truth` does, for a frame without pixels of every channel, and for a channel that white hardly
+    fills.
     """
     physics, time_s = replace(experiment.physics, channel=""), experiment.integration_s
     truth, layout = colour_truth(physics, time_s), physics.layout
@@ -211,6 +221,13 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
     dark, dark_variance = means(field_of("colour dark", np.zeros(len(layout.channels))))
     fields = [means(field_of(f"patch {index}", truth.white_e * seen)) for index, seen in enumerate(truth.rendition.responses)]
     white, white_variance = means(field_of("white", truth.white_e))
+    signal, error = white - dark, np.sqrt(white_variance + dark_variance)
+    faint = np.flatnonzero(signal <= LEAST_WHITE * np.maximum(error, ROUNDING_DN))
+    if faint.size:
+        first = int(faint[0])
+        got = f"white of {signal[first]:.3g} DN with a standard error of {error[first]:.2g} DN in channel {layout.channels[first]}"
+        hint = "Its filter or quantum efficiency passes too little of D55; or take more pixels, bits or gain."
+        raise invalid("colour", got, f"more than {LEAST_WHITE:g} standard errors in each channel", hint)
     grey = field_of("grey field", GREY * truth.white_e)
     difference = (grey[0] - grey[1]) / math.sqrt(2)
     least = int(counts.min())
@@ -220,8 +237,8 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
         truth,
         patches_dn=np.array([mean - dark for mean, _ in fields]),
         patches_error_dn=np.sqrt([variance + dark_variance for _, variance in fields]),
-        white_dn=white - dark,
-        white_error_dn=np.sqrt(white_variance + dark_variance),
+        white_dn=signal,
+        white_error_dn=error,
         gain_error=gain_spread / np.sqrt(counts),
         grey_dn=means(grey)[0] - dark,
         grey_noise_dn=np.stack([difference[numbers == number][:least] for number in range(len(counts))], axis=1),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import PixsimError
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import NO_TECHNOLOGY, Exposure, Pixel
 from pixsim.base.progress import Stage
 from pixsim.measure import colour as colours, estimators
@@ -23,9 +23,11 @@ from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pai
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
 from pixsim.show.pages import plain
 
+LEAST_NOISE_DN = 0.1  # of light at saturation: below it, most frames of even light have one code and no noise
 GREY_FRAMES = 16  # ISO 15739 requires at least 8
 GREY_SHARE = 0.13  # of saturation: the reference level of ISO 15739, section 6.3
 
@@ -220,8 +222,16 @@ def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: f
     """Capture every frame of the experiment and return its data sheet; `stage` receives the progress.
 
     wavelength_nm : of the light on the other channels of a colour sensor; None takes the peak of each
+
+    Raises PixsimError if codes are so coarse that no frame shows noise.
     """
     report_progress = stage or (lambda name: lambda done, note="": None)
+    p = experiment.physics
+    largest_dn2 = float(frame_variance_dn2(p.saturation_e, experiment.integration_s, p, fixed_pattern=False)) - QUANTISATION_DN2
+    if largest_dn2 < LEAST_NOISE_DN**2:
+        got = f"{p.pixel.bits}: a code is {1 / p.dn_per_e:.3g} e-, and hides the noise of light, from which K is measured"
+        allowed = f"codes of at most {1 / LEAST_NOISE_DN:g} standard deviations of the temporal noise at saturation"
+        raise invalid("pixel.bits", got, allowed, "Use more bits, or a smaller full well.")
 
     def pairs(name: str, photons: Array, of: Experiment = experiment) -> Series:
         report_fraction, measured = report_progress(name), []

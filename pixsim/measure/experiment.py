@@ -24,6 +24,7 @@ from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
+LEAST_SIDE = 3  # pixels, whose variance divides into that of rows, of columns and of single pixels
 EXPOSURES = 50  # the minimum of EMVA 1288, section 6.5
 DIM_EXPOSURES = 12  # more, at equal ratios below the first: ISO 12232 needs the exposure of S/N 10
 BEYOND_SATURATION = 1.1  # of the light that fills the well, so that the series spans the peak of the variance
@@ -229,8 +230,10 @@ def make_experiment(
     shape : (rows, columns) pixels
     exposures : light levels, equally spaced from dark to 1.1 times what fills the well
 
-    Raises PixsimError for a wavelength without response, and for too few bits for the black level.
+    Raises PixsimError for a wavelength without response, for too few bits for the black level, and for too few pixels.
     """
+    if min(shape) < LEAST_SIDE:
+        raise invalid("shape", f"{shape[0]} × {shape[1]} pixels", f"at least {LEAST_SIDE} × {LEAST_SIDE}")
     warn_of_disagreements(pixel)
     exposure = exposure or Exposure()
     raw = most_frequent_channel(derive(pixel).at_gain(exposure.gain_db).as_read)

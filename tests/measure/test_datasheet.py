@@ -5,6 +5,7 @@ import math
 import re
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -410,6 +411,58 @@ def test_filters_that_tell_no_colours_apart_leave_a_note() -> None:
     assert any(re.match("no colour matrix: colour under D55: got channels of rank 2", note) for note in made.notes), made.notes
     assert "SMI" not in by_symbol(made)
     assert {"η", "η_G"} < set(by_symbol(made))
+
+
+def bells(centres_nm: tuple[float, ...], width_nm: float, blue: float = 1.0) -> dict[str, Any]:
+    """Curves of R, G and B."""
+    nm, peaks = np.arange(400.0, 701.0, 10.0), (0.5, 0.5, 0.5 * blue)
+    values = [peak * np.exp(-(((nm - centre) / width_nm) ** 2)) for centre, peak in zip(centres_nm, peaks, strict=True)]
+    return {letter: list(zip(nm.tolist(), value.tolist(), strict=True)) for letter, value in zip("RGB", values, strict=True)}
+
+
+def test_noise_of_colour_of_single_samples_is_not_available() -> None:
+    """Of one sample a channel there is no variance."""
+    lines = by_symbol(make_datasheet(colour_pixel(), shape=(3, 3), stack_frames=4))
+    assert math.isnan(lines["SNR_Y"].measured)
+    assert math.isnan(lines["SNR_C"].measured)
+    assert math.isfinite(lines["SNR_C"].true)
+
+
+@pytest.mark.parametrize("colour", [None, D5100], ids=["monochrome", "colour"])
+def test_codes_that_hide_all_noise_raise(colour: dict[str, Any] | None) -> None:
+    """Shot noise of 10¹² electrons is a thousandth of a code of 8 bits."""
+    coarse = colour_pixel(colour=colour, full_well_e=1e12, bits=8, prnu=0, read_noise_e=0)
+    with pytest.raises(PixsimError, match=r"pixel.bits: got 8: a code is .* e-, and hides the noise"):
+        make_datasheet(coarse, shape=(4, 4), stack_frames=2)
+
+
+def test_colour_of_a_few_noisy_pixels_is_measured_not_refused() -> None:
+    """Patches below 0, and gains above 10 by noise alone, are results of a measurement."""
+    noisy = make_datasheet(colour_pixel(read_noise_e=3000.0), shape=(4, 4), stack_frames=4)
+    assert (noisy.colour.patches_dn < 0).any()
+    assert math.isfinite(by_symbol(noisy)["SMI"].measured)
+    alike = make_datasheet(
+        colour_pixel(colour={"quantum_efficiencies": bells((595.0, 540.0, 485.0), 100.0)}, read_noise_e=100.0),
+        shape=(6, 6),
+        stack_frames=4,
+    )
+    gains = [noise_gain(one, 2) for one in alike.colour.redrawn]
+    assert noise_gain(alike.colour.truth.rendition, 2) < 10 < max(gains)
+    assert by_symbol(alike)["G_B"].standard_error == pytest.approx(np.std(gains, ddof=1), rel=1e-9)
+
+
+def test_channel_without_measurable_white_leaves_a_note() -> None:
+    made = make_datasheet(
+        colour_pixel(colour={"quantum_efficiencies": bells((600.0, 540.0, 460.0), 40.0, blue=1e-6)}), shape=(20, 20), stack_frames=4
+    )
+    assert any(re.search("white of .* standard error of .* in channel B; allowed: more than 5", note) for note in made.notes)
+    assert "SMI" not in by_symbol(made)
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (1, 1), (0, 5), (3, 2)])
+def test_too_few_pixels_for_a_data_sheet_raise(shape: tuple[int, int]) -> None:
+    with pytest.raises(PixsimError, match=r"shape: got .*; allowed: at least 3 × 3"):
+        make_datasheet(colour_pixel(), shape=shape)
 
 
 def test_wavelength_without_response_of_a_channel_names_it() -> None:
