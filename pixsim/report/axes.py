@@ -7,32 +7,25 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pixsim.base.config import SETTINGS_FILE
 from pixsim.base.files import check_replaceable, output_folder, publishing, versions, write_json
 from pixsim.base.parameters import Study
-from pixsim.light.spectral import SpectralImage
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
+from pixsim.report.parts import PARTS_FILE, parts_rows, parts_table
 from pixsim.report.study import report_files, write_pages
 from pixsim.report.wording import compromise_lines, film_words, interval_text, no_difference_words, optimum_line, study_view_line
-from pixsim.sensor.pixel import physics_of
 from pixsim.show.figures import LOOKS, literal, new_figure
-from pixsim.show.pages import Column, Plate, csv_text, write_figures, write_page
+from pixsim.show.pages import Column, Plate, table_csv, write_figures, write_page
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret
 from pixsim.studies.engine import Workers
-from pixsim.studies.evaluations import chain_at, light_of, stream_key
 from pixsim.studies.optimum import Optimum, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import StudyResult, alike_words, fresnel_column, interval_words, within_words
-from pixsim.viewer.parts import delta_e_parts
-from pixsim.viewer.score import prepare_scene
 
 SHOWN_CASES = 4  # with a report of their own
 SHOWN_COMPROMISES = 6  # with a figure of their own
-PARTS_FILE = "parts.csv"
 LINES_SHOWN = 12  # optima that the terminal and the head of the page list
 
 
@@ -151,30 +144,6 @@ def alone_lines(result: StudyResult) -> list[str]:
     return lines
 
 
-def parts_table(result: StudyResult) -> dict[str, Column]:
-    """Return what the mean ΔE of each case is made of at its best size, for studies with colour filters; empty for others.
-
-    Of its first sensor and frame, the same for all cases: noise, mosaic, colour error and blur (`pixsim.viewer.parts`).
-    """
-    if not any(part.study.options_of(curve.technology).colour for part in result.parts for curve in part.curves):
-        return {}
-    rows: list[dict[str, float | str]] = []
-    for part in result.parts:
-        for curve in part.curves:
-            pitch_um = float(curve.pitch_um[int(np.argmin(curve.mean()))])
-            light = light_of(part.study, part.scenes, curve.technology)
-            physics = physics_of(part.study, curve.technology, pitch_um)
-            if isinstance(light, SpectralImage):
-                border_um = part.study.pitch.largest_um
-                light = prepare_scene(light, part.camera, physics, part.study.display, border_um=border_um)
-            chain = chain_at(part.study, light, part.camera, curve.technology, pitch_um)
-            key = stream_key(part.study, physics.technology.name, pitch_um, 0)
-            parts = delta_e_parts(part.irradiance, part.camera, physics, light, chain, *key)
-            rows.append({"pixel": curve.label, "pitch_um": pitch_um, **parts.as_dict()})
-        part.scenes.clear()
-    return {name: [row[name] for row in rows] for name in rows[0]}
-
-
 def axes_summary(result: StudyResult, compromises: Sequence[Compromise]) -> dict[str, Any]:
     """Return the result as in summary.json."""
     more = {"compromises": [found.as_dict() for found in compromises], "claims": [each.as_dict() for each in verdicts(result)]}
@@ -258,7 +227,7 @@ def write_axes_report(
                 "cases": [(case, optimum_line(part.curves[0])) for case, part in zip(shown, parts, strict=True)],
                 "shown": study_view_line(result),
                 "films": film_lines(result),
-                "error_parts": list(zip(*parts_of_error.values(), strict=True)),
+                "error_parts": parts_rows(parts_of_error),
                 "notes": result.notes,
                 "counts": result.counts,
                 "header": result.irradiance.header,
@@ -268,8 +237,3 @@ def write_axes_report(
             if more:
                 more(unfinished)
     return folder / "report.html"
-
-
-def table_csv(table: dict[str, Column]) -> str:
-    """Return a table as CSV text."""
-    return csv_text([table, *zip(*table.values(), strict=True)])

@@ -16,6 +16,7 @@ from pixsim.base.files import check_replaceable, output_folder, publishing, vers
 from pixsim.base.parameters import Record, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
+from pixsim.report.parts import PARTS_FILE, parts_rows, parts_table
 from pixsim.report.pictures import csf_range_lp_per_mm
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
@@ -23,7 +24,7 @@ from pixsim.report.wording import film_words, no_difference_words, study_view_li
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import file_label, labels_of, technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
-from pixsim.show.pages import Column, Drawn, Plate, write_figures, write_page
+from pixsim.show.pages import Column, Drawn, Plate, table_csv, write_figures, write_page
 from pixsim.show.pictures import scale
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
@@ -215,7 +216,10 @@ def write_report(
         with publishing(path, "study", {"seconds": times_s}) as unfinished:
             if result.settings_toml:
                 (unfinished / SETTINGS_FILE).write_text(result.settings_toml, encoding="utf-8")
-            write_pages(result, unfinished, times_s, workers or Workers())
+            parts = parts_table(result)
+            if parts:
+                (unfinished / PARTS_FILE).write_text(table_csv(parts), encoding="utf-8")
+            write_pages(result, unfinished, times_s, workers or Workers(), parts_rows(parts))
             if more:
                 more(unfinished)
         return path / "report.html"
@@ -228,11 +232,20 @@ def report_files(study: Study) -> set[str]:
     plates |= set(PAPER_PLATES) if study.paper else set()
     figures = {f"{name}.{suffix}" for name in plates for suffix in ("svg", "csv")}
     figures |= {f"contact_sheet_{label}.png" for label in labels}
-    return {"report.html", "summary.json", SETTINGS_FILE, *(f"figures/{name}" for name in figures)}
+    return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *(f"figures/{name}" for name in figures)}
 
 
-def write_pages(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> None:
-    """Write report.html, summary.json and figures of a study without axes, or of one of the cases of another, to a new folder."""
+def write_pages(
+    result: StudyResult,
+    folder: Path,
+    seconds: dict[str, float],
+    workers: Workers,
+    error_parts: Sequence[tuple[float | str, ...]] = (),
+) -> None:
+    """Write report.html, summary.json and figures of a study without axes, or of one of the cases of another, to a new folder.
+
+    error_parts : of `parts_table`, a row for each curve
+    """
     study = result.study
     kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
     kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
@@ -276,6 +289,7 @@ def write_pages(result: StudyResult, folder: Path, seconds: dict[str, float], wo
         "notes": result.notes,
         "response_note": response_note(study) if study.paper else "",
         "budget": result.budget,
+        "error_parts": error_parts,
         "header": result.irradiance.header,
         "settings": settings(result, light_of(result.curves)),
         "filled": FILLED,

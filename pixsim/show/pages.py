@@ -155,6 +155,11 @@ def html_cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], fi
     )
 
 
+def table_csv(table: dict[str, Column]) -> str:
+    """Return a table as CSV text."""
+    return csv_text([table, *zip(*table.values(), strict=True)])
+
+
 def csv_text(lines: Iterable[Iterable[Any]]) -> str:
     """Return the lines of a table, the column names first, as CSV with numbers in full precision."""
     text = io.StringIO(newline="")

@@ -1,8 +1,12 @@
-"""What a picture's ΔE is made of: noise, mosaic, colour error and blur, each left out in turn.
+"""What a picture's ΔE is made of: noise, mosaic, crosstalk, colour error and blur, each left out in turn.
 
 In this order, on which they depend: the whole; without noise, fixed pattern and codes of the ADC; without the mosaic, every pixel
-knowing each channel of its own light; without colour error, with channels that are the observer's. What is left then is the blur of
-lens, pixels and display, and the display's codes. Crosstalk through filters of other colours belongs to the mosaic.
+knowing each channel as that channel's pixels would record it there; without crosstalk of colours, where the light of neighbours
+passed this pixel's filter, and without shading; without colour error, with channels that are the observer's. What is left then is
+the blur of lens, pixels, neighbours and display, and the display's codes.
+
+The matrix takes crosstalk of colours apart. That amplifies noise, which belongs to noise, and it sharpens, so that crosstalk's own
+part is small and may be below 0.
 """
 
 from __future__ import annotations
@@ -15,7 +19,8 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.collection import Collection, collection_of, read_as_one
+from pixsim.sensor.collection import Collection, ColourCollection, collection_of, read_as_one
+from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.integration import M2_PER_UM2, diffracted, diffusion_of, illumination_of, integrate_pixels, pixels_on
 from pixsim.sensor.pixel import PixelPhysics
@@ -28,13 +33,14 @@ from pixsim.viewer.score import ImagingChain, PreparedScene, shown
 class Parts:
     """Parts of a mean ΔE; they add up to it.
 
-    noise, mosaic, colour_error, blur : what leaving them out, in this order, takes off; blur is what is left
+    noise, mosaic, crosstalk, colour_error, blur : what leaving them out, in this order, takes off; blur is what is left
     dots_per_pixel : along a side; dots larger than pixels average their noise
     """
 
     mean_delta_e: float
     noise: float
     mosaic: float
+    crosstalk: float
     colour_error: float
     blur: float
     dots_per_pixel: float
@@ -69,14 +75,16 @@ def delta_e_parts(
         seen = diffracted(irradiance, camera, list(xyz_weights(irradiance)), blur)
         white = white_y(irradiance, camera, screen.display) * M2_PER_UM2
         observed = [_at_every_pixel(rate, light, physics, mean) / white for rate in seen]
-        for channels, matrix in ((planes, own.matrix), (observed, light.rendition.to_display)):
+        # Without a stack, channels record their own light only.
+        recorded = (_mixed_at_every_pixel(light, physics, chain), chain.matrix) if chain.collection else (planes, own.matrix)
+        for channels, matrix in (recorded, (planes, own.matrix), (observed, light.rendition.to_display)):
             picture = frame_rgb(channels, still, matrix, screen.size_um, screen.display, screen.dot_edges_um)
             steps.append(float(screen.delta_e_of(shown(picture, screen.display)).mean()))
     else:
-        steps += [steps[-1]] * 2
-    noise, mosaic, colour_error = (before - after for before, after in pairwise(steps))
+        steps += [steps[-1]] * 3
+    noise, mosaic, crosstalk, colour_error = (before - after for before, after in pairwise(steps))
     dots = 1.0 if screen.dot_um is None else chain.physics.read_pitch_um / screen.dot_um
-    return Parts(whole, noise, mosaic, colour_error, steps[-1], dots)
+    return Parts(whole, noise, mosaic, crosstalk, colour_error, steps[-1], dots)
 
 
 def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
@@ -97,9 +105,58 @@ def _at_every_pixel(rate: Array, light: PreparedScene, physics: PixelPhysics, co
     """Return the mean light on every pixel, (rows, columns), as one channel would see it everywhere, without shading."""
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
     rows, columns = _pixels(light, physics)
-    size_um = rows * physics.pitch_um, columns * physics.pitch_um
-    mean = integrate_pixels(rate, light.sample_pitch_um, physics.pitch_um, side_um, size_um=size_um) / side_um**2
+    mean = _means(rate, light, physics, side_um)
     if collection is not None:
         mean = share_with_neighbours(mean, collection.shares) / collection.on_axis / collection.relative((rows, columns))
     side = physics.as_read.bin_side
     return read_as_one(mean, side) / side**2
+
+
+def _means(rate: Array, light: PreparedScene, physics: PixelPhysics, side_um: float) -> Array:
+    """Return the mean of a rate over the aperture of every pixel, (rows, columns)."""
+    rows, columns = _pixels(light, physics)
+    size_um = rows * physics.pitch_um, columns * physics.pitch_um
+    return integrate_pixels(rate, light.sample_pitch_um, physics.pitch_um, side_um, size_um=size_um) / side_um**2
+
+
+def _mixed_at_every_pixel(light: PreparedScene, physics: PixelPhysics, chain: ImagingChain) -> list[Array]:
+    """Return what each channel records at every pixel, 1 for white, with the light of neighbours through their filters.
+
+    The neighbours are those of the channel's pixels in the unit cell, in the mean over them.
+    """
+    collection = chain.collection
+    assert isinstance(collection, ColourCollection)
+    means = [
+        _means(one.rate_e_per_s_um2, light, physics, each.aperture_side_um)
+        for one, each in zip(light.lights, collection.each, strict=True)
+    ]
+    planes, side = [], physics.as_read.bin_side
+    for weights in neighbours(collection.layout):
+        recorded, even = (
+            sum(
+                share_with_neighbours(values, each.shares * weight)
+                for values, each, weight in zip(of_channels, collection.each, weights, strict=True)
+                if weight.any()
+            )
+            for of_channels in (means, [np.full(means[0].shape, rate) for rate in collection.rates])
+        )
+        recorded, even = read_as_one(np.asarray(recorded), side), read_as_one(np.asarray(even), side)
+        planes.append(recorded / (even if chain.shading is not None else even[even.shape[0] // 2, even.shape[1] // 2]))
+    return planes
+
+
+def neighbours(layout: Layout) -> Array:
+    """Return how often the pixels around one of each channel have each channel, (C, C, 5, 5): the pixel's, its neighbour's, where.
+
+    The places are those of `share_with_neighbours`: [dy + 2, dx + 2] is dy rows above and dx columns to the left.
+    """
+    count = len(layout.channels)
+    if layout.is_stacked:
+        return np.asarray(np.eye(count)[:, :, None, None] * np.ones((5, 5)))
+    cell = layout.numbers(layout.period)
+    found = np.empty((count, count, 5, 5))
+    for dy, dx in np.ndindex(5, 5):
+        moved = np.roll(cell, (dy - 2, dx - 2), axis=(0, 1))
+        for own, other in np.ndindex(count, count):
+            found[own, other, dy, dx] = np.mean(moved[cell == own] == other)
+    return found

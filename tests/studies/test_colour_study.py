@@ -15,7 +15,7 @@ import pixsim
 from pixsim.base.config import packaged
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Study, merge
-from pixsim.report.axes import parts_table
+from pixsim.report.parts import parts_table
 from pixsim.scene.colour_chart import modulation, write_colour_chart
 from pixsim.sensor.pixel import physics_of
 from pixsim.studies.cases import cases_of
@@ -54,7 +54,7 @@ def test_study_of_filters(tmp_path: Path) -> None:
     parts = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
     assert [row["pixel"].split(", ")[1] for row in parts] == ["none", "RGGB", "quad"]
     for row in parts:
-        total = sum(float(row[name]) for name in ("noise", "mosaic", "colour_error", "blur"))
+        total = sum(float(row[name]) for name in ("noise", "mosaic", "crosstalk", "colour_error", "blur"))
         assert total == pytest.approx(float(row["mean_delta_e"]), abs=1e-9)
     dots = [float(row["dots_per_pixel"]) * 200 / 24 / float(row["pitch_um"]) for row in parts]
     assert dots == pytest.approx([1, 1, 2])  # two photodiodes side by side are read as one
@@ -85,6 +85,24 @@ def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
     lens = {"name": "lens", "set": "camera.f_number", "values": [2.8, 4.0]}
     result = run("axis", 0.45, axis=[lens])
     assert [curve.pitch_um.tolist() for curve in result.curves] == [kept, kept]
+
+
+def test_study_without_axes_has_parts_of_its_error(tmp_path: Path) -> None:
+    """One row for its one curve; a monochrome study has none."""
+    for colour, columns in ((CAMERA, 8), (None, 0)):
+        coarse = {"resolution": 64, "pixel": {"stack": {"enabled": False}, "black_level_dn": 64, "bits": 12, "colour": colour}}
+        folder = tmp_path / str(columns)
+        table = parts_table(pixsim.study(Study.model_validate(merge(SMALL, coarse)), out=folder, jobs=1))
+        assert len(table) == (columns and columns + 1)
+        if table:
+            (total,), (pitch_um,) = table["mean_delta_e"], table["pitch_um"]
+            assert total == pytest.approx(result_at(folder, str(pitch_um)), abs=1e-9)
+            assert table["crosstalk"] == [0.0]
+
+
+def result_at(folder: Path, pitch_um: str) -> float:
+    """The mean ΔE of the first sensor of a pitch, in results.csv."""
+    return next(float(row["mean_delta_e"]) for row in rows_of(folder) if (row["pitch_um"], row["repeat"]) == (pitch_um, "0"))
 
 
 @pytest.mark.filterwarnings("ignore:.*Fresnel")

@@ -10,8 +10,10 @@ import pytest
 from pixsim.base.parameters import Camera, Develop, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage, colour_matching, d65, luminous_weight
 from pixsim.optics import irradiance_factor
+from pixsim.sensor.collection import Collection, ColourCollection
+from pixsim.sensor.colour import Layout
 from pixsim.sensor.pixel import derive
-from pixsim.viewer.parts import Parts, delta_e_parts
+from pixsim.viewer.parts import Parts, delta_e_parts, neighbours
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
 NM = np.arange(402.5, 700.0, 5.0)
@@ -49,7 +51,9 @@ def parts(colour: dict[str, Any] | None, **fields: Any) -> Parts:
     light = prepare_scene(image, CAMERA, physics, DISPLAY)
     chain = chain_at_pitch(light, physics, Exposure(), develop=Develop(matrix="least_squares"))
     found = delta_e_parts(image, CAMERA, physics, light, chain, "parts", 1)
-    assert found.noise + found.mosaic + found.colour_error + found.blur == pytest.approx(found.mean_delta_e, abs=1e-12)
+    assert found.noise + found.mosaic + found.crosstalk + found.colour_error + found.blur == pytest.approx(
+        found.mean_delta_e, abs=1e-12
+    )
     assert found.dots_per_pixel == pytest.approx(2.0 / 2.5)
     return found
 
@@ -58,6 +62,7 @@ def test_each_part_has_its_cause() -> None:
     noisy = {"read_noise_e": 100.0}
     whole = parts({"quantum_efficiencies": FILTERS}, **noisy)
     assert min(whole.noise, whole.mosaic, whole.colour_error, whole.blur) > 0.02
+    assert whole.crosstalk == 0.0
     # The observer's own channels have no colour error, and the same blur; pixels that know all channels no mosaic.
     exact = parts({"quantum_efficiencies": observer()}, **noisy)
     assert abs(exact.colour_error) < 2e-3
@@ -66,13 +71,33 @@ def test_each_part_has_its_cause() -> None:
     assert abs(layers.mosaic) < 1e-6
     assert layers.colour_error == pytest.approx(whole.colour_error, rel=1e-9)
     grey = parts(None, quantum_efficiency=0.5, **noisy)
-    assert (grey.mosaic, grey.colour_error) == (0.0, 0.0)
+    assert (grey.mosaic, grey.crosstalk, grey.colour_error) == (0.0, 0.0, 0.0)
     assert grey.noise > 0.02
 
 
 def test_crosstalk_between_colours_is_no_colour_error() -> None:
-    """The matrix takes it apart; what is left is in the mosaic, and the blur of neighbours of the same light."""
+    """The matrix takes it apart, which sharpens: without it, neighbours of the same light blur more. Its noise is not in it."""
     stack = {"height_um": 4.0, "index": 1.5, "microlens": "none"}
     alone, mixed = (parts({"quantum_efficiencies": FILTERS}, stack=stack | {"crosstalk": c}, **QUIET) for c in (0.0, 0.1))
     assert mixed.colour_error == pytest.approx(alone.colour_error, rel=0.05)
+    assert mixed.mosaic == pytest.approx(alone.mosaic, rel=0.1)  # of the same interpolation
+    assert abs(alone.crosstalk) < 0.5 * abs(mixed.crosstalk)  # the stack alone lets little light stray
+    assert 0.01 < -mixed.crosstalk < 0.1
     assert mixed.blur > alone.blur + 0.01
+
+
+@pytest.mark.parametrize(
+    "pattern", [{"pattern": "grbg"}, {"pattern": "quad_rggb"}, {"matrix": ["RGB", "GGR"]}, {"pattern": "stacked"}]
+)
+def test_neighbours_of_each_channel_are_those_of_the_unit_cell(pattern: dict[str, Any]) -> None:
+    """Of even light their shares add up to what the mosaic's pixels collect, channel by channel; rounding."""
+    layout = Layout.of_pixels(Pixel(technology="4t-bsi", pitch_um=2.0, colour=pattern | {"quantum_efficiencies": FILTERS}))
+    assert layout is not None
+    around = neighbours(layout)
+    assert around.sum(axis=1) == pytest.approx(np.ones((3, 5, 5)))
+    shares = np.random.default_rng(1).uniform(0, 1, (3, 5, 5))
+    collection = ColourCollection(
+        layout, tuple(Collection(each[None, None], each.sum(), 2.0) for each in shares), (1.0, 2.0, 3.0), 2.0
+    )
+    mixing = (around * shares).sum(axis=(2, 3)) * 2.0**2
+    assert mixing == pytest.approx(collection.mixing_um2, rel=1e-12)
