@@ -161,11 +161,11 @@ def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: i
     """Plain Mitsuba: 47 bands of 10 nm (360-830 nm) in one specfilm, the scene's lamps and integrator, and a sampled lens."""
     job = Renderer(scene, camera, plan, 0)
     flat = [Pulse(nm - BAND_NM / 2, nm + BAND_NM / 2, np.ones(2)) for nm in CENTRES_NM.tolist()]
-    factor = camera_factor(camera, job.size, job.pitch_um)
+    factor = camera_factor(camera, job.field, job.pitch_um)
     lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius_m, "focus_distance": camera.object_distance_m}
     plain = replace(job.job, lamps=(None,), lens=job.job.lens | lens, integrator=None, tables=())
     tracer = job.traced(plain)
-    whole = film([film_response(pulse) for pulse in flat], job.size, 0, job.size[0])
+    whole = film([film_response(pulse) for pulse in flat], job.field, 0, job.field[0])
     header: dict[str, Any] = {"camera": camera.model_dump()}
     if plan.white_cd_per_m2 is not None:
         header["luminance_cd_per_m2"] = plan.white_cd_per_m2
@@ -174,7 +174,8 @@ def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: i
     def picture(seed: int) -> SpectralImage:
         radiance = tracer.trace(0, whole, sampler, spp, seed)
         irradiance = radiance * (factor * camera.transmittance / BAND_NM)[:, :, None].astype(np.float32)
-        return SpectralImage(CENTRES_NM, np.full(CENTRES_NM.size, BAND_NM), job.pitch_um, data=irradiance, header=header)
+        widths_nm = np.full(CENTRES_NM.size, BAND_NM)
+        return SpectralImage(CENTRES_NM, widths_nm, job.pitch_um, data=irradiance, header=header, margin=job.margin)
 
     return picture
 

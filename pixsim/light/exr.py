@@ -202,16 +202,17 @@ def read_channels(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.fl
         return planes, dict(file.header())
 
 
-def write_rows(path: Path, channels: Mapping[str, Rows], shape: tuple[int, int], texts: Mapping[str, str]) -> None:
+def write_rows(path: Path, channels: Mapping[str, Rows], shape: tuple[int, int], texts: Mapping[str, str], margin: int = 0) -> None:
     """Write an uncompressed EXR a few rows at a time, from functions that map a slice of rows to (rows, W) float32.
 
     OpenEXR's Python module needs all channels in memory at once. The layout is that of "OpenEXR File Layout" (openexr.com,
-    technical documentation): one part, scan lines, 32-bit floats. `texts` go into the header. Raises OSError.
+    technical documentation): one part, scan lines, 32-bit floats. `texts` go into the header; a margin of samples at each side is
+    outside of the display window. Raises OSError.
     """
     height, width = shape
     names = sorted(channels, key=str.encode)  # the format prescribes this order
     line = np.dtype([("row", "<i4"), ("bytes", "<i4"), ("values", "<f4", (len(names), width))])
-    head = _header(names, shape, texts)
+    head = _header(names, shape, texts, margin)
     first = len(head) + 8 * height  # byte, after the table of line offsets
     step = max(1, BLOCK_BYTES // line.itemsize)
     with path.open("wb") as file:
@@ -220,20 +221,22 @@ def write_rows(path: Path, channels: Mapping[str, Rows], shape: tuple[int, int],
         for top in range(0, height, step):
             rows = slice(top, min(top + step, height))
             block = np.empty(rows.stop - top, line)
-            block["row"], block["bytes"] = np.arange(top, rows.stop), 4 * len(names) * width
+            block["row"], block["bytes"] = np.arange(top, rows.stop) - margin, 4 * len(names) * width
             for index, name in enumerate(names):
                 block["values"][:, index] = channels[name](rows)
             file.write(block.data)
 
 
-def _header(names: list[str], shape: tuple[int, int], texts: Mapping[str, str]) -> bytes:
-    window = struct.pack("<4i", 0, 0, shape[1] - 1, shape[0] - 1)
+def _header(names: list[str], shape: tuple[int, int], texts: Mapping[str, str], margin: int) -> bytes:
+    right, bottom = (count - margin - 1 for count in (shape[1], shape[0]))
+    window = struct.pack("<4i", -margin, -margin, right, bottom)
+    shown = struct.pack("<4i", 0, 0, right - margin, bottom - margin)
     channels = b"".join(_name(name) + struct.pack("<iB3xii", FLOAT, 0, 1, 1) for name in names) + b"\0"
     attributes = [
         ("channels", "chlist", channels),
         ("compression", "compression", b"\0"),
         ("dataWindow", "box2i", window),
-        ("displayWindow", "box2i", window),
+        ("displayWindow", "box2i", shown),
         ("lineOrder", "lineOrder", b"\0"),
         ("pixelAspectRatio", "float", struct.pack("<f", 1)),
         ("screenWindowCenter", "v2f", struct.pack("<2f", 0, 0)),
@@ -307,6 +310,7 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage, *, factors_onl
 
     Raises PixsimError if `path` cannot be written.
     """
+    margin, image = image.margin, image.whole
     shown = _merged(image) if image.factors else image
     header = {"emissiveUnits": "W.m^-2.nm^-1"}
     channels: dict[str, Rows] = {}
@@ -325,9 +329,10 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage, *, factors_onl
     tables |= {"within_nm": image.within[0], "within_shares": image.within[1]}
     tables |= {"spectra_w_per_m2_nm": image.factors[0]} if image.factors else {}
     metadata = {name: table.tolist() for name, table in tables.items()} | {"pitch_um": image.pitch_um, "header": image.header}
+    metadata |= {"margin": margin} if margin else {}
     header["pixsim"] = json.dumps(metadata, sort_keys=True)
     with writing(path) as unfinished:
-        write_rows(unfinished, channels, image.shape, header)
+        write_rows(unfinished, channels, image.shape, header, margin)
 
 
 def _released(picture: NDArray[np.float32], rows: slice) -> NDArray[np.float32]:
@@ -376,7 +381,7 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
         metadata = checked_own(json.loads(header["pixsim"]))
         bands = metadata["wavelength_nm"], metadata["band_width_nm"], metadata["pitch_um"]
         within = (metadata["within_nm"], metadata["within_shares"]) if "within_nm" in metadata else None
-        more = {"header": metadata["header"], "within": within}
+        more = {"header": metadata["header"], "within": within, "margin": metadata.get("margin", 0)}
         if "spectra_w_per_m2_nm" in metadata:
             spectra = np.array(metadata["spectra_w_per_m2_nm"])
             pictures = np.stack([channels[f"factor.{r}"] for r in range(len(spectra))])

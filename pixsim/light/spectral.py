@@ -105,8 +105,9 @@ class SpectralImage:
     within : distribution of the light within each band, (nodes in nm (B, n), shares of the light (B, n)); None puts it at the
         band centre
     header : provenance (camera, scene hash, seed, samples, versions), stored in files as JSON
+    margin : samples of the given pictures at each side that lie beyond the picture; a real lens's blur takes light from there
 
-    Raises PixsimError if the shapes do not match, or if the pitch or the bands are not positive.
+    Raises PixsimError if the shapes do not match, if the pitch or the bands are not positive, or if the margin leaves no picture.
 
     >>> light = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
     >>> light.illuminance_lx()[0].round(2).tolist()  # 683.002 lm/W · ȳ(550 nm) · 10 nm · 1 mW m⁻² nm⁻¹
@@ -124,6 +125,7 @@ class SpectralImage:
         factors: tuple[ArrayLike, ArrayLike] | None = None,
         within: tuple[ArrayLike, ArrayLike] | None = None,
         header: dict[str, Any] | None = None,
+        margin: int = 0,
     ) -> None:
         self.wavelength_nm = np.asarray(wavelength_nm, float)
         if not self.wavelength_nm.size or self.wavelength_nm.ndim != 1:
@@ -148,11 +150,35 @@ class SpectralImage:
             if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
                 hint = bands_last_hint(self.data.shape, self.wavelength_nm.size)
                 raise invalid("data", self.data.shape, f"(rows, columns, bands), here (H, W, {self.wavelength_nm.size})", hint)
+        self.margin = margin
+        if margin:
+            self._set_margin(self.factors[1] if self.factors else self.data)
         if within is None:
             within = self.wavelength_nm[:, None], np.ones((self.wavelength_nm.size, 1))
         self.within = np.asarray(within[0], float), np.asarray(within[1], float)
         if not self.within[0].shape == self.within[1].shape == (self.wavelength_nm.size, self.within[0].shape[-1]):
             raise invalid("within", f"{self.within[0].shape} and {self.within[1].shape}", "nodes and shares, each of shape (B, n)")
+
+    def _set_margin(self, given: NDArray[np.float32]) -> None:
+        """Keep the pictures that are given, and without their margin."""
+        height, width = given.shape[1:] if self.factors else given.shape[:2]
+        if not 0 < 2 * self.margin < min(height, width):
+            raise invalid("margin", self.margin, f"0 or more, and less than half of the {width} × {height} samples given")
+        self._given = given
+        inside = slice(self.margin, height - self.margin), slice(self.margin, width - self.margin)
+        if self.factors:
+            self.factors = self.factors[0], given[:, *inside]
+        else:
+            self.data = given[inside]
+
+    @property
+    def whole(self) -> SpectralImage:
+        """The picture with its margin as part of it."""
+        if not self.margin:
+            return self
+        content: dict[str, Any] = {"factors": (self.factors[0], self._given)} if self.factors else {"data": self._given}
+        content |= {"within": self.within, "header": self.header}
+        return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um, **content)
 
     @cached_property
     def data(self) -> NDArray[np.float32]:
@@ -247,18 +273,19 @@ class SpectralImage:
 
     @checks_arguments
     def with_planes(
-        self, planes: NDArray[np.float32], *, pitch_um: float | None = None, header: dict[str, Any] | None = None
+        self, planes: NDArray[np.float32], *, pitch_um: float | None = None, header: dict[str, Any] | None = None, margin: int = 0
     ) -> SpectralImage:
         """Return an image of the same bands with other `planes`, (n, H, W), of any height and width.
 
         pitch_um, header : None keeps those of this image
+        margin : of the planes, as for a new image
 
         Raises PixsimError if there are not as many planes as this image has.
         """
         if planes.ndim != 3 or len(planes) != len(self.planes):
             raise invalid("planes", f"an array of shape {planes.shape}", f"({len(self.planes)}, rows, columns)")
         content: dict[str, Any] = {"factors": (self.factors[0], planes)} if self.factors else {"data": np.moveaxis(planes, 0, 2)}
-        content |= {"within": self.within, "header": self.header if header is None else header}
+        content |= {"within": self.within, "header": self.header if header is None else header, "margin": margin}
         return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um if pitch_um is None else pitch_um, **content)
 
     def mean_spectrum(self) -> Array:

@@ -29,7 +29,8 @@ class PictureFile:
 
     def stored(self, image: SpectralImage) -> StoredImage:
         """Return the image with its pictures in the file, equal pictures once. Raises PixsimError if the disk is full."""
-        values = np.ascontiguousarray(image.factors[1] if image.factors else image.data)
+        whole = image.whole
+        values = np.ascontiguousarray(whole.factors[1] if whole.factors else whole.data)
         digest = hashlib.blake2b(values.data, digest_size=16).digest()
         with disk_faults_named(self._folder, self._folder, lambda: "It holds the pictures of all lights of the study."):
             if self._file is None:
@@ -59,13 +60,22 @@ class StoredImage(SpectralImage):
         self.wavelength_nm, self.band_width_nm, self.within = image.wavelength_nm, image.band_width_nm, image.within
         self.pitch_um, self.header = image.pitch_um, dict(image.header)
         self._spectra = image.factors[0] if image.factors else None
-        self._file, self._offset = file, offset
-        self._size = (image.factors[1] if image.factors else image.data).shape
+        self._file, self._offset, self.margin = file, offset, image.margin
+        whole = image.whole
+        self._size = (whole.factors[1] if whole.factors else whole.data).shape
+
+    @property
+    def _given(self) -> NDArray[np.float32]:  # type: ignore[override]
+        """The pictures of the factors (r, H, W), or the bands (H, W, B), with their margin."""
+        return self._file.mapped(self._offset, self._size)
 
     @property
     def _values(self) -> NDArray[np.float32]:
-        """The pictures of the factors (r, H, W), or the bands (H, W, B)."""
-        return self._file.mapped(self._offset, self._size)
+        """The same without a margin."""
+        given = self._given
+        height, width = given.shape[:2] if self._spectra is None else given.shape[1:]
+        inside = slice(self.margin, height - self.margin), slice(self.margin, width - self.margin)
+        return given[inside] if self._spectra is None else given[:, *inside]
 
     @property
     def factors(self) -> Any:  # type: ignore[override]
@@ -79,9 +89,9 @@ class StoredImage(SpectralImage):
 
     def in_memory(self) -> SpectralImage:
         """Return the image with its pictures in memory."""
-        values = np.array(self._values)
+        values = np.array(self._given)
         content: dict[str, Any] = {"data": values} if self._spectra is None else {"factors": (self._spectra, values)}
-        content |= {"within": self.within, "header": self.header}
+        content |= {"within": self.within, "header": self.header, "margin": self.margin}
         return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um, **content)
 
     def __reduce__(self) -> Any:

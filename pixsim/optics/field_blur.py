@@ -405,13 +405,15 @@ class FieldBlur:
         height, width = self.shape
         return result[_part(top, left, height + 2 * reach, width + 2 * reach)], lacked[_part(top, left, height, width)]
 
-    def blurred(self, picture: Array) -> Array:
+    def blurred(self, picture: Array, margin: int = 0) -> Array:
         """Return an irradiance (H, W) without blur as the lens shows it; `shape` is larger by the reach of a PSF at each side.
 
-        It goes on beyond its sides by reflection. An even scene keeps the fall-off that it has in the picture: what a point of
+        margin : samples of the picture at each side that are known beyond it; it goes on by reflection
+
+        An even scene keeps the fall-off that it has in the picture: what a point of
         the image receives from it depends on the pupil alone.
         """
-        return np.asarray(self._spread(picture) / self._even)
+        return np.asarray(self._spread(picture, margin) / self._even)
 
     @cached_property
     def _even(self) -> Array:
@@ -419,15 +421,18 @@ class FieldBlur:
         reach = self.cells // 2
         return self._spread(np.ones([n - 2 * reach for n in self.shape]))
 
-    def _spread(self, picture: Array) -> Array:
+    def _spread(self, picture: Array, margin: int = 0) -> Array:
         """Return a picture with its light spread by the PSFs, and what they lack as a veil."""
         reach = self.cells // 2
-        full, lacked = self.superposed(np.pad(picture, reach, "symmetric"))
-        result, veil = empty_planes(*picture.shape), empty_planes(*picture.shape)
-        result[...] = full[_part(2 * reach, 2 * reach, *picture.shape)]
-        veil[...] = lacked[_part(reach, reach, *picture.shape)]
+        height, width = (count - 2 * margin for count in picture.shape)
+        cut = max(0, margin - reach)
+        known = picture[_part(cut, cut, *(count - 2 * cut for count in picture.shape))]
+        full, lacked = self.superposed(np.pad(known, reach - (margin - cut), "symmetric"))
+        result, veil = empty_planes(height, width), empty_planes(height, width)
+        result[...] = full[_part(2 * reach, 2 * reach, height, width)]
+        veil[...] = lacked[_part(reach, reach, height, width)]
         spectrum = dct(veil)
-        fy, fx = (np.arange(n) / (2 * n * self.pitch_um * 1e-3) for n in picture.shape)
+        fy, fx = (np.arange(n) / (2 * n * self.pitch_um * 1e-3) for n in veil.shape)
         spectrum *= veil_mtf(np.hypot(fy[:, None], fx), beyond_um(self.cells, self.pitch_um))
         result += inverse_dct(spectrum)
         return result

@@ -193,7 +193,7 @@ def noise_of(
     worst = worst_relative = 0.0
     for physics in pixels:
         side = physics.pitch_um, physics.aperture_side_um
-        parts = measured_parts(job.size, job.pitch_um / physics.pitch_um)
+        parts = measured_parts(job.size, job.pitch_um / physics.pitch_um, job.margin)
         rates = [[integrate_pixels(_rate(job, half, physics, part), job.pitch_um, *side) for part in parts] for half in halves]
         even, odd = (np.concatenate([rate.ravel() for rate in half]) / weight for half in rates)
         rate, error_rate = np.maximum((even + odd) / 2, 0.0), (even - odd) / 2
@@ -206,18 +206,20 @@ def noise_of(
     return worst, worst_relative
 
 
-def measured_parts(shape: tuple[int, int], pixels_per_cell: float) -> list[tuple[slice, slice]]:
+def measured_parts(shape: tuple[int, int], pixels_per_cell: float, margin: int = 0) -> list[tuple[slice, slice]]:
     """Return the rows and columns of a film (H, W) on which the noise is measured: all of it, or parts with `MEASURED` pixels.
 
     pixels_per_cell : along each side
+    margin : cells at each side of the film to which rows and columns are counted
     """
     thinner = math.sqrt(math.prod(shape) * pixels_per_cell**2 / MEASURED)
     if thinner <= 1 or min(shape) < PARTS:
-        return [(slice(0, shape[0]), slice(0, shape[1]))]
+        return [(slice(margin, margin + shape[0]), slice(margin, margin + shape[1]))]
 
     one = math.ceil(1 / pixels_per_cell)
     down, across = (spread_parts(count, max(1, one, round(count / PARTS / thinner))) for count in shape)
-    return list(product(down, across))
+    rows, columns = ([slice(part.start + margin, part.stop + margin) for part in side] for side in (down, across))
+    return list(product(rows, columns))
 
 
 def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, part: tuple[slice, slice]) -> Columns:

@@ -107,6 +107,21 @@ class Plan:
         """Return the camera of the render: without its real lens where the plan leaves that out."""
         return without_lens(camera) if self.tiling is None else camera
 
+    @checks_arguments
+    def margin(self, shape: tuple[int, int], pitch_um: float) -> int:
+        """Return the cells at each side of a film that are rendered beyond it, as far as the blur of a real lens reaches.
+
+        None where a chart ends with the film: beyond it the picture is reflected.
+
+        shape : (H, W) of the film in cells
+        pitch_um : of its cells
+        """
+        if self.tiling is None or not self.tiling.psf_um:
+            return 0
+        whole = film.BLOCK * math.ceil(self.tiling.cells(pitch_um)[1] // 2 / film.BLOCK)
+        cells = min(whole, min(shape) // 2 // film.BLOCK * film.BLOCK)
+        return cells if self.chart is None or self.chart.reaches(cells) else 0
+
     @property
     def passes(self) -> int:
         """Number of passes over all lights."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -58,6 +58,8 @@ def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int)
     settings = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
     tree, version = hash_of_tree(state), cache.version_fingerprint("mitsuba", "drjit")
     size = scene.film_shape(camera, state)
+    margin = plan.margin(size, 1e3 * camera.die_mm / size[1])
+    settings += [margin] if margin else []
     return content_hash([tree, size, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, settings, seed, version])
 
 
@@ -165,9 +167,14 @@ class Renderer:
         if not (plan.exact or ALLOWED_SPP[0] <= plan.spp <= ALLOWED_SPP[1]):
             raise invalid("spp", plan.spp, f"{ALLOWED_SPP[0]} to {ALLOWED_SPP[1]}")
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
+        self.margin = plan.margin(self.size, self.pitch_um)
+        self.field = self.size[0] + 2 * self.margin, self.size[1] + 2 * self.margin  # cells that are rendered
         self.on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
         self.scalar = scene.choice.variant.startswith("scalar")
-        lens: dict[str, Any] = {"type": plan.lens, "fov": self.seen.fov_deg}
+        wide = (
+            self.seen.model_copy(update={"die_mm": self.seen.die_mm * self.field[1] / self.size[1]}) if self.margin else self.seen
+        )
+        lens: dict[str, Any] = {"type": plan.lens, "fov": wide.fov_deg}
         if plan.lens == "thinlens":
             lens |= {"aperture_radius": camera.aperture_radius_m, "focus_distance": camera.object_distance_m}
         lamps = tuple(Lamps(light.lamp.pictures, light.lamp.spectrum is not None) for light in plan.lights)
@@ -190,11 +197,11 @@ class Renderer:
         return OwnTracer(job) if self.packaged else child_tracer(job, self.ends_at_s)
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
-        """Return the irradiance relative to that on the axis, at the centre of each sample of some rows and columns."""
-        return camera_factor(self.camera, self.size, self.pitch_um, (rows, columns)) * (self.camera.transmittance / self.on_axis)
+        """Return the irradiance relative to that on the axis, at the centre of each rendered cell of some rows and columns."""
+        return camera_factor(self.camera, self.field, self.pitch_um, (rows, columns)) * (self.camera.transmittance / self.on_axis)
 
     def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[Pictures, int]:
-        """Return pictures (H, W, pulses) of each light, relative to its lamp, and the samples per film cell.
+        """Return pictures (H, W, pulses) of each light with their margin, relative to its lamp, and the samples per film cell.
 
         Runs of different index or level are independent. Each level has four times the samples of the one before, rounded up to
         one of `SAMPLE_COUNTS`.
@@ -233,12 +240,12 @@ class Renderer:
         parts = [slice(*borders) for borders in pairwise(self._strip_borders(spp))]
         first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * self.plan.passes * renders * len(parts)
         for scene, light in enumerate(self.plan.lights):
-            planes: NDArray[np.float32] = zeros((*self.size, len(light.fit.pulses)), np.float32)
+            planes: NDArray[np.float32] = zeros((*self.field, len(light.fit.pulses)), np.float32)
             for channels in light.fit.passes:
                 responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
                 for rows in parts:
-                    total = np.zeros((rows.stop - rows.start, self.size[1], len(channels)))
-                    crop = film(responses, self.size, rows.start, rows.stop)
+                    total = np.zeros((rows.stop - rows.start, self.field[1], len(channels)))
+                    crop = film(responses, self.field, rows.start, rows.stop)
                     for _ in range(renders):
                         seed = (first + number) % 2**32
                         total += _checked(self.tracer.trace(scene, crop, self.plan.sampler, spp, seed), len(channels)) / renders
@@ -253,12 +260,12 @@ class Renderer:
     def _exact(self) -> Pictures:
         """Return the pictures of a chart from its texels. Every pulse has the spectrum of the lamp, so they are all alike."""
         assert self.plan.chart is not None
-        picture = self.plan.chart.picture()
+        picture = (replace(self.plan.chart, shape=self.field) if self.margin else self.plan.chart).picture()
         return [np.broadcast_to(picture[:, :, None], (*picture.shape, len(light.fit.pulses))) for light in self.plan.lights]
 
     def _strip_borders(self, spp: int) -> list[int]:
         """Return the rows that divide a render into parts, so that Ctrl-C works between them."""
-        height, width = self.size
+        height, width = self.field
         samples = height * width * spp
         if self.scalar:
             parts = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP))
@@ -274,29 +281,29 @@ class Renderer:
         header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | more
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
-            stored: NDArray[np.float32] = zeros((len(planes), *self.size), np.float32)
-            for rows in strips(*self.size):
+            stored: NDArray[np.float32] = zeros((len(planes), *self.field), np.float32)
+            for rows in strips(*self.field):
                 fall_off = self.fall_off(rows)
                 for place, plane in zip(stored, planes, strict=True):
                     place[rows] = plane[rows] * fall_off
                     release(place[rows])
                 release(*(picture[rows] for picture in pictures))
-            return self._image(header, factors=(self.spectra, stored))
+            return self._image(header, factors=(self.spectra, stored), margin=self.margin)
         bands = self.plan.bands.width_nm.size
-        if 4 * bands * math.prod(self.size) > mapped.MOST_BYTES:  # in a file each band has a place of its own
-            data = np.moveaxis(zeros((bands, *self.size), np.float32), 0, 2)
+        if 4 * bands * math.prod(self.field) > mapped.MOST_BYTES:  # in a file each band has a place of its own
+            data = np.moveaxis(zeros((bands, *self.field), np.float32), 0, 2)
         else:
-            data = np.empty((*self.size, bands), np.float32)
-        for rows in strips(*self.size):
+            data = np.empty((*self.field, bands), np.float32)
+        for rows in strips(*self.field):
             for band, values in enumerate(self._bands([picture[rows] for picture in pictures], self.fall_off(rows))):
                 data[rows, :, band] = values
                 release(data[rows, :, band])
             release(*(picture[rows] for picture in pictures))
-        return self._image(header, data=data)
+        return self._image(header, data=data, margin=self.margin)
 
     def _lit(self, picture: Picture) -> bool:
         """Return whether there is light in a picture (H, W, pulses)."""
-        for rows in strips(*self.size):
+        for rows in strips(*self.field):
             if picture[rows].any():
                 return True
             release(picture[rows])

@@ -66,6 +66,11 @@ class Chart:
             release(picture[rows])
         return picture
 
+    def reaches(self, cells: int) -> bool:
+        """Return whether the chart goes on beyond each side of the film for some cells."""
+        sides = zip(self.shape, self.texels.shape, self.texels_per_sample, strict=True)
+        return all((count + 2 * cells) * per_sample <= n * (1 + ALIGNED) for count, n, per_sample in sides)
+
     @cached_property
     def digest(self) -> bytes:
         """Hash of its content."""

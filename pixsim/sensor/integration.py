@@ -239,21 +239,22 @@ def real_lens_rate(
     """
     if not tiling.psf_um:  # the film is too coarse to show it
         return irradiance.weighted(electrons)
+    whole = irradiance.whole  # with light from beyond the picture
     nm, lights = irradiance.wavelength_nm, []
-    if irradiance.factors and np.all(electrons * irradiance.factors[0] >= 0):
-        for spectrum, picture in zip(*irradiance.factors, strict=True):
+    if whole.factors and np.all(electrons * whole.factors[0] >= 0):
+        for spectrum, picture in zip(*whole.factors, strict=True):
             lights.append((picture.astype(float), electrons * spectrum))
     else:
         seen = np.abs(electrons * irradiance.mean_spectrum())
         for bands in groups_of(seen):
             share = bands * seen
             nearest = np.abs(nm - (share * nm).sum() / share.sum()).argmin()  # one band for all of the group
-            lights.append((irradiance.weighted(np.where(bands, electrons, 0.0)), np.eye(nm.size)[nearest]))
+            lights.append((whole.weighted(np.where(bands, electrons, 0.0)), np.eye(nm.size)[nearest]))
     total = np.zeros(irradiance.shape)
     for picture, weight in lights:
         if weight.any():
             blur = blur_of(camera, irradiance.shape, irradiance.pitch_um, tiling, nm, weight, transfer)
-            total += float(weight.sum()) * blur.blurred(picture)
+            total += float(weight.sum()) * blur.blurred(picture, irradiance.margin)
     return total
 
 

@@ -515,16 +515,18 @@ def coarser(image: SpectralImage, factor: int) -> SpectralImage:
     if not merges(image.shape, factor):
         raise invalid("film", f"{image.shape} samples", f"a multiple of {factor} on each side, at least {MIN_CELLS * factor}")
 
-    height, width = image.shape
+    whole = image.whole if image.margin % factor == 0 else image
+    height, width = whole.shape
     blocks = height // factor, factor, width // factor, factor
     # One plane at a time, to save memory in float64.
-    planes = [plane.reshape(blocks).mean(axis=(1, 3), dtype=float).astype(np.float32) for plane in image.planes]
-    return image.with_planes(np.stack(planes), pitch_um=image.pitch_um * factor)
+    planes = [plane.reshape(blocks).mean(axis=(1, 3), dtype=float).astype(np.float32) for plane in whole.planes]
+    margin = (height - image.shape[0]) // 2 // factor
+    return image.with_planes(np.stack(planes), pitch_um=image.pitch_um * factor, margin=margin)
 
 
 def brighter(image: SpectralImage, factor: float) -> SpectralImage:
     """Return the image times a factor; the scene's white stays."""
-    return image.with_planes(image.planes * np.float32(factor))
+    return image.with_planes(image.whole.planes * np.float32(factor), margin=image.margin)
 
 
 def effects(calibration: Calibration, width: int, noise: float, bound_e: float, sensors: int) -> dict[str, Effect]:

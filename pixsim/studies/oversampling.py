@@ -158,7 +158,9 @@ def measure_film(
 
     def measure() -> FilmError:
         with without_warnings():  # the run itself warns of the white
-            shown = image.with_planes(image.planes, header=image.header | white_header(image, camera, display))
+            shown = image.with_planes(
+                image.whole.planes, header=image.header | white_header(image, camera, display), margin=image.margin
+            )
         settings = exposure, display, chart
         more: dict[str, Any] = {"correction": correction, "develop": develop}
 
@@ -272,7 +274,8 @@ def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterato
     fewest = max(BLOCK * MIN_CELLS, MIN_PIXELS * pitch_um / image.pitch_um, MIN_DOTS * width / display.dots)
     thinner = min(thinner, shortest / fewest)
     if thinner <= 1:
-        yield image.with_planes(image.planes[:, : height // BLOCK * BLOCK, : width // BLOCK * BLOCK]), display
+        even = not (height % BLOCK or width % BLOCK)
+        yield image if even else image.with_planes(image.planes[:, : height // BLOCK * BLOCK, : width // BLOCK * BLOCK]), display
         return
     down, across = (spread_parts(count, int(count / PARTS / thinner) // BLOCK * BLOCK) for count in image.shape)
     for rows, columns in product(down, across):

@@ -56,7 +56,9 @@ class Sight:
         if not image.factors or not all(sampling.is_fine for sampling in samplings):
             return None
         with without_warnings():  # the run itself warns of the white
-            shown = image.with_planes(image.planes, header=image.header | white_header(image, camera, display))
+            shown = image.with_planes(
+                image.whole.planes, header=image.header | white_header(image, camera, display), margin=image.margin
+            )
         whites = [[white_rate(shown, camera, channel, display) for channel in physics.channels] for physics in pixels]
         light = [
             electrons_per_joule(channel, image) * image.factors[0] / white

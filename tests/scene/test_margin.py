@@ -1,0 +1,165 @@
+"""Light from beyond the picture, which a real lens's blur brings into it: against a larger picture of the same scene."""
+
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pixsim import load_scene, render
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
+from pixsim.light.exr import read_channels, read_exr, write_channels, write_exr
+from pixsim.light.spectral import SpectralImage
+from pixsim.light.stored import PictureFile
+from pixsim.optics.camera_lens import Tiling, traced_lens
+from pixsim.scene.plan import Plan, make_render_plan
+from pixsim.scene.scene import Scene
+from pixsim.sensor.integration import diffracted_rate
+from pixsim.sensor.pixel import derive
+from pixsim.studies.budget import brighter, coarser
+
+PIXEL = Pixel(pitch_um=6.5)
+CHART = """
+<scene version="3.0.0">
+    <default name="resolution" value="96"/>
+    <default name="spp" value="256"/>
+    <integrator type="path"/>
+    <sensor type="thinlens" id="camera">
+        <float name="fov" value="5"/>
+        <float name="aperture_radius" value="0.001"/>
+        <float name="focus_distance" value="1"/>
+        <transform name="to_world"><lookat origin="0, 0, 0" target="0, 0, 1" up="0, 1, 0"/></transform>
+        <sampler type="multijitter"><integer name="sample_count" value="$spp"/></sampler>
+        <film type="hdrfilm">
+            <integer name="width" value="$resolution"/>
+            <integer name="height" value="$resolution"/>
+            <string name="pixel_format" value="rgb"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+    <shape type="rectangle">
+        <transform name="to_world"><scale value="HALF"/><rotate y="1" angle="180"/><translate z="1"/></transform>
+        <emitter type="area">
+            <texture type="bitmap" name="radiance">
+                <string name="filename" value="chart.exr"/><boolean name="raw" value="true"/>
+            </texture>
+        </emitter>
+    </shape>
+    MORE
+</scene>
+"""
+CELLS, LARGER, DIE_MM = 48, 96, 0.48  # cells of the picture and of a larger one, of the same pitch
+TILING = Tiling(120.0, 210.0, 0.0)
+
+
+def scene_beyond(folder: Path, half_m: float, more: str = "") -> Scene:
+    """A chart of random squares, much larger than the picture."""
+    squares = np.kron(np.random.default_rng(2).uniform(0.1, 1.0, (40, 40)), np.ones((8, 8)))
+    write_channels(folder / "chart.exr", {"Y": squares}, {})
+    (folder / "scene.xml").write_text(CHART.replace("HALF", f"{half_m}").replace("MORE", more), encoding="utf-8")
+    return load_scene(folder / "scene.xml")
+
+
+def seen(scene: Scene, cells: int, lens: str = "singlet", **options: object) -> tuple[SpectralImage, Camera, Plan]:
+    """The light of a die of so many cells of 10 µm behind a lens of 12 mm."""
+    scene = scene.with_resolution(cells)
+    given = LensOptions(file=lens, focal_length_mm=12.0)
+    camera = scene.camera(CameraOptions(die_mm=DIE_MM * cells / CELLS, object_distance_m=1.0), given)
+    plan = replace(make_render_plan(scene, camera, PIXEL, **options), tiling=TILING)
+    return render(scene, camera, plan=plan), camera, plan
+
+
+@pytest.fixture
+def some_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pixsim.scene.real_lens.choose_tiling", lambda *_: TILING)
+
+
+BALL = """
+<shape type="sphere"><point name="center" x="0.2" y="0" z="0.9"/><float name="radius" value="0.001"/></shape>
+<emitter type="constant"><spectrum name="radiance" value="0.1"/></emitter>
+"""
+
+
+@pytest.mark.usefixtures("some_tiles")
+@pytest.mark.parametrize("more", ["", BALL], ids=["exact cells of a chart", "samples"])
+def test_border_is_that_of_a_larger_picture(tmp_path: Path, more: str) -> None:
+    """Blurred with all that lies beyond it, the larger picture is brute force for the smaller one, up to its border."""
+    scene, physics = scene_beyond(tmp_path, 0.1, more), derive(PIXEL)
+    image, camera, plan = seen(scene, CELLS, exact=not more)
+    assert (plan.chart is None) == bool(more)
+    larger, wide, _ = seen(scene, LARGER, exact=not more)
+    assert image.shape == (CELLS, CELLS)
+    assert image.margin >= TILING.cells(image.pitch_um)[1] // 2
+    middle = slice((LARGER - CELLS) // 2, (LARGER + CELLS) // 2)
+    right = diffracted_rate(larger, wide, physics)[middle, middle]
+    found = diffracted_rate(image, camera, physics)
+    reflected = diffracted_rate(image.with_planes(np.array(image.planes)), camera, physics)
+    border = np.ones(right.shape, bool)
+    border[6:-6, 6:-6] = False
+    error, without = (np.sqrt(np.mean((rate - right)[border] ** 2)) / right.std() for rate in (found, reflected))
+    assert error < 0.02  # each film has its own widening
+    assert without > 5 * error
+    np.testing.assert_allclose(image.planes, larger.planes[:, middle, middle], atol=0.25 * float(image.planes.max()))
+
+
+@pytest.mark.usefixtures("some_tiles")
+def test_a_chart_that_ends_with_the_picture_is_reflected_there(tmp_path: Path) -> None:
+    scene = load_scene("csf", resolution=CELLS)
+    camera = scene.camera(CameraOptions(die_mm=DIE_MM), LensOptions(file="singlet", focal_length_mm=12.0))
+    plan = make_render_plan(scene, camera, PIXEL)
+    assert plan.margin((CELLS, CELLS), 10.0) == 0
+    assert render(scene, camera, plan=plan).margin == 0
+    thin = make_render_plan(scene, scene.camera(), PIXEL)
+    assert thin.margin((CELLS, CELLS), 10.0) == 0
+    beyond = make_render_plan(scene_beyond(tmp_path, 0.1, BALL).with_resolution(CELLS), camera, PIXEL)
+    assert beyond.margin((CELLS, CELLS), 10.0) == 12  # the reach of 21 cells, in blocks of 4
+    assert beyond.margin((16, 16), 10.0) == 8  # no more than half of the picture
+    assert traced_lens(camera.lens, 1.0).prescription.name  # type: ignore[arg-type]
+
+
+def light(margin: int, factored: bool) -> SpectralImage:
+    pictures = np.random.default_rng(4).random((2, 24, 32)).astype(np.float32)
+    spectra = np.array([[1.0, 2.0, 0.5], [0.2, 0.1, 0.3]])
+    content = {"factors": (spectra, pictures)} if factored else {"data": np.moveaxis(pictures, 0, 2) @ spectra}
+    return SpectralImage([450.0, 550.0, 650.0], 100.0, 5.0, margin=margin, header={"scene": "x"}, **content)
+
+
+@pytest.mark.parametrize("factored", [True, False])
+def test_margins_are_beside_the_picture_and_survive_files_and_copies(factored: bool, tmp_path: Path) -> None:
+    image, whole = light(4, factored), light(0, factored)
+    assert image.shape == (16, 24)
+    assert image.whole.shape == whole.shape == (24, 32)
+    np.testing.assert_array_equal(image.data, whole.data[4:-4, 4:-4])
+    np.testing.assert_array_equal(image.whole.data, whole.data)
+    np.testing.assert_array_equal(image.illuminance_lx(), whole.illuminance_lx()[4:-4, 4:-4])
+    write_exr(tmp_path / "light.exr", image)
+    copies = [read_exr(tmp_path / "light.exr"), pickle.loads(pickle.dumps(image))]
+    stored = PictureFile(tmp_path).stored(image)
+    for copy in (*copies, stored, stored.in_memory()):
+        assert (copy.margin, copy.shape) == (4, (16, 24))
+        np.testing.assert_array_equal(copy.data, image.data)
+        np.testing.assert_array_equal(copy.whole.data, whole.data)
+    channels, header = read_channels(tmp_path / "light.exr")
+    assert [tuple(int(n) for n in corner) for corner in header["displayWindow"]] == [(0, 0), (23, 15)]
+    assert [tuple(int(n) for n in corner) for corner in header["dataWindow"]] == [(-4, -4), (27, 19)]
+    assert {plane.shape for plane in channels.values()} == {(24, 32)}
+    assert brighter(image, 2.0).margin == 4
+    coarse = coarser(SpectralImage([550.0], 10.0, 5.0, data=np.random.default_rng(1).random((40, 40, 1)), margin=4), 2)
+    assert (coarse.margin, coarse.shape) == (2, (16, 16))
+    np.testing.assert_allclose(coarse.whole.data.mean(), coarse.whole.data.astype(float).mean())
+
+
+def test_a_picture_without_a_margin_is_written_as_before(tmp_path: Path) -> None:
+    write_exr(tmp_path / "light.exr", light(0, True))
+    _, header = read_channels(tmp_path / "light.exr")
+    assert "margin" not in json.loads(header["pixsim"])
+    assert light(0, True).whole.shape == (24, 32)
+
+
+def test_a_margin_that_leaves_no_picture_is_refused() -> None:
+    for margin in (12, -1):
+        with pytest.raises(PixsimError, match=r"margin: got -?\d+; allowed: 0 or more, and less than half"):
+            light(margin, True)
