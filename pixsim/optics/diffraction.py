@@ -15,7 +15,7 @@ from pixsim.base.mapped import release
 
 NM_PER_MM = 1e6
 OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
-KEPT_TABLES = 128  # one for each wavelength, 32 MiB in all
+KEPT_TABLES = 320  # one for each wavelength, 80 MiB in all: more than a plan has bands, or none would be kept
 
 
 @checks_arguments

@@ -197,10 +197,11 @@ class Technology(Record):
 
     @model_validator(mode="after")
     def _ranges_hold_their_values(self) -> Self:
+        numbers = self.numbers
         for name, (low, high) in self.ranges.items():
-            value = self.numbers.get(name)
+            value = numbers.get(name)
             if value is None:
-                raise invalid("range", f"'{name}'", f"numbers of this process: {', '.join(self.numbers)}")
+                raise invalid("range", f"'{name}'", f"numbers of this process: {', '.join(numbers)}")
             if not low <= value <= high:
                 raise invalid(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
             for end in (low, high):
@@ -240,12 +241,12 @@ class Technology(Record):
 
         Raises PixsimError for an unknown name, and for a value out of bounds.
         """
+        numbers = self.numbers
         for name in values:
-            if name not in self.numbers:
-                raise invalid(source, f"'{name}'", ", ".join(self.numbers), did_you_mean(name, self.numbers))
+            if name not in numbers:
+                raise invalid(source, f"'{name}'", ", ".join(numbers), did_you_mean(name, numbers))
         new_sources = {
-            name: f"set by the study; the file has {self.numbers[name]:g} ({self.sources.get(name, 'no source')})"
-            for name in values
+            name: f"set by the study; the file has {numbers[name]:g} ({self.sources.get(name, 'no source')})" for name in values
         }
         process_values = {name: value for name, value in values.items() if name not in Junction.model_fields}
         junction = {name: value for name, value in values.items() if name in Junction.model_fields}

@@ -312,10 +312,10 @@ def check_pitches(study: Study) -> None:
     Of a study without axes.
     """
     for technology in study.technologies:
-        pitches_um = study_pitches_um(study, technology).tolist()
+        pitches_um, process = study_pitches_um(study, technology).tolist(), technology_of(study, technology)
         for pitch_um in pitches_um:
-            physics_of(study, technology, pitch_um)
-        warn_of_disagreements(pixel_of(study, technology, pitches_um[-1]), technology_of(study, technology))
+            physics_of(study, technology, pitch_um, process)
+        warn_of_disagreements(pixel_of(study, technology, pitches_um[-1]), process)
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"
