@@ -122,7 +122,8 @@ def work_precision(accuracy: Accuracy) -> Plate:
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=LEGEND_COLUMNS, fontsize=8, frameon=False)
     caption = (
-        "Error against run time; down and left is better. Each series varies one setting from the defaults (star). "
+        f"The default settings err by {error_words(accuracy)}, in {accuracy.shipped.seconds:.2g} s. Error against run time; down "
+        "and left is better. Each series varies one setting from the defaults (star). "
         "Grey: the Pareto front, the smallest error for each run time. The star counts as on it unless another setting is faster "
         "by more than the scatter of times, a tenth, and more accurate by more than the mean over eight sensors resolves. "
         f"Reference: {accuracy.reference}."
@@ -169,8 +170,16 @@ def convergence(accuracy: Accuracy) -> Plate:
         axes.legend(fontsize=7, frameon=False)
     for axes in grid[len(names) :]:
         axes.set_visible(False)
+    orders = [(order.order, name) for name in names for metric in METRICS if (order := accuracy.order(name, metric))]
+    fastest = max(orders, default=None)
+    words = (
+        f"falls fastest with the {SETTINGS[fastest[1]]}, with order {fastest[0]:.2g}"
+        if fastest
+        else "shows no order of convergence"
+    )
     caption = (
-        "Error against each setting. Lines: fitted power laws, error ∝ setting^-order, with the 95 % interval of the order. "
+        f"The error {words}. Error against each setting. Lines: fitted power laws, error ∝ setting^-order, with the 95 % interval "
+        "of the order. "
         "Points at the floor set by other errors are not fitted. Circled: default settings. Errors of electrons are relative, "
         "those of the optimum in µm. The reference is other sensors for seeds, and the finest display for raster."
     )
@@ -192,8 +201,11 @@ def viewing(accuracy: Accuracy) -> Plate:
             axes.plot(*points([rung for rung in measured if rung.shipped], metric), "*", ms=13, mfc="white", mec="black")
         log_axes(axes, "seconds of render and score, warm", METRICS[metric])
         axes.legend(fontsize=8, frameon=False, handlelength=LEGEND_LINE)
+    shipped = {name: rung for name in names for rung in accuracy.ladder(name) if rung.shipped}
+    parts = [f"{number(rung.error_delta_e)} of mean ΔE ({SETTINGS[name]})" for name, rung in shipped.items()]
     caption = (
-        "Sensors and display. Seeds: the mean over several simulated sensors, against that over others. Raster: the same picture "
+        f"The default settings differ by {' and '.join(parts) or 'nothing that was measured'}. Seeds: the mean over several "
+        "simulated sensors, against that over others. Raster: the same picture "
         "at the same angle on displays with other numbers of dots, against the finest. The display is a given condition, so this "
         "is not an error of the computation. Star: default settings."
     )
@@ -214,7 +226,8 @@ def stages(accuracy: Accuracy) -> Plate:
     axes.invert_yaxis()
     axes.margins(x=0.12)
     axes.set_xlabel("seconds of the first result in a process, without imports")
-    caption = "Wall time by stage; the longest is hatched. Compile: the extra time of a first render over a second one."
+    caption = f"The slowest stage is {names[seconds.index(longest)]}, with {longest:.2f} of {sum(seconds):.2f} s."
+    caption += " Wall time by stage; the longest is hatched. Compile: the extra time of a first render over a second one."
     return Plate("stages", caption, figure, {"stage": names, "seconds": seconds})
 
 
@@ -231,8 +244,12 @@ def budget(accuracy: Accuracy) -> Plate:
         axes.set_xlabel(f"error of {label}")
         axes.grid(axis="x", alpha=0.25)
     figure.axes[0].invert_yaxis()
+    known = {name: effect.delta_e for name, effect in accuracy.budget.items() if math.isfinite(effect.delta_e)}
+    largest = max(known, key=known.__getitem__, default=None)
+    words = f"The largest part is {largest}, {number(known[largest])} of mean ΔE." if largest else "No part is known."
     caption = (
-        "Error budget of one result with the default settings. Render noise and seeds: 95 % intervals over renders and over "
+        f"{words} Error budget of one result with the default settings. Render noise and seeds: 95 % intervals over renders and "
+        "over "
         "sensors. Display raster: the change with twice the dots. Display interpolation: the change with the next finer "
         "interpolation: linear for nearest, cubic for linear, quintic for cubic."
     )

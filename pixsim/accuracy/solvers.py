@@ -160,8 +160,8 @@ def response_plate(pixel: Pixel, integration_s: float = 0.03) -> Plate:
     )
     worst = {(response.well_limit, response.conversion): float(np.abs(response.deviation_percent).max()) for response in responses}
     caption = (
-        f"Digital numbers against light, without noise ({pixel.technology}, {pixel.pitch_um:g} µm). The junction's V(Q) bends "
-        f"the response at every level, by up to {worst['swing', 'junction']:.1f} % of full scale. Soft saturation, by the "
+        f"The junction's V(Q) bends the response at every level, by up to {worst['swing', 'junction']:.1f} % of full scale. "
+        f"Digital numbers against light, without noise ({pixel.technology}, {pixel.pitch_um:g} µm). Soft saturation, by the "
         f"forward-biased diode, occurs only with the diode limit: {worst['diode', 'linear']:.1f} % at its corner."
     )
     table: dict[str, Column] = {"generated_e": responses[0].generated_e.tolist()}

@@ -68,11 +68,11 @@ def conditions_caption(found: Compromise) -> str:
     """Return what the figure of a compromise shows, with its numbers."""
     names = ", ".join(curve.condition for curve in found.curves)
     if found.best is None or found.regret is None:
-        return f"{found.label}: mean ΔE in each condition ({names}). They share too few pixel sizes for one that suits all."
+        return f"{found.label}: {names} share too few pixel sizes for one that suits all. Mean ΔE in each condition."
     best_of = [(curve.condition, curve.optimum) for curve in found.curves]
     own = "; ".join(f"{name}: {best.pitch_um:.2f} µm" if best.inside else f"{name}: at an end" for name, best in best_of)
     return (
-        f"Which pixel suits {names} together ({found.label})? {found.best.pitch_um:.2f} µm has the least weighted mean ΔE (star), "
+        f"For {names} together ({found.label}), {found.best.pitch_um:.2f} µm has the least weighted mean ΔE (star), "
         f"{found.regret.pitch_um:.2f} µm the least worst regret (dotted line): at most {found.regret.delta_e:.3f} ΔE over the best "
         f"of each condition, in {found.regret.condition}. The best of each condition (triangles): {own}. Points: means over "
         "sensors with their 95 % intervals."

@@ -21,6 +21,7 @@ from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, 
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import LightLevel, record_rows, scene_rows
+from pixsim.report.wording import map_words
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import shown_value, write_page
@@ -398,6 +399,7 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
         "display": prepared.settings.display,
         "crops": [(c.name, crops(c.score, window, f"the picture of {c.name}", end)) for c in result.sensors],
         "scale_bar": scale(end),
+        "map_words": {c.name: _map_words(c, end) for c in result.sensors},
         "maps": {c.name: (folder / f"pictures/delta_e_{c.name}.png").read_bytes() for c in result.sensors},
         "settings": [("scene", common), *_records(result), *_condition_settings(prepared)],
         "colours": [(c.name, colour_rows(c.score.statistics() | {"colour": c.colour})) for c in shown.sensors if c.colour],
@@ -409,6 +411,11 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
 
 def _picture(luminance: Any, name: str) -> Picture:
     return Picture(display_codes(reduced(luminance)), name)
+
+
+def _map_words(compared: Compared, end: float) -> str:
+    found = compared.score.statistics()
+    return map_words(f"{compared.name}, first frame: ", found["mean_delta_e"], found["p99_delta_e"], end)
 
 
 def _row(result: Comparison, number: int) -> dict[str, Any]:

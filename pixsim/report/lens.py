@@ -377,6 +377,8 @@ def layout(data: LensData) -> Plate:
     axes.set_aspect("equal", adjustable="datalim")
     finish(axes, "z (mm from the first surface)", "y (mm)", "upper left")
     caption = (
+        f"The lens is {length:.4g} mm long, from its first surface to the image plane, and takes in fields to "
+        f"{lens.max_field_deg:.3g}°. "
         f"Layout with rays at {lens.primary_nm:.5g} nm, for each field through the centre of the stop, its edges and halfway "
         "between, but for those that a clear aperture stops. Light travels to the right, to the image plane."
     )
@@ -385,6 +387,29 @@ def layout(data: LensData) -> Plate:
 
 def shown_fields(data: LensData) -> list[int]:
     return [index for index in SHOWN if index < data.field_deg.size]
+
+
+def ends_words(what: str, field_deg: Sequence[float], values: Sequence[float], unit: str) -> str:
+    """Return where a number is smallest and largest, as a sentence."""
+    known = [(value, angle) for value, angle in zip(values, field_deg, strict=True) if math.isfinite(value)]
+    if not known:
+        return f"{what} is not known: no ray reaches the image plane."
+    (low, near), (high, far) = min(known), max(known)
+    least, most = (f"{float(f'{value:.3g}'):g} {unit}" for value in (low, high))
+    if near == far:
+        return f"{what} is {least} at {near:.3g}°."
+    return f"{what} is smallest at {near:.3g}° ({least}) and largest at {far:.3g}° ({most})."
+
+
+def half_words(data: LensData) -> str:
+    """Return where the lower MTF, tangential or sagittal, falls to one half, as a sentence."""
+    places = {}
+    for index in (0, data.field_deg.size - 1):
+        lower = data.mtf[index].min(axis=0)
+        below = np.flatnonzero(lower < 0.5)
+        end = f"at {data.frequency_lp_per_mm[below[0]]:.3g} lp/mm" if below.size else "nowhere in this figure"
+        places[f"{data.field_deg[index]:.3g}°"] = end
+    return f"The lower MTF falls to one half {', '.join(f'{end} ({angle})' for angle, end in places.items())}."
 
 
 def spot_plate(data: LensData) -> Plate:
@@ -412,6 +437,7 @@ def spot_plate(data: LensData) -> Plate:
     panels[0].set(ylabel="y (µm)", xlim=(-1.1 * most, 1.1 * most), ylim=(-1.1 * most, 1.1 * most))
     below(figure, panels[0], 6)
     caption = (
+        f"{ends_words('The spot', [data.field_deg[at] for at in shown], [data.spots[at].rms_um for at in shown], 'µm rms')} "
         f"Spots: where rays of each wavelength meet the image plane, from the chief ray at {data.lens.primary_nm:.5g} nm; y points "
         "away from the axis. The circle is the first dark ring of diffraction. Rays that clear apertures stop are left out."
     )
@@ -446,7 +472,9 @@ def psf_plate(data: LensData) -> Plate:
         coarse = coarse_table(cut / cut.max(), f"psf_{data.field_deg[index]:.4g}_deg")
         table |= coarse
     panels[0].set_ylabel("y (µm)")
+    areas = [float((data.psfs[at] >= data.psfs[at].max() / 2).sum()) * data.psf_pitch_um**2 for at in shown]
     caption = (
+        f"{ends_words('The area above half of the maximum', [data.field_deg[at] for at in shown], areas, 'µm²')} "
         f"Point spread functions of the {len(data.wavelength_nm)} wavelengths together, {how(data)}; brightness is the square "
         "root of the irradiance over its maximum. y points away from the axis. The table has means over blocks."
     )
@@ -475,7 +503,8 @@ def mtf_plate(data: LensData) -> Plate:
     axes.set(xlim=(0, frequency[-1]), ylim=(0, 1.02))
     finish(axes, "frequency (line pairs/mm)", "MTF", None)
     below(figure, axes, 5)
-    caption = f"MTF of the wavelengths together, {how(data)}: tangential (lines across the radius) and sagittal (lines along it)."
+    caption = half_words(data)
+    caption += f" MTF of the wavelengths together, {how(data)}: tangential (lines across the radius) and sagittal (lines along it)."
     return Plate("mtf", caption, figure, table)
 
 
@@ -498,7 +527,13 @@ def mtf_over_field(data: LensData) -> Plate:
     axes.set_ylim(0, 1.02)
     finish(axes, "image height (mm)", "MTF", None)
     below(figure, axes, len(data.asked_lp_per_mm))
-    caption = "MTF against image height. Solid: tangential; dashed: sagittal."
+    finest = data.asked_lp_per_mm[-1]
+    lowest = data.mtf_at(finest).min(axis=1)
+    at = int(lowest.argmin())
+    caption = (
+        f"At {finest:.4g} lp/mm, the MTF is least at an image height of {height[at]:.3g} mm: {lowest[at]:.2f}. MTF against image "
+        "height. Solid: tangential; dashed: sagittal."
+    )
     return Plate("mtf_over_field", caption, figure, table)
 
 
@@ -522,8 +557,11 @@ def curvature_plate(data: LensData) -> Plate:
     lines = [("tangential", c["tangential_focus_mm"], "-"), ("sagittal", c["sagittal_focus_mm"], "--")]
     panels = [("focus behind the image plane (mm)", lines), ("distortion (%)", [("", percent, "-")])]
     figure, _ = curve_figure(data, panels, ("field angle (degrees)", data.curve_deg))
+    foci_mm = np.concatenate([c["tangential_focus_mm"], c["sagittal_focus_mm"]])
     caption = (
-        f"Field curvature and distortion at {data.lens.primary_nm:.5g} nm. Left: foci of rays near the chief ray. Right: height "
+        f"Distortion goes from {percent.min():.2f} to {percent.max():.2f} %, and the foci lie from {foci_mm.min():.3f} to "
+        f"{foci_mm.max():.3f} mm behind the image plane. Field curvature and distortion at {data.lens.primary_nm:.5g} nm. Left: "
+        "foci of rays near the chief ray. Right: height "
         "of the chief ray against focal length times tangent, so that an image plane off the paraxial focus is a part of it."
     )
     foci = {name: c[name] for name in ("tangential_focus_mm", "sagittal_focus_mm")}
@@ -539,8 +577,11 @@ def illumination_plate(data: LensData) -> Plate:
     panels = [("relative illumination", light), ("chief ray angle (degrees)", [("", c["chief_ray_angle_deg"], "-")])]
     figure, row = curve_figure(data, panels, ("image height (mm)", c["image_height_mm"]))
     row[0].set_ylim(0, 1.05)
+    corner, angle = 100 * c["relative_illumination"][-1], c["chief_ray_angle_deg"][-1]
     caption = (
-        f"Relative illumination and chief ray angle in image space at {data.lens.primary_nm:.5g} nm. The illumination is the "
+        f"At an image height of {c['image_height_mm'][-1]:.3g} mm, the light is {corner:.0f} % of that on the axis and arrives at "
+        f"{angle:.3g}°. Relative illumination and chief ray angle in image space at {data.lens.primary_nm:.5g} nm. The "
+        "illumination is the "
         "area of the directions at the image point whose rays pass the stop and the clear apertures."
     )
     traced = {name: c[name] for name in ("image_height_mm", "relative_illumination", "chief_ray_angle_deg")}
@@ -559,7 +600,11 @@ def colour_plate(data: LensData) -> Plate:
     right.plot(nm, focus_um, color=COLOURS[0], marker="o", markevery=8, ms=4)
     finish(left, "field angle (degrees)", f"height at {high:.4g} minus {low:.4g} nm (µm)")
     finish(right, "wavelength (nm)", f"paraxial focus from that at {data.lens.primary_nm:.4g} nm (µm)")
-    caption = "Lateral colour of chief rays, and axial colour: the paraxial focus of an object at infinity against wavelength."
+    lateral_um = float(np.abs(data.curves["lateral_colour_um"]).max())
+    caption = (
+        f"From {low:.4g} to {high:.4g} nm, lateral colour reaches {lateral_um:.2g} µm, and the focus on the axis moves by "
+        f"{np.ptp(focus_um):.3g} µm. Lateral colour of chief rays, and axial colour: the paraxial focus of an object at infinity."
+    )
     longest = max(nm.size, data.curve_deg.size)
     columns = {"field_deg": data.curve_deg, "lateral_colour_um": data.curves["lateral_colour_um"], "wavelength_nm": nm,
                "focus_um": focus_um}  # fmt: skip

@@ -59,7 +59,14 @@ def figure_2a(result: StudyResult) -> Plate:
     axes.axhspan(35, 70, color="0.93", zorder=0, label="axis of the paper's Fig. 2a")
     axes.set(xlabel="pixel size (µm)", ylabel="dynamic range, and SNR (dB)")
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
-    caption = "Figure 2a. Dynamic range and SNR at 20 % of the well against pixel size, 0.35 µm, 30 ms: equations (1) and (2)."
+    (dr, dr_end), (snr, snr_end) = ((column[0], column[-1]) for column in (table["dr_paper_db"], table["snr_paper_db"]))
+    caption = (
+        f"Figure 2a: from {pitch_um[0]:g} to {pitch_um[-1]:g} µm, the dynamic range goes from {dr:.1f} to {dr_end:.1f} dB, and "
+        "the SNR "
+        f"at 20 % of the well from {snr:.1f} to {snr_end:.1f} dB. Equations (1) and (2), 0.35 µm, 30 ms; the numbers are those of "
+        "the "
+        "paper's capacitance."
+    )
     return Plate("figure_2a_dr_snr", caption, figure, table)
 
 
@@ -90,8 +97,10 @@ def figure_2b(result: StudyResult) -> Plate:
     terms_axes.plot([nyquist] * 2, [0, np.interp(nyquist, frequency, shown)], ":", color="black", lw=1)
     terms_axes.set(title=f"scene to display: every term, {OPTIMUM_UM:g} µm pixels")
     terms_axes.set(xlabel="frequency on the sensor (lp/mm)", xlim=(0, SIX_UM_NYQUIST_CY_PER_MM))
+    finest, coarsest = (f"{table[f'mtf_{p:g}um'][-1]:.3f} ({p:g} µm)" for p in (FIGURE_2B_PITCHES_UM[0], FIGURE_2B_PITCHES_UM[-1]))
     caption = (
-        "Figure 2b. Left, as in the paper: system MTF, white-light diffraction times the photodiode's sinc. Dotted: the Nyquist "
+        f"Figure 2b: at {SIX_UM_NYQUIST_CY_PER_MM:.1f} lp/mm, the system MTF goes from {finest} to {coarsest}. "
+        "Left, as in the paper: system MTF, white-light diffraction times the photodiode's sinc. Dotted: the Nyquist "
         "frequency of each pixel. The photodiode is smaller than the pixel (fill factor), so it blurs less than the pitch "
         f"suggests. Right: every term from the scene to the viewer's display, for {OPTIMUM_UM:g} µm pixels, and their product. "
         "The interpolation between pixels and the mean over a dot belong to the display."
@@ -105,7 +114,9 @@ def figure_4(result: StudyResult) -> Plate:
     figure = new_figure(4.6, 4.4)
     axes = figure.subplots()
     draw_picture(axes, lux / lux.max(), picture_axes(result.irradiance))
-    caption = f"Figure 4. The scene as rendered on the sensor plane, {lux.min():.3g} to {lux.max():.3g} lx, fall-off included."
+    caption = (
+        f"Figure 4: the light on the sensor goes from {lux.min():.3g} to {lux.max():.3g} lx. The scene as rendered, with fall-off."
+    )
     return Plate("figure_4_scene", caption, figure, coarse_table(lux, "illuminance_lx"))
 
 
@@ -114,13 +125,15 @@ def figure_5(evidence: Evidence) -> Plate:
     result, curve = evidence.result, evidence.curves[REFERENCE_TECHNOLOGY]
     (score,) = result.scores(curve.technology, FIGURE_5_PITCH_UM, 1)
     plate = study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM], "figure_5_pictures_8um")
-    return replace(plate, caption="Figure 5. " + plate.caption)
+    return replace(plate, caption="Figure 5: " + plate.caption)
 
 
 def figure_6(evidence: Evidence) -> Plate:
     """Plot curves of equal ΔE for four pixel sizes."""
     level = evidence.result.study.iso_delta_e
     _, width_mm, height_mm, _ = extent(evidence.result.irradiance)
+    errors = {pitch_um: float(evidence.maps[pitch_um].mean()) for pitch_um in FIGURE_6_PITCHES_UM}
+    best = min(errors, key=errors.__getitem__)
     figure = new_figure(5.4, 5.0)
     axes = figure.subplots()
     vertices: list[tuple[float, float, float]] = []
@@ -141,7 +154,8 @@ def figure_6(evidence: Evidence) -> Plate:
         "contrast": csf_contrast(y).tolist(),
     }
     caption = (
-        f"Figure 6. Curves of ΔE = {level:g} for four pixel sizes (mean of the sensors' maps, smoothed by {ISO_SMOOTHING_DOTS:g} "
+        f"Figure 6: of four sizes, {best:g} µm pixels have the least mean ΔE, {errors[best]:.3f}. Curves of ΔE = {level:g} (mean "
+        f"of the sensors' maps, smoothed by {ISO_SMOOTHING_DOTS:g} "
         "dots). Contrast grows downwards and errors are larger below a curve, so the lower a curve lies, the better the pixel. "
         "The table holds the curves' points."
     )
@@ -164,4 +178,10 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     figure.colorbar(image, ax=axes, label="mean ΔE", extend="max")
     table: dict[str, Column] = {"contrast": contrast.tolist()}
     table |= {f"delta_e_at_{value:.3g}_lp_per_mm": values[:, index].tolist() for index, value in enumerate(frequency)}
-    return Plate("delta_e_by_frequency_and_contrast", "Mean ΔE by spatial frequency and contrast, 8 µm pixels.", figure, table)
+    row, column = np.unravel_index(int(values.argmax()), values.shape)
+    caption = (
+        f"{FIGURE_5_PITCH_UM:g} µm pixels err most, by a mean ΔE of {values[row, column]:.3g}, at {frequency[column]:.2g} lp/mm "
+        "and a "
+        f"contrast of {contrast[row]:.2g}. Mean ΔE by spatial frequency and contrast."
+    )
+    return Plate("delta_e_by_frequency_and_contrast", caption, figure, table)

@@ -25,7 +25,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
-from pixsim.report.wording import budget_lines, dark_notes, film_words, score_line, view_words
+from pixsim.report.wording import budget_lines, dark_notes, film_words, map_words, score_line, view_words
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_along, pixels_on
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
@@ -127,6 +127,9 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     statistics = {name: summary[name] for name in MEANINGS}
     if sheet and statistics["fill_factor"] > FILLED:
         del statistics["fill_factor"]  # the data sheet states none
+    numbers = [(MEANINGS[key], f"{value:.5g}") for key, value in statistics.items()]
+    if "render_noise" in summary:
+        numbers.append(("noise of the render relative to the sensor's noise", f"{summary['render_noise']['fraction']:.2g}"))
     others = {
         path.name: "the frame of raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
     }
@@ -153,7 +156,8 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "place_mm": (left_mm + window.centre[0] * (right_mm - left_mm), top_mm + window.centre[1] * (bottom_mm - top_mm)),
         "scale_bar": scale(scale_end(statistics["p99_delta_e"])),
         "map": (folder / "delta_e.png").read_bytes(),
-        "statistics": [(MEANINGS[key], value) for key, value in statistics.items()],
+        "map_words": map_words("", summary["mean_delta_e"], summary["p99_delta_e"], scale_end(statistics["p99_delta_e"])),
+        "statistics": numbers,
         "colour": colour_rows(summary),
         "notes": summary["notes"],
         "blur": blur_words(irradiance, camera, physics, display),

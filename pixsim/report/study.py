@@ -55,9 +55,14 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its minimum", ylim=(0.9, 3.0))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
+    at_um = {name: float(curve.pitch_um[curve.mean(name).argmin()]) for name in DELTA_E_STATISTICS}
+    low, high = (end(at_um, key=at_um.__getitem__) for end in (min, max))
+    words = [f"{at_um[name]:.2f} µm ({name.removesuffix('_delta_e')})" for name in (low, high)]
+    same = at_um[low] == at_um[high]
+    best = f"{at_um[low]:.2f} µm by every statistic" if same else f"from {words[0]} to {words[1]}, by the statistic"
     caption = (
-        f"Other statistics of ΔE for the same pictures ({curve.label}), each divided by its minimum. The legend gives the "
-        "best of the pixel sizes tried."
+        f"The best of the sizes tried is {best}. Statistics of ΔE of the same pictures ({curve.label}), each divided by its "
+        "minimum."
     )
     if csf_range_lp_per_mm(result.irradiance):
         caption += (
@@ -91,8 +96,14 @@ def optimum_against_technology(result: StudyResult) -> Plate:
         "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
         "proportional_um": proportional.tolist(),
     }
+    first, last = -1, 0
+    features = size_um / feature_um
     caption = (
-        "Optimal pixel size against feature size, and the line through the largest process if the optimum were proportional to it."
+        f"From {feature_um[first]:g} to {feature_um[last]:g} µm, the optimum goes from {size_um[first]:.2f} to "
+        f"{size_um[last]:.2f} µm, "
+        f"which is {features[first]:.3g} to {features[last]:.3g} feature sizes. The line goes through the largest process, as if "
+        "the "
+        "optimum were proportional to the feature size."
     )
     return Plate("optimum_against_technology", caption, figure, table)
 
@@ -125,7 +136,11 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     table |= {f"{term}_mtf_at_{frequency:.3g}_lp_per_mm": mtf.tolist() for term, mtf in (terms | {"shown": shown}).items()}
     lower.set(xlabel="pixel size (µm)", ylabel=f"MTF at {frequency:.3g} lp/mm", ylim=(0, 1.02))
     lower.grid(alpha=0.25)
+    ends = [f"{mpe:.3g} lx·s" if np.isfinite(mpe) else "none below saturation" for mpe in (mpe30[0], mpe30[-1])]
     caption = (
+        f"From {curve.pitch_um[0]:.3g} to {curve.pitch_um[-1]:.3g} µm, MTF50 on the sensor goes from {mtf50[0]:.3g} to "
+        f"{mtf50[-1]:.3g} "
+        f"lp/mm, and the exposure for 30 dB from {ends[0]} to {ends[1]}. "
         f"Both sides of the trade-off ({curve.label}). Above: MTF50, the frequency at which the MTF is one half, on the sensor and "
         "on the display (higher is better), and the minimum exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms; lower "
         f"is better). Below: MTF of each term at {frequency:.3g} lp/mm, {name}, and their product."
@@ -185,7 +200,7 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
             plates.append(optimum_against_technology(result))
     if not result.study.paper:
         return plates
-    return [replace(plate, caption=f"Figure {FIGURE_NUMBERS[plate.name]}. {plate.caption}") for plate in plates]
+    return [replace(plate, caption=f"Figure {FIGURE_NUMBERS[plate.name]}: {plate.caption}") for plate in plates]
 
 
 @checks_arguments

@@ -36,6 +36,14 @@ def optimum_line(curve: Any) -> str:
     return f"{curve.label}: {text}, mean ΔE {best.mean_delta_e:.3f}; within 1 % of it: {within}"
 
 
+def map_words(start: str, mean: float, p99: float, end: float) -> str:
+    """Return the caption of a ΔE map from its mean and 99th percentile; the colour scale ends at `end`."""
+    return (
+        f"{start}{'the' if start else 'The'} mean ΔE is {mean:.3f}, and one dot in a hundred has more than {p99:.3g}."
+        f" The colours go from 0 to {end:g}; larger errors have the last one. Compare maps of the same scale."
+    )
+
+
 def interval_text(ends_um: tuple[float | None, float | None]) -> str:
     """Return an interval of pixel sizes as text, naming an open end."""
     low, high = ends_um

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes
+from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes, smallest_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,11 +118,20 @@ def svg_text(figure: Figure) -> str:
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "pixsim"})
     numbers: dict[str, str] = {}
-    return re.sub(
+    numbered = re.sub(
         r'(id="|url\(#|href="#)([a-zA-Z]+[0-9a-f]{10})(?=["\)])',
         lambda match: match[1] + numbers.setdefault(match[2], f"id{len(numbers)}"),
         text.getvalue(),
     )
+    return re.sub(r"(?<=data:image/png;base64,)([^\"]+)", lambda match: _reduced_png(match[1]), numbered)
+
+
+def _reduced_png(encoded: str) -> str:
+    """Return a picture that Matplotlib wrote, in base64, with the same pixels in fewer bytes; as it is, if any is transparent."""
+    from PIL import Image
+
+    codes = np.asarray(Image.open(io.BytesIO(base64.b64decode(encoded))).convert("RGBA"))
+    return base64.b64encode(smallest_png(codes[:, :, :3])).decode() if (codes[:, :, 3] == 255).all() else encoded
 
 
 def draw_picture(axes: Axes, luminance: Array, where: PictureAxes) -> None:
@@ -132,7 +142,8 @@ def draw_picture(axes: Axes, luminance: Array, where: PictureAxes) -> None:
 
 def draw_delta_e(axes: Axes, bar: Axes, delta_e: Array, where: PictureAxes, end: float) -> None:
     """Draw a ΔE map on the scale from 0 to `end`, with its colour bar in the axes `bar`."""
-    image = axes.imshow(delta_e, cmap="viridis", vmin=0, vmax=end, extent=where.extent_mm)
+    # ΔE is averaged over the dots of a pixel, not its colours: then 256 colours do.
+    image = axes.imshow(delta_e, cmap="viridis", vmin=0, vmax=end, extent=where.extent_mm, interpolation_stage="data")
     axes.figure.colorbar(image, cax=bar, label="ΔE", extend="max")
     label_axes(axes, where)
 

@@ -9,7 +9,7 @@ import io
 import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -20,6 +20,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.files import replacing
+from pixsim.base.version import VERSION
 from pixsim.show.figures import svg_text
 
 if TYPE_CHECKING:
@@ -27,9 +28,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Characters that a data URI cannot hold, or that grow when a template escapes them; the percent sign first.
-ENCODED = {character: f"%{ord(character):02X}" for character in "%\r\n\t\"#&'<>\\`"}
+# Characters that a data URI in double quotes cannot hold; the percent sign first.
+ENCODED = {character: f"%{ord(character):02X}" for character in '%\r\n\t"#&\\`'}
 OF_EACH_PAGE = ("base.html.j2", "style.css.j2", "macros.html.j2")  # templates
+# The end of a sentence; behind "f/4." or "eq." follows no capital letter.
+SENTENCE_END = re.compile(r"(?<=[.?!])\s+(?=[A-ZΔ\d])")
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 
 
@@ -57,7 +60,24 @@ def _environment() -> Environment:
     environment = Environment(loader=FileSystemLoader(folder), **options)
     environment.filters["png"] = lambda content: data_uri("image/png", content)
     environment.filters["code"] = lambda text: Markup(CODE.sub(r"<code>\1</code>", str(escape(text))))
+    environment.filters["answer"] = lambda caption: answer_and_rest(caption)[0]
+    environment.filters["captioned"] = lambda caption: _captioned(caption, environment.filters["code"])
+    environment.globals["pixsim_version"] = VERSION
     return environment
+
+
+def answer_and_rest(caption: str) -> tuple[str, str]:
+    """Return the first sentence of a caption, which answers the question of its figure, and the others."""
+    first, *rest = SENTENCE_END.split(caption, maxsplit=1)
+    return first, "".join(rest)
+
+
+def _captioned(caption: str, code: Callable[[str], Any]) -> Any:
+    """Return a caption as HTML with its answer in bold."""
+    from markupsafe import Markup
+
+    answer, rest = (code(part) for part in answer_and_rest(caption))
+    return Markup("<strong>{}</strong> {}").format(answer, rest)
 
 
 def shown_value(value: Any, name: str = "") -> Any:
@@ -110,8 +130,9 @@ class Drawn:
 
     @property
     def image(self) -> str:
-        """The figure as a data URI."""
-        return text_uri("image/svg+xml", self.svg)
+        """The figure as a data URI: the same drawing without line breaks, in single quotes where it has none."""
+        text = re.sub(r"\s*\n\s*", " ", self.svg)
+        return text_uri("image/svg+xml", text if "'" in text else text.replace('"', "'"))
 
     @property
     def data(self) -> str:
@@ -191,7 +212,12 @@ def data_uri(kind: str, content: bytes) -> str:
 
 
 def text_uri(kind: str, text: str) -> str:
-    """Return a text file as a data URI, in fewer bytes than `data_uri` takes."""
+    """Return a text file as a data URI for an attribute in double quotes, in fewer bytes than `data_uri` takes.
+
+    It is marked as escaped: a template would escape angle brackets and single quotes, which may stand there.
+    """
+    from markupsafe import Markup
+
     for character, code in ENCODED.items():
         text = text.replace(character, code)
-    return f"data:{kind};charset=utf-8,{text}"
+    return Markup(f"data:{kind};charset=utf-8,{text}")

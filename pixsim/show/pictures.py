@@ -165,6 +165,29 @@ def png_bytes(codes: NDArray[np.uint8]) -> bytes:
     return content.getvalue()
 
 
+def smallest_png(codes: NDArray[np.uint8]) -> bytes:
+    """Return grey (H, W) or coloured (H, W, 3) codes as a PNG of few bytes for a page: with a palette where 256 colours do."""
+    from PIL import Image, PngImagePlugin
+
+    if codes.ndim == 2:
+        return png_bytes(codes)
+    if (codes == codes[:, :, :1]).all():
+        return png_bytes(codes[:, :, 0])
+    picture = Image.fromarray(np.ascontiguousarray(codes))
+    counted = picture.getcolors(256)
+    if counted is None:
+        return png_bytes(codes)
+    palette = np.array(sorted(colour for _, colour in counted), np.uint8)
+    weights = np.array([1 << 16, 1 << 8, 1])
+    places = np.searchsorted(palette @ weights, codes @ weights).astype(np.uint8)
+    picture = Image.fromarray(places)
+    picture.putpalette(palette.tobytes())
+    metadata, content = PngImagePlugin.PngInfo(), io.BytesIO()
+    metadata.add_text("Software", "pixsim")
+    picture.save(content, "png", pnginfo=metadata, optimize=True)
+    return content.getvalue()
+
+
 COLUMNS = 6
 SHEET_MARGIN, SHEET_GAP, SHEET_FRAME = 16, 14, 3  # px
 TITLE, LINE, LABEL_WIDTH = 34, 19, 112
@@ -187,7 +210,7 @@ class Picture:
 
     def __post_init__(self) -> None:
         if not self.png:
-            object.__setattr__(self, "png", png_bytes(self.codes))
+            object.__setattr__(self, "png", smallest_png(self.codes))
 
     @property
     def height(self) -> int:

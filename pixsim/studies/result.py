@@ -458,6 +458,17 @@ def alike_words(curve: Any) -> str:
     return f"no optimum: the film cannot tell apart sizes from {low_um:.2f} to {high_um:.2f} µm"
 
 
+def best_words(curves: Sequence[Any]) -> str:
+    """Return which pixel size of each curve has the least error, as a sentence."""
+    words = []
+    for curve in curves:
+        end = "" if curve.optimum.inside else ", the end of the sizes tried"
+        interval = f"; 95 %: {interval_words(curve)}" if len(curves) == 1 else ""
+        size = "an unknown size" if curve.alike_um else f"{curve.optimum.pitch_um:.2f} µm"
+        words.append(f"{size} ({curve.label}{'; ' + alike_words(curve) if curve.alike_um else end + interval})")
+    return f"The error is least at {', '.join(words)}."
+
+
 def interval_words(curve: Any) -> str:
     """Return the 95 % interval of a curve's optimum as text, naming an open end."""
     low, high = curve.optimum.interval_um
@@ -560,8 +571,8 @@ def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: st
     counts = sorted({int(count) for curve in curves for count in curve.sensors})
     sensors = f"{counts[0]} sensors" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} sensors"
     caption = (
-        f"Mean S-CIELAB error of the picture against pixel size. Points: means of {sensors} with their 95 % "
-        "intervals; line: the fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval; vertical "
+        f"{best_words(curves)} Points: mean ΔE (S-CIELAB) of {sensors} with 95 % intervals; line: "
+        "the fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval; vertical "
         "band: sizes whose error is within 1 % of the minimum."
     )
     if any(curve.doubtful.any() for curve in curves):

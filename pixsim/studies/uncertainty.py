@@ -685,9 +685,9 @@ def distribution_plate(result: UncertaintyResult) -> Plate:
     for axes, (name, distribution) in zip(figure.subplots(1, 2), both.items(), strict=True):
         draw_distribution(axes, distribution, OUTPUTS[name])
     caption = (
+        f"{distribution_words(result.optimum, 'optima', ' µm')} {distribution_words(result.least_delta_e, 'least ΔE', '')} "
         f"Optimal pixel size (left) and least mean ΔE (right) of {len(result.outcomes)} sensor types, as many as each bar is high"
-        f"{', ' + literal(result.label) if result.label else ''}. Vertical lines: median; grey: the middle half and nine tenths. "
-        f"{distribution_words(result.optimum, 'optima', ' µm')} {distribution_words(result.least_delta_e, 'least ΔE', '')}"
+        f"{', ' + literal(result.label) if result.label else ''}. Vertical lines: median; grey: the middle half and nine tenths."
     )
     rows = result.rows()
     names = ("draw", "optimum_um", "inside", "mean_delta_e")
@@ -754,8 +754,9 @@ def indices_plate(result: UncertaintyResult) -> Plate:
     figure.axes[0].set_yticks(range(len(names)), [literal(labels[name]) for name in names])
     figure.axes[0].invert_yaxis()
     caption = (
-        "First-order indices: the share of the variance that each input alone explains, with 95 % bootstrap intervals, for the "
-        f"optimal pixel size (left) and the least mean ΔE (right). {' '.join(seen)}"
+        f"{' '.join(seen)} First-order indices: the share of the variance that each input alone explains, with 95 % bootstrap "
+        "intervals, for the "
+        "optimal pixel size (left) and the least mean ΔE (right)."
     )
     return Plate("uncertainty_indices", caption, figure, table)
 

@@ -18,7 +18,10 @@ from helpers.processes import HANG_S
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="neither chromium nor google-chrome is on PATH")
-WIDTHS = (400, 1280)  # a telephone and a desk
+LOOKS = ((400, "light"), (1280, "light"), (1280, "dark"))  # a telephone and a desk; in the dark, only colours are looked at
+AXE_TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+AXE = Path(__file__).parents[1] / "data/axe/axe.min.js"  # what keyboards and screen readers need
+VIRTUAL_TIME = "--virtual-time-budget=20000"  # ms, which pass at once where nothing is computed: axe works in steps
 MIN_TEXT_PX = 12
 FLAGS = ("headless", "no-sandbox", "no-first-run", "window-size=1600,1200", "enable-logging=stderr")
 DISABLED = ("background-networking", "component-update", "sync", "extensions", "default-apps", "quic", "gpu")
@@ -62,7 +65,20 @@ function moved(frame, page, each) {{
   }});
   return {{live: each.classList.contains("live"), focusable: range.tabIndex === 0, results, spoken}};
 }}
-onload = () => document.title = JSON.stringify([...document.querySelectorAll("iframe")].map(seen));
+async function findings(frame) {{
+  const page = frame.contentDocument, script = page.createElement("script");
+  script.src = "{axe}";
+  await new Promise((resolve, reject) => {{ script.onload = resolve; script.onerror = reject; page.head.append(script); }});
+  const tags = getComputedStyle(frame).colorScheme == "dark" ? ["cat.color"] : {tags};
+  const found = await frame.contentWindow.axe.run(page, {{resultTypes: ["violations"], runOnly: tags}});
+  return found.violations.flatMap(
+    each => each.nodes.map(node => [each.impact, each.id, node.target.join(" "), node.failureSummary]));
+}}
+onload = async () => {{
+  const frames = [...document.querySelectorAll("iframe")], results = frames.map(seen);
+  for (const [index, frame] of frames.entries()) results[index].findings = await findings(frame);
+  document.title = JSON.stringify(results);
+}};
 </script>"""
 
 
@@ -73,11 +89,11 @@ def browse(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[st
     return subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=True, timeout=HANG_S)
 
 
-def in_frames(script: str, sources: list[str], height: int, folder: Path, *arguments: str) -> list[Any]:
+def in_frames(script: str, sources: list[str], height: int, folder: Path, *arguments: str, **names: str) -> list[Any]:
     """Results of a script in frames (`width="…" src="…"`), which it writes to the title as JSON; the console has no errors."""
     frame = folder / "frames.html"
-    frames = "\n".join(f'<iframe height="{height}" style="border: 0" {source}></iframe>' for source in sources)
-    frame.write_text(script.format(frames=frames), encoding="utf-8")
+    frames = "\n".join(f'<iframe height="{height}" {source}></iframe>' for source in sources)
+    frame.write_text(script.format(frames=frames, **names), encoding="utf-8")
     done = browse([*arguments, "--dump-dom", frame.as_uri()], folder)
     assert "CONSOLE" not in done.stderr, done.stderr
     title = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
@@ -88,14 +104,15 @@ def in_frames(script: str, sources: list[str], height: int, folder: Path, *argum
 
 
 def views_of(page: Path, folder: Path) -> list[SimpleNamespace]:
-    """The measurements of `FRAMES` of the page at each of `WIDTHS`."""
+    """The measurements of `FRAMES` of the page in each of `LOOKS`."""
     text = html.escape(page.read_text(encoding="utf-8"))
-    results = in_frames(FRAMES, [f'width="{width}" srcdoc="{text}"' for width in WIDTHS], 20000, folder)
-    return [SimpleNamespace(width=width, **result) for width, result in zip(WIDTHS, results, strict=True)]
+    sources = [f'width="{width}" style="border: 0; color-scheme: {scheme}" srcdoc="{text}"' for width, scheme in LOOKS]
+    results = in_frames(FRAMES, sources, 20000, folder, VIRTUAL_TIME, axe=AXE.as_uri(), tags=json.dumps(AXE_TAGS))
+    return [SimpleNamespace(width=width, scheme=scheme, **result) for (width, scheme), result in zip(LOOKS, results, strict=True)]
 
 
 def assert_fits(page: Path, folder: Path) -> list[SimpleNamespace]:
-    """At every width nothing overflows, pictures load, text is legible, tiles are 1:1, and all elements have names."""
+    """At every width, light and dark: nothing overflows, text is legible, tiles are 1:1, and axe finds nothing to object to."""
     views = views_of(page, folder)
     for view in views:
         assert view.width - 20 <= view.available <= view.width, "the frame has its width, except for a scroll bar"
@@ -105,6 +122,7 @@ def assert_fits(page: Path, folder: Path) -> list[SimpleNamespace]:
         assert view.smallest >= MIN_TEXT_PX
         assert all(natural == shown for tile in view.tiles for natural, shown in (tile[:2], tile[2:]))
         assert view.unnamed == 0
+        assert view.findings == [], f"axe at {view.width} px, {view.scheme}"
         levels = [level for level, _ in view.headings]
         assert (levels[0], levels.count(1)) == (1, 1)
         assert all(below <= above + 1 for above, below in pairwise(levels))

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import base64
 import csv
+import html
 import io
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from urllib.parse import unquote
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -27,7 +30,7 @@ from pixsim.report.study import light_against_detail, optimum_against_technology
 from pixsim.report.views import study_pictures
 from pixsim.scene.charts import DIE_MM
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, svg_text
-from pixsim.show.pages import Plate
+from pixsim.show.pages import Plate, answer_and_rest
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import StudyResult, delta_e_against_pitch
@@ -404,6 +407,49 @@ def test_svg_text_references_have_targets(saved: dict[str, str]) -> None:
         assert references, name
         # Matplotlib's own ids end in ten digits of a hash of coordinates.
         assert not re.search(r'id="[^"]*[0-9a-f]{10}"', svg), name
+
+
+def test_captions_answer_with_the_numbers_drawn(evidence: Evidence, plates: dict[str, Plate]) -> None:
+    """The first sentence of each has a number; those looked at are the table's or the result's."""
+    answers = {name: answer_and_rest(plate.caption)[0] for name, plate in plates.items()}
+    assert all(re.search(r"\d", answer) and answer.endswith(".") for answer in answers.values()), answers
+    curve = evidence.result.curves[0]
+    assert f"least at {curve.optimum.pitch_um:.2f} µm ({curve.label}; 95 %: " in answers["delta_e_against_pitch"]
+    rows = plates["figure_2a_dr_snr"].table["dr_paper_db"]
+    assert f"from {rows[0]:.1f} to {rows[-1]:.1f} dB" in answers["figure_2a_dr_snr"]
+    errors = {pitch_um: float(evidence.maps[pitch_um].mean()) for pitch_um in evidence.maps}
+    best = min(errors, key=errors.__getitem__)
+    assert f"{best:g} µm pixels have the least mean ΔE, {errors[best]:.3f}" in answers["figure_6_iso_delta_e"]
+    feature = [8.8 / 0.5, 3.9 / 0.18]
+    assert f"{feature[0]:.3g} to {feature[1]:.3g} feature sizes" in answers["optimum_against_technology"]
+
+
+@pytest.mark.parametrize(
+    ("caption", "answer"),
+    [
+        ("At f/2.8 it is 3.1 µm (0.35um; 95 %: 2 to 4 µm). Points: means.", "At f/2.8 it is 3.1 µm (0.35um; 95 %: 2 to 4 µm)."),
+        ("One sentence, ΔE = 0.5", "One sentence, ΔE = 0.5"),
+        ("No. ΔE is small. More.", "No."),
+    ],
+)
+def test_answer_and_rest_split_at_the_first_sentence(caption: str, answer: str) -> None:
+    first, rest = answer_and_rest(caption)
+    assert first == answer
+    assert " ".join(filter(None, (first, rest))) == caption
+
+
+def test_figure_in_a_page_is_the_file_drawn(plates: dict[str, Plate]) -> None:
+    """As a browser reads the attribute: the same elements, and pictures with the same pixels as Matplotlib writes."""
+    drawn = plates["pictures_0.35um"].drawn()
+    attribute = html.unescape(str(drawn.image))
+    assert '"' not in attribute
+    text = unquote(attribute.partition(",")[2])
+    page, file = (
+        [(each.tag, {name: value.split() for name, value in each.attrib.items()}) for each in ElementTree.fromstring(svg).iter()]
+        for svg in (text, drawn.svg)
+    )
+    assert page == file
+    assert unquote(html.unescape(str(drawn.data)).partition(",")[2]) == drawn.csv
 
 
 def test_svg_text_keeps_images(saved: dict[str, str]) -> None:

@@ -151,7 +151,7 @@ def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_pat
     assert (times_s == 0.1).all(), "so dim that all frames take the longest that is allowed"
     assert "Light: display white is 100 cd/m² in the scene; exposed for 100 ms." in words_of(made[1])
     table = text_of(made[1]).partition("<caption>scene</caption>")[2].partition("</table>")[0]
-    cells = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>.*?</tr>", table)]
+    cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>.*?</tr>", table)]
     message = {cell[0]: cell[1:] for cell in cells}
     assert message["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
     assert [message[name][0] for name in ("file", "film", "integration_s")] == ["csf.xml", "384 × 384", "100 ms"]
@@ -193,7 +193,7 @@ def test_write_report_data_sheet_omits_process(made: tuple[StudyResult, Path], t
     result = pixsim.study(tiny(**more), tmp_path, jobs=1)
     write_report(result, tmp_path)
     page, words = text_of(tmp_path), words_of(tmp_path)
-    rows = re.findall(r"<tr><td>(\w+)</td>", page)
+    rows = re.findall(r'<tr><th scope="row">(\w+)</th>', page)
     assert {"full_well_e", "bits", "white_cd_per_m2"} <= set(rows)
     assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law"} & set(rows)
     assert "curve of 3 points, 400 to 700 nm" in words

@@ -42,7 +42,8 @@ WHOLE = Window(0.0, 0.0, 1.0, 1.0)
 
 
 def decoded(png: bytes) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(png)))
+    picture = Image.open(io.BytesIO(png))
+    return np.asarray(picture.convert("RGB") if picture.mode == "P" else picture)
 
 
 # --- windows ----------------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
 
@@ -12,7 +13,7 @@ from PIL import Image
 
 import pixsim
 from pixsim.report.pictures import picture_axes
-from pixsim.show.pictures import LEFT, MAP, TOP, delta_e_colours, save_delta_e_png, save_png, scale_end
+from pixsim.show.pictures import LEFT, MAP, TOP, delta_e_colours, png_bytes, save_delta_e_png, save_png, scale_end, smallest_png
 
 
 def light(shape: tuple[int, int] = (16, 16), die_mm: float = 2.7136, **header) -> pixsim.SpectralImage:
@@ -59,6 +60,22 @@ def test_save_delta_e_png_is_reproducible(tmp_path):
     for name in ("a.png", "b.png"):
         save_delta_e_png(tmp_path / name, np.ones((8, 8)), picture_axes(light((8, 8))), 5.0)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@pytest.mark.parametrize("kind", ["few", "many", "grey", "luminance"])
+def test_smallest_png_has_the_same_pixels_in_fewer_bytes(kind):
+    rng = np.random.default_rng(1)
+    codes = {
+        "few": delta_e_colours(rng.uniform(0, 5, (40, 30)), 5.0),
+        "many": rng.integers(0, 256, (40, 30, 3)).astype(np.uint8),
+        "grey": np.repeat(rng.integers(0, 256, (40, 30, 1)).astype(np.uint8), 3, axis=2),
+        "luminance": rng.integers(0, 256, (40, 30)).astype(np.uint8),
+    }[kind]
+    png = smallest_png(codes)
+    shown = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+    np.testing.assert_array_equal(shown, np.broadcast_to(codes.reshape(40, 30, -1), shown.shape))
+    ratio = len(png) / len(png_bytes(codes))
+    assert ratio == 1 if kind in ("many", "luminance") else 0.2 < ratio < 0.9
 
 
 def test_imports_of_run_exclude_matplotlib():

@@ -220,7 +220,7 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
     assert not set(keys(tmp_path / "plain")) & set(keys(tmp_path / "study"))
     page = write_report(by_study, tmp_path / "study").read_text(encoding="utf-8")
     assert "set by the study; the file has 0.3 (D: assumed" in page
-    assert "<td>voltage_swing_v</td><td>0.9</td><td>0.9 to 1.5</td>" in page
+    assert '<th scope="row">voltage_swing_v</th><td>0.9</td><td>0.9 to 1.5</td>' in page
 
 
 def test_study_process_numbers_keep_other_rows(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
