@@ -93,8 +93,15 @@ class Rendition:
 
     @property
     def to_display(self) -> Array:
-        """Matrix from XYZ under the lamp to the light of the display's primaries, (3, 3), 1 for white."""
-        return product(RGB_FROM_XYZ, adaptation_matrix(self.white_xyz, WHITE_XYZ, self.adaptation))
+        """Matrix from XYZ under the lamp to the light of the display's primaries, (3, 3), 1 for white.
+
+        Raises PixsimError, naming the lamp, if its white is too saturated for the adaptation.
+        """
+        try:
+            adapted = adaptation_matrix(self.white_xyz, WHITE_XYZ, self.adaptation)
+        except PixsimError as error:
+            raise PixsimError(f"display.adaptation under {self.lamp}: {error}") from None
+        return product(RGB_FROM_XYZ, adapted)
 
 
 @lru_cache(maxsize=64)
@@ -283,7 +290,8 @@ def noise_covariance(
     """Return the covariance of the balanced channels on each patch, (P, C, C), as means over a dot.
 
     It is that of the pixels over frames and sensors in closed form, through the weights of the interpolation; for menon2007, whose
-    weights depend on the picture, through those of malvar2004. The offsets of columns are the same in all rows.
+    weights depend on the picture, through those of malvar2004. The offsets of columns are the same in all rows. Fixed pattern
+    counts as in a frame without correction.
 
     white_e : (C,) electrons of the white in this exposure
     dot_um : side of a dot on the sensor; None: dots are pixels
