@@ -118,7 +118,11 @@ def attacked(folder: Path, way: str, how: str | None = None) -> dict:
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("way", WAYS)
+# Each takes a process. Refused by their name as "another plugin beside the scene" is:
+BY_NAME = ("a path in the name", "a <path>")
+
+
+@pytest.mark.parametrize("way", [pytest.param(way, marks=pytest.mark.slow) if way in BY_NAME else way for way in WAYS])
 def test_foreign_plugin_is_not_loaded(way, tmp_path):
     result = attacked(tmp_path, way)
     assert result["found"] == []

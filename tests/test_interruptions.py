@@ -357,7 +357,7 @@ def test_replacing_keeps_the_permissions_of_a_new_file(tmp_path: Path) -> None:
     [
         ((0,), "--version", 0),
         ((1,), "schema study", 0),
-        ((2,), "schema nothing", 2),
+        pytest.param((2,), "schema nothing", 2, marks=pytest.mark.slow),  # each takes a process; the last two have it too
         ((0, 1, 2), "schema study", 0),
         ((0, 1, 2), "schema nothing", 2),
     ],

@@ -65,7 +65,6 @@ def command_in(folder: Path) -> str:
 @pytest.mark.parametrize(
     "options",
     [
-        "--config sheet.toml",
         "--config sheet.toml --window 1.1 --camera.f-number 5.6 --seed 3",
         "--pixel.technology mine.toml -D chart=star.exr -D spp=4 --camera.die-mm 1 --variant scalar_spectral --full "
         "--resolution 32",
@@ -155,7 +154,7 @@ def test_study_settings_with_time_limit_do_not_depend_on_the_clock(
 @pytest.mark.parametrize(
     "options",
     [
-        "--config sheet.toml",
+        pytest.param("--config sheet.toml", marks=pytest.mark.slow),  # two studies; the next has the sheet, too
         "--scene slanted_edge --config sheet.toml --window 0.9 --pitch.min-um 10 --display.dots 50",
         "-D chart=star.exr --pixel.technology mine.toml --pitch.min-fill-factor 0.3 --camera.die-mm 1.0 --display.dots 64",
     ],
