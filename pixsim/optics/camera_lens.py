@@ -11,30 +11,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
+from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions, TracedLens, content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.diffraction import white_otf
 from pixsim.optics.field_blur import (
+    RADIAL_STEPS,
     FieldBlur,
     FittedWavefronts,
     Light,
+    Psf,
+    RadialPsfs,
+    amid_tiles,
+    blur_from_arrays,
     even_window,
     field_blur,
     fit_wavefronts,
-    lone_psf_error,
     most_cells,
     periodic_psf,
     picture_error,
-    tile_error,
+    radial_psfs,
+    tiles_reach_um,
+    transform_of,
 )
 from pixsim.optics.lens import Lens, load_lens
 from pixsim.optics.lens_waves import pupil_rays
@@ -43,15 +51,19 @@ from pixsim.optics.thin_lens import irradiance_factor
 ROWS = 129  # of chief rays from the axis to the corner of the die, linear in between: 3e-5 of the fall-off
 CIRCLE_STEP, CIRCLE_STEPS = 0.99, 400  # towards the axis, to the end of the image circle
 BEYOND = 1e-6  # of the corner's height, so that the last row does not end before it
-NODES = 17  # of wavefronts from the axis to the corner
-GROUPS = 6  # of wavelengths, for a light's blur
-PSF_CELLS = (17, 33, 65, 97, 129)
-TILES = (16, 32, 64)  # across the longer side of the die
+NODES = (17, 33, 65)  # of wavefronts from the axis to the corner
+WAVELENGTHS = (4, 6, 8, 12)  # of a light's blur
+PSF_CELLS = (9, 17, 33, 49, 65, 97, 129)
+TILES = (24, 32, 48, 64)  # across the longer side of the die; fewer take no less time
+MIN_SPACING = 8  # film cells from tile to tile, at least: on coarser films, smaller tiles take longer than a finer film
+TILE_ORDER = 3  # the error of tiles falls with this power of their number, or faster
+TRIED = (0.0, 0.25, 0.5, 0.7, 0.86, 0.97)  # of the way to the corner of the die, where errors are found
+AREA_POINTS = 64  # along half a side of the die, by which the share of the area is found for which such a place stands
+TRIED_CELLS = 33  # of a PSF, with which the errors of wavelengths and nodes are found
 VIEW_STEPS = 4
-SLOPE = 2.0  # of the power spectra of edges, charts and natural scenes
-CUT_SHARE = 0.3  # of the error of tiles, for what a PSF lacks
-TRIED_CELLS = 33  # of a PSF, with which the error of tiles is found
+LIGHT_SHARE, CUT_SHARE = 0.2, 0.6  # of the tolerance, for wavelengths, for nodes, and for what a PSF lacks
 USUAL_TOLERANCE = 0.01  # of the rms of a blurred picture about its mean
+GROUPS, GROUP_WAVELENGTHS = 6, 2  # of neighbouring bands that have one blur, in light of several spectra
 LENS_HEADER = "lens_blur"  # entry of an image's header: its `Tiling`
 SPLINE = 5  # degree, for the picture between film cells: 3e-4 of the contrast at a third of the Nyquist frequency
 
@@ -269,12 +281,18 @@ class Tiling:
 
     spacing_um : from the middle of a tile to that of the next
     psf_um : side of the PSFs; 0 on a film that is too coarse to show the blur
-    error : bound for the rms error of a blurred picture, relative to its rms about the mean, if its power spectrum falls as f⁻²
+    error : bound for the rms error of a blurred picture, relative to its rms about the mean, for pictures of `picture_error`
+    worst : the same where it is largest, for pictures with detail there only
+    wavelengths : of a light's blur
+    nodes : wavefronts from the axis to the corner, between which others are interpolated
     """
 
     spacing_um: float
     psf_um: float
     error: float
+    worst: float = 0.0
+    wavelengths: int = WAVELENGTHS[0]
+    nodes: int = NODES[0]
 
     def cells(self, pitch_um: float) -> tuple[int, int]:
         """Return the spacing and the side of the PSFs, an odd number, in film cells."""
@@ -282,12 +300,21 @@ class Tiling:
 
 
 @lru_cache(maxsize=16)
-def fitted_wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], nodes: int = NODES) -> tuple[FittedWavefronts, ...]:
+def fitted_wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], nodes: int) -> tuple[FittedWavefronts, ...]:
     """Return the wavefronts of a camera's real lens from the axis to the corner of its die, at each wavelength."""
+    return _wavefronts(camera, wavelengths_nm, np.linspace(0.0, _farthest_mm(camera), nodes))
+
+
+def _farthest_mm(camera: Camera) -> float:
+    """Return the height of the corner of a camera's die, or of the end of its lens's image circle."""
+    assert camera.lens is not None
+    return float(field_angles(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)[0][-1])
+
+
+def _wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], at_mm: Array) -> tuple[FittedWavefronts, ...]:
     assert camera.lens is not None
     lens = traced_lens(camera.lens, camera.object_distance_m)
     heights, fields = field_angles(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)
-    at_mm = np.linspace(0.0, float(heights[-1]), nodes)
     rays = pupil_rays(lens, _odd_spline(heights, fields)(at_mm), np.array(wavelengths_nm))
     return tuple(fit_wavefronts(nm, 1e3 * at_mm, of_nm) for nm, of_nm in zip(wavelengths_nm, rays, strict=True))
 
@@ -300,20 +327,48 @@ def groups_of(weight: Array, groups: int = GROUPS) -> list[NDArray[np.bool_]]:
     return [seen & (group == number) for number in np.unique(group[seen])]
 
 
-def grouped(wavelength_nm: Array, weight: Array) -> tuple[Array, Array]:
-    """Return a few wavelengths, (G,), and their shares: the means of `groups_of`."""
-    members = groups_of(weight)
-    sums = np.array([[weight[group].sum(), (weight * wavelength_nm)[group].sum()] for group in members])
-    return np.round(sums[:, 1] / sums[:, 0], 3), sums[:, 0] / weight.sum()
+def few_wavelengths(wavelength_nm: Array, weight: Array, count: int) -> tuple[Array, Array]:
+    """Return a few wavelengths, (G,), and their shares, for the mean of a smooth function over bands of these weights.
+
+    They are those of Gauss's quadrature, exact for polynomials of degree 2G - 1: eigenvalues of the matrix of the polynomials that
+    are orthogonal under the weights (Golub and Welsch, Math. Comp. 23, 221, 1969), by Lanczos's steps.
+    """
+    nm, which = np.unique(wavelength_nm[weight > 0], return_inverse=True)
+    share = np.bincount(which, weight[weight > 0]) / weight[weight > 0].sum()
+    if nm.size <= count:
+        return nm, share
+    middle, half = (nm[-1] + nm[0]) / 2, (nm[-1] - nm[0]) / 2
+    at = (nm - middle) / half
+    basis = [np.sqrt(share)]
+    matrix = np.zeros((count, count))
+    for row in range(count):
+        step = at * basis[-1]
+        for _ in range(2):  # twice, so that rounding does not add up
+            for vector in basis:
+                step = step - (vector @ step) * vector
+        matrix[row, row] = basis[-1] @ (at * basis[-1])
+        if row + 1 < count:
+            matrix[row, row + 1] = matrix[row + 1, row] = np.linalg.norm(step)
+            basis.append(step / matrix[row, row + 1])
+    values, vectors = np.linalg.eigh(matrix)
+    return np.clip(np.round(middle + half * values, 3), nm[0], nm[-1]), vectors[0] ** 2
+
+
+def traced_wavelengths(camera: Camera, wavelength_nm: Array, weight: Array, count: int) -> tuple[Array, Array]:
+    """Return `few_wavelengths`; light beyond the wavelengths for which the lens's glasses are known counts as at their ends."""
+    assert camera.lens is not None
+    ranges = np.array([glass.range_um for glass in traced_lens(camera.lens, camera.object_distance_m).prescription.glasses])
+    low, high = 1e3 * ranges[:, 0].max(), 1e3 * ranges[:, 1].min()
+    return few_wavelengths(np.clip(wavelength_nm, low, high), weight, count)
 
 
 Transfer = Callable[[Array, float], Array] | None
 
 
-def light_of(camera: Camera, wavelength_nm: Array, weight: Array, transfer: Transfer = None) -> Light:
+def light_of(camera: Camera, wavelength_nm: Array, weight: Array, tiling: Tiling, transfer: Transfer = None) -> Light:
     """Return the wavefronts of light of some bands, with weights of 0 or more, (B,) each."""
-    nm, share = grouped(wavelength_nm, weight)
-    return Light(fitted_wavefronts(camera, tuple(nm.tolist())), share, transfer)
+    nm, share = traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
+    return Light(fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes), share, transfer)
 
 
 def thin_lens_error(camera: Camera, pitch_um: float, wavelength_nm: Array, weight: Array, aperture_um: float) -> float:
@@ -331,7 +386,7 @@ def thin_lens_error(camera: Camera, pitch_um: float, wavelength_nm: Array, weigh
     error = 1e3 * distortion.largest_mm / aperture_um + float(np.abs(relative / (foote / foote[0]) - 1).max())
     if error > 1:
         return error
-    light, blur = light_of(camera, wavelength_nm, weight), 0.0
+    light, blur = light_of(camera, wavelength_nm, weight, Tiling(0.0, 0.0, 0.0)), 0.0
     for part in (0.0, 0.7, 1.0):
         x_um = part * float(light.fronts[0].height_um[-1])
         window = even_window(light, x_um, 0.0, pitch_um, min(TRIED_CELLS, most_cells(light, pitch_um)))
@@ -354,8 +409,38 @@ def dark_share(camera: Camera) -> float:
 
 
 _BLURS: dict[str, FieldBlur] = {}
-KEPT_BLURS = 8
+_PSFS: dict[str, RadialPsfs] = {}
+KEPT_BLURS, KEPT_PSFS = 8, 4
+BEHIND_CY_PER_MM = np.linspace(0.0, 1000.0, 17)  # by which a transfer behind the lens is known
 DARK_CELLS = 512
+
+
+def _light_key(camera: Camera, tiling: Tiling, wavelength_nm: Array, weight: Array, transfer: Transfer) -> list[object]:
+    """Return all that the PSFs of a light depend on but the film."""
+    nm, share = traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
+    behind = [] if transfer is None else [transfer(BEHIND_CY_PER_MM, one).tolist() for one in nm.tolist()]
+    return [camera.model_dump(mode="json"), asdict(replace(tiling, error=0.0, worst=0.0)), nm.tolist(), share.tolist(), behind]
+
+
+def psfs_of(
+    camera: Camera,
+    shape: tuple[int, int],
+    pitch_um: float,
+    tiling: Tiling,
+    wavelength_nm: Array,
+    weight: Array,
+    transfer: Transfer = None,
+) -> RadialPsfs:
+    """Return the PSFs of a light for the tiles of a film; those of a finer film serve for a coarser one too."""
+    key = content_hash(_light_key(camera, tiling, wavelength_nm, weight, transfer))
+    known, (spacing, cells) = _PSFS.get(key), tiling.cells(pitch_um)
+    farthest_um = tiles_reach_um(shape, pitch_um, spacing, cells)
+    if known is None or known.pitch_um > pitch_um or known.reach_um < farthest_um:
+        light = light_of(camera, wavelength_nm, weight, tiling, transfer)
+        if len(_PSFS) >= KEPT_PSFS:
+            _PSFS.clear()
+        known = _PSFS[key] = radial_psfs(light, pitch_um, cells, tiling.spacing_um / RADIAL_STEPS, farthest_um)
+    return known
 
 
 def blur_of(
@@ -367,17 +452,22 @@ def blur_of(
     weight: Array,
     transfer: Transfer = None,
 ) -> FieldBlur:
-    """Return the blur of a camera's real lens; that of the last lights is remembered."""
-    nm, share = grouped(wavelength_nm, weight)
-    behind = [] if transfer is None else transfer(np.linspace(0.0, 500 / pitch_um, 17), float(nm[0])).tolist()
-    key = content_hash(
-        [camera.model_dump(mode="json"), shape, pitch_um, tiling.cells(pitch_um), nm.tolist(), share.tolist(), behind]
-    )
-    if key not in _BLURS:
-        if len(_BLURS) >= KEPT_BLURS:
-            _BLURS.clear()
-        _BLURS[key] = field_blur(light_of(camera, wavelength_nm, weight, transfer), shape, pitch_um, *tiling.cells(pitch_um))
-    return _BLURS[key]
+    """Return the blur of a camera's real lens; its PSFs come from the cache, and the last blurs are remembered."""
+    of_light = _light_key(camera, tiling, wavelength_nm, weight, transfer)
+    key = content_hash([*of_light, shape, pitch_um, cache.version_fingerprint()])
+    if key in _BLURS:
+        return _BLURS[key]
+    spacing, cells = tiling.cells(pitch_um)
+    stored = cache.arrays("psfs", key)
+    blur = None if stored is None else blur_from_arrays(stored, shape, pitch_um, spacing, cells)
+    if blur is None:
+        psfs = psfs_of(camera, shape, pitch_um, tiling, wavelength_nm, weight, transfer)
+        blur = field_blur(psfs, shape, pitch_um, spacing, cells)
+        cache.store_arrays("psfs", key, blur.as_arrays())
+    if len(_BLURS) >= KEPT_BLURS:
+        _BLURS.clear()
+    _BLURS[key] = blur
+    return blur
 
 
 def tiling_of(image: SpectralImage, camera: Camera) -> Tiling | None:
@@ -387,12 +477,29 @@ def tiling_of(image: SpectralImage, camera: Camera) -> Tiling | None:
     """
     if camera.lens is None:
         return None
-    if stated := image.header.get(LENS_HEADER):
-        return Tiling(**stated)
+    if (stated := image.header.get(LENS_HEADER)) is not None:
+        return _stated_tiling(stated, image)
     if "camera" in image.header and "lens" not in image.header["camera"] and "plan" in image.header:
         return None  # the plan left the real lens out
     nm = tuple(image.wavelength_nm.tolist())
     return choose_tiling(camera, image.shape, image.pitch_um, nm, (1.0,) * len(nm), 2 * image.pitch_um, USUAL_TOLERANCE)
+
+
+def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
+    """Return the tiling of a header. Raises PixsimError if it is damaged, or if it would take forever."""
+    try:
+        tiling = TypeAdapter(Tiling).validate_python(stated)
+        tiles, cells = max(image.shape) * image.pitch_um / tiling.spacing_um, tiling.psf_um / image.pitch_um
+        known = 1 <= tiling.wavelengths <= WAVELENGTHS[-1] and 4 <= tiling.nodes <= NODES[-1]
+        usable = 0 < tiles <= 2 * TILES[-1] and 0 <= cells <= 2 * PSF_CELLS[-1] and known
+    except (ValidationError, ZeroDivisionError):
+        usable = False
+    if not usable:
+        expected = (
+            f"at most {2 * TILES[-1]} tiles across, PSFs of {2 * PSF_CELLS[-1]} cells, and the rest as pixsim.render writes it"
+        )
+        raise invalid(f"'{LENS_HEADER}' of the light's header", f"{stated!r:.200}", expected, "Render the scene again.")
+    return tiling
 
 
 def ideal_light(image: SpectralImage, camera: Camera) -> SpectralImage:
@@ -413,29 +520,74 @@ def choose_tiling(
     aperture_um: float,
     tolerance: float,
 ) -> Tiling:
-    """Return the fewest tiles and the smallest PSFs whose error is within the tolerance; the finest ones if none is.
+    """Return the fewest wavelengths, nodes and tiles and the smallest PSFs within the tolerance; the finest ones if none is.
 
     tolerance : of the rms of a blurred picture about its mean
     aperture_um : side of the squares that average the picture: a photodiode, or a dot
     """
-    light = light_of(camera, np.array(wavelength_nm), np.array(weight))
-    corner_um = min(1e3 * math.hypot(camera.die_mm, camera.height_mm) / 2, float(light.fronts[0].height_um[-1]))
-    places = [(part * corner_um, 0.0) for part in (0.0, 0.7, 1.0)]
-    most = most_cells(light, pitch_um)
-    if not most:
-        return Tiling(1e3 * max(camera.die_mm, camera.height_mm), 0.0, 0.0)
-    fixed = 2 * math.pi * max(front.residual_waves for front in light.fronts)
+    given = [camera.model_dump(mode="json"), shape, pitch_um, wavelength_nm, weight, aperture_um, tolerance]
+    key = content_hash([*given, cache.version_fingerprint()])
+    settings = camera, shape, pitch_um, np.array(wavelength_nm), np.array(weight), aperture_um, tolerance
+    return cache.load_or_compute("tiling", key, TypeAdapter(Tiling).validate_python, lambda: _chosen_tiling(*settings), asdict)
+
+
+def _chosen_tiling(
+    camera: Camera, shape: tuple[int, int], pitch_um: float, bands: Array, weights: Array, aperture_um: float, tolerance: float
+) -> Tiling:
+    height_um, width_um = camera.die_um
+    corner_um = math.hypot(width_um, height_um) / 2
+    heights_um = np.array(TRIED) * min(corner_um, 1e3 * _farthest_mm(camera))
+    y_um, x_um = ((np.arange(AREA_POINTS) + 0.5) / AREA_POINTS * side / 2 for side in (height_um, width_um))
+    nearest = np.abs(np.hypot(x_um, y_um[:, None])[..., None] - heights_um).argmin(axis=-1)
+    share = (np.bincount(nearest.ravel(), minlength=heights_um.size) / nearest.size).tolist()
+    places = [(h * width_um / (2 * corner_um), h * height_um / (2 * corner_um)) for h in heights_um.tolist()]
+
+    def traced(count: int) -> Light:
+        """Return the light with wavefronts at the places, none of them interpolated."""
+        nm, part = traced_wavelengths(camera, bands, weights, count)
+        return Light(_wavefronts(camera, tuple(nm.tolist()), 1e-3 * heights_um), part)
+
+    def transforms(light: Light, window: int) -> NDArray[np.complex128]:
+        return np.array([np.fft.rfft2(periodic_psf(light, x, y, pitch_um, window)) for x, y in places])
+
+    def window_of(light: Light, cells: int) -> int:
+        return max(even_window(light, x, y, pitch_um, cells) for x, y in places)
+
+    def error_of(found: NDArray[np.complex128], right: NDArray[np.complex128]) -> float:
+        return picture_error(found, right, pitch_um, aperture_um, share=share)
+
+    for wavelengths in WAVELENGTHS:
+        light, exact = traced(wavelengths), traced(2 * wavelengths)
+        if not (most := most_cells(light, pitch_um)):
+            return Tiling(1e3 * max(camera.die_mm, camera.height_mm), 0.0, 0.0)
+        window = window_of(exact, min(TRIED_CELLS, most))
+        right = transforms(light, window)
+        of_wavelengths = error_of(right, transforms(exact, window))
+        if of_wavelengths <= LIGHT_SHARE * tolerance:
+            break
+    for nodes in NODES:
+        between = light_of(camera, bands, weights, Tiling(0.0, 0.0, 0.0, wavelengths=wavelengths, nodes=nodes))
+        if error_of(transforms(between, window), right) <= LIGHT_SHARE * tolerance:
+            break
+    for cells in [*(cells for cells in PSF_CELLS if cells < most), min(most, PSF_CELLS[-1])]:
+        if window < window_of(light, cells):
+            window = window_of(light, cells)
+            right = transforms(light, window)
+        cut = [np.fft.fftshift(np.fft.irfft2(one, (window, window))) for one in right]
+        middle = slice(window // 2 - cells // 2, window // 2 + cells // 2 + 1)
+        found = np.array([transform_of([(1.0, Psf(one[middle, middle].astype(np.float32)))], pitch_um, window) for one in cut])
+        if error_of(found, right) <= CUT_SHARE * tolerance:
+            break
+    fixed = 2 * math.pi * max(front.residual_waves for front in light.fronts) + of_wavelengths
     count = TILES[0]
     while True:
-        spacing = max(1, round(max(shape) / count))
-        error = fixed + tile_error(light, shape, pitch_um, spacing, min(TRIED_CELLS, most), aperture_um, SLOPE)
-        if error <= tolerance or count == TILES[-1]:
-            break
-        needed = count * math.sqrt(error / max(tolerance - fixed, tolerance / 10))  # of second order
+        spacing = max(MIN_SPACING, round(max(shape) / count))
+        tiling = Tiling(spacing * pitch_um, cells * pitch_um, 0.0, 0.0, wavelengths, nodes)
+        psfs = psfs_of(camera, shape, pitch_um, tiling, bands, weights)
+        found = np.array([transform_of(amid_tiles(psfs, x, y, pitch_um, spacing, cells), pitch_um, window) for x, y in places])
+        error = fixed + error_of(found, right)
+        if error <= tolerance or count == TILES[-1] or spacing == MIN_SPACING:
+            worst = max(picture_error(one, other, pitch_um, aperture_um) for one, other in zip(found, right, strict=True))
+            return replace(tiling, error=error, worst=fixed + worst)
+        needed = count * (error / tolerance) ** (1 / TILE_ORDER)
         count = next((more for more in TILES if more >= needed and more > count), TILES[-1])
-    for cells in [*(cells for cells in PSF_CELLS if cells < most), min(most, PSF_CELLS[-1])]:
-        cut = max(lone_psf_error(light, x, y, pitch_um, cells, aperture_um, SLOPE) for x, y in places)
-        if cut <= CUT_SHARE * max(tolerance, error):
-            break
-    error += cut
-    return Tiling(spacing * pitch_um, cells * pitch_um, error)

@@ -2,8 +2,9 @@
 
 A wavefront is known at a few distances from the axis; a point in between has the interpolated one, turned to its azimuth. Its
 point spread function (PSF) is the Fourier transform of the pupil in direction cosines at the image point, so its optical
-transfer function ends at the width of the pupil over λ. Pictures are blurred tile by tile: hat windows divide the light, each
-share is convolved with the PSF of the middle of its tile, and the sum preserves all light.
+transfer function ends at the width of the pupil over λ. PSFs are computed along a radius; all others are in between, and turned.
+Pictures are blurred tile by tile: windows divide the light, each share is convolved with the PSF of the middle of its tile, and
+the sum preserves all light. The windows are cubic, so that the PSF of a point is interpolated between those of 4 × 4 tiles.
 """
 
 from __future__ import annotations
@@ -13,6 +14,9 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from hashlib import blake2b
+from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +34,12 @@ WINDOW = 1.5  # sides of a PSF: in the window it is computed in, light from beyo
 SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
 MOST_SAMPLES = 320  # of a pupil: a PSF with more takes too long
 MAX_WINDOW = 4096  # film cells
-TRIED = ((0.6, 0.6), (1.0, 1.0), (1.0, 0.0))  # of the way to the corner of a picture, where the error of tiles is tried
+FINER = 1.5  # samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2 times its end
+TURNED_MARGIN = 32  # film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
+PADDING = 1.5  # of the window of a PSF, for its OTF between frequencies: 2e-3 of the light at the sides of its cells
+SPLINE_MARGIN = 3  # frequencies, so that the end of a spline is not seen
+VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
+RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 
 @dataclass(frozen=True)
@@ -83,8 +92,10 @@ class FittedWavefronts:
         return spline
 
     def at(self, height_um: float) -> Array:
-        """Return the numbers at a distance from the axis."""
-        return np.asarray(self._spline(height_um))
+        """Return the numbers at a distance from the axis; beyond the last wavefront, up to one step between two of them."""
+        end = float(self.height_um[-1])
+        step = end - float(self.height_um[-2]) if self.height_um.size > 1 else 0.0
+        return np.asarray(self._spline(min(height_um, end + step)))
 
 
 def powers() -> NDArray[np.intp]:
@@ -213,20 +224,29 @@ class Light:
 
 @dataclass(frozen=True)
 class Psf:
-    """A PSF on film cells, (cells, cells) with an odd number of cells and the chief ray's image point in the middle one.
+    """A PSF on film cells, (cells, cells) with an odd number of cells and the chief ray's image point in the middle one."""
 
-    lacking : share of the light that falls beyond these cells; the kernel adds up to 1 less this share
-    """
+    kernel: NDArray[np.float32]
 
-    kernel: Array
-    lacking: float
+    @cached_property
+    def lacking(self) -> float:
+        """Share of the light that falls beyond these cells; the kernel adds up to 1 less this share."""
+        return float(1 - self.kernel.sum(dtype=float))
 
 
 def even_window(light: Light, x_um: float, y_um: float, pitch_um: float, cells: int) -> int:
     """Return an even number of cells along a side of a window in which a PSF may repeat: it resolves the pupil."""
-    height_um = math.hypot(x_um, y_um)
-    slowest = min(2 * float(front.at(height_um)[:2].min()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
-    needed = max(WINDOW * cells, SAMPLES_ACROSS / (slowest * pitch_um))
+    return _even_window(light, [math.hypot(x_um, y_um)], pitch_um, WINDOW * cells)
+
+
+def _even_window(light: Light, heights_um: Iterable[float], pitch_um: float, cells: float) -> int:
+    """Return an even number of cells, at least `cells`, along a window that resolves the pupils of some image points."""
+    slowest = min(
+        2 * float(front.at(height_um)[:2].min()) / (front.wavelength_nm * UM_PER_NM)
+        for height_um in heights_um
+        for front in light.fronts
+    )
+    needed = max(cells, SAMPLES_ACROSS / (slowest * pitch_um))
     window = next_fast_len(math.ceil(needed / 2), real=True) * 2
     if window > MAX_WINDOW:
         got = f"{window * pitch_um:.4g} µm of {window} film cells"
@@ -294,7 +314,7 @@ def point_spread(light: Light, x_um: float, y_um: float, pitch_um: float, cells:
     whole = periodic_psf(light, x_um, y_um, pitch_um, even_window(light, x_um, y_um, pitch_um, cells))
     reach = cells // 2
     kernel = np.roll(whole, (reach, reach), axis=(0, 1))[:cells, :cells]
-    return Psf(np.ascontiguousarray(kernel), float(1 - kernel.sum()))
+    return Psf(kernel.astype(np.float32))
 
 
 def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
@@ -306,12 +326,96 @@ def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
     return np.asarray(j0(z) - z * (1 + j1(z) - itj0y0(z)[0]))
 
 
+def cubic_weights(distance: Array | float) -> Array:
+    """Return the weights of equidistant samples, by their distances in steps, whose sum is Lagrange's cubic interpolation."""
+    d = np.abs(distance)
+    return np.where(d < 1, (1 - d * d) * (2 - d) / 2, np.where(d < 2, (1 - d) * (2 - d) * (3 - d) / 6, 0.0))
+
+
+@dataclass(frozen=True)
+class RadialPsfs:
+    """PSFs of image points that are evenly spaced along a line from the axis, for films with cells of `pitch_um` and larger.
+
+    A lens is round: the PSF of any image point is that of its distance from the axis, turned. It is found in the frequencies of
+    the film, where turning needs no samples that are finer than the film's.
+
+    step_um : from point to point; the first is on the axis
+    period_um : side of the window whose PSFs have OTFs at the frequencies of the splines
+    splines : (points, m + 1, 2m + 1) coefficients of cubic splines through the OTFs, over frequencies of 0 … m steps along the
+        sagittal axis, in which a PSF is even, and of -m … m steps along the radial axis
+    """
+
+    step_um: float
+    pitch_um: float
+    period_um: float
+    splines: NDArray[np.complex64] = field(repr=False)
+
+    @property
+    def reach_um(self) -> float:
+        """Largest distance from the axis."""
+        return (len(self.splines) - 3) * self.step_um
+
+    def at(self, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
+        """Return the PSF of an image point as `point_spread` does, from those of the four nearest distances."""
+        from scipy.ndimage import map_coordinates  # takes 0.05 s
+
+        place = min(math.hypot(x_um, y_um), self.reach_um) / self.step_um
+        first, azimuth = math.floor(place) - 1, math.atan2(y_um, x_um)
+        table = np.zeros_like(self.splines[0])
+        for index in range(first, first + 4):
+            spline = self.splines[abs(index)]
+            weight = np.float32(cubic_weights(place - index))
+            table += weight * (spline if index >= 0 else spline.conj())  # the opposite point has the PSF turned by 180°
+        window = odd_window(cells)
+        fy, fx = np.fft.fftfreq(window, pitch_um)[:, None], np.fft.rfftfreq(window, pitch_um)
+        radial, sagittal = (fx * math.cos(azimuth) + fy * math.sin(azimuth)), (fy * math.cos(azimuth) - fx * math.sin(azimuth))
+        middle = table.shape[1] // 2
+        at = np.array([np.abs(sagittal) * self.period_um, radial * self.period_um + middle])
+        spectrum = np.asarray(map_coordinates(table, at, order=3, prefilter=False, mode="mirror"), complex)
+        spectrum[0, 0] = 1.0
+        kernel = irfft2(spectrum, (window, window))
+        reach = cells // 2
+        kernel = np.roll(kernel, (reach, reach), axis=(0, 1))[:cells, :cells]
+        return Psf(kernel.astype(np.float32))
+
+
+def odd_window(cells: int) -> int:
+    """Return an odd number of film cells along a side of a window in which a turned PSF repeats; it has no Nyquist frequency."""
+    window = next_fast_len(cells + TURNED_MARGIN)
+    while window % 2 == 0:
+        window = next_fast_len(window + 1)
+    return window
+
+
+def radial_psfs(light: Light, pitch_um: float, cells: int, step_um: float, farthest_um: float) -> RadialPsfs:
+    """Return the PSFs from the axis to a distance, which may be cut off to an odd number of cells along a side."""
+    from scipy.ndimage import spline_filter
+
+    count = math.floor(farthest_um / step_um) + 3
+    fine_um, heights_um = pitch_um / FINER, [index * step_um for index in range(count)]
+    window = _even_window(light, heights_um, fine_um, FINER * WINDOW * cells)
+    padded = next_fast_len(math.ceil(PADDING * window / 2)) * 2
+    most = min(math.ceil(math.sqrt(0.5) / pitch_um * padded * fine_um) + SPLINE_MARGIN, padded // 2 - 1)
+    splines = np.empty((count, most + 1, 2 * most + 1), np.complex64)
+
+    def compute(index: int) -> None:
+        wide = np.zeros((padded, padded))
+        wide[:window, :window] = np.fft.fftshift(periodic_psf(light, heights_um[index], 0.0, fine_um, window))
+        wide = np.roll(wide, (-(window // 2), -(window // 2)), axis=(0, 1))
+        otf = fft(rfft(wide, axis=0)[: most + 1], axis=1)
+        otf = np.concatenate([otf[:, -most:], otf[:, : most + 1]], axis=1)
+        splines[index] = spline_filter(otf, 3, np.complex128, "mirror")
+
+    in_threads(compute, range(count), WORTH_THREADS)
+    return RadialPsfs(step_um, pitch_um, padded * fine_um, splines)
+
+
 def tiles_along(cells: int, spacing: int) -> tuple[int, int]:
-    """Return the tiles on each side of the middle one that film cells along a side need, and the cells that a hat covers.
+    """Return the tiles on each side of the middle one that film cells along a side need, and the cells that a window covers.
 
     If the number of cells is even, the middle of a tile is at the border of cells.
     """
-    return math.ceil((cells - 1) / 2 / spacing), 2 * spacing - cells % 2
+    return math.ceil((cells - 1) / 2 / spacing) + 1, 4 * spacing - cells % 2
 
 
 @dataclass(frozen=True)
@@ -328,12 +432,12 @@ class Tile:
         x, y = abs(self.x), abs(self.y)
         return (y, x) if self.swapped else (x, y)
 
-    def turned(self, part: Array) -> Array:
+    def turned(self, part: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return a part of a picture as it lies in the mirrored tile."""
         part = part[:: -1 if self.y < 0 else 1, :: -1 if self.x < 0 else 1]
         return part.T if self.swapped else part
 
-    def turned_back(self, part: Array) -> Array:
+    def turned_back(self, part: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return a part of the mirrored tile as it lies in this one."""
         part = part.T if self.swapped else part
         return part[:: -1 if self.y < 0 else 1, :: -1 if self.x < 0 else 1]
@@ -367,11 +471,16 @@ class FieldBlur:
     pitch_um: float
     spacing: int
     psfs: dict[tuple[int, int], Psf] = field(repr=False)
+    _last: dict[tuple[int, bytes], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def cells(self) -> int:
         """Film cells along a side of a PSF."""
         return len(self.psfs[0, 0].kernel)
+
+    def as_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the PSFs as arrays, for a cache."""
+        return {"kernels": np.stack([psf.kernel for psf in self.psfs.values()]), "even": self.even}
 
     @property
     def lacking(self) -> float:
@@ -382,58 +491,80 @@ class FieldBlur:
         """Return a picture of `shape` with the light of each sample spread by its PSF, (H + cells - 1, W + cells - 1), and what
         the PSFs lack of the light of each sample, (H, W). Nothing is lost at the sides.
         """
+        return self._superposed(picture)
+
+    def _superposed(self, picture: Array, is_even: bool = False) -> tuple[Array, Array]:
+        """Return `superposed`; of an even picture, tiles that share a PSF have one share of the light but for mirrors.
+
+        Transforms are in single precision, 1e-7 of a tile's light; what they gain or lose in all is given back evenly.
+        """
         reach, step = self.cells // 2, self.spacing
         counts, sides = zip(*(tiles_along(n, step) for n in self.shape), strict=True)
-        top, left = ((count + 1) * step - (n + 1) // 2 for count, n in zip(counts, self.shape, strict=True))
-        light = np.pad(picture, [(top, top), (left, left)])
-        result, lacked = np.zeros([n + 2 * reach for n in light.shape]), np.zeros(light.shape)
-        down, across = (1 - np.abs(np.arange(side) - (side - 1) / 2) / step for side in sides)
-        hat = down[:, None] * across
+        top, left = ((count + 2) * step - (n + 1) // 2 for count, n in zip(counts, self.shape, strict=True))
+        light = np.pad(picture.astype(np.float32), [(top, top), (left, left)])
+        down, across = (cubic_weights((np.arange(side) - (side - 1) / 2) / step) for side in sides)
+        window = (down[:, None] * across).astype(np.float32)
+        weights = [
+            cubic_weights((np.arange(n)[:, None] - (n - 1) / 2) / step - np.arange(-count, count + 1))
+            for n, count in zip(self.shape, counts, strict=True)
+        ]  # of the tiles in rows and columns of the picture
+        light_of_tiles = weights[0].T @ picture @ weights[1]
+        lacking = np.empty(light_of_tiles.shape)
+        result = np.zeros([n + 2 * reach for n in light.shape])
         size = [next_fast_len(side + 2 * reach, real=True) for side in sides]
+        filled = sides[0] + 2 * reach, sides[1] + 2 * reach
         for place, tiles in tiles_alike(self.shape, step).items():
             psf = self.psfs[place]
-            parts = [_part((counts[0] + tile.y) * step, (counts[1] + tile.x) * step, *sides) for tile in tiles]
-            shares = [light[part] * hat for part in parts]
-            turned = np.stack([tile.turned(share) for tile, share in zip(tiles, shares, strict=True)])
+            turned = np.empty((1 if is_even else len(tiles), *sides), np.float32)
+            for tile, share in zip(tiles, turned, strict=False):
+                part = _part((counts[0] + tile.y) * step, (counts[1] + tile.x) * step, *sides)
+                np.multiply(tile.turned(light[part]), window, out=share)
             spectrum = rfft2(turned, size, workers=threads())
             spectrum *= rfft2(psf.kernel, size)
-            spread = irfft2(spectrum, size, workers=threads(), overwrite_x=True)
-            for tile, part, share, blurred in zip(tiles, parts, shares, spread, strict=True):
-                back = tile.turned_back(blurred[: sides[0] + 2 * reach, : sides[1] + 2 * reach])
-                result[_part(part[0].start, part[1].start, *back.shape)] += back
-                lacked[part] += psf.lacking * share
+            spread = irfft2(spectrum, size, workers=threads(), overwrite_x=True)[:, : filled[0], : filled[1]]
+            for number, tile in enumerate(tiles):
+                row, column = tile.y + counts[0], tile.x + counts[1]
+                lacking[row, column] = psf.lacking
+                result[_part(row * step, column * step, *filled)] += tile.turned_back(spread[0 if is_even else number])
         height, width = self.shape
-        return result[_part(top, left, height + 2 * reach, width + 2 * reach)], lacked[_part(top, left, height, width)]
+        spread_light = result[_part(top, left, height + 2 * reach, width + 2 * reach)]
+        spread_light += ((light_of_tiles * (1 - lacking)).sum() - spread_light.sum()) / spread_light.size
+        return spread_light, picture * (weights[0] @ lacking @ weights[1].T)
 
     def blurred(self, picture: Array, margin: int = 0) -> Array:
         """Return an irradiance (H, W) without blur as the lens shows it; `shape` is larger by the reach of a PSF at each side.
 
         margin : samples of the picture at each side that are known beyond it; it goes on by reflection
 
-        An even scene keeps the fall-off that it has in the picture: what a point of
-        the image receives from it depends on the pupil alone.
+        An even scene keeps the fall-off that it has in the picture: what a point of the image receives from it depends on the
+        pupil alone. The last result is remembered, and not to be written to.
         """
-        return np.asarray(self._spread(picture, margin) / self._even)
+        key = margin, blake2b(picture.tobytes()).digest()
+        if key not in self._last:
+            self._last.clear()
+            self._last[key] = np.asarray(self._spread(picture, margin) / self.even)
+        return self._last[key]
 
     @cached_property
-    def _even(self) -> Array:
+    def even(self) -> NDArray[np.float32]:
         """What becomes of an even picture: where the mean shift of PSFs grows along the field, they move apart."""
         reach = self.cells // 2
-        return self._spread(np.ones([n - 2 * reach for n in self.shape]))
+        return self._spread(np.ones([n - 2 * reach for n in self.shape]), is_even=True).astype(np.float32)
 
-    def _spread(self, picture: Array, margin: int = 0) -> Array:
+    def _spread(self, picture: Array, margin: int = 0, is_even: bool = False) -> Array:
         """Return a picture with its light spread by the PSFs, and what they lack as a veil."""
         reach = self.cells // 2
         height, width = (count - 2 * margin for count in picture.shape)
         cut = max(0, margin - reach)
         known = picture[_part(cut, cut, *(count - 2 * cut for count in picture.shape))]
-        full, lacked = self.superposed(np.pad(known, reach - (margin - cut), "symmetric"))
+        full, lacked = self._superposed(np.pad(known, reach - (margin - cut), "symmetric"), is_even)
         result, veil = empty_planes(height, width), empty_planes(height, width)
         result[...] = full[_part(2 * reach, 2 * reach, height, width)]
         veil[...] = lacked[_part(reach, reach, height, width)]
         spectrum = dct(veil)
-        fy, fx = (np.arange(n) / (2 * n * self.pitch_um * 1e-3) for n in veil.shape)
-        spectrum *= veil_mtf(np.hypot(fy[:, None], fx), beyond_um(self.cells, self.pitch_um))
+        frequency = np.hypot(*np.ix_(*(np.arange(n) / (2 * n * self.pitch_um * 1e-3) for n in veil.shape)))
+        few = np.linspace(0.0, float(frequency[-1, -1]), VEIL_FREQUENCIES)
+        spectrum *= np.interp(frequency, few, veil_mtf(few, beyond_um(self.cells, self.pitch_um)))
         result += inverse_dct(spectrum)
         return result
 
@@ -444,7 +575,7 @@ def beyond_um(cells: int, pitch_um: float) -> float:
 
 
 def tile_psfs(
-    light: Light, pitch_um: float, spacing: int, cells: int, places: Iterable[tuple[int, int]]
+    psfs: RadialPsfs, pitch_um: float, spacing: int, cells: int, places: Iterable[tuple[int, int]]
 ) -> dict[tuple[int, int], Psf]:
     """Return the PSFs of the middles of tiles at places (x, y)."""
     wanted = list(dict.fromkeys(places))
@@ -452,80 +583,91 @@ def tile_psfs(
 
     def compute(place: tuple[int, int]) -> None:
         x_um, y_um = (count * spacing * pitch_um for count in place)
-        found[place] = point_spread(light, x_um, y_um, pitch_um, cells)
+        found[place] = psfs.at(x_um, y_um, pitch_um, cells)
 
     in_threads(compute, wanted, WORTH_THREADS if len(wanted) > 1 else 0)
     return {place: found[place] for place in wanted}
 
 
-def field_blur(light: Light, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> FieldBlur:
+def tiles_reach_um(shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> float:
+    """Return the distance from the axis of the farthest tile of `field_blur`."""
+    return math.hypot(*(tiles_along(n + cells - 1, spacing)[0] * spacing * pitch_um for n in shape))
+
+
+def field_blur(psfs: RadialPsfs, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> FieldBlur:
     """Return the blur of pictures (H, W), whose sides are extended by the reach of a PSF.
 
+    psfs : of a film with cells of this pitch or smaller
     spacing : film cells from tile to tile
     cells : of a PSF along a side, an odd number
     """
     wide = shape[0] + cells - 1, shape[1] + cells - 1
-    return FieldBlur(wide, pitch_um, spacing, tile_psfs(light, pitch_um, spacing, cells, tiles_alike(wide, spacing)))
+    return FieldBlur(wide, pitch_um, spacing, tile_psfs(psfs, pitch_um, spacing, cells, tiles_alike(wide, spacing)))
+
+
+def blur_from_arrays(
+    stored: dict[str, NDArray[Any]], shape: tuple[int, int], pitch_um: float, spacing: int, cells: int
+) -> FieldBlur | None:
+    """Return the blur that `FieldBlur.as_arrays` stored; None if the arrays are not those of these tiles."""
+    wide = shape[0] + cells - 1, shape[1] + cells - 1
+    places, kernels = list(tiles_alike(wide, spacing)), stored.get("kernels", np.empty(0))
+    even = stored.get("even", np.empty(0))
+    if kernels.shape != (len(places), cells, cells) or even.shape != shape or not kernels.dtype == even.dtype == np.float32:
+        return None
+    blur = FieldBlur(wide, pitch_um, spacing, {place: Psf(kernel) for place, kernel in zip(places, kernels, strict=True)})
+    blur.__dict__["even"] = even  # as `cached_property` keeps it
+    return blur
 
 
 def picture_error(
-    approximate: NDArray[np.complex128], exact: NDArray[np.complex128], pitch_um: float, aperture_um: float, slope: float = 0.0
+    approximate: NDArray[np.complex128],
+    exact: NDArray[np.complex128],
+    pitch_um: float,
+    aperture_um: float,
+    slope: float = 0.0,
+    share: Sequence[float] = (1.0,),
 ) -> float:
-    """Return a bound for the rms error of a blurred picture relative to its rms about the mean, from two transforms of a window.
+    """Return a bound for the rms error of a blurred picture relative to its rms about the mean, from transforms of PSFs.
 
-    It holds for every picture whose power spectrum falls with the frequency f at least as f^-slope: such a spectrum is a mixture of
-    those that fall so up to some frequency and end there, and the largest ratio of these is the bound.
+    It holds in the mean for every picture with detail that is spread evenly over it, and with a power spectrum that falls with
+    the frequency f at least as f^-slope: such a spectrum is a mixture of those that fall so up to some frequency and end there, and
+    the largest ratio of these is the bound. None holds for a lone frequency that a lens blots out.
 
-    approximate, exact : (window, window // 2 + 1), as `rfft2` orders them
+    approximate, exact : (window, window // 2 + 1), as `rfft2` orders them, or (places, window, window // 2 + 1)
     aperture_um : side of the square photodiodes or dots that average the picture
-    slope : 0 for white noise and random dots, 2 for edges, charts and natural scenes
+    slope : 0 for white noise and random dots, and all that does not rise; 2 for edges, charts and natural scenes
+    share : of the picture's area for which each place stands
     """
-    window = len(exact)
+    window, columns = exact.shape[-2:]
     fy, fx = np.fft.fftfreq(window, pitch_um)[:, None], np.fft.rfftfreq(window, pitch_um)
     box = np.sinc(fy * aperture_um) * np.sinc(fx * aperture_um)
-    weight = np.where((np.arange(exact.shape[1]) == 0) | (np.arange(exact.shape[1]) == window / 2), 1.0, 2.0) * box**2
+    weight = np.where((np.arange(columns) == 0) | (np.arange(columns) == window / 2), 1.0, 2.0) * box**2
     frequency = np.hypot(fy, fx)
     weight /= np.maximum(frequency, 1 / (window * pitch_um)) ** slope
     order = np.argsort(frequency, axis=None, kind="stable")[1:]  # without frequency 0
-    error, power = (np.cumsum((np.abs(values) ** 2 * weight).ravel()[order]) for values in (approximate - exact, exact))
+    parts = np.array(share)[:, None, None]
+    squares = (
+        np.sum(parts * np.abs(values.reshape(-1, window, columns)) ** 2, axis=0) * weight for values in (approximate - exact, exact)
+    )
+    error, power = (np.cumsum(square.ravel()[order]) for square in squares)
     return float(np.sqrt((error / power).max()))
 
 
-def lone_psf_error(
-    light: Light, x_um: float, y_um: float, pitch_um: float, cells: int, aperture_um: float, slope: float = 0.0
-) -> float:
-    """Return `picture_error` of a PSF that is cut off, with its veil, at an image point."""
-    psf = point_spread(light, x_um, y_um, pitch_um, cells)
-    return _error_of(light, x_um, y_um, pitch_um, [psf], aperture_um, slope)
-
-
-def _error_of(
-    light: Light, x_um: float, y_um: float, pitch_um: float, psfs: Sequence[Psf], aperture_um: float, slope: float
-) -> float:
-    """Return `picture_error` of the mean of PSFs in place of that of an image point."""
-    cells = len(psfs[0].kernel)
-    window = even_window(light, x_um, y_um, pitch_um, cells)
-    exact = rfft2(periodic_psf(light, x_um, y_um, pitch_um, window))
+def transform_of(psfs: Sequence[tuple[float, Psf]], pitch_um: float, window: int) -> NDArray[np.complex128]:
+    """Return the transform (window, window // 2 + 1) of a sum of PSFs by their weights, each with what it lacks as a veil."""
+    kernel = sum((weight * psf.kernel.astype(float) for weight, psf in psfs), np.zeros(()))
+    cells = len(kernel)
     wide = np.zeros((window, window))
-    wide[:cells, :cells] = np.mean([psf.kernel for psf in psfs], axis=0)
-    frequency = np.hypot(np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3))
-    veil = float(np.mean([psf.lacking for psf in psfs])) * veil_mtf(frequency, beyond_um(cells, pitch_um))
-    transform = rfft2(np.roll(wide, (-(cells // 2), -(cells // 2)), axis=(0, 1))) + veil
-    return picture_error(transform, exact, pitch_um, aperture_um, slope)
+    wide[:cells, :cells] = kernel
+    fy, fx = np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3)
+    veil = float(1 - kernel.sum()) * veil_mtf(np.hypot(fy, fx), beyond_um(cells, pitch_um))
+    return np.asarray(rfft2(np.roll(wide, (-(cells // 2), -(cells // 2)), axis=(0, 1))) + veil)
 
 
-def tile_error(
-    light: Light, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int, aperture_um: float, slope: float = 0.0
-) -> float:
-    """Return `picture_error` of tiles where it is largest: a point amid four tiles has the mean of their PSFs, cut off.
-
-    Points on the way to the corner of a picture (H, W), in it, and at the middle of its longer side are tried.
-    """
-    half = [n / 2 / spacing for n in sorted(shape)]
-    places = {tuple(max(0, math.floor(part * n - 0.5)) for part, n in zip(way, half[::-1], strict=True)) for way in TRIED}
-    worst = 0.0
-    for x, y in sorted(places):
-        around = tile_psfs(light, pitch_um, spacing, cells, [(x + i, y + j) for i in (0, 1) for j in (0, 1)])
-        middle_um = (x + 0.5) * spacing * pitch_um, (y + 0.5) * spacing * pitch_um
-        worst = max(worst, _error_of(light, *middle_um, pitch_um, list(around.values()), aperture_um, slope))
-    return worst
+def amid_tiles(psfs: RadialPsfs, x_um: float, y_um: float, pitch_um: float, spacing: int, cells: int) -> list[tuple[float, Psf]]:
+    """Return weights and PSFs of the sixteen tiles around an image point that is as far from them as can be."""
+    around = []
+    for x, y in product((-1.5, -0.5, 0.5, 1.5), repeat=2):
+        at_um = x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um
+        around.append((float(cubic_weights(x) * cubic_weights(y)), psfs.at(*at_um, pitch_um, cells)))
+    return around

@@ -10,7 +10,7 @@ import numpy as np
 
 from pixsim.base.parameters import Camera, Pixel
 from pixsim.light.spectral import photons_per_joule
-from pixsim.optics.camera_lens import NODES, TILES, Tiling, choose_tiling, dark_share, distortion_of, thin_lens_error
+from pixsim.optics.camera_lens import MIN_SPACING, TILES, Tiling, choose_tiling, dark_share, distortion_of, thin_lens_error
 from pixsim.optics.lens_defocus import Defocus, defocus_at, largest_disc_um, signed_disc_um, smallest_disc_um
 from pixsim.scene.contents import LAMBERTIAN, Body
 from pixsim.scene.mitsuba import nodes_of
@@ -54,8 +54,10 @@ def decide_real_lens(
     target = BLUR_TOLERANCES * tolerance_e / (4 if full else 1)
     tiling = choose_tiling(camera, shape, pitch_um, tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um, target)
     tiles = math.ceil(1e3 * max(camera.die_mm, camera.height_mm) / tiling.spacing_um)
-    reason = f"{words}; {tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, from wavefronts of {NODES} fields: rms error "
-    return tiling, [Decision("real lens", True, f"{reason}up to {tiling.error:.1e} of the contrast", bounded=False)]
+    reason = f"{words}; {tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, from wavefronts of "
+    reason += f"{tiling.nodes} fields and {tiling.wavelengths} wavelengths: rms error "
+    reason += f"up to {tiling.error:.1e} of the contrast of detail all over the picture, {tiling.worst:.1e} where it is largest"
+    return tiling, [Decision("real lens", True, reason, bounded=False)]
 
 
 def decide_defocus(
@@ -151,6 +153,7 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[
     if tiling is not None and tiling.error > BLUR_TOLERANCES * tolerance_e:
         notes.append(
             f"the blur of the real lens has an rms error of up to {tiling.error:.1%} of the picture's contrast, above "
-            f"{BLUR_TOLERANCES * tolerance_e:.1%}: its tiles reach their limit of {TILES[-1]} across the die, or its PSFs theirs"
+            f"{BLUR_TOLERANCES * tolerance_e:.1%}: its tiles reach their limit of {TILES[-1]} across the die or {MIN_SPACING} film "
+            "cells each, or its PSFs theirs"
         )
     return notes

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 
 import numpy as np
@@ -22,7 +22,7 @@ from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage, photons_per_joule
-from pixsim.optics.camera_lens import Tiling, blur_of, groups_of, tiling_of
+from pixsim.optics.camera_lens import GROUP_WAVELENGTHS, Tiling, blur_of, groups_of, tiling_of
 from pixsim.optics.diffraction import diffract_sums
 from pixsim.sensor.collection import (
     Collection,
@@ -246,10 +246,10 @@ def real_lens_rate(
             lights.append((picture.astype(float), electrons * spectrum))
     else:
         seen = np.abs(electrons * irradiance.mean_spectrum())
+        tiling = replace(tiling, wavelengths=GROUP_WAVELENGTHS)
         for bands in groups_of(seen):
-            share = bands * seen
-            nearest = np.abs(nm - (share * nm).sum() / share.sum()).argmin()  # one band for all of the group
-            lights.append((whole.weighted(np.where(bands, electrons, 0.0)), np.eye(nm.size)[nearest]))
+            share = np.where(bands, seen, 0.0)
+            lights.append((whole.weighted(np.where(bands, electrons, 0.0)), share / share.sum()))
     total = np.zeros(irradiance.shape)
     for picture, weight in lights:
         if weight.any():

@@ -10,7 +10,7 @@ from scipy.signal import fftconvolve
 
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions
 from pixsim.optics.camera_lens import camera_with_lens, fitted_wavefronts, traced_lens
-from pixsim.optics.field_blur import Light, even_window, field_blur, picture_error
+from pixsim.optics.field_blur import Light, even_window, picture_error
 from pixsim.optics.lens_defocus import (
     BESIDE_DISC,
     CELLS_PER_DISC,
@@ -23,7 +23,7 @@ from pixsim.optics.lens_defocus import (
     signed_disc_um,
     wavefronts_at_depth,
 )
-from tests.optics.test_field_blur import hopkins
+from tests.optics.test_field_blur import blur_of, hopkins
 from tests.scene.test_real_lens import THIN
 
 NM = (550.0,)
@@ -52,7 +52,7 @@ def test_depths_and_discs_are_inverse_and_the_disc_is_the_thin_lens_s(signed_um:
 
 def test_in_focus_the_wavefront_is_that_of_the_blur_and_nothing_is_off() -> None:
     camera = with_lens("cooke_triplet", 24.0)
-    there, known = wavefronts_at_depth(camera, 1.0, NM)[0], fitted_wavefronts(camera, NM)[0]
+    there, known = wavefronts_at_depth(camera, 1.0, NM)[0], fitted_wavefronts(camera, NM, 17)[0]
     for height_um, numbers in zip(there.height_um.tolist(), there.numbers, strict=True):
         np.testing.assert_allclose(numbers[:30], known.at(height_um)[:30], atol=3e-3)
     assert defocus_error(camera, 1.0, NM, (1.0,), 2.0) < 1e-6
@@ -100,7 +100,7 @@ def test_stated_error_is_that_against_a_trace_at_the_defocused_distance(file: st
     depth_m = depth_of_disc_m(camera, disc_um)
     everywhere = tuple(np.linspace(0, 1, 9).tolist())
     there, focused = (Light(wavefronts_at_depth(camera, depth, NM, everywhere), np.ones(1)) for depth in (depth_m, distance_m))
-    exact, in_focus = (field_blur(light, (SIDE, SIDE), PITCH_UM, 12, CELLS) for light in (there, focused))
+    exact, in_focus = (blur_of(light, (SIDE, SIDE), PITCH_UM, 12, CELLS) for light in (there, focused))
     # The disc as means over cells, from 16 × 16 points in each.
     fine = (np.arange(CELLS * 16) - (CELLS * 16 - 1) / 2) * PITCH_UM / 16
     inside = np.hypot(fine, fine[:, None]) <= abs(disc_um) / 2
