@@ -9,7 +9,7 @@ import io
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -158,8 +158,8 @@ def coarse_table(values: Array, name: str) -> dict[str, Column]:
     return table | {f"{name}_column_{index}": coarse[:, index].tolist() for index in range(len(columns))}
 
 
-def html_cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure: Figure) -> str:
-    """Return a notebook cell of a title, a table and a figure, with every string escaped.
+def html_cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure: Figure, notes: Sequence[str] = ()) -> str:
+    """Return a notebook cell of a title, a figure, a table and lines below it, with every string escaped. It needs no scripts.
 
     The figure is a separate image, so that its ids cannot clash with those of other cells.
     """
@@ -170,10 +170,16 @@ def html_cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], fi
     body = "".join(line(row, "td") for row in rows)
     top = line(head, "th") if any(head) else ""
     image = data_uri("image/svg+xml", svg_text(figure).encode())
+    below = "".join(f"<p>{html.escape(note)}</p>" for note in notes)
     return (
-        f"<div><strong>{html.escape(title)}</strong><table>{top}{body}</table>"
-        f'<img alt="{html.escape(title)}" style="max-width:100%" src="{image}"></div>'
+        f'<div><strong>{html.escape(title)}</strong><br><img alt="{html.escape(title)}" style="max-width:100%;background:#fff" '
+        f'src="{image}"><table>{top}{body}</table>{below}</div>'
     )
+
+
+def set_words(settings: Mapping[str, Any]) -> str:
+    """Return settings as one line; a curve by its size and range."""
+    return ", ".join(f"{name} = {shown_value(value, name)}" for name, value in settings.items())
 
 
 def table_csv(table: dict[str, Column]) -> str:

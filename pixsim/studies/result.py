@@ -23,7 +23,7 @@ from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.pixel import has_microlens, photodiode_widths_um, physics_of
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
-from pixsim.show.pages import Column, Plate, html_cell, rows_csv
+from pixsim.show.pages import Column, Plate, html_cell, rows_csv, set_words
 from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import (
     DELTA_E_STATISTICS,
@@ -395,9 +395,21 @@ class StudyResult:
             size = f"{best.pitch_um:.2f}" if best.inside else f"none between {ends}"
             size = alike_words(curve) if curve.alike_um else size
             within = within_words(best.within_1_percent_um, curve)
-            rows.append((curve.label, size, interval_words(curve), f"{best.mean_delta_e:.3f}", within))
-        head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE", "within 1 % of it")
-        return html_cell(self.study.title or self.study.name, head, rows, self.plot())
+            low, high = best.mean_delta_e_interval
+            delta_e = f"{best.mean_delta_e:.3f} ({low:.3f} to {high:.3f})"
+            rows.append((curve.label, size, interval_words(curve), delta_e, within))
+        head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE (95 %)", "within 1 % of it")
+        camera, evaluations = self.camera, sum(int(curve.sensors.sum()) for curve in self.curves)
+        notes = [
+            f"{self.study.scene.file}: {camera.focal_length_mm:g} mm at f/{camera.f_number:g}, die of {camera.die_mm:g} mm; "
+            f"{evaluations} evaluations, seed {self.study.seed}",
+            *(
+                [f"Pixels: {given}"]
+                if (given := set_words(self.study.pixel.model_dump(exclude_unset=True, exclude_none=True)))
+                else []
+            ),
+        ]
+        return html_cell(self.study.title or self.study.name, head, rows, self.plot(), notes)
 
     def __repr__(self) -> str:
         words = []

@@ -42,7 +42,7 @@ from pixsim.sensor.readout import (
     sample_sensor,
 )
 from pixsim.show.figures import new_figure
-from pixsim.show.pages import html_cell, rows_csv
+from pixsim.show.pages import html_cell, rows_csv, set_words
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
@@ -130,7 +130,11 @@ class Score:
     def _repr_html_(self) -> str:
         rows = [(name, f"{value:.6g}") for name, value in self.statistics().items()]
         title = f"{self.physics.pitch_um:g} µm pixels, mean ΔE {self.mean_delta_e:.3f}"
-        return html_cell(title, ("", ""), rows, self.plot())
+        notes = [
+            "One frame of one sensor: how much others differ is told by pixsim.study, whose means have 95 % intervals.",
+            f"Pixel: {set_words(self.physics.pixel.model_dump(exclude_unset=True, exclude_none=True))}; all else is the default.",
+        ]
+        return html_cell(title, ("", ""), rows, self.plot(), notes)
 
     def __repr__(self) -> str:
         return (

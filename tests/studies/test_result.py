@@ -53,6 +53,8 @@ def test_score_repr_html_shows_statistics(score: Score) -> None:
     for name, value in score.statistics().items():
         assert f"{name} {value:.6g}" in message
     assert words.tags.count("tr") == len(score.statistics())
+    assert "pitch_um = " in message
+    assert len(cell) < 400_000, "a notebook keeps it"
     assert image_of(cell).count("<image") == 4, "ideal, sensor, map, scale"
     assert repr(score).startswith("<Score mean ΔE")
 
@@ -68,10 +70,11 @@ def test_study_result_repr_html_escapes_markup(result: StudyResult) -> None:
     words = Elements(cell)
     message = " ".join(words.words)
     assert MARKUP in message
-    assert set(words.tags) == {"div", "strong", "table", "tr", "th", "td", "img"}
+    assert set(words.tags) == {"div", "strong", "table", "tr", "th", "td", "img", "br", "p"}
     for curve in result.curves:
         best = curve.optimum
         assert curve.technology in message
+        assert f"{best.mean_delta_e:.3f} ({best.mean_delta_e_interval[0]:.3f} to " in message
         assert (f"{best.pitch_um:.2f}" in message) if best.inside else ("none between 5.3 and 15" in message)
     assert image_of(cell).startswith("<?xml")
 
