@@ -167,8 +167,8 @@ def more_samples(fraction: float, render_noise: float) -> str:
     noisier = math.hypot(1.0, fraction)
     return (
         f"The picture has {noisier:.2g} times the noise of the sensor alone. About {times:.15g} times as many samples reach the "
-        f"target: --max-seconds {seconds:.15g} is time for them on two cores, and ends there. A part of the die (--window) has more "
-        f"samples a pixel. Or accept this with --render-noise {math.ceil(100 * fraction) / 100:g}"
+        f"target: --max-seconds {seconds:.15g} has time for them on two cores, and ends there. A part of the die (--window) has "
+        f"more samples a pixel. Or accept this with --render-noise {math.ceil(100 * fraction) / 100:g}"
     )
 
 

@@ -88,6 +88,8 @@ class RawFrame:
         return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(words)}>"
 
 
+# Of mosaics of red, green and blue, for other programs: ISO 12234-2 (TIFF/EP).
+CFA_DIM_TAG, CFA_PATTERN_TAG, CFA_COLOURS = 33421, 33422, "RGB"
 LAYOUT = "layout"  # as text: RG/GB, the rows of a mosaic's unit cell, upper one first; R+G+B, planes one below the other
 FACTS = ("black_level_dn", "white_level_dn", "bits", "pitch_um", "dn_per_e", "integration_s", "saturated_fraction")
 
@@ -158,7 +160,7 @@ def _write_png(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
 
 def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
-    from PIL.TiffTags import DOUBLE, LONG
+    from PIL.TiffTags import BYTE, DOUBLE, LONG, SHORT
 
     tags = ImageFileDirectory_v2()
     tags[DESCRIPTION_TAG] = json.dumps({"unit": UNIT, **facts}, sort_keys=True)
@@ -166,6 +168,11 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
         if name in facts:
             tags.tagtype[tag] = kind
             tags[tag] = facts[name] if kind == DOUBLE else round(facts[name])
+    layout = layout_of(facts, dn.shape)
+    if layout is not None and not layout.is_stacked and set(layout.channels) <= set(CFA_COLOURS):
+        tags.tagtype |= {CFA_DIM_TAG: SHORT, CFA_PATTERN_TAG: BYTE}
+        tags[CFA_DIM_TAG] = layout.period
+        tags[CFA_PATTERN_TAG] = bytes(CFA_COLOURS.index(letter) for row in layout.cell for letter in row)
     with writing(path) as unfinished:
         _picture(dn).save(unfinished, "TIFF", tiffinfo=tags)
 

@@ -13,7 +13,8 @@ from PIL.PngImagePlugin import PngInfo
 
 import pixsim
 from pixsim import cli
-from pixsim.sensor.raw import BLACK_LEVEL_TAG, FACTS, SUFFIXES, WHITE_LEVEL_TAG, RawFrame
+from pixsim.sensor.colour import Layout
+from pixsim.sensor.raw import BLACK_LEVEL_TAG, FACTS, SUFFIXES, WHITE_LEVEL_TAG, RawFrame, write_frame
 from pixsim.sensor.readout import Frame
 
 CODES = np.array([[0, 1, 2, 4095], [64, 1000, 4094, 63], [7, 8, 9, 10]], np.int32)
@@ -194,3 +195,18 @@ def test_write_frame_without_metadata(tmp_path: Path) -> None:
     for suffix in SUFFIXES:
         pixsim.write_frame(tmp_path / f"bare{suffix}", RawFrame(CODES))
         assert pixsim.read_frame(tmp_path / f"bare{suffix}").black_level_dn is None
+
+
+@pytest.mark.parametrize(
+    ("layout", "size", "pattern"),
+    [("GR/BG", (2, 2), [1, 0, 2, 1]), ("RGB/GGR", (2, 3), [0, 1, 2, 1, 1, 0]), ("RC/CB", None, None), ("R+G+B", None, None)],
+)
+def test_tiff_states_its_mosaic_as_other_programs_do(tmp_path, layout, size, pattern):
+    """Tags 33421 and 33422 of TIFF/EP: rows and columns, then 0 for red, 1 for green, 2 for blue; none for other colours."""
+    frame = RawFrame(np.arange(36).reshape(6, 6), bits=8, layout=Layout.of_text(layout))
+    write_frame(tmp_path / "raw.tiff", frame)
+    with Image.open(tmp_path / "raw.tiff") as picture:
+        tags = picture.tag_v2
+    assert tags.get(33421) == size
+    assert (list(tags[33422]) if pattern else tags.get(33422)) == pattern
+    assert str(pixsim.read_frame(tmp_path / "raw.tiff").layout) == layout
