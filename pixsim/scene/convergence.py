@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
-from pixsim.base.mapped import release, zeros
+from pixsim.base.mapped import is_mapped, release, zeros
 from pixsim.base.notes import told_apart, warn
 from pixsim.base.parameters import Camera, Effort, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
@@ -242,14 +242,16 @@ def measured_parts(shape: tuple[int, int], pixels_per_cell: float, margin: int =
     return list(product(rows, columns))
 
 
-def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, part: tuple[slice, slice]) -> Columns:
-    """Return `ideal_rate` of a part of an image from the pictures of its pulses, without the memory for all bands."""
-    rows, start = part[0], part[1].start
+def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, part: tuple[slice, slice]) -> Array | Columns:
+    """Return `ideal_rate` of a part of an image from the pictures of its pulses, without the memory for all bands.
+
+    Pictures in a file are read row by row: the system maps more around each place than a few columns of a row.
+    """
+    (rows, across), start = part, part[1].start
     # For each light, (pulses,): electrons s⁻¹ µm⁻² per unit of a pulse's picture, on the axis.
     units = np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
 
-    def columns(first: int, last: int) -> Array:
-        which = slice(start + first, start + last)
+    def rate_of(rows: slice, which: slice) -> Array:
         fall_off = job.fall_off(rows, which)
         rate = np.zeros(fall_off.shape)
         for picture, unit in zip(pictures, units, strict=True):
@@ -257,4 +259,10 @@ def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, par
             release(picture[rows, which])
         return rate * fall_off
 
-    return Columns((rows.stop - rows.start, part[1].stop - start), columns)
+    shape = rows.stop - rows.start, across.stop - start
+    if not any(is_mapped(picture) for picture in pictures):
+        return Columns(shape, lambda first, last: rate_of(rows, slice(start + first, start + last)))
+    whole = np.empty(shape)
+    for some in strips(*shape):
+        whole[some] = rate_of(slice(rows.start + some.start, rows.start + some.stop), across)
+    return whole
