@@ -35,6 +35,8 @@ NAMED_TASKS = 4  # named in an error message
 SUSPECTS = 2  # calls per job that are running or queued
 CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # to wait for a cluster's first worker
+RECONNECT_SECONDS, LOOK_SECONDS = 60.0, 0.1  # for a client that has lost its scheduler; it gives up after `CONNECT_SECONDS`
+IDLE_SECONDS, WATCH_SECONDS = 300.0, 5.0  # for workers to come back after all are lost; between two looks
 AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
 
@@ -118,10 +120,11 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
     Calls with the same `make` share its result, one copy per worker, made while other calls already run. If a worker dies,
     unfinished calls are retried, those that were running last.
 
-    Raises PixsimError naming the tasks that end their worker even when they run alone.
+    Raises PixsimError naming the tasks that end their worker even when they run alone, or if the cluster's scheduler is lost.
     """
     left: Calls[Task, Shared] = dict(enumerate(calls))
     deadly: Calls[Task, Shared] = {}
+    address = workers.client.scheduler.address if workers.client else ""  # a closed client has forgotten it
     workers = Workers() if len(calls) == 1 and not workers.client else workers  # one call does not need a process
 
     def attempt(batch: Calls[Task, Shared]) -> Iterator[Result]:
@@ -131,6 +134,8 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
                 del batch[index]
                 yield result
         except Exception as error:
+            if workers.client:
+                check_scheduler(workers.client, address)
             if not is_death(error):
                 raise
 
@@ -159,6 +164,17 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
         )
 
 
+def check_scheduler(client: Any, address: str) -> None:
+    """Raise PixsimError if a client has lost its scheduler and does not find it again, or finds it without workers."""
+    deadline = time.monotonic() + RECONNECT_SECONDS
+    while client.status == "connecting" and time.monotonic() < deadline:
+        time.sleep(LOOK_SECONDS)
+    if client.status != "running":
+        hint = "Start a cluster again, and run the same command: finished rows are kept, and it continues from them."
+        raise invalid("--scheduler", f"a scheduler at {address} that ended before the study", "one that stays until its end", hint)
+    _checked(client)
+
+
 def is_death(error: BaseException) -> bool:
     """Return whether an error means a lost worker or cluster; compared by name, since neither package need be installed."""
     names = {kind.__name__ for kind in type(error).__mro__}
@@ -185,9 +201,40 @@ def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], 
 
 
 def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Any) -> Iterator[Reply[Result]]:
+    shared = {id(make): make() for _, make in calls.values()}
+    with _given_up_without_workers(client):
+        yield from _replies(function, calls, shared, client)
+
+
+@contextmanager
+def _given_up_without_workers(client: Any) -> Iterator[None]:
+    """Cancel the calls of this context if a cluster has no worker for `IDLE_SECONDS`: Dask would wait for ever."""
+    from distributed import Future as Promise
+
+    before, ended = set(client.futures), threading.Event()
+
+    def watch() -> None:
+        seen = time.monotonic()
+        while not ended.wait(WATCH_SECONDS):
+            with suppress(Exception):  # the scheduler is gone, which ends the calls by itself
+                if client.nthreads():
+                    seen = time.monotonic()
+                elif time.monotonic() - seen > IDLE_SECONDS:
+                    client.cancel([Promise(key, client) for key in set(client.futures) - before], force=True)
+
+    thread = threading.Thread(target=watch, name="pixsim cluster", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+
+
+def _replies(
+    function: Function[Task, Shared, Result], calls: Calls[Task, Shared], shared: dict[int, Shared], client: Any
+) -> Iterator[Reply[Result]]:
     from joblib import Parallel, delayed, parallel_config
 
-    shared = {id(make): make() for _, make in calls.values()}
     if sum(client.ncores().values()) == 1:  # joblib would compute in this process; one thread keeps the order
         remote = {name: client.scatter(data, hash=False) for name, data in shared.items()}
         futures = [

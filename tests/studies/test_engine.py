@@ -14,9 +14,10 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import joblib
 import numpy as np
@@ -28,6 +29,7 @@ from helpers.tiny import tiny_toml, toml_of
 import pixsim
 from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.notes import MachineWarning
 from pixsim.studies import engine, evaluations
 from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
 from pixsim.studies.study import load_study
@@ -416,6 +418,92 @@ def test_workers_for_other_version_raises(kind: str, pattern: str, tmp_path: Pat
         workers_for(None, address),
     ):
         pass
+
+
+class Client:
+    """Stands for a Dask client of a cluster at an address; its status changes from look to look."""
+
+    scheduler = SimpleNamespace(address="tcp://10.0.0.1:8786")
+
+    def __init__(self, *status: str) -> None:
+        self.left = list(status)
+
+    @property
+    def status(self) -> str:
+        return self.left.pop(0) if len(self.left) > 1 else self.left[0]
+
+    def wait_for_workers(self, *_: object, **__: object) -> None:
+        return
+
+    def run(self, function: Callable[[], object]) -> dict[str, object]:
+        return {"tcp://10.0.0.2:1": function()}
+
+
+@pytest.mark.parametrize("status", [("closed",), ("connecting", "connecting", "closed")])
+def test_a_lost_scheduler_is_named(status: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever Dask raises then: here what a study met whose scheduler was killed."""
+
+    def lost(*_: object) -> Iterator[object]:
+        raise RuntimeError("ConnectionPool is closed")
+        yield
+
+    monkeypatch.setattr(engine, "_once", lost)
+    pattern = "--scheduler: got a scheduler at tcp://10.0.0.1:8786 that ended before the study.*run the same command"
+    with pytest.raises(pixsim.PixsimError, match=pattern):
+        list(results_of(double, [(1, nothing)], Workers(client=Client(*status))))
+
+
+def test_a_scheduler_that_answers_again_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call lost with the connection runs again; an error of the call itself stays what it is."""
+    attempts = iter([ConnectionError, None, None, ValueError])  # after a loss each of the first calls runs alone
+
+    class CommClosedError(OSError):
+        """As Dask's."""
+
+    def once(_function: object, calls: dict[int, tuple[int, object]], _: Workers) -> Iterator[tuple[int, int]]:
+        kind = next(attempts)
+        if kind is ConnectionError:
+            raise CommClosedError
+        if kind:
+            raise kind("of the call")
+        yield from [(index, 2 * task) for index, (task, _) in list(calls.items())]
+
+    monkeypatch.setattr(engine, "_once", once)
+    workers = Workers(client=Client("connecting", "running"))
+    with pytest.warns(MachineWarning, match="retrying the remaining 2 of 2 tasks"):
+        assert list(results_of(double, [(1, nothing), (2, nothing)], workers)) == [2, 4]
+    with pytest.raises(ValueError, match="of the call"):
+        list(results_of(double, [(1, nothing)], workers))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:a worker process died")
+@pytest.mark.parametrize(("lost", "pattern"), [("scheduler", "that ended before the study"), ("workers", "no worker within 3 s")])
+def test_study_that_loses_its_cluster_keeps_rows(lost: str, pattern: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scheduler, or all workers, killed in the middle: an error, and the rows that were finished go on here."""
+    import distributed
+
+    toml, results = tmp_path / "tiny.toml", tmp_path / "out/results.csv"
+    toml.write_text(tiny_toml(repeats=100), encoding="utf-8")
+
+    def end_cluster(address: str) -> None:
+        while not (results.is_file() and results.stat().st_size > 1 << 12):
+            time.sleep(0.05)
+        with contextlib.suppress(Exception), distributed.Client(address, timeout=HANG_S, set_as_default=False) as client:
+            (client.run_on_scheduler if lost == "scheduler" else client.run)(os._exit, 1)
+
+    with running_cluster(tmp_path, 2) as address:
+        for name, seconds in (("CONNECT_SECONDS", 3.0), ("WORKER_SECONDS", 3.0), ("IDLE_SECONDS", 3.0), ("WATCH_SECONDS", 0.5)):
+            monkeypatch.setattr(engine, name, seconds)
+        thread = threading.Thread(target=end_cluster, args=[address], daemon=True)
+        thread.start()
+        with pytest.raises(pixsim.PixsimError, match=pattern):
+            pixsim.study(toml, tmp_path / "out", scheduler=address)
+        thread.join(HANG_S)
+    kept = results.read_bytes().splitlines()[1:]
+    assert kept
+    pixsim.study(toml, tmp_path / "out", jobs=1)
+    assert set(kept) <= set(results.read_bytes().splitlines())
 
 
 # Either Dask itself tries the lost task again, without a word, or pixsim does: who notices first.
