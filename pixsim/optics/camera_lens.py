@@ -51,6 +51,7 @@ from pixsim.optics.thin_lens import irradiance_factor
 ROWS = 129  # of chief rays from the axis to the corner of the die, linear in between: 3e-5 of the fall-off
 CIRCLE_STEP, CIRCLE_STEPS = 0.99, 400  # towards the axis, to the end of the image circle
 BEYOND = 1e-6  # of the corner's height, so that the last row does not end before it
+LIT = 0.3  # of the light on the axis; towards the end of an image circle pupils shrink to nothing
 NODES = (17, 33, 65)  # of wavefronts from the axis to the corner
 WAVELENGTHS = (4, 6, 8, 12)  # of a light's blur
 PSF_CELLS = (9, 17, 33, 49, 65, 97, 129)
@@ -302,13 +303,21 @@ class Tiling:
 @lru_cache(maxsize=16)
 def fitted_wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], nodes: int) -> tuple[FittedWavefronts, ...]:
     """Return the wavefronts of a camera's real lens from the axis to the corner of its die, at each wavelength."""
-    return _wavefronts(camera, wavelengths_nm, np.linspace(0.0, _farthest_mm(camera), nodes))
+    farthest_mm = end_mm = _farthest_mm(camera)
+    while True:
+        try:
+            return _wavefronts(camera, wavelengths_nm, np.linspace(0.0, end_mm, nodes))
+        except PixsimError:  # the image circle of one of the wavelengths ends before
+            end_mm *= CIRCLE_STEP
+            if end_mm < farthest_mm / 2:  # no, something else
+                raise
 
 
 def _farthest_mm(camera: Camera) -> float:
-    """Return the height of the corner of a camera's die, or of the end of its lens's image circle."""
+    """Return the height of the corner of a camera's die, or of the last light of its lens's image circle."""
     assert camera.lens is not None
-    return float(field_angles(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)[0][-1])
+    corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
+    return min(float(field_angles(camera.lens, camera.object_distance_m, corner_mm)[0][-1]), _lit_mm(camera))
 
 
 def _wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], at_mm: Array) -> tuple[FittedWavefronts, ...]:
@@ -317,6 +326,12 @@ def _wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], at_mm: Array)
     heights, fields = field_angles(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)
     rays = pupil_rays(lens, _odd_spline(heights, fields)(at_mm), np.array(wavelengths_nm))
     return tuple(fit_wavefronts(nm, 1e3 * at_mm, of_nm) for nm, of_nm in zip(wavelengths_nm, rays, strict=True))
+
+
+def _lit_mm(camera: Camera) -> float:
+    """Return the height up to which a real lens's light is more than `LIT` of that on the axis: its blur is known to there."""
+    assert camera.relative_illumination is not None
+    return max(height for height, light in zip(*camera.relative_illumination, strict=True) if light > LIT)
 
 
 def groups_of(weight: Array, groups: int = GROUPS) -> list[NDArray[np.bool_]]:

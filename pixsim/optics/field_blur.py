@@ -33,6 +33,7 @@ DEGREE = 12  # of the polynomial; 5e-4 waves are left of the phone lens
 WINDOW = 1.5  # sides of a PSF: in the window it is computed in, light from beyond folds back
 SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
 MOST_SAMPLES = 320  # of a pupil: a PSF with more takes too long
+SHRUNK = 0.8  # of the last pupil's half widths, one step beyond it
 MAX_WINDOW = 4096  # film cells
 FINER = 1.5  # samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2 times its end
 TURNED_MARGIN = 32  # film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
@@ -92,10 +93,16 @@ class FittedWavefronts:
         return spline
 
     def at(self, height_um: float) -> Array:
-        """Return the numbers at a distance from the axis; beyond the last wavefront, up to one step between two of them."""
+        """Return the numbers at a distance from the axis; beyond the last wavefront, up to one step between two of them.
+
+        Where an image circle ends the pupil shrinks: beyond the last wavefront it is that of the last, then.
+        """
         end = float(self.height_um[-1])
         step = end - float(self.height_um[-2]) if self.height_um.size > 1 else 0.0
-        return np.asarray(self._spline(min(height_um, end + step)))
+        numbers = np.asarray(self._spline(min(height_um, end + step)))
+        if height_um > end and np.any(numbers[:2] < SHRUNK * self.numbers[-1, :2]):
+            return np.asarray(self.numbers[-1])
+        return numbers
 
 
 def powers() -> NDArray[np.intp]:

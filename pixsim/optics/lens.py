@@ -178,6 +178,12 @@ class Lens:
         """The wavelength of first-order data, in nm."""
         return self.prescription.primary_nm
 
+    @property
+    def known_nm(self) -> tuple[float, float]:
+        """Shortest and longest wavelength at which all glasses are known, in nm."""
+        ranges = [glass.range_um for glass in self.prescription.glasses]
+        return 1e3 * max(low for low, _ in ranges), 1e3 * min(high for _, high in ranges)
+
     # Paraxial ------------------------------------------------------------------------------------------------------------
 
     @checks_arguments

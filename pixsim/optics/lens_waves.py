@@ -5,26 +5,31 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.optics.field_blur import PupilRays
-from pixsim.optics.lens import Lens
+from pixsim.optics.lens import Lens, Outline
 
 RINGS, SPOKES = 14, 21  # of rays through half of the stop for each wavefront
 OUTLINE_SPOKES = 180
+NEAR = 1.5  # of the outline's radius: what lies further is blocked, and near the end of an image circle goes anywhere
 
 
 def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[PupilRays]]:
     """Return the rays of fields (F,) through half of the stop, for each wavelength (W,).
 
-    Their directions are those of points of the reference sphere from its centre, the chief ray's image point.
+    Their directions are those of points of the reference sphere from its centre, the chief ray's image point. Light outside of the
+    wavelengths at which all glasses are known takes the paths of the nearest one of these.
 
     Raises PixsimError if a chief ray does not reach the image.
     """
     radius = np.sqrt((np.arange(RINGS) + 1) / RINGS)  # the last ring is the rim
     turn = np.linspace(0, np.pi, SPOKES)
     x, y = ((radius[:, None] * part).ravel() for part in (np.sin(turn), np.cos(turn)))
-    fields, nm = np.tile(field_deg, wavelength_nm.size), np.repeat(wavelength_nm, field_deg.size)
+    known_nm = np.clip(wavelength_nm, *lens.known_nm)
+    fields, nm = np.tile(field_deg, wavelength_nm.size), np.repeat(known_nm, field_deg.size)
+    waves_per_wave = np.repeat(known_nm / wavelength_nm, field_deg.size)
     waves, outline = lens.wavefront(fields, nm, x, y), lens.outline(fields, nm, OUTLINE_SPOKES)
     spokes = np.stack([np.cos(outline.angle), np.sin(outline.angle)], axis=-1)
     from_image = lens.first_order(lens.primary_nm).exit_pupil_from_image_mm
@@ -34,9 +39,20 @@ def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[
         if math.isfinite(from_image):  # a ray with this direction, off the image point, leaves the sphere a little elsewhere
             distance = -math.copysign(math.hypot(float(waves.chief_y_mm[at]), from_image), from_image)
             along = (off * cosines).sum(axis=-1)
-            back = along + np.copysign(np.sqrt(distance**2 + along**2 - np.square(off).sum(axis=-1)), distance)
+            with np.errstate(invalid="ignore"):  # at the end of an image circle some rays miss the sphere
+                back = along + np.copysign(np.sqrt(distance**2 + along**2 - np.square(off).sum(axis=-1)), distance)
             cosines = (back[:, None] * cosines - off) / distance
-        seen = np.isfinite(waves.opd_waves[at])
+        seen = np.isfinite(waves.opd_waves[at]) & np.isfinite(cosines).all(axis=-1)
+        seen[seen] = _near(outline, at, cosines[seen])
         edge = outline.radius[at][:, None] * spokes + outline.centre[at]
-        found.append(PupilRays(cosines[seen], waves.opd_waves[at][seen], edge, 1e3 * float(waves.chief_y_mm[at])))
+        opd = waves.opd_waves[at][seen] * waves_per_wave[at]
+        found.append(PupilRays(cosines[seen], opd, edge, 1e3 * float(waves.chief_y_mm[at])))
     return [found[first : first + field_deg.size] for first in range(0, fields.size, field_deg.size)]
+
+
+def _near(outline: Outline, at: int, cosines: Array) -> NDArray[np.bool_]:
+    """Return which directions (rays, 2) lie within an outline, or not far beyond it."""
+    away = cosines - outline.centre[at]
+    turn = np.arctan2(away[:, 1], away[:, 0])
+    radius = np.interp(turn, outline.angle, outline.radius[at], period=2 * np.pi)
+    return np.asarray(np.hypot(*away.T) <= NEAR * radius)

@@ -20,9 +20,10 @@ from scipy.sparse import csr_array
 
 from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.errors import invalid
+from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage, photons_per_joule
-from pixsim.optics.camera_lens import GROUP_WAVELENGTHS, Tiling, blur_of, groups_of, tiling_of
+from pixsim.optics.camera_lens import GROUP_WAVELENGTHS, Tiling, blur_of, groups_of, tiling_of, traced_lens
 from pixsim.optics.diffraction import diffract_sums
 from pixsim.sensor.collection import (
     Collection,
@@ -241,6 +242,7 @@ def real_lens_rate(
         return irradiance.weighted(electrons)
     whole = irradiance.whole  # with light from beyond the picture
     nm, lights = irradiance.wavelength_nm, []
+    warn_of_unknown_glasses(camera, nm, np.abs(electrons * irradiance.mean_spectrum()))
     if whole.factors and np.all(electrons * whole.factors[0] >= 0):
         for spectrum, picture in zip(*whole.factors, strict=True):
             lights.append((picture.astype(float), electrons * spectrum))
@@ -256,6 +258,26 @@ def real_lens_rate(
             blur = blur_of(camera, irradiance.shape, irradiance.pitch_um, tiling, nm, weight, transfer)
             total += float(weight.sum()) * blur.blurred(picture, irradiance.margin)
     return total
+
+
+UNKNOWN_SHARE = 1e-3  # of the electrons, of which nobody need be told
+
+
+def warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array) -> None:
+    """Warn of light at wavelengths at which a real lens's glasses are not known, where it is more than `UNKNOWN_SHARE`.
+
+    weight : electrons of each band, (B,)
+    """
+    if camera.lens is None or not weight.any():
+        return
+    low, high = traced_lens(camera.lens, camera.object_distance_m).known_nm
+    share = float(weight[(wavelength_nm < low) | (wavelength_nm > high)].sum() / weight.sum())
+    if share > UNKNOWN_SHARE:
+        warn(
+            f"{share:.1%} of the electrons are of light outside {low:.4g} to {high:.4g} nm, where the glasses of "
+            f"'{camera.lens.file}' are not known: it is blurred with the wavefronts of the nearest of these. An infrared filter "
+            "(pixel.infrared_cut_nm) keeps it out"
+        )
 
 
 def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | None:

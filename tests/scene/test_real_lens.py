@@ -1,22 +1,26 @@
 """Scenes through real lenses: what the plan leaves out, the light and the blur of the picture, and what a user is told."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pixsim import evaluate, load_scene, render
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
+from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, LensOptions, Pixel
 from pixsim.light.spectral import photons_per_joule
-from pixsim.optics.camera_lens import LENS_HEADER, Tiling, distortion_of, ideal_light, traced_lens, without_lens
+from pixsim.optics.camera_lens import LENS_HEADER, Tiling, dark_share, distortion_of, ideal_light, traced_lens, without_lens
 from pixsim.optics.lens_defocus import defocus_error, depth_of_disc_m, largest_disc_um, signed_disc_um
+from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.contents import Body
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.real_lens import SEEN_NM, depth_ranges_m, tried_discs_um
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import diffracted_rate, ideal_rate
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.readout import integration_time_s
+from pixsim.viewer.score import make_imaging_chain
 
 PIXEL = Pixel(pitch_um=6.5)
 THIN = """
@@ -51,9 +55,10 @@ clips = false
 """
 
 
-def through(lens: str, die_mm: float, resolution: int = 96, scene: str = "csf", **options: object):
+def through(lens: str, die_mm: float, resolution: int = 96, scene: str = "csf", distance_m: float = 0.0, **options: object):
     loaded = load_scene(scene, resolution=resolution)
-    camera = loaded.camera(CameraOptions(die_mm=die_mm), LensOptions(file=lens, **options))
+    given = CameraOptions(die_mm=die_mm, **({"object_distance_m": distance_m} if distance_m else {}))
+    camera = loaded.camera(given, LensOptions(file=lens, **options))
     return loaded, camera
 
 
@@ -137,6 +142,55 @@ def test_a_thin_enough_lens_is_left_out_and_the_picture_is_the_thin_lens_s_bit_f
     assert LENS_HEADER not in image.header
     physics = derive(PIXEL)
     assert np.array_equal(diffracted_rate(image, camera, physics), diffracted_rate(other, thin, physics))
+
+
+def test_thin_real_lens_has_the_absolute_irradiance_of_foote_times_its_transmittance(tmp_path: Path) -> None:
+    """From the axis to 20 degrees, of a luminance that is known: traced, rendered and weighted as any real lens."""
+    file = tmp_path / "thin.toml"
+    file.write_text(THIN, encoding="utf-8")
+    scene = load_scene("flat", resolution=33, luminance_cd_per_m2=1000)
+    camera = scene.camera(CameraOptions(die_mm=5.2, transmittance=0.8), LensOptions(file=str(file), focal_length_mm=10.0))
+    plan = replace(make_render_plan(scene, camera, PIXEL, exact=True), tiling=Tiling(2000.0, 0.0, 0.0))
+    image = render(scene, camera, plan=plan)
+    y, x = (np.indices(image.shape) - 16) * 5.2 / 33
+    tangent = np.hypot(x, y) / camera.image_distance_mm
+    assert tangent.max() == pytest.approx(math.tan(math.radians(20)), rel=0.05)
+    wanted = 0.8 * 1000 * irradiance_factor(camera.f_number, tangent, camera.magnification)
+    np.testing.assert_allclose(image.illuminance_lx() / wanted, image.illuminance_lx()[16, 16] / wanted[16, 16], rtol=1e-4)
+    assert image.illuminance_lx()[16, 16] == pytest.approx(wanted[16, 16], rel=2e-3)  # the bands of D65 in luminance
+
+
+@pytest.mark.slow
+def test_the_brightest_pixel_sets_the_exposure_and_what_lies_beyond_the_circle_is_dark(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pixsim.scene.real_lens.choose_tiling", lambda *_: Tiling(6000.0, 750.0, 0.005))
+    scene, camera = through("phone", 12.0, 32, "flat", focal_length_mm=5.2, distance_m=1.0)
+    plan = make_render_plan(scene, camera, PIXEL)
+    share = dark_share(camera)
+    assert any(f"{share:.1%} of the die lies beyond the image circle of 'phone'" in note for note in plan.warnings)
+    image = render(scene, camera, plan=plan)
+    assert float((image.factors[1][0] == 0).mean()) == pytest.approx(share, abs=0.03)
+    pixel = Pixel(pitch_um=100.0, infrared_cut_nm=720.0)
+    thin = without_lens(camera)
+    physics, times = derive(pixel), []
+    for light, seen in ((image, camera), (render(scene, thin, plan=make_render_plan(scene, thin, pixel)), thin)):
+        chain = make_imaging_chain(light, seen, pixel, Exposure(), Display(dots=48))
+        times.append(integration_time_s(Exposure(), physics, float(chain.signal_e_per_s.max())))
+        assert chain.capture("x").integration_s == pytest.approx(times[-1], rel=1e-6)
+    assert times[0] == pytest.approx(times[1], rel=0.02)  # as much light on the axis, in spite of the dark corners
+    assert image.illuminance_lx().mean() < 0.6 * image.illuminance_lx().max()
+
+
+def test_camera_stands_in_the_entrance_pupil() -> None:
+    """Points on a line through its middle are one point of the picture at any distance, but for 5 % by its aberrations."""
+    camera = through("cooke_triplet", 20.0, distance_m=0.5)[1]
+    lens = traced_lens(camera.lens, camera.object_distance_m)
+    seen = replace(lens, object_distance_mm=2 * lens.object_distance_mm)
+    field = 10.0
+    near, far = (float(one.chief_ray(field, one.primary_nm).height_mm) for one in (lens, seen))
+    vertex_mm = lens.first_order(lens.primary_nm).entrance_pupil_from_first_vertex_mm
+    moved = math.degrees(math.atan(math.tan(math.radians(field)) * (1 + vertex_mm / seen.object_distance_mm / 2)))
+    other = float(seen.chief_ray(moved, seen.primary_nm).height_mm)
+    assert abs(near - far) < 0.05 * abs(near - other)  # on a line through the first vertex
 
 
 def test_plans_without_a_real_lens_say_nothing_of_it() -> None:
