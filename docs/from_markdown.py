@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ ELSEWHERE = {
 }
 COMMAND_LINE = "reference/command_line"
 COMMANDS_HERE = "<!-- commands -->"
+VALIDATION = "validation"
+VALIDATION_HERE = "<!-- validation -->"
 FENCE = re.compile(r"^ *(```|~~~)")
 CODE_OR_LINK = re.compile(r"(`+[^`]*`+)|(!?)\[((?:[^\[\]]|\[[^\]]*\]\([^)]*\))*)\]\(([^()\s]+)\)")
 logger = logging.getLogger(__name__)
@@ -90,6 +93,9 @@ def on_read(app: Sphinx, docname: str, content: list[str]) -> None:
         content[0] = source.read_text(encoding="utf-8")
     if docname == COMMAND_LINE:
         content[0] = content[0].replace(COMMANDS_HERE, commands())
+    if docname == VALIDATION:
+        tables = runpy.run_path(str(ROOT / "tests/helpers/validation.py"))["validation"]()
+        content[0] = content[0].replace(VALIDATION_HERE, tables)
     content[0] = rewritten(content[0], source, docname)
 
 

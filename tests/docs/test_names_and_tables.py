@@ -1,0 +1,65 @@
+"""Pages whose content follows the code: names that changed, and what the tests compare with."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from helpers import validation
+from helpers.documents import ROOT
+
+import pixsim
+from pixsim.studies.optimum import Optimum
+from pixsim.studies.result import Curve
+
+MIGRATION = (ROOT / "docs/migration.md").read_text(encoding="utf-8")
+ROWS = re.findall(r"^\| `([\w.]+)` \| (?:`([\w.]+)`|none)(.*) \|$", MIGRATION.partition("## Settings")[0], re.MULTILINE)
+RECORDS = {"Optimum": Optimum, "Curve": Curve}
+
+
+def found(name: str) -> bool:
+    """Whether a dotted name leads to a module, or to something in one or in a record."""
+    first, *rest = name.split(".")
+    thing: object = RECORDS.get(first, pixsim)
+    for depth, part in enumerate(rest, 1):
+        if part in getattr(thing, "__dataclass_fields__", {}):
+            return depth == len(rest)
+        if not hasattr(thing, part):
+            try:
+                import_module(".".join([first, *rest[:depth]]))
+            except ImportError:
+                return False
+        thing = getattr(thing, part)
+    return True
+
+
+@pytest.mark.parametrize(("old", "new"), [row[:2] for row in ROWS], ids=[row[0] for row in ROWS])
+def test_renamed_name_is_there_and_the_old_one_gone(old: str, new: str) -> None:
+    assert not found(old)
+    assert not new or found(new)
+
+
+def test_names_are_read_from_the_page() -> None:
+    assert len(ROWS) > 12
+    assert found("pixsim.study")
+    assert not found("pixsim.no_such_name")
+
+
+def test_validation_tables_name_every_judge_package_and_folder_of_data() -> None:
+    text = validation.validation()
+    for path in re.findall(r"`(tests/[^`]+)`", text):
+        assert (ROOT / path).exists(), path
+    packages = {path.parent.name for path in (ROOT / "pixsim").glob("*/__init__.py")} - {"data"}
+    assert {name for name in packages if f"| `{name}` |" not in text} == set()
+    judges = {path.name for path in (ROOT / "tests/judges").glob("test_*.py")} - {"test_table.py"}
+    assert {name for name in judges if f"`tests/judges/{name}`" not in text} == set()
+    assert f"Reference values for S-CIELAB | `tests/{'data'}/scielab` | `judges/test_scielab_judge.py`" in text
+    assert "|  |" not in text, "a file without a docstring"
+
+
+def test_validation_counts_tests_of_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "test_made_up.py"
+    file.write_text('"""A line.\n\nMore."""\n\ndef test_one():\n    def helper(): pass\n\ndef no(): pass\n\ndef test_two(): pass\n')
+    assert (validation.first_line(file), validation.count(file)) == ("A line", 2)

@@ -1,0 +1,81 @@
+"""What the tests compare with, as Markdown tables from the tests themselves: python tests/helpers/validation.py"""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parents[1]
+# Packages of pixsim, in the order of the light; what is tested as a whole stands below.
+ROOMS = ("base", "light", "optics", "sensor", "scene", "show", "viewer", "studies", "measure", "report", "accuracy", "cli")
+
+
+def test_files(room: str) -> list[Path]:
+    return sorted((TESTS / room).glob("test_*.py"))
+
+
+def first_line(path: Path) -> str:
+    """First line of a module's docstring."""
+    words = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return words.splitlines()[0].rstrip(".") if words else ""
+
+
+def count(path: Path) -> int:
+    """Test functions of a file; a parametrized one counts once."""
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    return sum(
+        isinstance(node, functions) and node.name.startswith("test_") for node in ast.walk(ast.parse(path.read_text("utf-8")))
+    )
+
+
+def data_used(path: Path) -> set[str]:
+    """Folders of tests/data that a file of tests names."""
+    text = path.read_text(encoding="utf-8")
+    return {each.name for each in (TESTS / "data").iterdir() if re.search(rf"""\bdata["'\s/]+{re.escape(each.name)}\b""", text)}
+
+
+def title(folder: Path) -> str:
+    """Title of a data folder's README; its name without one."""
+    readme = folder / "README.md"
+    return readme.read_text(encoding="utf-8").splitlines()[0].lstrip("# ") if readme.is_file() else folder.name.replace("_", " ")
+
+
+def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [head, ("---",) * len(head), *(tuple(cell.replace("|", "\\|") for cell in row) for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def rooms_table() -> str:
+    rows = []
+    for room in ROOMS:
+        for path in test_files(room):
+            rows.append((f"`{room}`", first_line(path), str(count(path)), f"`tests/{room}/{path.name}`"))
+    return table(("package", "what is tested", "tests", "file"), rows)
+
+
+def judges_table() -> str:
+    rows = [(first_line(path), f"`tests/judges/{path.name}`") for path in test_files("judges") if path.stem != "test_table"]
+    return table(("judge", "file"), rows)
+
+
+def data_table() -> str:
+    used: dict[str, list[str]] = {}
+    for path in sorted(TESTS.rglob("test_*.py")) + sorted((TESTS / "helpers").glob("*.py")):
+        for name in data_used(path) if path.name != Path(__file__).name else ():
+            used.setdefault(name, []).append(f"`{path.relative_to(TESTS)}`")
+    folders = [
+        folder for folder in sorted((TESTS / "data").iterdir()) if folder.is_dir() and folder.name in used and folder.name != "axe"
+    ]
+    rows = [(title(folder), f"`tests/data/{folder.name}`", ", ".join(used[folder.name])) for folder in folders]
+    return table(("data from outside, with origin and licence beside it", "folder", "used by"), rows)
+
+
+def validation() -> str:
+    """The tables with their headings."""
+    parts = (("Outside standards and programs", judges_table), ("Outside data", data_table), ("Tests of each package", rooms_table))
+    return "\n\n".join(f"## {heading}\n\n{made()}" for heading, made in parts)
+
+
+if __name__ == "__main__":
+    print(validation())
