@@ -36,7 +36,7 @@ MOST_SAMPLES = 320  # of a pupil: a PSF with more takes too long
 SHRUNK = 0.8  # of the last pupil's half widths, one step beyond it
 MAX_WINDOW = 4096  # film cells
 FINER = 1.5  # samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2 times its end
-TURNED_MARGIN = 32  # film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
+TURNED_MARGIN = 48  # film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
 PADDING = 1.5  # of the window of a PSF, for its OTF between frequencies: 2e-3 of the light at the sides of its cells
 SPLINE_MARGIN = 3  # frequencies, so that the end of a spline is not seen
 VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
@@ -288,18 +288,21 @@ def periodic_psf(light: Light, x_um: float, y_um: float, pitch_um: float, window
     frequency = np.hypot(np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3))
     pending = np.zeros((fine, fine), np.float32)
     # A sample of the pupil is a mean over its square, which dims the outer parts of the PSF.
-    unboxed = (np.sinc(np.fft.fftfreq(fine)) ** -2).astype(np.float32)
+    along = (np.sinc(np.fft.fftfreq(fine)) ** -2).astype(np.float32)
+    unboxed = along[:, None] * along
     for front, number, share in zip(light.fronts, numbers, light.share, strict=True):
         pupil, area = pupil_function(number, front.wavelength_nm, azimuth, front.wavelength_nm * UM_PER_NM / size_um)
         amplitude = ifft(ifft(pupil, fine, axis=1), fine, axis=0, overwrite_x=True)
-        intensity = amplitude.real**2 + amplitude.imag**2
-        intensity *= unboxed[:, None] * unboxed
+        intensity = np.square(amplitude.real)
+        intensity += np.square(amplitude.imag)
         intensity *= np.float32(share * fine**2 / area)
         if light.transfer is None:
             pending += intensity
         else:
+            intensity *= unboxed
             total += _low_frequencies(intensity, half) * light.transfer(frequency, front.wavelength_nm)
     if light.transfer is None:
+        pending *= unboxed
         total = _low_frequencies(pending, half)
     total[0, 0] = 1.0
     return np.asarray(irfft2(total.astype(complex), (window, window)))

@@ -19,6 +19,7 @@ from pixsim.optics.camera_lens import (
     fitted_wavefronts,
     lens_on_die,
     light_of,
+    psfs_of,
     rendered_camera,
     traced_lens,
     without_lens,
@@ -181,6 +182,62 @@ def test_a_points_picture_has_the_centroid_of_the_traced_spot_in_every_direction
         found = np.array([(psf.kernel * offsets).sum(), (psf.kernel * offsets[:, None]).sum()]) / psf.kernel.sum()
         assert found @ outwards - shift_um == pytest.approx(spot_um, rel=0.15)  # the stop is filled evenly, the pupil nearly so
         assert abs(found[0] * outwards[1] - found[1] * outwards[0]) < 0.02 * abs(spot_um)
+
+
+STOP_IN_FRONT = """
+name = "stop in front"
+stop_surface = 1
+[aperture]
+type = "f_number"
+f_number = 32
+[fields]
+max_deg = 10
+[wavelengths]
+unit = "nm"
+values = [450, 550, 650]
+primary = 550
+[[surface]]
+radius_mm = inf
+thickness_mm = 15
+glass = "air"
+[[surface]]
+radius_mm = 50
+thickness_mm = 3
+glass = "SCHOTT:F2"
+[[surface]]
+radius_mm = -50
+thickness_mm = 39
+glass = "air"
+"""
+
+
+def test_lateral_colour_of_a_point_is_that_of_the_traced_rays(tmp_path: Path) -> None:
+    """Light of two wavelengths from one point of the scene lies where the chief rays of both arrive, in any direction."""
+    file = tmp_path / "own.toml"
+    file.write_text(STOP_IN_FRONT, encoding="utf-8")
+    camera = with_lens(str(file), 10.0, 1e4, focal_length_mm=40.0)
+    lens, field = lens_of(camera), 8.0
+    heights_um = 1e3 * np.asarray(lens.chief_ray(field, np.array([450.0, 550.0, 650.0])).height_mm)
+    assert heights_um[2] - heights_um[0] > 80  # µm, ten cells
+    cells, pitch_um = 65, 8.0
+    offsets, tiling = (np.arange(cells) - cells // 2) * pitch_um, Tiling(800.0, cells * pitch_um, 0.0)
+    for nm, height_um in zip((450.0, 650.0), heights_um[[0, 2]], strict=True):
+        psfs = psfs_of(camera, (1250, 1250), pitch_um, tiling, np.array([nm]), np.ones(1))
+        waves = lens.wavefront(np.array([field]), np.array([nm]), *_even_points())
+        wanted_um = height_um - heights_um[1] + 1e3 * float(waves.y_mm.mean())
+        for turn in np.radians([0.0, 130.0, 225.0]).tolist():
+            outwards = np.array([math.cos(turn), math.sin(turn)])
+            x_um, y_um = heights_um[1] * outwards
+            kernel = psfs.at(x_um, y_um, pitch_um, cells).kernel
+            found_um = np.array([(kernel * offsets).sum(), (kernel * offsets[:, None]).sum()]) / kernel.sum()
+            assert found_um @ outwards == pytest.approx(wanted_um, abs=1.5)
+            assert abs(found_um[0] * outwards[1] - found_um[1] * outwards[0]) < 0.2
+
+
+def _even_points() -> tuple[np.ndarray, np.ndarray]:
+    """Points that fill a disc evenly."""
+    radius, turn = np.sqrt((np.arange(400) + 0.5) / 400), np.arange(400) * math.pi * (3 - math.sqrt(5))
+    return radius * np.cos(turn), radius * np.sin(turn)
 
 
 def test_interpolated_wavefronts_are_the_traced_ones_between_the_nodes() -> None:

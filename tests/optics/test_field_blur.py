@@ -237,6 +237,34 @@ def test_lateral_colour_moves_the_psf() -> None:
     assert (kernel * rows).sum() == pytest.approx(0, abs=1e-6)
 
 
+def test_psfs_act_on_means_over_cells_and_give_such_means() -> None:
+    """Cells four times finer, blurred and averaged, against averages that are blurred: equal for all detail that the film holds.
+
+    PSFs that are means over cells themselves would blur such means once more, by sinc² of the frequency times the cell.
+    """
+    light = Light([fitted(4.0, np.linspace(0, 0.4, 9), 1.0, uneven)], np.ones(1))
+    cells, finer = 120, 4
+    generator = np.random.default_rng(9)
+    spectrum = np.fft.rfft2(generator.standard_normal((cells * finer,) * 2))
+    frequency = np.hypot(np.fft.fftfreq(cells * finer)[:, None], np.fft.rfftfreq(cells * finer)) * finer
+    picture = np.fft.irfft2(spectrum * (frequency < 0.45))  # of 0.5, the film's Nyquist frequency
+
+    def averaged(fine: Array) -> Array:
+        return fine.reshape(cells, finer, cells, finer).mean(axis=(1, 3))
+
+    def blurred(sharp: Array, psf: Array) -> Array:
+        return np.fft.irfft2(np.fft.rfft2(sharp) * np.fft.rfft2(psf), sharp.shape)
+
+    fine_psf = periodic_psf(light, 200.0, 100.0, PITCH_UM / finer, cells * finer)
+    right = averaged(blurred(picture, fine_psf))
+    found = blurred(averaged(picture), periodic_psf(light, 200.0, 100.0, PITCH_UM, cells))
+    assert np.sqrt(np.mean((found - right) ** 2)) < 1e-4 * right.std()
+    half = finer // 2  # a cell's middle lies between fine cells: the mean of both ways to divide them
+    of_cells = [averaged(np.roll(fine_psf, (row, column), (0, 1))) for row in (half, half - 1) for column in (half, half - 1)]
+    twice = blurred(averaged(picture), finer**2 * np.mean(of_cells, axis=0))
+    assert np.sqrt(np.mean((twice - right) ** 2)) > 0.05 * right.std()
+
+
 def test_too_few_rays_are_refused() -> None:
     front = PupilRays(np.zeros((5, 2)), np.full(5, np.nan), np.zeros((5, 2)), 0.0)
     with pytest.raises(PixsimError, match="0 rays at 0 µm"):

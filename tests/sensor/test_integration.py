@@ -13,10 +13,12 @@ from scipy.constants import c as light_speed, h as planck
 from scipy.interpolate import make_interp_spline
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Pixel
+from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
 from pixsim.light.spectral import SpectralImage, photons_per_joule
+from pixsim.optics.camera_lens import Tiling, camera_with_lens, fitted_wavefronts
+from pixsim.optics.field_blur import Light, point_spread
 from pixsim.sensor import integration
-from pixsim.sensor.integration import Columns, integrate_axis, integrate_pixels, mean_signal_rate, running_integral
+from pixsim.sensor.integration import Columns, integrate_axis, integrate_pixels, mean_signal_rate, real_lens_rate, running_integral
 from pixsim.sensor.pixel import derive
 
 DIE_UM = 2713.6
@@ -336,3 +338,26 @@ def test_capture_beyond_the_die_has_pixels_of_the_die(die_height_mm: float | Non
     light = SpectralImage([550.0], 10.0, 1.0, data=np.ones((10, 12, 1), np.float32))
     physics = derive(Pixel(technology="4t-bsi", pitch_um=1.0))
     assert mean_signal_rate(light, camera, physics).shape == (rows, 12)
+
+
+def test_each_colour_is_blurred_by_the_psf_of_its_own_light() -> None:
+    """A point through a singlet as three channels see it, against the PSFs of all bands by the shares of each channel."""
+    nm, cells, pitch_um = np.arange(420.0, 661.0, 20.0), 33, 12.0
+    camera = camera_with_lens(
+        Camera(die_mm=3.0, object_distance_m=5.0), CameraOptions(f_number=8.0), LensOptions(file="singlet", focal_length_mm=20.0)
+    )
+    channels = [np.exp(-(((nm - middle) / 35) ** 2)) for middle in (460.0, 540.0, 610.0)]
+    tiling = Tiling(400.0, cells * pitch_um, 0.0, wavelengths=6)
+    picture, place = np.zeros((129, 129), np.float32), (92, 32)
+    picture[place] = 1.0
+    image = SpectralImage(nm, 20.0, pitch_um, factors=(np.ones((1, nm.size)), picture[None]))
+    at_um = [(place[axis] - 64) * pitch_um for axis in (1, 0)]
+    fronts = fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes)
+    single = [point_spread(Light([front], np.ones(1)), *at_um, pitch_um, cells).kernel for front in fronts]
+    around = tuple(slice(middle - cells // 2, middle + cells // 2 + 1) for middle in place)
+    found = []
+    for weight in channels:
+        right = sum(share * psf for share, psf in zip(weight / weight.sum(), single, strict=True))
+        found.append(real_lens_rate(image, camera, tiling, weight, None)[around] / weight.sum())
+        assert np.linalg.norm(found[-1] - right) < 0.03 * np.linalg.norm(right)
+    assert np.linalg.norm(found[0] - found[2]) > 0.3 * np.linalg.norm(found[2])
