@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import check_compression, check_size, opened, reason
@@ -28,18 +28,19 @@ load_when_used("f2py", "testing")  # before SciPy is imported, which uses neithe
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
 MAX_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
-CACHE_LINE = 8  # float64 numbers
+CACHE_LINE_BYTES = 64
 STRIP_SAMPLES = 1 << 15  # float64, 256 KiB: three strips and the arrays computed from them fit into the L2 cache of a core
 
 
-def empty_planes(*shape: int) -> Array:
-    """Uninitialised float64 array (…, H, W) whose row stride is an odd number of cache lines.
+def empty_planes(*shape: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Uninitialised array (…, H, W) whose row stride is an odd number of cache lines.
 
     A stride of a power of two maps all rows to the same few cache lines: transforms along columns would take 3 times as long.
     """
     reuse_freed_memory()
-    lines = -(-shape[-1] // CACHE_LINE) | 1
-    return np.empty((*shape[:-1], lines * CACHE_LINE))[..., : shape[-1]]
+    numbers = CACHE_LINE_BYTES // np.dtype(dtype).itemsize
+    lines = -(-shape[-1] // numbers) | 1
+    return np.empty((*shape[:-1], lines * numbers), dtype)[..., : shape[-1]]
 
 
 def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice]:
@@ -48,7 +49,7 @@ def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice
     return (slice(first, min(first + lines, count)) for first in range(0, count, lines))
 
 
-def strips_of(shape: tuple[int, ...]) -> Iterator[tuple[slice, Array]]:
+def strips_of(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> Iterator[tuple[slice, NDArray[Any]]]:
     """Slice of rows and an uninitialised work array (…, rows, W) for each strip of planes (…, H, W).
 
     All strips share one work array: allocating the pages of a new one costs more than the arithmetic.
@@ -56,7 +57,7 @@ def strips_of(shape: tuple[int, ...]) -> Iterator[tuple[slice, Array]]:
     scratch = None
     for rows in strips(*shape[-2:]):
         if scratch is None:
-            scratch = np.empty((*shape[:-2], rows.stop, shape[-1]))
+            scratch = np.empty((*shape[:-2], rows.stop, shape[-1]), dtype)
         yield rows, scratch[..., : rows.stop - rows.start, :]
 
 
@@ -102,14 +103,14 @@ def in_threads(function: Callable[[Item], None], items: Iterable[Item], size: in
             pool.shutdown(cancel_futures=True)
 
 
-def dct(planes: Array) -> Array:
-    """DCT-II over the last two axes of (…, H, W), in place; the result does not depend on the number of threads."""
+def dct(planes: NDArray[Any]) -> NDArray[Any]:
+    """DCT-II over the last two axes of (…, H, W), in place, in float32 or float64; any number of threads gives the same."""
     from scipy.fft import dctn  # imported here: it takes 0.1 s
 
     return np.asarray(dctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=threads()))
 
 
-def inverse_dct(planes: Array) -> Array:
+def inverse_dct(planes: NDArray[Any]) -> NDArray[Any]:
     """Inverse of `dct`, in place."""
     from scipy.fft import idctn
 

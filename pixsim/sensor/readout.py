@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -81,25 +81,34 @@ def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.
     uneven_dark = p.dark_current_e_per_s > 0 and not dark_spread.is_even
     gain, dark_gain, offset_e = (np.empty(shape) if uneven else None for uneven in (p.prnu, uneven_dark, p.offset_fpn_e))
 
-    def draw(rows: slice, rng: np.random.Generator) -> None:
+    def draw(block: slice, rng: np.random.Generator) -> None:
         if gain is not None:
-            np.maximum(1.0 + p.prnu * rng.standard_normal(gain[rows].shape), 0.0, out=gain[rows])
+            for part in _rows_of(gain[block]):
+                _draw_gaussian(p.prnu, part, rng)
+                part += 1.0
+                np.maximum(part, 0.0, out=part)
         if dark_gain is not None:
-            dark_gain[rows] = dark_spread.sample(dark_gain[rows].shape, rng)
+            dark_gain[block] = dark_spread.sample(dark_gain[block].shape, rng)
         if offset_e is not None:
-            offset_e[rows] = p.offset_fpn_e * rng.standard_normal(offset_e[rows].shape)
+            for part in _rows_of(offset_e[block]):
+                _draw_gaussian(p.offset_fpn_e, part, rng)
 
     by_block(draw, shape, rng)
-    return Sensor(p, shape, gain, dark_gain, offset_e, _gaussian_map(p.column_fpn_e, (1, shape[1]), rng))
+    column_offset_e = np.empty((1, shape[1])) if p.column_fpn_e else None
+    if column_offset_e is not None:
+        _draw_gaussian(p.column_fpn_e, column_offset_e, rng)
+    return Sensor(p, shape, gain, dark_gain, offset_e, column_offset_e)
 
 
-def _gaussian_map(spread: float, shape: tuple[int, ...], rng: np.random.Generator) -> Array | None:
-    """Draw normal values of mean 0; None, without drawing, if the standard deviation is 0."""
-    if not spread:
-        return None
-    values = rng.standard_normal(shape)
-    values *= spread
-    return values
+def _rows_of(picture: Array) -> Iterator[Array]:
+    """Yield views of a few rows of a picture (rows, columns) at a time, which stay in a core's cache."""
+    return (picture[rows] for rows in strips(*picture.shape))
+
+
+def _draw_gaussian(spread: float, out: Array, rng: np.random.Generator) -> None:
+    """Draw normal values of mean 0 into `out`."""
+    rng.standard_normal(out=out)
+    out *= spread
 
 
 @checks_arguments
@@ -234,19 +243,27 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
         within = [
             slice(block.start + rows.start, block.start + rows.stop) for rows in strips(block.stop - block.start, dn.shape[1])
         ]
+        charge, dark_e = (np.empty((max(rows.stop - rows.start for rows in within), dn.shape[1])) for _ in range(2))
         for rows in within:
-            charge = mean_e[rows] if sensor.gain is None else mean_e[rows] * sensor.gain[rows]
+            mean, dark = (work[: rows.stop - rows.start] for work in (charge, dark_e))
+            np.multiply(mean_e[rows], 1.0 if sensor.gain is None else sensor.gain[rows], out=mean)
             if mean_dark_e:
-                charge = charge + (mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain[rows])
-            generated[rows] = shot_noise(charge, rng)
+                mean += mean_dark_e if sensor.dark_gain is None else np.multiply(mean_dark_e, sensor.dark_gain[rows], out=dark)
+            generated[rows] = shot_noise(mean, rng)
         for rows in within:
-            level = stored_signal_e(generated[rows], integration_s, p)
-            offset_e = None if sensor.offset_e is None else sensor.offset_e[rows]
-            for added_e in (_gaussian_map(noise_e, level.shape, rng), offset_e, sensor.column_offset_e):
+            level, noise = generated[rows], charge[: rows.stop - rows.start]
+            full = level >= full_e
+            level = stored_signal_e(level, integration_s, p)
+            if noise_e:
+                _draw_gaussian(noise_e, noise, rng)
+                level += noise
+            for added_e in (None if sensor.offset_e is None else sensor.offset_e[rows], sensor.column_offset_e):
                 if added_e is not None:
-                    level = level + added_e
-            dn[rows] = quantise(level * p.dn_per_e + p.pixel.black_level_dn, p.pixel.bits)
-            saturated.append(int(np.count_nonzero((generated[rows] >= full_e) | (dn[rows] >= top_dn))))
+                    level += added_e
+            level *= p.dn_per_e
+            level += p.pixel.black_level_dn
+            dn[rows] = quantise(level, p.pixel.bits)
+            saturated.append(int(np.count_nonzero(full | (dn[rows] >= top_dn))))
 
     by_block(expose, mean_e.shape, rng)
     return dn, sum(saturated) / max(dn.size, 1)

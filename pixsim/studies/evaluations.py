@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
@@ -47,6 +47,7 @@ from pixsim.viewer.score import (
     SceneCache,
     Score,
     SharedLight,
+    allows_single,
     chain_at_pitch,
     check_one_ideal,
     prepare_scene,
@@ -254,6 +255,12 @@ def light_of(study: Study, scenes: SceneCache, technology: str) -> SharedLight:
     return light
 
 
+def scenes_of(study: Study, irradiance: SpectralImage, camera: Camera) -> SceneCache:
+    """Return the cache of the lights behind the lens of a study."""
+    single = allows_single(study.tolerance_delta_e)
+    return SceneCache(irradiance, camera, study.display, most_channels(study), single=single)
+
+
 def most_channels(study: Study) -> int:
     """Return the largest number of channels among a study's sensors, 1 for monochrome ones."""
     colours = [study.options_of(technology).colour for technology in study.technologies]
@@ -281,7 +288,8 @@ def chain_at(
     """
     physics = physics_of(study, technology, pitch_um, process)
     if isinstance(light, SpectralImage):
-        light = prepare_scene(light, camera, physics, study.display, border_um=study.pitch.largest_um)
+        options: dict[str, Any] = {"border_um": study.pitch.largest_um, "single": allows_single(study.tolerance_delta_e)}
+        light = prepare_scene(light, camera, physics, study.display, **options)
     return chain_at_pitch(light, physics, study.exposure, study.correction, study.develop)
 
 
@@ -452,10 +460,11 @@ class Fingerprints:
 
     @cached_property
     def display(self) -> str:
-        """Hash of the display and of the part of the die that is scored on it."""
+        """Hash of the display, of the part of the die that is scored on it, and of the precision."""
         study = self.study
         border_um = study.pitch.largest_um if study.display.raster == "fixed_size" else 0.0
-        return content_hash([study.display.content_hash, study.develop.content_hash, border_um])
+        single = allows_single(study.tolerance_delta_e)
+        return content_hash([study.display.content_hash, study.develop.content_hash, border_um, single])
 
     def scene(self, technology: str) -> str:
         """Return the hash of the light that all pitches of a technology share."""

@@ -33,7 +33,7 @@ from pixsim.studies.evaluations import (
     block_key,
     chain_at,
     light_of,
-    most_channels,
+    scenes_of,
     scores_of,
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
@@ -270,7 +270,7 @@ class StudyResult:
     @cached_property
     def scenes(self) -> SceneCache:
         """The light behind the lens for each spectral response, stored for `scores`."""
-        return SceneCache(self.irradiance, self.camera, self.study.display, most_channels(self.study))
+        return scenes_of(self.study, self.irradiance, self.camera)
 
     @cached_property
     def fingerprints(self) -> Fingerprints:

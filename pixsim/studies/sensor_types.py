@@ -20,7 +20,7 @@ from pixsim.base.progress import Progress
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.claims import scaling_rows
 from pixsim.studies.engine import Workers
-from pixsim.studies.evaluations import Evaluations, Part, Sampling, most_channels, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, Part, Sampling, scenes_of, study_pitches_um
 from pixsim.studies.indices import total_indices
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.rows import NO_ROWS
@@ -38,7 +38,6 @@ from pixsim.studies.uncertainty import (
     summarise,
     unknowns_of_study,
 )
-from pixsim.viewer.score import SceneCache
 
 MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
 MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
@@ -110,7 +109,7 @@ def draw_types(
     samplings: list[Sampling] = []
     for number, base in enumerate(bases):
         own = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick", "target_ci_um"})
-        scenes = SceneCache(base.irradiance, base.camera, base.study.display, most_channels(base.study))
+        scenes = scenes_of(base.study, base.irradiance, base.camera)
         table = merge(own, {"paper": False, "resolution": base.study.resolution})
         studies = [Study.model_validate(merge(table, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
         ranges = [_common_range_um(studies, curve) for curve in base.curves]

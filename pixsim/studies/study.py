@@ -51,6 +51,7 @@ from pixsim.studies.evaluations import (
     first_sampling,
     largest_pixel_um,
     most_channels,
+    scenes_of,
     study_pitches_um,
     warn_of_clipped_white,
     warn_of_stacks,
@@ -607,7 +608,7 @@ def evaluate_cases(
         # The header states everything that a render depends on, so that cases of other pixels may have equal ones.
         of_light = [irradiance.header, irradiance.shape, irradiance.pitch_um, camera.model_dump()]
         key = content_hash([*of_light, case.study.display.content_hash])
-        scenes = caches.setdefault(key, SceneCache(irradiance, camera, case.study.display))
+        scenes = caches.setdefault(key, scenes_of(case.study, irradiance, camera))
         scenes.channels = max(scenes.channels, most_channels(case.study))
         made.append(Part(case, scenes))
     check_ideals(made)

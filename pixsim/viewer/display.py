@@ -10,11 +10,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display
@@ -36,6 +36,7 @@ GAMUT_TOLERANCE = 1e-9  # of a primary's largest light, for rounding
 WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # pictures divided by white stay within float64 for any sensor and exposure
 SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # quintic is only the reference for cubic displays
 B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
+MAX_UNSURE, MAX_LOG = 0.1, 80.0  # in codes; of float32, which underflows at exp(-87)
 WHITE_PERCENTILE = 99.0  # of the luminance of a scene whose white is unknown
 WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
 
@@ -351,10 +352,34 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
     """
     top = 2**display.bits - 1
     light = (np.arange(top + 1) / top) ** display.gamma
-    counts = np.asarray(np.clip(relative_luminance, 0.0, 1.0))
-    np.power(counts, 1 / display.gamma, out=counts)
-    counts *= top
-    return light[np.rint(counts, out=counts).astype(np.intp)]
+    shown = np.empty(relative_luminance.shape)
+    values, out = relative_luminance.reshape(-1), shown.reshape(-1)
+    for part in strips(values.size, 1):
+        np.take(light, _counts(np.clip(values[part], 0.0, 1.0), display.gamma, top), out=out[part])
+    return shown
+
+
+def _counts(luminance: Array, gamma: float, top: int) -> NDArray[np.intp]:
+    """Return the codes, round(top · luminance^(1/γ)), of luminance (n,) from 0 to 1.
+
+    NumPy computes `log` and `exp` of float32 several at a time, with errors below 4 units in the last place. They decide on codes
+    that are farther than that from a half; the others are computed in float64, as all are if that would be most.
+    """
+    reach = math.log(2 * top)  # |ln| of the smallest luminance^(1/γ) that is not code 0
+    unsure = top * float(np.finfo(np.float32).eps) * (1 / gamma + 5 * reach + 4)
+    if unsure > MAX_UNSURE or gamma * reach > MAX_LOG:
+        return np.rint(luminance ** (1 / gamma) * top).astype(np.intp)
+    with np.errstate(divide="ignore"):  # luminance 0 is exp(-infinity)
+        level = np.log(luminance.astype(np.float32))
+    level *= np.float32(1 / gamma)
+    np.exp(level, out=level)
+    level *= np.float32(top)
+    nearest = np.rint(level)
+    counts = nearest.astype(np.intp)
+    level -= nearest
+    near_half = np.flatnonzero(np.abs(level, out=level) > 0.5 - unsure)
+    counts[near_half] = np.rint(luminance[near_half] ** (1 / gamma) * top)
+    return counts
 
 
 @checks_arguments

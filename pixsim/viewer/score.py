@@ -47,7 +47,15 @@ from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, mixed, noise_covariance, rendition_of
-from pixsim.viewer.scielab import delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map, xyz_to_lab
+from pixsim.viewer.scielab import (
+    SINGLE_DELTA_E,
+    colour_delta_e_map,
+    delta_e,
+    filtered_grey_lab,
+    filtered_lab,
+    grey_delta_e_map,
+    xyz_to_lab,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -164,12 +172,18 @@ def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
     return result
 
 
-def perceived_lab(shown: Array, display: Display, full: bool = False) -> Array:
+def allows_single(tolerance_delta_e: float | None) -> bool:
+    """Return whether a study may compute S-CIELAB in float32, whose error of a mean ΔE is below `SINGLE_DELTA_E`."""
+    return tolerance_delta_e is None or tolerance_delta_e >= SINGLE_DELTA_E
+
+
+def perceived_lab(shown: Array, display: Display, full: bool = False, single: bool = False) -> Array:
     """Return the CIELAB of a shown image after the eye's blur, (H, W, 3); `full` computes a grey one as a colour image.
 
     shown : (H, W) luminance, or (H, W, 3) light of the display's primaries
+    single : as of `filtered_lab`
     """
-    view = viewing_conditions(display)
+    view = viewing_conditions(display) | {"single": single}
     if shown.ndim == 3:
         return filtered_lab(displays.rgb_to_xyz(shown), **view)
     return filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
@@ -188,6 +202,7 @@ class Screen:
     dot_edges_um : of the rows and columns of dots that are shown and scored
     ideal, ideal_lab : shown light on those dots, as of `Score`, and its CIELAB after the eye's blur
     full : use no shortcut for grey images
+    single : compute S-CIELAB in float32
     ideal_out_of_gamut : of `Score.out_of_gamut`
     """
 
@@ -197,6 +212,7 @@ class Screen:
     ideal: Array = field(repr=False)
     ideal_lab: Array = field(repr=False)
     full: bool = False
+    single: bool = False
     ideal_out_of_gamut: float = 0.0
 
     @property
@@ -210,9 +226,12 @@ class Screen:
 
     def delta_e_of(self, image: Array) -> Array:
         """Return the S-CIELAB difference between a shown picture and the ideal one, (H, W)."""
-        if image.ndim == 2 and self.display.delta_e == "1976" and not self.full:
-            return grey_delta_e_map(self.ideal_lab, image, **viewing_conditions(self.display))
-        return delta_e(self.ideal_lab, perceived_lab(image, self.display, self.full), self.display.delta_e)
+        if self.display.delta_e != "1976" or self.full:
+            return delta_e(self.ideal_lab, perceived_lab(image, self.display, self.full, self.single), self.display.delta_e)
+        view = viewing_conditions(self.display) | {"single": self.single}
+        if image.ndim == 2:
+            return grey_delta_e_map(self.ideal_lab, image, **view)
+        return colour_delta_e_map(self.ideal_lab, displays.rgb_to_xyz(image), **view)
 
 
 @dataclass(frozen=True)
@@ -462,9 +481,11 @@ def prepare_scene(
     full: bool = False,
     *,
     border_um: float | None = None,
+    single: bool = False,
 ) -> PreparedScene:
     """Return the light behind the lens and the screen. They depend on the pitch only if the raster is one_to_one.
 
+    single : compute S-CIELAB in float32, as a study does for its many evaluations; not with `full`
     border_um : largest pitch scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's pitch
 
     Raises PixsimError if the irradiance is negative or not finite.
@@ -479,9 +500,10 @@ def prepare_scene(
     if full:  # nothing of the pixels' stack is left out
         lights = tuple(replace(one, illumination=replace(one.illumination, spare_e=0.0)) for one in lights)
     whites = tuple(displays.white_rate(irradiance, camera, channel, display) for channel in channels)
-    lab = perceived_lab(ideal, display, full)
+    single = single and not full
+    lab = perceived_lab(ideal, display, full, single)
     gamut = 0.0 if rendition is None else displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
-    screen = Screen(display, displays.picture_size_um(irradiance), edges_um, ideal, lab, full, gamut)
+    screen = Screen(display, displays.picture_size_um(irradiance), edges_um, ideal, lab, full, single, gamut)
     array_um = array_size_um(irradiance, camera)
     return PreparedScene(lights, irradiance.pitch_um, whites, screen, array_um, fraction_beyond_white(light), rendition)
 
@@ -494,10 +516,14 @@ class SceneCache:
     """Prepared scenes of one irradiance, camera and display, made on first use and stored while memory allows.
 
     channels : of the pixels, the most of those that share the cache
+    single : of `prepare_scene`
     """
 
-    def __init__(self, irradiance: SpectralImage, camera: Camera, display: Display, channels: int = 1) -> None:
+    def __init__(
+        self, irradiance: SpectralImage, camera: Camera, display: Display, channels: int = 1, *, single: bool = False
+    ) -> None:
         self.irradiance, self.camera, self.display, self.channels = irradiance, camera, display, channels
+        self._single = single
         self._scenes: dict[object, PreparedScene] = {}
         self._beyond_white: dict[object, float] = {}
 
@@ -508,7 +534,8 @@ class SceneCache:
         if key not in self._scenes:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
-            self._scenes[key] = prepare_scene(self.irradiance, self.camera, physics, self.display, border_um=border_um)
+            options: dict[str, Any] = {"border_um": border_um, "single": self._single}
+            self._scenes[key] = prepare_scene(self.irradiance, self.camera, physics, self.display, **options)
             self._beyond_white[key] = self._scenes[key].beyond_white
         return self._scenes[key]
 

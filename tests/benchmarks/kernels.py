@@ -5,7 +5,7 @@
 Medians of wall times in one process, with both versions side by side, so that ratios hold on a busy machine. The plain version
 uses NumPy and SciPy directly: one padded FFT convolution per Gaussian, channel, picture or band; one noise stage after another;
 an interpolator for the display. The unavoidable operations of an evaluation (one sensor at one pitch) are its random numbers,
-transforms and cube roots, of the same sizes, in padded planes and in place.
+transforms and cube roots, of the same sizes, in padded planes and in place, in float32 as in a study.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ from scipy.signal import fftconvolve
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.timing import median_s, seconds_of
 
+import pixsim
 from pixsim import optics
 from pixsim.base.arrays import dct, empty_planes, inverse_dct, stream
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel
+from pixsim.base.parameters import Camera, Display, Exposure, LensOptions, Pixel
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.scene.charts import csf_value
 from pixsim.sensor.integration import diffracted_rate
@@ -42,7 +43,7 @@ NM = np.arange(400.0, 701.0, 10.0)
 DIE_MM = 2.7136
 CAMERA, DISPLAY, EXPOSURE = Camera(die_mm=DIE_MM), Display(), Exposure()
 PITCHES_UM = (5.3, 6.5, 15.0)
-MAX_TIMES_PARTS = 2.0
+MAX_TIMES_PARTS = 1.3
 KERNEL_SPREADS = 3  # half width of a sampled kernel, in spreads
 
 
@@ -159,7 +160,7 @@ def targets() -> None:
     small = bands(512)
     few = partial(diffracted_rate, small, CAMERA, physics)
     row("diffraction, 31 bands, general, 512²", None, few, partial(plain_optics, small), 3)
-    light = prepare_scene(film, CAMERA, physics, DISPLAY)
+    light = prepare_scene(film, CAMERA, physics, DISPLAY, single=True)
     chain = chain_at_pitch(light, physics, EXPOSURE)
     shape, signal = chain.signal_e_per_s.shape, chain.signal_e_per_s
     frame = chain.simulate(0).frame
@@ -180,37 +181,77 @@ def targets() -> None:
     row("sense, display, score of a 512² frame", 0.08, evaluation, plain)
 
 
-def unavoidable(chain: ImagingChain) -> dict[str, float]:
-    """Seconds of random numbers, transforms and cube roots of one evaluation."""
+def unavoidable(chain: ImagingChain) -> dict[str, Work]:
+    """Random numbers, transforms and cube roots of one evaluation."""
     p, rng = chain.physics, np.random.default_rng(0)
-    mean_e = chain.simulate(0).frame.mean_e
-    dots = chain.screen.ideal.shape
-    grey, planes = empty_planes(*dots), empty_planes(3, *dots)
-    grey[...] = planes[...] = chain.screen.ideal
-    relative, roots = np.full((3, *dots), 0.5), np.empty((3, *dots))
-    # Three normals per pixel for PRNU, offset, and reset with read noise; a gamma for DSNU; a Poisson for photons.
+    mean_e, screen = chain.simulate(0).frame.mean_e, chain.screen
+    dots, number = screen.ideal.shape[:2], np.float32 if screen.single else np.float64
+    first, planes = (empty_planes(count, *dots, dtype=number) for count in (1 if screen.ideal.ndim == 2 else 3, 3))
+    first[...] = planes[...] = 0.5
+    relative, work = np.full((3, *dots), 0.5, number), np.empty((3, *dots), number)
+    roots = partial(scielab._single_cube_roots, relative, work) if screen.single else partial(np.cbrt, relative, out=work)
+    drawn = np.empty(mean_e.shape)
+    normals = [spread for spread in (p.prnu, p.offset_fpn_e, p.noise_floor_e) if spread]
     return {
-        "normals": 3 * median_s(lambda: rng.standard_normal(mean_e.shape)),
-        "gamma": median_s(lambda: rng.gamma(p.dsnu**-2, p.dsnu**2, mean_e.shape)),
-        "Poisson": median_s(lambda: rng.poisson(mean_e)),
-        "DCTs": median_s(lambda: dct(grey)) + median_s(lambda: inverse_dct(planes)),
-        "cube roots": median_s(lambda: np.cbrt(relative, out=roots)),
+        "normals": lambda: [rng.standard_normal(out=drawn) for _ in normals],
+        "gamma": lambda: rng.gamma(p.dsnu**-2, p.dsnu**2, mean_e.shape) if p.dsnu else None,
+        "Poisson": lambda: rng.poisson(mean_e),
+        "DCTs": lambda: (dct(first), inverse_dct(planes)),
+        "cube roots": roots,
     }
 
 
+COLOUR = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
+LENSED = {"height_um": 3.0, "index": 1.5, "microlens": "square"}  # not shifted: what is collected varies over the field
+ROUNDS = 15
+
+
 def parts() -> None:
-    print(f"\nan evaluation, ms: {'whole':>8} {'parts':>8} {'ratio':>6}  at most {MAX_TIMES_PARTS:g}")
-    light = prepare_scene(chart(1024), CAMERA, derive(Pixel()), DISPLAY)
-    for pitch_um in PITCHES_UM:
-        chain = chain_at_pitch(light, derive(Pixel(pitch_um=pitch_um)), EXPOSURE)
-        seconds = unavoidable(chain)
-        whole, sum_ = median_s(lambda chain=chain: chain.simulate(1).statistics(), 21), sum(seconds.values())
+    """Least times of turns that alternate between the whole and its parts: other programs disturb both alike."""
+    print(f"\nan evaluation, ms: {'whole':>12} {'parts':>8} {'ratio':>6}  at most {MAX_TIMES_PARTS:g}")
+    film = chart(1024)
+    cases = {f"{pitch_um:g} µm": Pixel(pitch_um=pitch_um) for pitch_um in PITCHES_UM}
+    cases |= {
+        "5.3 µm, colour": Pixel(technology="4t-bsi", pitch_um=5.3, stack={"enabled": False}, colour=COLOUR),
+        "5.3 µm, stack": Pixel(technology="4t-fsi", pitch_um=5.3, stack=LENSED),
+    }
+    for name, pixel in cases.items():
+        physics = derive(pixel)
+        light = prepare_scene(film, CAMERA, physics, DISPLAY, border_um=max(PITCHES_UM), single=True)
+        light.store_integrals()
+        chain = chain_at_pitch(light, physics, EXPOSURE)
+        works = {"whole": lambda chain=chain: chain.simulate(1).statistics()} | unavoidable(chain)
+        seconds = {name: min(times) for name, times in turns(works).items()}
+        whole = seconds.pop("whole")
         text = ", ".join(f"{name} {1e3 * time_s:.1f}" for name, time_s in seconds.items())
-        print(f"{pitch_um:15.1f} µm: {1e3 * whole:8.1f} {1e3 * sum_:8.1f} {whole / sum_:6.2f}  {text}", flush=True)
+        sum_ = sum(seconds.values())
+        print(f"{name:>17}: {1e3 * whole:12.1f} {1e3 * sum_:8.1f} {whole / sum_:6.2f}  {text}", flush=True)
+
+
+def turns(works: dict[str, Work]) -> dict[str, list[float]]:
+    """Wall times of `ROUNDS` turns of each, after a first one."""
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for each in range(ROUNDS + 1):
+        for name, work in works.items():
+            seconds = seconds_of(work)
+            if each:
+                times[name].append(seconds)
+    return times
+
+
+def lenses() -> None:
+    """The light behind a lens whose blur varies over the field: once for all pitches and sensors, after its rays are traced."""
+    print(f"\nlight behind a lens, s: {'thin':>8} {'phone':>8} {'ratio':>6} {'traced':>8}")
+    scene, physics = pixsim.load_scene("csf"), derive(Pixel())
+    thin, phone = scene.camera(), scene.camera(lens=LensOptions(file="phone"))
+    for n in (1024, 2048):
+        film = chart(n)
+        first_s = seconds_of(partial(diffracted_rate, film, phone, physics))
+        thin_s, phone_s = (median_s(partial(diffracted_rate, film, camera, physics), 3) for camera in (thin, phone))
+        print(f"{n:20}²: {thin_s:10.3f} {phone_s:8.3f} {phone_s / thin_s:6.1f} {first_s - phone_s:8.2f}", flush=True)
 
 
 MAX_COLOUR_RATIO = 2.5  # of the time of an evaluation with colour filters to that of one without
-COLOUR = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
 
 
 def colour() -> None:
@@ -222,7 +263,7 @@ def colour() -> None:
         seconds = []
         for pixel in (Pixel(**sheet), Pixel(**sheet, colour=COLOUR)):
             physics = derive(pixel)
-            light = prepare_scene(film, CAMERA, physics, display)
+            light = prepare_scene(film, CAMERA, physics, display, single=True)
             light.store_integrals()
             chain_at_pitch(light, physics, EXPOSURE).simulate(0)  # the matrix is fitted once a light
 
@@ -237,3 +278,4 @@ if __name__ == "__main__":
     targets()
     parts()
     colour()
+    lenses()

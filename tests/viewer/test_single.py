@@ -1,0 +1,104 @@
+"""S-CIELAB in float32: its error against float64, and where it is not used."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pixsim
+from pixsim.base.parameters import Display, Study
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.pixel import derive
+from pixsim.studies.evaluations import Fingerprints, scenes_of
+from pixsim.viewer import scielab
+from pixsim.viewer.display import WHITE_XYZ
+from pixsim.viewer.score import allows_single, make_imaging_chain, prepare_scene
+
+VIEW = {"white_xyz": WHITE_XYZ, "samples_per_deg": 23.0}
+SIDE = 127  # a prime number, which the transforms find hardest
+MEASURED = 2e-4  # mean ΔE: the largest error seen is 9e-5; `SINGLE_DELTA_E` is what users are told
+
+
+def pictures(kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """A reference and what a noisy sensor may show of it, luminance in 256 codes of gamma 2.2."""
+    rng = np.random.default_rng(7)
+    ramp = np.linspace(0, 1, SIDE)
+    level = {
+        "dark": np.full((SIDE, SIDE), 1e-3),
+        "bright": np.full((SIDE, SIDE), 0.99),
+        "black": np.zeros((SIDE, SIDE)),
+        "ramp": np.outer(ramp, ramp),
+        "bars": np.where(np.indices((SIDE, SIDE)).sum(axis=0) // 4 % 2, 1.0, 0.0),
+    }[kind]
+    noisy = np.clip(level + 0.02 * rng.standard_normal(level.shape), 0, 1)
+    return level, (np.rint(255 * noisy ** (1 / 2.2)) / 255) ** 2.2
+
+
+@pytest.mark.parametrize("filters", ["published", "zhang1996"])
+@pytest.mark.parametrize("kind", ["dark", "bright", "black", "ramp", "bars"])
+def test_single_precision_stays_within_its_bound(kind, filters):
+    """Also of dark pictures, whose ΔE is linear in the light, and of a pair that differs by the noise of a few dots."""
+    reference, seen = pictures(kind)
+    view = VIEW | {"filters": filters}
+    maps = []
+    for single in (False, True):
+        lab = scielab.filtered_grey_lab(reference, **view, single=single)
+        assert lab.dtype == (np.float32 if single else np.float64)
+        maps.append(scielab.grey_delta_e_map(lab, seen, **view, single=single))
+        assert not scielab.grey_delta_e_map(lab, reference, **view, single=single).any(), "a picture differs from itself"
+    exact, single_map = maps
+    assert single_map.dtype == np.float64
+    assert 0 < abs(single_map.mean() - exact.mean()) < MEASURED < scielab.SINGLE_DELTA_E
+    np.testing.assert_allclose(single_map, exact, rtol=1e-4, atol=5e-3)
+
+
+@pytest.mark.parametrize("kind", ["dark", "ramp", "bars"])
+def test_single_precision_in_colour(kind):
+    reference, seen = (picture[..., None] * WHITE_XYZ for picture in pictures(kind))
+    seen = seen * np.random.default_rng(3).uniform(0.8, 1.0, seen.shape)
+    exact = scielab.delta_e_map(reference, seen, **VIEW)
+    for single, tolerance in ((False, 0.0), (True, MEASURED)):
+        lab = scielab.filtered_lab(reference, **VIEW, single=single)
+        found = scielab.colour_delta_e_map(lab, seen, **VIEW, single=single)
+        assert abs(found.mean() - exact.mean()) <= tolerance
+
+
+def test_single_cube_roots():
+    """To 1e-7, one unit in the last place, wherever CIELAB takes them."""
+    values = np.geomspace(216 / 24389, 1e4, 100_001).astype(np.float32)
+    roots = values.copy()
+    scielab._single_cube_roots(roots, np.empty_like(roots))
+    np.testing.assert_allclose(roots, np.cbrt(values.astype(float)), rtol=1e-7)
+
+
+def image() -> SpectralImage:
+    ramp = np.linspace(1e-4, 1e-3, 32)
+    return SpectralImage([550.0], 10.0, 84.8, data=np.outer(ramp, ramp)[..., None] / 1e-3, header={"diffraction": False})
+
+
+def test_a_tolerance_below_the_bound_takes_float64():
+    """And rows of one precision are not those of another."""
+    assert allows_single(None)
+    assert allows_single(scielab.SINGLE_DELTA_E)
+    assert not allows_single(0.99 * scielab.SINGLE_DELTA_E)
+    table = {"name": "one", "scene": {"file": "csf"}, "display": {"dots": 32}}
+    camera = pixsim.Camera()
+    keys, kinds = [], []
+    for tolerance in (None, 1e-2, 1e-5):
+        study = Study.model_validate(table | {"tolerance_delta_e": tolerance})
+        keys.append(Fingerprints(study, camera, image()).display)
+        kinds.append(scenes_of(study, image(), camera)._single)
+    assert kinds == [True, True, False]
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_a_single_frame_takes_float64():
+    """`evaluate` and a run score one frame, which saves nothing worth an error."""
+    pixel, display = pixsim.Pixel(pitch_um=84.8, infrared_cut_nm=700), Display(white_cd_per_m2=1000, dots=32)
+    chain = make_imaging_chain(image(), pixsim.Camera(), pixel, pixsim.Exposure(), display)
+    assert not chain.screen.single
+    assert chain.screen.ideal_lab.dtype == np.float64
+    physics = derive(pixel)
+    screens = [prepare_scene(image(), pixsim.Camera(), physics, display, full, single=True).screen for full in (False, True)]
+    assert [screen.single for screen in screens] == [True, False]
+    assert [screen.ideal_lab.dtype == np.float32 for screen in screens] == [True, False]
