@@ -7,6 +7,7 @@ measured maximum.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -188,7 +189,7 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
     lines = np.moveaxis(values, axis, 0)
     degree = min(degree, len(lines) - 1)
     if degree < 2:
-        means = _mean_weights(len(lines), edges, degree) @ np.ascontiguousarray(lines)
+        means = _mean_weights(len(lines), edges.tobytes(), degree) @ np.ascontiguousarray(lines)
     else:
         from scipy.interpolate import make_interp_spline  # takes 0.3 s, needed for cubic displays only
 
@@ -199,13 +200,16 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
     return np.ascontiguousarray(np.moveaxis(means, 0, axis))
 
 
-def _mean_weights(n: int, edges: Array, degree: int) -> csr_array:
+@lru_cache(maxsize=4)  # the frames of a pitch share them
+def _mean_weights(n: int, edges_bytes: bytes, degree: int) -> csr_array:
     """Return the weights of n values at 0 … n - 1 in the means between neighbouring edges, sparse (edges - 1, n).
+
+    edges_bytes : of the array of edges, float64
 
     The basis function of a value is a box (degree 0) or a hat (degree 1) around its position; the outermost ones extend to
     infinity. Their integral up to an edge has a closed form, and few of them overlap an interval.
     """
-    reach = 0.5 if degree == 0 else 1.0
+    edges, reach = np.frombuffer(edges_bytes), 0.5 if degree == 0 else 1.0
     first = np.clip(np.floor(edges[:-1] - reach), 0, n - 1).astype(int)
     last = np.clip(np.ceil(edges[1:] + reach), 0, n - 1).astype(int)
     value = first[:, None] + np.arange((last - first).max() + 1)
@@ -446,7 +450,7 @@ def _of_three(name: str, values: Array) -> Array:
 def _in_colour(matrix: Array, name: str, values: Array) -> Array:
     """Return a matrix (3, 3) times values (..., 3); not by BLAS, whose rounding depends on the number of threads."""
     planes = np.moveaxis(_of_three(name, values), -1, 0)
-    result = np.empty(values.shape)
+    result = np.empty_like(values, dtype=float)  # planes stay planes in memory
     for row, weights in enumerate(matrix):
         result[..., row] = weights[0] * planes[0] + weights[1] * planes[1] + weights[2] * planes[2]
     return result

@@ -452,21 +452,41 @@ def _lab_planes(relative: Planes, threshold: float, slope: float, dark_slope: fl
 
     The linear branch is evaluated only if a sample lies at or below the threshold.
     """
-    linear = relative.copy() if relative.min() <= threshold else None
     if relative.dtype == np.float32:
-        _single_cube_roots(np.maximum(relative, threshold, out=relative) if linear is not None else relative, out)
-    else:
-        np.cbrt(relative, out=relative)
-    f = relative
+        _write_lab(_single_f(relative, threshold, slope, out), out)  # 116 f - 16 continues the dark branch of L*, to 1e-6
+        return
+    linear = relative.copy() if relative.min() <= threshold else None
+    f = np.cbrt(relative, out=relative)
     if linear is not None:
         np.copyto(f, slope * linear + 16 / 116, where=linear <= threshold)
+    _write_lab(f, out)
+    if linear is not None:
+        np.copyto(out[0], dark_slope * linear[1], where=linear[1] <= threshold)
+
+
+def _write_lab(f: Planes, out: Planes) -> None:
+    """Write 116 f(Y) - 16, 500 (f(X) - f(Y)) and 200 (f(Y) - f(Z)) to `out`."""
     np.multiply(f[1], 116, out=out[0])
     out[0] -= 16
     np.subtract(f[:2], f[1:], out=out[1:])
     out[1] *= 500
     out[2] *= 200
-    if linear is not None:
-        np.copyto(out[0], dark_slope * linear[1], where=linear[1] <= threshold)
+
+
+def _single_f(relative: Planes, threshold: float, slope: float, work: Planes) -> Planes:
+    """Return CIELAB's f of float32 values, in place; `work` is overwritten.
+
+    The branches meet at the threshold t, so that f is the cube root of max(x, t) plus the slope times min(x - t, 0).
+    """
+    if relative.min() > threshold:
+        _single_cube_roots(relative, work)
+        return relative
+    below = relative - np.float32(threshold)
+    np.minimum(below, 0, out=below)
+    below *= np.float32(slope)
+    _single_cube_roots(np.maximum(relative, np.float32(threshold), out=relative), work)
+    relative += below
+    return relative
 
 
 def _single_cube_roots(values: Planes, work: Planes) -> None:
