@@ -15,7 +15,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import blake2b
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import read_arrays
 from pixsim.base.errors import invalid
-from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text
+from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text, version_of
 from pixsim.base.locks import PARTIAL_FILE, unfinished
 from pixsim.base.notes import MachineWarning, warn
 from pixsim.base.version import VERSION
@@ -66,17 +65,25 @@ def version_fingerprint(*packages: str) -> str:
 
     It is part of every key. It includes the sources, so that a changed formula or table invalidates old results.
     """
-    versions = [f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", *packages)]
+    versions = [f"{name} {version_of(name)}" for name in ("numpy", "scipy", *packages)]
     return ", ".join([f"pixsim {VERSION} {_digest_of_sources()}", platform.machine(), *versions])
 
 
 @lru_cache
 def _digest_of_sources() -> str:
-    digest = blake2b(digest_size=8)
-    for path in sorted(PACKAGE.rglob("*")):
-        if path.suffix in SOURCE_SUFFIXES:
+    """Hash of the content of all sources, which is remembered for their paths, sizes and times of change."""
+    paths = [path for path in sorted(PACKAGE.rglob("*")) if path.suffix in SOURCE_SUFFIXES]
+    stats = [path.stat() for path in paths]
+    seen = [[str(path), each.st_size, each.st_mtime_ns] for path, each in zip(paths, stats, strict=True)]
+
+    def compute() -> str:
+        digest = blake2b(digest_size=8)
+        for path in paths:
             digest.update(path.read_bytes())
-    return digest.hexdigest()
+        return digest.hexdigest()
+
+    key = blake2b(json.dumps(seen).encode(), digest_size=8).hexdigest()
+    return load_or_compute("sources", key, str, compute, str)
 
 
 def load_or_compute(

@@ -11,6 +11,7 @@ import io
 import json
 import os
 import platform
+import re
 import stat
 import time
 import warnings
@@ -308,9 +309,20 @@ def write_new(path: Path, text: str) -> None:
 @cache
 def versions() -> dict[str, str]:
     """Versions of Python, pixsim and the main dependencies."""
+    return {"python": platform.python_version(), **{name: version_of(name) for name in ("pixsim", *DEPENDENCIES)}}
+
+
+@cache
+def version_of(package: str) -> str:
+    """Version of an installed package; of its metadata the head alone is read, which `importlib.metadata` parses as an e-mail.
+
+    Raises importlib.metadata.PackageNotFoundError if it is not installed.
+    """
     from importlib import metadata  # imported here: it takes 20 ms
 
-    return {"python": platform.python_version(), **{name: metadata.version(name) for name in ("pixsim", *DEPENDENCIES)}}
+    distribution = metadata.distribution(package)
+    found = re.search(r"^Version: *(\S+)", distribution.read_text("METADATA") or "", re.MULTILINE)
+    return found[1] if found else distribution.version
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ Little is imported here, so that `command` takes Ctrl-C before `main` imports th
 
 from __future__ import annotations
 
+import gc
 import sys
 
 from pixsim.cli.process import discard_output, interruption, leave, open_closed_streams
@@ -23,6 +24,7 @@ OK, UNEXPECTED, INVALID_INPUT = 0, 1, 2
 def command() -> NoReturn:
     """Run `main` as a process of its own."""
     interruption.guard()
+    gc.disable()  # a tenth of the time of the imports; `stages` enables it
     try:
         open_closed_streams()
         main()

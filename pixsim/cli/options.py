@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import os
 import sys
@@ -85,6 +86,8 @@ def set_cache_folders() -> None:
 @contextmanager
 def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
     """`pixsim.base.progress.stages` with the verbosity of the command."""
+    gc.freeze()  # what was imported stays
+    gc.enable()
     durations_s = {} if seconds is None else seconds
     with progress.stages(durations_s, quiet=verbosity.quiet) as stage:
         yield stage

@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from pixsim.base import cache
 from pixsim.base.arrays import Array, strips
 from pixsim.base.mapped import release, zeros
 from pixsim.base.parameters import Camera, Pixel
@@ -92,8 +93,15 @@ class Chart:
 Result = TypeVar("Result")
 
 
+def _listed(result: object) -> list[object]:
+    return list(result) if isinstance(result, tuple) else [result]
+
+
 def by_content(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Remember the last results of a function of a chart by the chart's content: the lights of a study show the same charts."""
+    """Remember the results of a function of a chart by the chart's content, in the cache too: many renders show the same charts.
+
+    The results are numbers, or tuples of them.
+    """
     results: dict[tuple[object, ...], Result] = {}
 
     @wraps(function)
@@ -102,7 +110,9 @@ def by_content(function: Callable[..., Result]) -> Callable[..., Result]:
         if key not in results:
             if len(results) >= REMEMBERED:
                 results.clear()
-            results[key] = function(chart, *arguments)
+            name = hashlib.blake2b(repr((function.__name__, key, cache.version_fingerprint())).encode(), digest_size=16).hexdigest()
+            found = cache.load_or_compute("charts", name, list, lambda: _listed(function(chart, *arguments)), list)
+            results[key] = tuple(found) if len(found) > 1 else found[0]  # type: ignore[assignment]
         return results[key]
 
     return call

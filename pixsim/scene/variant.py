@@ -7,6 +7,7 @@ Mitsuba 3.9 with LLVM 15 or 16 aborts the process at the first render. The LLVM 
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import importlib.metadata
 import os
 import re
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from pixsim.base import cache
 from pixsim.base.errors import invalid
 from pixsim.base.notes import MachineWarning, warn
 
@@ -52,6 +54,23 @@ def llvm_version(path: str) -> int | None:
     major = ctypes.c_uint()
     get_version(ctypes.byref(major), None, None)
     return int(major.value)
+
+
+def known_version(path: str) -> int | None:
+    """Return `llvm_version`, remembered for a library's size and time of change: loading it takes 50 ms, in vain without a render.
+
+    That a library cannot be loaded is not remembered: it may lack another one.
+    """
+    try:
+        file = os.stat(path)
+    except OSError:
+        return llvm_version(path)
+    content = repr((os.path.realpath(path), file.st_size, file.st_mtime_ns, cache.version_fingerprint()))
+    key = hashlib.blake2b(content.encode(), digest_size=16).hexdigest()
+    found = cache.load_or_compute(
+        "llvm", key, lambda known: known["major"], lambda: llvm_version(path), lambda major: {"major": major}
+    )
+    return llvm_version(path) if found is None else int(found)
 
 
 @dataclass(frozen=True)
@@ -141,7 +160,7 @@ def find_llvm() -> tuple[str | None, str]:
     if given in _reasons:
         return given, _reasons[given]
     for path, origin in candidates():
-        library = Library(path, origin, llvm_version(path))
+        library = Library(path, origin, known_version(path))
         if library.fault is None:
             return path, f"{origin}, LLVM {library.version}"
         if origin == LLVM_VARIABLE:
