@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.lazy import leave_out_docstrings_of_matplotlib
 from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes, smallest_png
 
 if TYPE_CHECKING:
@@ -80,6 +81,7 @@ def plain_powers(axis: Axis) -> None:
 
 def new_figure(width_in: float, height_in: float) -> Figure:
     """Return a figure that needs no display and is saved to the same bytes every time."""
+    leave_out_docstrings_of_matplotlib()
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import disk_faults_named
+from pixsim.base.lazy import keep_docstrings_of_scipy
 from pixsim.base.locks import temporary_folder
 from pixsim.base.machine import processors
 from pixsim.base.notes import MachineWarning, warn
@@ -276,7 +277,7 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
                     path = files.path(make)
                 yield delayed(_numbered_from)(function, index, task, path)
 
-        watched: dict[str, Any] = {"initializer": watch_parent, "initargs": (os.getpid(),)}
+        watched: dict[str, Any] = {"initializer": begin_worker, "initargs": (os.getpid(),)}
         with parallel_config("loky", inner_max_num_threads=1, **watched):
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
             with ctrl_c_blocked() as taken:
@@ -347,6 +348,12 @@ class SharedFiles:
 
 
 WATCH_S = 1.0  # between two looks at the parent
+
+
+def begin_worker(parent: int) -> None:
+    """Prepare this process, which the one of this number has started."""
+    keep_docstrings_of_scipy()
+    watch_parent(parent)
 
 
 def watch_parent(parent: int) -> None:

@@ -53,3 +53,28 @@ def test_functions_of_scipy_are_the_same(seen: tuple[list[Any], list[Any]]) -> N
     assert all("array" in text for text in command[4][:2]), "their own docstrings"
     assert all("Array API" in text for text in library[4][1:2]), "what SciPy adds is there for those who read it"
     assert not any("Array API" in text for text in command[4])
+
+
+DRAW = """
+import hashlib, sys
+from pixsim.base import lazy
+if sys.argv[1] == "command":
+    lazy.keep_docstrings_of_scipy()
+from pixsim.show.figures import new_figure, svg_text
+figure = new_figure(2, 2)
+figure.subplots().plot([1, 2, 4], color="red", label="a line")
+figure.axes[0].set(xlabel="x", xscale="log")
+figure.legend()
+from matplotlib.lines import Line2D
+print(hashlib.blake2b(svg_text(figure).encode()).hexdigest(), "linestyle" in Line2D.set.__doc__)
+"""
+
+
+def test_figures_are_the_same_without_docstrings_of_matplotlib() -> None:
+    """In a library its docstrings list the properties."""
+    lines = [
+        subprocess.run([sys.executable, "-c", DRAW, how], check=True, capture_output=True, text=True, timeout=HANG_S).stdout.split()
+        for how in ("library", "command")
+    ]
+    assert lines[0][0] == lines[1][0]
+    assert [line[1] for line in lines] == ["True", "False"]
