@@ -83,7 +83,7 @@ def _digest_of_sources() -> str:
         return digest.hexdigest()
 
     key = blake2b(json.dumps(seen).encode(), digest_size=8).hexdigest()
-    return load_or_compute("sources", key, str, compute, str)
+    return load_or_compute("sources", key, lambda known: str(known["digest"]), compute, lambda digest: {"digest": digest})
 
 
 def load_or_compute(

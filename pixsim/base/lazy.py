@@ -69,4 +69,4 @@ def leave_out_docstrings_of_matplotlib() -> None:
             from matplotlib import artist
 
             if hasattr(artist, "kwdoc"):
-                artist.kwdoc = lambda _: ""
+                artist.kwdoc = lambda artist: ""

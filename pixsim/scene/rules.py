@@ -93,10 +93,6 @@ class Chart:
 Result = TypeVar("Result")
 
 
-def _listed(result: object) -> list[object]:
-    return list(result) if isinstance(result, tuple) else [result]
-
-
 def by_content(function: Callable[..., Result]) -> Callable[..., Result]:
     """Remember the results of a function of a chart by the chart's content, in the cache too: many renders show the same charts.
 
@@ -111,8 +107,14 @@ def by_content(function: Callable[..., Result]) -> Callable[..., Result]:
             if len(results) >= REMEMBERED:
                 results.clear()
             name = hashlib.blake2b(repr((function.__name__, key, cache.version_fingerprint())).encode(), digest_size=16).hexdigest()
-            found = cache.load_or_compute("charts", name, list, lambda: _listed(function(chart, *arguments)), list)
-            results[key] = tuple(found) if len(found) > 1 else found[0]  # type: ignore[assignment]
+            found = cache.load_or_compute(
+                "charts",
+                name,
+                lambda known: known["result"],
+                lambda: function(chart, *arguments),
+                lambda result: {"result": result},
+            )
+            results[key] = tuple(found) if isinstance(found, list) else found  # type: ignore[assignment]
         return results[key]
 
     return call
