@@ -53,7 +53,7 @@ def run_command(tokens: Sequence[str]) -> None:
     interruption.begin()
     try:
         with collected_notes():  # also of the settings, before a result collects its own
-            app(with_each_format(arguments), exit_on_error=False, print_error=False)
+            app(with_lens_file(with_each_format(arguments)), exit_on_error=False, print_error=False)
     except Exception as error:
         if interruption.received:  # a library has turned it into another exception
             raise KeyboardInterrupt from error
@@ -70,6 +70,14 @@ def with_each_format(arguments: Sequence[str]) -> list[str]:
         in_list = argument in RAW_FORMATS and written[-2:-1] == ["--raw"]
         written += ["--raw", argument] if in_list else [argument]
     return written
+
+
+def with_lens_file(arguments: Sequence[str]) -> list[str]:
+    """Write `--lens phone` as `--lens.file phone`: cyclopts takes no `--lens.refocus` beside a value of `--lens`."""
+    name, file = "--lens", "--lens.file"
+    return [
+        file + argument[len(name) :] if argument == name or argument.startswith(f"{name}=") else argument for argument in arguments
+    ]
 
 
 def check_current_folder() -> None:
