@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from pixsim.base.mapped import MOST_BYTES
 from pixsim.base.parameters import Camera, Display
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 
@@ -21,6 +22,7 @@ MAX_BYTES = 2 << 30
 CHART_SAMPLES, PATH_SAMPLES = 1 << 27, 20_000_000
 BYTES_PER_CELL, BYTES_PER_VALUE = 48, 24  # float64 light, its transforms and integrals; each pulse in two halves and the result
 PROGRAM_BYTES = 1 << 28  # Python, Mitsuba and its kernels
+STRIP_BYTES = 1 << 29  # of a render
 BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error
 FILM_ROUNDING = 1e-6  # of a cell: the ratio of the die's sides is rounded
 WIDENED = 1 / 8  # by which a film may be wider than needed, to end where the die ends
@@ -52,8 +54,14 @@ def details_across(
 
 
 def film_bytes(cells: float, planes: int) -> float:
-    """Return the memory that rendering and scoring a film take, estimated from its cells and its pictures (bands or pulses)."""
+    """Return the memory and disk that a film takes, estimated from its cells and its pictures (bands or pulses)."""
     return PROGRAM_BYTES + cells * (BYTES_PER_CELL + BYTES_PER_VALUE * planes)
+
+
+def film_memory_bytes(cells: float, planes: int) -> float:
+    """Return the memory alone: two planes of float64, work arrays, and what of the pictures is not in a file (`base/mapped.py`)."""
+    arrays = 8 * cells * planes, 8 * cells * planes, 4 * cells * planes, 4 * cells * planes
+    return PROGRAM_BYTES + STRIP_BYTES + 16 * cells + sum(size for size in arrays if size <= MOST_BYTES)
 
 
 def largest_film(height_over_width: float, planes: int, cells_in_time: float = math.inf) -> int:

@@ -15,11 +15,12 @@ from typing import Any
 
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import memory
+from pixsim.base.mapped import MOST_BYTES
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display, PitchRange, Study, pixel_of
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
-from pixsim.scene.film import GREEN_NM, PROGRAM_BYTES, film_bytes
+from pixsim.scene.film import GREEN_NM, PROGRAM_BYTES, film_bytes, film_memory_bytes
 from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import check_efficiency
@@ -248,7 +249,10 @@ def render_cost(plan: Plan, cells: int, cores: int) -> Cost:
     if plan.integrator is None and not plan.chart:  # many bounces, whose noise is rarely below that of the sensor
         samples, per_sample = max(samples, float(plan.most_samples)), PATH_S_PER_SAMPLE
     seconds = START_S + samples * per_sample / cores + cells * FILM_S_PER_CELL
-    return Cost(seconds, BASE_BYTES + max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.planes) - PROGRAM_BYTES), 1)
+    needed = max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.planes) - PROGRAM_BYTES)
+    if 8 * cells * plan.planes > MOST_BYTES:
+        needed = film_memory_bytes(cells, plan.planes) - PROGRAM_BYTES
+    return Cost(seconds, BASE_BYTES + needed, 1)
 
 
 def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
@@ -299,7 +303,7 @@ def cases_cost(cases: Sequence[tuple[Study, Camera]], lights: int, plan: Plan, c
     renders_s = START_S + lights * (render.seconds - START_S)
     evaluations_s = sum(study.repeats * seconds for (study, _), seconds in zip(cases, sums_s, strict=True)) / jobs
     largest = max(frame.memory_bytes for of_case in frames for frame in of_case)
-    light = 4.0 * cells * (plan.planes if plan.factored else plan.bands.width_nm.size)
+    light = min(4.0 * cells * (plan.planes if plan.factored else plan.bands.width_nm.size), MOST_BYTES)
     behind_lens = FILM_BYTES_PER_CELL * cells / 2
     held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))
     most = max(render.memory_bytes, BASE_BYTES + light + held + jobs * (BASE_BYTES + largest))

@@ -2,8 +2,10 @@
 
     python tests/benchmarks/growth.py [--largest 8192] [--out docs/pictures/growth.svg]
 
-Each point runs in a new process: wall time after a warm-up on a small picture, and peak memory including Python, Mitsuba and
-the compiler. The exponent p of time ~ n^p is fitted to the larger half of the points. The cache is off. 8192² takes minutes.
+Each point runs in a new process, after a warm-up on a small picture: processor time of a film's stages, which other programs
+disturb little, wall time of studies, and peak memory including Python, Mitsuba and the compiler. The exponent p of time ~ n^p is
+fitted to the larger half of the points, that of memory to what exceeds the smallest point. "from" is the value from which on each
+step costs more than the work that it adds, by `BEYOND_LINEAR` or more; "-" if there is none. The cache is off. 8192² takes minutes.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ import pixsim
 from pixsim.studies.study import render_for, study
 
 CONSTANT = 0.2  # smaller exponents are noise
+BEYOND_LINEAR = 1.15  # exponent of work between two neighbouring points
 PITCHES_UM = np.geomspace(5.2, 15.0, 64).round(4).tolist()
 
 
@@ -39,19 +42,19 @@ def chart_run(resolution: int, spp: int | None = None) -> dict[str, float]:
         samples = {} if spp is None else {"spp": spp}
         scene = pixsim.load_scene("csf", resolution=size, **samples)
         camera, pixel, exposure = scene.camera(), pixsim.Pixel(), pixsim.Exposure()
-        start = time.perf_counter()
+        start = time.process_time()
         plan = make_plan(scene, camera, pixel)
-        planned = time.perf_counter()
+        planned = time.process_time()
         image, _ = render_until(scene, camera, plan, [pixel], exposure)
-        rendered = time.perf_counter()
+        rendered = time.process_time()
         chain = make_imaging_chain(image, camera, pixel, exposure, pixsim.Display())
-        prepared = time.perf_counter()
+        prepared = time.process_time()
         chain.simulate("growth")
         seconds = {
             "plan": planned - start,
             "render": rendered - planned,
             "optics, pixels": prepared - rendered,
-            "sensor, S-CIELAB": time.perf_counter() - prepared,
+            "sensor, S-CIELAB": time.process_time() - prepared,
         }
     return seconds
 
@@ -64,7 +67,9 @@ def bands_run(count: int) -> dict[str, float]:
     rng = np.random.default_rng(0)
     image = pixsim.SpectralImage(np.linspace(400, 700, count), 300 / count, 2.65, data=rng.random((1024, 1024, count), np.float32))
     physics = derive(pixsim.Pixel())
-    return {"optics": seconds_of(lambda: diffracted_rate(image, pixsim.Camera(), physics))}
+    start = time.process_time()
+    diffracted_rate(image, pixsim.Camera(), physics)
+    return {"optics": time.process_time() - start}
 
 
 def study_run(pitches: int, repeats: int, jobs: int) -> dict[str, float]:
@@ -97,6 +102,13 @@ def exponent(values: list[int], seconds: list[float]) -> float:
     """p of time ~ n^p over the larger half."""
     half = slice(len(values) // 2 - (len(values) < 4), None)
     return float(np.polyfit(np.log(values[half]), np.log(np.maximum(seconds[half], 1e-4)), 1)[0])
+
+
+def leaves_linear(values: list[int], seconds: list[float], power_of_work: int) -> str:
+    """Return the first value from which on every step to the next one has an exponent of work above `BEYOND_LINEAR`, or "-"."""
+    steps = np.diff(np.log(np.maximum(seconds, 1e-4))) / np.diff(np.log(values)) / power_of_work
+    above = [bool(np.all(steps[place:] > BEYOND_LINEAR)) for place in range(steps.size)]
+    return str(values[above.index(True)]) if any(above) else "-"
 
 
 def draw(results: dict[str, tuple[list[int], list[dict[str, float]]]], path: Path) -> None:
@@ -135,11 +147,13 @@ def main() -> None:
         values = [value for value in AXES[name][2] if value <= options.largest]
         points = [seconds | {"GiB": gib} for seconds, gib in (fresh(point, name, value) for value in values)]
         results[name] = values, points
-        print(f"\n{AXES[name][0]:36}" + "".join(f"{value:>9}" for value in values) + "   exponent")
+        print(f"\n{AXES[name][0]:36}" + "".join(f"{value:>9}" for value in values) + "   exponent     from")
         for stage in points[0]:
             series = [point[stage] for point in points]
-            power = "" if stage == "GiB" else f"{exponent(values, series):11.2f}"
-            print(f"  {stage:34}" + "".join(f"{value:9.3f}" for value in series) + power, flush=True)
+            of_growth = [value - series[0] for value in series] if stage == "GiB" else series
+            left = leaves_linear(values, series, 2 if name == "resolution" else 1)
+            fitted = f"{exponent(values, of_growth):11.2f}{left:>9}"
+            print(f"  {stage:34}" + "".join(f"{value:9.3f}" for value in series) + fitted, flush=True)
     if options.out:
         draw(results, options.out)
 

@@ -13,7 +13,16 @@ from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera, CameraOptions, Display, Pixel
 from pixsim.optics.thin_lens import field_factor
 from pixsim.scene.charts import csf_contrast
-from pixsim.scene.film import BLOCK, MAX_ACROSS, MAX_BYTES, details_across, film_bytes, fitting_width, largest_film
+from pixsim.scene.film import (
+    BLOCK,
+    MAX_ACROSS,
+    MAX_BYTES,
+    details_across,
+    film_bytes,
+    film_memory_bytes,
+    fitting_width,
+    largest_film,
+)
 from pixsim.scene.plan import make_plan, make_render_plan
 
 LANDSCAPE, PORTRAIT = Camera(die_height_mm=1.8), Camera(die_mm=1.8, die_height_mm=2.7136)
@@ -162,3 +171,13 @@ def test_chart_details_of_known_charts():
     flat = make_render_plan(load("flat"), Camera()).chart
     assert flat is not None
     assert flat.details == 1
+
+
+@pytest.mark.parametrize(
+    ("width", "planes", "measured_gib"),
+    [(512, 1, 0.41), (8192, 1, 1.31), (8192, 12, 1.68)],  # tests/benchmarks: `csf` and `macbeth`, with the program
+)
+def test_memory_of_a_film_is_that_of_its_planes(width: int, planes: int, measured_gib: float) -> None:
+    gib = film_memory_bytes(width**2, planes) / (1 << 30)
+    assert 0.9 * measured_gib < gib < 2.1 * measured_gib
+    assert film_memory_bytes(width**2, 100 * planes) < film_memory_bytes(width**2, planes) + 1.1 * (1 << 30)

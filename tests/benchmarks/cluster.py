@@ -1,0 +1,92 @@
+"""A study on Dask clusters of 1, 2, 4, … worker processes over TCP on this machine: what the cluster costs.
+
+    python tests/benchmarks/cluster.py [--workers 2 4 8] [--repeats 1000]
+
+Efficiency is the processor time of the study in one process over that of the client, the scheduler and the workers together,
+without their start. It does not depend on how many cores the workers share; the wall time does, and is printed beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+from study_engine import small_study
+
+import pixsim
+
+TICKS = os.sysconf("SC_CLK_TCK")
+START_S = 120.0
+
+
+def processor_s(process: subprocess.Popen[bytes]) -> float:
+    """Seconds of processor time that a running process has taken."""
+    fields = Path(f"/proc/{process.pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
+
+
+@contextmanager
+def cluster(folder: Path, count: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Address of a scheduler with workers of one thread each, without a cache, and all of their processes."""
+    from distributed import Client
+
+    processes: list[subprocess.Popen[bytes]] = []
+    with (folder / "log").open("wb") as log, ExitStack() as stack:
+
+        def start(kind: str, *more: str) -> None:
+            command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *more, "--no-dashboard", "--host", "127.0.0.1"]
+            process = subprocess.Popen(command, stdout=log, stderr=log, cwd=folder)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            processes.append(process)
+
+        file = folder / "scheduler.json"
+        start("scheduler", "--port", "0", "--scheduler-file", str(file))
+        while not (file.is_file() and file.read_text(encoding="utf-8").endswith("}")):
+            time.sleep(0.1)
+        address = json.loads(file.read_text(encoding="utf-8"))["address"]
+        for number in range(count):
+            start("worker", address, "--nthreads", "1", "--no-nanny", "--local-directory", str(folder / f"worker-{number}"))
+        with Client(address, timeout=START_S, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=START_S)
+        yield address, processes
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--workers", type=int, nargs="+", default=[2, 4, 8])
+    parser.add_argument("--repeats", type=int, default=1000)
+    options = parser.parse_args()
+    os.environ["PIXSIM_CACHE_GIB"] = "0"
+    study = small_study(options.repeats)
+    count = options.repeats * len(study.pitch.values_um or ())
+    alone_s = 0.0
+    print(f"{count} evaluations\n{'workers':>10}{'wall s':>10}{'processor s':>13}{'efficiency':>12}")
+    for workers in (0, 0, *options.workers):  # the first fills what a process keeps
+        with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+            folder = Path(name)
+            address, processes = stack.enter_context(cluster(folder, workers)) if workers else (None, [])
+            where = {"scheduler": address} if workers else {"jobs": 1}
+            before_s = [processor_s(process) for process in processes]
+            start_s, own_s = time.perf_counter(), time.process_time()
+            pixsim.study(study, folder / "out", **where)
+            wall_s, taken_s = time.perf_counter() - start_s, time.process_time() - own_s
+            taken_s += sum(processor_s(process) - before for process, before in zip(processes, before_s, strict=True))
+            rows = (folder / "out/results.csv").read_bytes()
+        if not workers:
+            alone_s, expected = taken_s, rows
+        assert rows == expected, "the rows do not depend on where they are made"
+        print(f"{workers or 'none':>10}{wall_s:10.1f}{taken_s:13.1f}{alone_s / taken_s:12.2f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

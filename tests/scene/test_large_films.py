@@ -1,0 +1,31 @@
+"""Films whose pictures are too large for memory, from the render to the score."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+GIB = 1 << 30
+PLANES, CELLS = 12, 4096**2  # pictures of pulses of `macbeth`
+
+
+@pytest.mark.slow
+def test_a_general_scene_takes_a_few_planes_of_memory(tmp_path: Path) -> None:
+    """Two halves of the renders in float64, a render and the image in float32 would take 4.5 GiB beside the program.
+
+    At most two planes of float64, of 0.125 GiB each, are in memory, with the program, Mitsuba's kernels and a strip.
+    """
+    options = ["--resolution", "4096", "-D", "spp=1", "--render-noise", "10", "--irradiance", "none", "--quiet"]
+    log = (tmp_path / "log").open("wb")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pixsim", "run", "macbeth", *options, "--out", str(tmp_path / "out")], stderr=log
+    )
+    _, status, usage = os.wait4(process.pid, 0)
+    assert status == 0, (tmp_path / "log").read_text(encoding="utf-8")
+    whole = PLANES * CELLS * (8 + 8 + 4 + 4)
+    assert whole > 4.4 * GIB
+    assert 0.5 * GIB < 1024 * usage.ru_maxrss < 1.5 * GIB
