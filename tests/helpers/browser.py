@@ -45,6 +45,8 @@ function seen(frame) {{
       each => [each.naturalWidth, each.clientWidth, each.naturalHeight, each.clientHeight]),
     unnamed: [...page.images].filter(each => !each.alt).length
       + [...page.querySelectorAll("input:not([hidden])")].filter(each => !each.labels.length).length,
+    scrolls: [...page.querySelectorAll(".scroll")].filter(shown).map(each => [each.scrollWidth > each.clientWidth,
+      frame.contentWindow.getComputedStyle(each, "::before").content.includes("move it sideways"), each.tabIndex === 0]),
     headings: [...page.querySelectorAll("h1, h2, h3, h4")].map(each => [+each.tagName[1], each.textContent]),
     sliders: [...page.querySelectorAll(".compare")].map(each => moved(frame, page, each)),
   }};
@@ -122,6 +124,7 @@ def assert_fits(page: Path, folder: Path) -> list[SimpleNamespace]:
         assert view.smallest >= MIN_TEXT_PX
         assert all(natural == shown for tile in view.tiles for natural, shown in (tile[:2], tile[2:]))
         assert view.unnamed == 0
+        assert all(wide == hint == stop for wide, hint, stop in view.scrolls), "what is wide says so and is a stop of the keyboard"
         assert view.findings == [], f"axe at {view.width} px, {view.scheme}"
         levels = [level for level, _ in view.headings]
         assert (levels[0], levels.count(1)) == (1, 1)
