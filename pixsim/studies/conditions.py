@@ -161,7 +161,9 @@ def least_worst_regret(curves: Sequence[Curve]) -> Regret:
         drawn = np.maximum(drawn, own - own.min(axis=1, keepdims=True))
     minima_um = np.exp(minima(np.log(places_um), drawn))
     tail = (1 - CREDIBILITY) / 2
-    ends: list[float | None] = np.clip(np.quantile(minima_um, (tail, 1 - tail)), low_um, high_um).tolist()
+    low, high = np.clip(np.quantile(minima_um, (tail, 1 - tail)), low_um, high_um)
+    # The fitted curve is taken at more places than the drawn ones, whose least can miss its own by part of a step.
+    ends: list[float | None] = [min(float(low), float(fine_um[best])), max(float(high), float(fine_um[best]))]
     for end in (0, -1):
         if np.mean(drawn[:, end] <= drawn.min(axis=1)) > tail:
             ends[end] = None

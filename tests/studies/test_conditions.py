@@ -70,6 +70,9 @@ def test_compromise_of_parabolas_matches_closed_forms() -> None:
     equal_um = np.exp((a * np.log(5.0) + b * np.log(9.0)) / (a + b))
     assert found.regret.pitch_um == pytest.approx(equal_um, rel=0.003)
     assert found.regret.delta_e == pytest.approx(0.8 * np.log(equal_um / 5.0) ** 2, rel=0.02)
+    low_um, high_um = found.regret.interval_um
+    assert low_um <= found.regret.pitch_um <= high_um  # though drawn curves are taken at fewer places than the fitted one
+    assert high_um / low_um < 1.02
     regrets = found.regrets_at(equal_um)
     assert regrets["day"] == pytest.approx(regrets["night"], rel=0.02)
     assert regrets["never"] > 1.0
@@ -147,7 +150,7 @@ def test_conditions_plate_and_tables_have_the_numbers() -> None:
     assert found.regret is not None
     plate = conditions_plate(found, 1)
     assert plate.name == "conditions_1"
-    assert plate.caption.startswith("Which pixel suits day, night, never together (data sheet)?")
+    assert plate.caption.startswith("For day, night, never together (data sheet), 5.44 µm has the least weighted mean ΔE")
     for size in (found.best.pitch_um, found.regret.pitch_um, found.curves[0].optimum.pitch_um):
         assert f"{size:.2f} µm" in plate.caption
     assert plate.table["condition"] == ["day"] * 9 + ["night"] * 9 + ["never"] * 9
