@@ -35,6 +35,7 @@ import pixsim
 from pixsim.base import cache
 from pixsim.base.errors import CONTROL, PixsimError, invalid
 from pixsim.base.files import FOLDER_VARIABLE, MAX_FILE_VARIABLE, digest_of
+from pixsim.base.schema import KEY
 from pixsim.cli.options import SceneOptions
 from pixsim.light.exr import read_channels
 from pixsim.measure import datasheet
@@ -543,8 +544,9 @@ def test_read_envi_hostile_header_raises(tmp_path, old, new):
 
 @pytest.mark.parametrize(
     "content",
-    [b"\0" * 1000, b"\xff\xfe\n" * 9, ",".join(COLUMNS).encode() + b"\n" + b"x" * 500_000 + b"\n", b'"' + b"\n" * 1000, b"\r" * 99,
-     ",".join(COLUMNS).encode() + b"\nkey1,0.35um,1.5,1e18" + b",1.5" * 10 + b"\n"],
+    [b"\0" * 1000, b"\xff\xfe\n" * 9, ",".join([*COLUMNS, KEY]).encode() + b"\n" + b"x" * 500_000 + b"\n", b'"' + b"\n" * 1000,
+     b"\r" * 99,
+     ",".join([*COLUMNS, KEY]).encode() + b"\nkey1,0.35um,1.5,1e18" + b",1.5" * 10 + b",1\n"],
 )  # fmt: skip
 def test_results_file_damaged_rows_are_dropped(tmp_path, content):
     (tmp_path / "results.csv").write_bytes(content)

@@ -37,6 +37,7 @@ from pixsim.base.parameters import (
     nested,
     setting_path,
 )
+from pixsim.base.schema import KEY, SCHEMA, check_not_newer, of_another
 
 MAX_BYTES = 1 << 20
 MAX_DIGITS = 250  # in any base: larger numbers exceed a float, and Python does not convert them to text
@@ -67,7 +68,19 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise invalid(source, "too many nested tables", f"at most {MAX_DEPTH} levels") from None
     if depth(table) > MAX_DEPTH:
         raise invalid(source, f"tables nested {depth(table)} levels deep", f"at most {MAX_DEPTH}")
+    _check_schema(path, text)
     return table
+
+
+def _check_schema(path: Path, text: str) -> None:
+    """Check a file that pixsim wrote beside results: a newer one is refused, and one of a preview gets a warning.
+
+    Its numbers may have another meaning now. Files that users wrote state no schema.
+    """
+    if stated := STATED.match(text):
+        check_not_newer(f"settings '{path}'", stated[1] and int(stated[1]))
+        if stated[1] is None:
+            warn(f"settings '{path}' state {of_another(None)}: their results may differ from those beside them; write them anew.")
 
 
 def depth(value: Any) -> int:
@@ -355,6 +368,8 @@ FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
     **{("pixel", "colour", name): as_curves for name, as_curves in AS_CURVES.items()},
 }
 FILES = (("scene", "file"), ("lens", "file"), ("scene", "parameters", "chart"), ("pixel", "technology"), *FILES_OF_VALUES)
+HEAD = "# The settings of this folder"  # first line of such a file
+STATED = re.compile(rf"{HEAD}(?:, {KEY} (\d{{1,9}}))?\.")
 SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`
 
 
@@ -420,7 +435,7 @@ def settings_table_text(table: Mapping[str, Any], command: str) -> str:
     import tomli_w  # takes 10 ms
 
     used = {name: value for name, value in table.items() if value not in (None, {}, "")}
-    return f"# The settings of this folder. The same numbers again, bit for bit:\n# {command}\n\n{tomli_w.dumps(used)}"
+    return f"{HEAD}, schema {SCHEMA}. The same numbers again, bit for bit:\n# {command}\n\n{tomli_w.dumps(used)}"
 
 
 def whole_path(name: str) -> str:

@@ -23,6 +23,7 @@ from typing import IO, Any
 
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.locks import PARTIAL_FILE, PARTIAL_FOLDER, locked_folder, remove_leftovers, unfinished
+from pixsim.base.schema import KEY, check_not_newer, with_schema
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
 
@@ -170,7 +171,7 @@ def digest_of(path: Path, alone: bool = False) -> str:
 def listed_files(folder: Path) -> Listed | None:
     """The files that the provenance file of a folder lists; None if another program wrote that file.
 
-    Names that lead out of the folder are left out.
+    Names that lead out of the folder are left out. Raises PixsimError if a newer pixsim wrote it.
     """
     if not os.path.lexists(folder / PROVENANCE):
         return {}
@@ -178,6 +179,11 @@ def listed_files(folder: Path) -> Listed | None:
         content = _provenance(folder)
         if "pixsim" not in content["versions"]:
             return None
+        newer = content.get(KEY)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return None
+    check_not_newer(f"output folder '{folder}'", newer)
+    try:
         listed = content.get("files", {})
         return {
             str(name): {"command": str(entry["command"]), "digests": [str(digest) for digest in entry["digests"]]}
@@ -326,8 +332,9 @@ def version_of(package: str) -> str:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON file of results, which states its schema."""
     with replacing(path) as partial:
-        text = json.dumps(content, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+        text = json.dumps(with_schema(content), indent=2, sort_keys=True, ensure_ascii=False) + "\n"
         partial.write_text(text, encoding="utf-8", errors="backslashreplace")  # for file names that are not UTF-8
 
 

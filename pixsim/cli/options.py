@@ -36,6 +36,7 @@ from pixsim.base.parameters import (
     Run,
 )
 from pixsim.base.progress import Stage
+from pixsim.base.schema import with_schema
 from pixsim.base.version import VERSION
 
 DEFAULT_OUT = Path("pixsim-out")
@@ -399,7 +400,7 @@ def show(result: dict[str, Any], as_json: bool, text: str) -> None:
     if as_json:
         import json
 
-        text = json.dumps(result, indent=2, sort_keys=True, ensure_ascii=False)
+        text = json.dumps(with_schema(result), indent=2, sort_keys=True, ensure_ascii=False)
     say(text + "\n", as_json)
 
 

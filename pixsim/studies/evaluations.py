@@ -27,8 +27,10 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import opened, replacing
+from pixsim.base.notes import warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, channels_of, content_hash, pixel_of
 from pixsim.base.progress import Progress
+from pixsim.base.schema import KEY, SCHEMA, of_another
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.colour import Layout
@@ -67,13 +69,15 @@ ROWS_AT_ONCE = 1 << 10  # that are written
 
 
 class ResultsFile:
-    """results.csv: rows with `COLUMNS`, of which `TEXTS` hold text and the others numbers.
+    """results.csv: rows with `COLUMNS` and the schema, of which `TEXTS` hold text and the others numbers.
 
     more : columns of axes and conditions, after the repeat; they hold text
+    another_schema : that a row states which is left out; empty if the file states none, None if there is no such row
     """
 
     def __init__(self, path: Path, more: Sequence[str] = ()) -> None:
         self.path = path
+        self.another_schema: str | None = None
         after = COLUMNS.index("repeat") + 1
         self.columns = (*COLUMNS[:after], *more, *COLUMNS[after:])
 
@@ -85,14 +89,20 @@ class ResultsFile:
         return found
 
     def _whole_rows(self) -> Iterator[Row]:
-        """Iterate over the complete rows, one in memory at a time."""
+        """Iterate over the complete rows of this schema, one in memory at a time."""
+        self.another_schema = None
         if not self.path.is_file():
             return
         allowed = "the rows of a study"
         with opened(self.path, "results", allowed, MAX_BYTES) as file:
             try:
-                for row in csv.DictReader(_lines(file)):
-                    if self._is_whole(row):
+                for row in (reader := csv.DictReader(_lines(file))):
+                    names = reader.fieldnames or ()
+                    stated = row.get(KEY) if KEY in names else "" if TEXTS[0] in names else None
+                    if stated != str(SCHEMA):
+                        if stated == "" or (stated and stated.isdecimal()):  # else the row is damaged
+                            self.another_schema = stated
+                    elif self._is_whole(row):
                         yield {name: row.get(name) or "" for name in self.columns}
             except csv.Error as error:
                 hint = "Move the file away: its rows are then computed again."
@@ -119,7 +129,10 @@ class ResultsFile:
             return False
 
     def resume(self, is_expected: Callable[[Row], bool]) -> RowStore:
-        """Return the expected rows by key. If there are others, copy the file to FILE.old; leave only the expected rows."""
+        """Return the expected rows by key. If there are others, copy the file to FILE.old; leave only the expected rows.
+
+        Warns of a file of another schema: its rows are not mixed with those of this one, but computed again.
+        """
         done, has_others = RowStore(self.columns), False
         for row in self._whole_rows():
             if is_expected(row):
@@ -128,7 +141,10 @@ class ResultsFile:
                 has_others = True
                 done.pop(row["key"], None)
         has_content = self.path.is_file() and self.path.stat().st_size > len(self._text([self._head])) + 1
-        if has_content and (has_others or not done):
+        if self.another_schema is not None:
+            kept = f"They are kept in '{self.path.name}.old', and computed again."
+            warn(f"results: rows of '{self.path}' state {of_another(self.another_schema)}. {kept}")
+        if has_content and (has_others or not done or self.another_schema is not None):
             self._back_up()
         self.write(done.values())
         return done
@@ -175,10 +191,10 @@ class ResultsFile:
 
     @property
     def _head(self) -> Row:
-        return {name: name for name in self.columns}
+        return {name: name for name in (*self.columns, KEY)}
 
     def _text(self, rows: Iterable[Row]) -> bytes:
-        return csv_text([row[name] for name in self.columns] for row in rows).encode()
+        return csv_text([*(row[name] for name in self.columns), row.get(KEY, str(SCHEMA))] for row in rows).encode()
 
 
 FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola

@@ -31,6 +31,7 @@ from pixsim.base.files import missing, output_folder
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, merge, owner_of, paths_of, pixel_of
 from pixsim.base.progress import Progress, Stage
+from pixsim.base.schema import KEY
 from pixsim.light.spectral import SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.scene.convergence import render_until
@@ -388,7 +389,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
         raise invalid("tolerance_delta_e", study.tolerance_delta_e, "no tolerance in a study with axes or conditions", hint)
-    if taken := [axis.name for axis in study.axis if axis.name in COLUMNS]:
+    if taken := [axis.name for axis in study.axis if axis.name in (*COLUMNS, KEY)]:
         raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
     scenes: dict[str, Scene] = {}
     own = _without_axes(study)

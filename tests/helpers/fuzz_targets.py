@@ -15,6 +15,7 @@ from PIL import Image
 
 import pixsim
 from pixsim.base.parameters import CameraOptions, read_curve
+from pixsim.base.schema import KEY, SCHEMA
 from pixsim.cli.options import SceneOptions
 from pixsim.light.exr import write_exr
 from pixsim.light.spectral import SpectralImage
@@ -76,8 +77,8 @@ def light(factored: bool = False) -> SpectralImage:
 def rows(path: Path) -> None:
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        writer.writerows([f"key{n}", "0.35um", *["1.5"] * (len(COLUMNS) - 2)] for n in range(3))
+        writer.writerow([*COLUMNS, KEY])
+        writer.writerows([f"key{n}", "0.35um", *["1.5"] * (len(COLUMNS) - 2), SCHEMA] for n in range(3))
 
 
 def read_rows(path: Path) -> object:

@@ -1,0 +1,42 @@
+"""The schema of the files of results: its number, what each number changed, and what readers say of files of another one.
+
+JSON files state it as `"schema"`, rows of results.csv in a column, settings.toml in its first line. Raise the number, and say
+what changed, whenever an entry or a column is renamed or removed, or means another thing. New entries need no new number.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pixsim.base.errors import invalid
+
+SCHEMA = 1
+KEY = "schema"
+CHANGES = {
+    1: "names of settings and of entries, technologies 4t-*, random streams of large frames, and one results.csv for all cases"
+}
+PREVIEW = "no schema, as files of previews of pixsim 0.1"
+
+
+def of_another(got: object) -> str:
+    """Return what is said of a file that states another schema, or none (None, or an empty text)."""
+    if got in (None, ""):
+        return f"{PREVIEW}; schema {SCHEMA} changed {CHANGES[SCHEMA]}"
+    return f"schema {str(got)[:20]}; this version of pixsim has schema {SCHEMA}"
+
+
+def check_not_newer(name: str, got: object) -> None:
+    """Raise PixsimError if a file states a schema that this version does not know; files that state none are older.
+
+    name : of the file, in words
+    """
+    known = got is None or (isinstance(got, int) and not isinstance(got, bool) and 1 <= got <= SCHEMA)
+    if not known:
+        raise invalid(
+            name, f"schema {str(got)[:20]}", f"up to {SCHEMA}", "Take the version of pixsim that wrote it, or a newer one."
+        )
+
+
+def with_schema(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a JSON file of results with the schema. A JSON schema itself has one of its own."""
+    return content if "$schema" in content else {KEY: SCHEMA, **content}

@@ -1,0 +1,109 @@
+"""The schema of files of results: each states it, and readers say what they do with files of another one."""
+
+from __future__ import annotations
+
+import csv
+import json
+import warnings
+from pathlib import Path
+
+import pytest
+
+from pixsim.base.config import HEAD, read_toml, settings_table_text
+from pixsim.base.errors import PixsimError
+from pixsim.base.files import PROVENANCE, check_replaceable, publishing, write_json
+from pixsim.base.schema import CHANGES, KEY, SCHEMA
+from pixsim.cli.options import show
+from pixsim.studies.evaluations import COLUMNS, ResultsFile
+
+
+def row(number: int) -> dict[str, str]:
+    return {"key": f"key{number}", "technology": "0.35um"} | dict.fromkeys(COLUMNS[2:], "1.5")
+
+
+def edited(path: Path, change: str) -> bytes:
+    """Change the file of some rows: as a preview of 0.1 wrote it, or another version, in all rows or in the last one."""
+    with path.open(newline="") as file:
+        rows = list(csv.reader(file))
+    if change == "none":
+        rows = [line[:-1] for line in rows]
+    else:
+        for line in rows[1 if change == "all" else -1 :]:
+            line[-1] = str(SCHEMA + 1)
+    with path.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
+    return path.read_bytes()
+
+
+def test_every_number_says_what_changed():
+    assert sorted(CHANGES) == list(range(1, SCHEMA + 1))
+
+
+def test_json_files_and_output_state_the_schema(tmp_path, capsys):
+    write_json(tmp_path / "score.json", {"mean_delta_e": 1.5})
+    assert json.loads((tmp_path / "score.json").read_text()) == {KEY: SCHEMA, "mean_delta_e": 1.5}
+    show({"mean_delta_e": 1.5}, True, "")
+    assert json.loads(capsys.readouterr().out) == {KEY: SCHEMA, "mean_delta_e": 1.5}
+    show({"$schema": "https://json-schema.org/draft/2020-12/schema"}, True, "")
+    assert KEY not in json.loads(capsys.readouterr().out)
+    with publishing(tmp_path, "run") as folder:
+        (folder / "a.txt").write_text("a")
+    assert json.loads((tmp_path / PROVENANCE).read_text())[KEY] == SCHEMA
+
+
+@pytest.mark.parametrize(("change", "says"), [("none", "state no schema"), ("all", f"state schema {SCHEMA + 1}")])
+def test_rows_of_another_schema_are_kept_apart_and_computed_again(tmp_path, change, says):
+    results = ResultsFile(tmp_path / "results.csv")
+    results.write(map(row, range(3)))
+    before = edited(results.path, change)
+    with pytest.warns(UserWarning, match=f"{says}.*results.csv.old.*computed again") as told:
+        assert len(results.resume(lambda row: True)) == 0
+    assert len(told) == 1
+    assert (tmp_path / "results.csv.old").read_bytes() == before
+    assert results.path.read_text().splitlines() == [",".join([*COLUMNS, KEY])]
+
+
+def test_rows_of_two_schemas_are_not_mixed(tmp_path):
+    results = ResultsFile(tmp_path / "results.csv")
+    results.write(map(row, range(3)))
+    before = edited(results.path, "last")
+    with pytest.warns(UserWarning, match="computed again"):
+        assert list(results.resume(lambda row: True)) == ["key0", "key1"]
+    assert (tmp_path / "results.csv.old").read_bytes() == before
+
+
+def test_rows_of_this_schema_are_resumed_without_a_word(tmp_path):
+    results = ResultsFile(tmp_path / "results.csv", ["lens"])
+    results.write(row(number) | {"lens": "f/4"} for number in range(3))
+    before = results.path.read_bytes()
+    with warnings.catch_warnings(action="error"):
+        assert list(results.resume(lambda row: True)) == ["key0", "key1", "key2"]
+    assert (results.path.read_bytes(), (tmp_path / "results.csv.old").exists()) == (before, False)
+
+
+def test_settings_of_another_schema(tmp_path):
+    path, text = tmp_path / "settings.toml", settings_table_text({"camera": {"f_number": 4.0}}, "pixsim run csf")
+    for written in (text, "[camera]\nf_number = 4.0\n"):  # of this version; of a user
+        path.write_text(written)
+        with warnings.catch_warnings(action="error"):
+            assert read_toml(path) == {"camera": {"f_number": 4.0}}
+    path.write_text(text.replace(f", {KEY} {SCHEMA}", ""))
+    with pytest.warns(UserWarning, match="no schema.*may differ.*write them anew"):
+        assert read_toml(path) == {"camera": {"f_number": 4.0}}
+    path.write_text(text.replace(f"{HEAD}, {KEY} {SCHEMA}", f"{HEAD}, {KEY} {SCHEMA + 1}"))
+    with pytest.raises(PixsimError, match=f"schema {SCHEMA + 1}; allowed: up to {SCHEMA}. Take the version"):
+        read_toml(path)
+
+
+@pytest.mark.parametrize("stated", [SCHEMA + 1, 0, True, "one", 1.5, [1]])
+def test_folder_of_a_newer_version_is_refused(tmp_path, stated):
+    with publishing(tmp_path, "run") as folder:
+        (folder / "a.txt").write_text("a")
+    path = tmp_path / PROVENANCE
+    content = json.loads(path.read_text())
+    check_replaceable(tmp_path, ["a.txt"])
+    path.write_text(json.dumps({name: value for name, value in content.items() if name != KEY}))
+    check_replaceable(tmp_path, ["a.txt"])  # of a preview, whose files are replaced
+    path.write_text(json.dumps(content | {KEY: stated}))
+    with pytest.raises(PixsimError, match=r"output folder.*schema.*Take the version of pixsim that wrote it"):
+        check_replaceable(tmp_path, ["a.txt"])
