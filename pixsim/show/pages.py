@@ -137,7 +137,7 @@ class Drawn:
     @property
     def data(self) -> str:
         """The data as a data URI."""
-        return text_uri("text/csv", self.csv)
+        return text_uri("text/csv", self.csv, {"<": "%3C"})  # names of users' files are in it
 
 
 def write_figures(folder: Path, drawn: Sequence[Drawn]) -> Sequence[Drawn]:
@@ -217,13 +217,15 @@ def data_uri(kind: str, content: bytes) -> str:
     return f"data:{kind};base64," + base64.b64encode(content).decode()
 
 
-def text_uri(kind: str, text: str) -> str:
+def text_uri(kind: str, text: str, more: Mapping[str, str] | None = None) -> str:
     """Return a text file as a data URI for an attribute in double quotes, in fewer bytes than `data_uri` takes.
 
     It is marked as escaped: a template would escape angle brackets and single quotes, which may stand there.
+
+    more : characters that are encoded too, with their codes
     """
     from markupsafe import Markup
 
-    for character, code in ENCODED.items():
+    for character, code in (ENCODED | dict(more or {})).items():
         text = text.replace(character, code)
     return Markup(f"data:{kind};charset=utf-8,{text}")
