@@ -14,16 +14,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import cache
+from os import PathLike
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar, Union
 
 import numpy as np
 import pytest
 from helpers.public_names import PUBLIC
 from pydantic import BaseModel
+from typing_extensions import TypeAliasType
 
 import pixsim
+from pixsim.base.arguments import check_of
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import CameraOptions
 
@@ -327,6 +330,21 @@ def test_study_any_argument_gives_an_error_that_names_it(tmp_path: Path, monkeyp
 def test_write_report_without_a_result_raises(label: str, tmp_path: Path) -> None:
     with pytest.raises(PixsimError, match=r"result: got .*; allowed: a StudyResult"):
         pixsim.write_report(JUNK[label], tmp_path / "out")
+
+
+def test_arrays_are_known_by_their_aliases(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From NumPy 2.5 on, `ArrayLike` and `NDArray` are aliases of `type` statements; on Python 3.12 pip installs it."""
+    kind = TypeVar("kind", bound=np.generic)
+    alias = TypeAliasType("ArrayLike", float | list)
+    array = TypeAliasType("NDArray", np.ndarray[Any, np.dtype[kind]], type_params=(kind,))[np.float64]
+    monkeypatch.setattr("numpy.typing.ArrayLike", alias)
+    assert check_of(str | PathLike[str])("path", "x") == "x"
+    with pytest.raises(PixsimError, match="path: got 3; allowed: the path of a file"):
+        check_of(str | PathLike[str])("path", 3)
+    for hint in (alias, array, Union[alias, None], Union[array, None], Union[array, float]):  # noqa: UP007 – of an alias, before 3.12
+        assert isinstance(check_of(hint)("light", [1, 2]), np.ndarray)
+        with pytest.raises(PixsimError, match=r"light: got 'bright'; allowed: .*number"):
+            check_of(hint)("light", "bright")
 
 
 def test_every_public_name_is_called() -> None:

@@ -184,6 +184,8 @@ def check_of(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -
     import numpy as np  # here: `parameters`, which `pixsim --help` imports, does without
     from numpy.typing import ArrayLike
 
+    if hint is not ArrayLike:
+        hint = _without_alias(hint)
     origin, inner = get_origin(hint), get_args(hint)
     if hint is ArrayLike or origin is np.ndarray:
         return _array_check(hint, bounds, axes)
@@ -327,7 +329,15 @@ def _is_array_like(hint: Any) -> bool:
     """Whether a union is NumPy's `ArrayLike`, perhaps with None, which typing flattens."""
     from numpy.typing import ArrayLike
 
-    return set(get_args(ArrayLike)) <= set(get_args(hint))
+    return set(get_args(ArrayLike) or (ArrayLike,)) <= set(get_args(hint))
+
+
+def _without_alias(hint: Any) -> Any:
+    """The type that an alias of a `type` statement stands for, as NumPy's `NDArray` is one from 2.5 on; any other type as it is."""
+    stands_for, inner = getattr(get_origin(hint) or hint, "__value__", None), get_args(hint)
+    if stands_for is None:
+        return hint
+    return stands_for[inner] if inner else stands_for
 
 
 def _optional(check: Check, optional: bool) -> Check:

@@ -184,6 +184,25 @@ def test_installed_package_works_in_empty_environment(kind: str, shipped: dict[s
         assert_types_are_seen(python, tmp_path)
 
 
+def interpreter(version: str) -> str | None:
+    """A Python of a version such as "3.12": on the path, or one of pyenv, whose commands answer only for the chosen ones."""
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    found = [shutil.which(f"python{version}"), *sorted(map(str, pyenv.glob(f"{version}.*/bin/python{version}")))]
+    return next((path for path in found if path and run(path, "--version", folder=ROOT).returncode == 0), None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", ["3.12", "3.13"])
+def test_installed_package_works_on_newer_python(version: str, shipped: dict[str, Path], tmp_path: Path):
+    """Newer packages come with it: from NumPy 2.5 on, which needs Python 3.12, types of arrays are told otherwise."""
+    python = interpreter(version)
+    if python is None or version == ".".join(map(str, sys.version_info[:2])):
+        pytest.skip(f"Python {version} is not here, or is the one of the other tests")
+    python = str(venv(tmp_path / "newer", python))
+    pip_install(python, f"{shipped['wheel']}[llvm]", folder=tmp_path)
+    assert_it_works(Path(python), tmp_path / "some where")
+
+
 # What each extra brings; that of `llvm` is tested above, and the others are for those who work on pixsim.
 EXTRAS = {"cluster": "distributed", "envi": "spectral"}
 
@@ -237,7 +256,7 @@ def test_lowest_pins_every_dependency():
 @pytest.mark.slow
 def test_installed_package_works_with_lowest_versions(shipped: dict[str, Path], tmp_path: Path):
     """On the oldest Python, with half of the quick tests of every package."""
-    oldest = shutil.which("python3.11")
+    oldest = interpreter("3.11")
     if oldest is None:
         pytest.skip("no Python 3.11")
     python = venv(tmp_path / "lowest", oldest)
