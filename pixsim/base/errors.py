@@ -47,9 +47,14 @@ def invalid(name: str, got: object, expected: str, hint: str = "") -> PixsimErro
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A hint with the known name that is most similar; empty if none is similar."""
-    similar = difflib.get_close_matches(name, known, 1)
-    return f"Did you mean '{similar[0]}'?" if similar else ""
+    """A hint with the known name that is most similar, whatever its capitals; empty if none is similar.
+
+    >>> did_you_mean("canon_eos_5d_mark_ii", ["Canon_EOS_5D_Mark_IV", "Canon_EOS_5D_Mark_II"])
+    "Did you mean 'Canon_EOS_5D_Mark_II'?"
+    """
+    by_folded = {one.casefold(): one for one in known}
+    similar = difflib.get_close_matches(name.casefold(), by_folded, 1)
+    return f"Did you mean '{by_folded[similar[0]]}'?" if similar else ""
 
 
 MAX_LABEL = 60  # characters of a label
