@@ -146,9 +146,9 @@ def test_set_cache_folders_respects_user_variables(tmp_path: Path, monkeypatch: 
     assert os.environ["MPLCONFIGDIR"] == str(tmp_path / "matplotlib")
 
 
-def test_readme_settings_are_valid() -> None:
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", readme, re.DOTALL)]
+def test_first_settings_of_a_reader_are_valid() -> None:
+    page = (Path(__file__).parents[2] / "docs/first_sensor.md").read_text(encoding="utf-8")
+    tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL)]
     assert tables
     for table in tables:
         (Study if "name" in table else Run).model_validate(table)

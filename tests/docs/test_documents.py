@@ -80,7 +80,9 @@ def test_page_blocks_are_all_checked(path: Path) -> None:
     for block in blocks_of(text_of(path)):
         where = f"{path.name}, line {block.line}"
         if "elsewhere" in block.comments:
-            assert (ROOT / block.comments["elsewhere"].partition(",")[0]).is_file(), where
+            other = ROOT / block.comments["elsewhere"].partition(",")[0]
+            assert other.is_file(), where
+            assert other.suffix != ".md" or block.text in text_of(other), f"{where}: not in {other.name} word for word"
         elif block.language not in ("sh", "python", "picture") and not block.language.startswith("{"):  # a directive of the site
             assert {"file", "output"} & block.comments.keys(), f"{where}: neither run nor compared"
 
@@ -101,7 +103,7 @@ HOMES: dict[str, object] = {
 }
 HOMES |= {kind.__name__: kind for kind in (Score, Study, Curve)} | {"optics": pixsim.optics}
 INNER = {"optimum": Optimum}
-WORDS = re.findall(r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \| `?(\w+)`? \|$", text_of(README), re.MULTILINE)
+WORDS = re.findall(r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \| `?(\w+)`? \|$", text_of(ROOT / "docs/terms.md"), re.MULTILINE)
 
 
 UNIT_OF = {"_um": "µm", "_mm": "mm", "_s": "s", "_e": "electrons", "_db": "dB", "_cd_per_m2": "cd/m²", "_ff": "fF", "_v": "V"}
