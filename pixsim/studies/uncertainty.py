@@ -716,6 +716,7 @@ def draw_distribution(axes: Axes, distribution: ResultDistribution, name: str) -
     if quantiles["p50"] is not None:
         axes.axvline(quantiles["p50"], color="0.2", lw=1.2)
     axes.set(xlabel=name, ylabel="sensor types")
+    axes.locator_params(axis="y", integer=True)  # counts
 
 
 def distribution_words(distribution: ResultDistribution, what: str, unit: str) -> str:

@@ -5,7 +5,7 @@ Invisible comments before a block state what it is:
     <!-- file: my_sensor.toml -->    the block is written as that file
     <!-- output -->                  output of the previous block; a line of … stands for any lines
     <!-- elsewhere: WHERE -->        the block is run there, word for word
-    <!-- picture: FILE -->           the next picture is that file, which earlier blocks create
+    <!-- picture: FILE -->           the next picture is that file, which the blocks create
 
 `python tests/helpers/documents.py PAGE…` runs pages and updates their output, their pictures, and docs/made_on.toml, which records
 the processor and the packages. There every digit of a page's output must come out again; elsewhere a number may differ within the
@@ -144,6 +144,7 @@ class Page:
 
     def run(self) -> None:
         """Run all blocks. AssertionError names the line of a block that fails or depends on the clock."""
+        awaited: list[tuple[Path, str]] = []
         for block in blocks_of(self.path.read_text(encoding="utf-8")):
             if "elsewhere" in block.comments:
                 continue
@@ -165,8 +166,10 @@ class Page:
                 self.printed = self.unseen = self._python(block.text, where)
             elif block.language == "picture":
                 created = self.folder / block.comments["picture"]
-                assert created.is_file(), f"{where}: {block.comments['picture']} was not created"
+                awaited.append((created, f"{where}: {block.comments['picture']} was not created"))
                 self.pictures.append((self.path.parent / block.text, created))
+        for created, message in awaited:
+            assert created.is_file(), message
         assert not self.unseen, f"{self.path.name} does not show the last output:\n{self.unseen}"
 
     def _shell(self, text: str, where: str) -> str:
