@@ -24,7 +24,7 @@ GIB = 1 << 30
 
 def blocks_to_run(page: Path) -> tuple[list[Block], list[Block]]:
     """The files that a page's commands need, and its commands: those of the page that runs them, if another does."""
-    blocks = blocks_of(page.read_text(encoding="utf-8"))
+    blocks = list(blocks_of(page.read_text(encoding="utf-8")))
     files = [block for block in blocks if "file" in block.comments]
     for block in blocks:
         if other := block.comments.get("elsewhere"):
