@@ -63,7 +63,7 @@ def main() -> None:
         if page.name == "index.md":
             continue
         seconds, gib = cost(page)
-        line = f"**It takes** {seconds:.2g} s of processor time and {gib:.1f} GiB."
+        line = f"**It takes** {float(f'{seconds:.2g}'):g} s of processor time and {gib:.1f} GiB."
         print(f"{page.name:24} {line}", flush=True)
         if arguments.write:
             text = page.read_text(encoding="utf-8")
