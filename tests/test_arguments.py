@@ -117,7 +117,7 @@ GOOD: dict[str, Any] = {
     "gain_db": 6.0, "mosaic": PLANE, "pattern": "rggb", "method": "bilinear", "rgb": XYZ / 100,
     "sensitivities": lambda: pixsim.spectral.colour_matching(np.arange(400.0, 701.0, 10.0)), "illuminant": "D55",
     "file": "cooke_triplet", "field_deg": 10.0, "stop_x": 0.0, "stop_y": 0.0, "x_mm": 1.0, "y_mm": 1.0,
-    "factor": 2.0, "height_mm": 1.0, "azimuth_deg": 30.0,
+    "factor": 2.0, "edges_nm": np.array([400.0, 500.0, 600.0]), "height_mm": 1.0, "azimuth_deg": 30.0,
 }  # fmt: skip
 OWN: dict[str, Any] = {
     "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),

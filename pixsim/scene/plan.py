@@ -180,7 +180,12 @@ class Plan:
 
     @checks_arguments
     def white_header(self, edges_nm: Array) -> dict[str, Any]:
-        """Return the entries of an irradiance's header on the light of the scene's white, in bands between edges (B + 1,)."""
+        """Return the entries of an irradiance's header on the light of the scene's white, in bands between edges (B + 1,).
+
+        Raises PixsimError for fewer than two edges.
+        """
+        if np.ndim(edges_nm) != 1 or len(edges_nm) < 2:
+            raise invalid("edges_nm", f"an array of shape {np.shape(edges_nm)}", "two or more edges")
         lamps = {WHITE_LAMPS: list(self.white_lamps)} if self.white_lamps else {}
         if not self.white:
             return lamps

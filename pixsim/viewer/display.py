@@ -80,6 +80,7 @@ def white_header(irradiance: SpectralImage, camera: Camera, display: Display) ->
     return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
 
 
+@checks_arguments
 def white_light(irradiance: SpectralImage) -> tuple[Array, str]:
     """Return the light of the scene's white in the image's bands, (B,) in any unit, and its name: that of D65 if it is unknown."""
     spectrum = irradiance.white_spectrum

@@ -14,6 +14,7 @@ from scipy.stats import t as student
 
 import pixsim
 from pixsim import optics
+from pixsim.base.schema import SCHEMA
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.plan import UNIFORM_RESOLUTION, decide_saturation, make_plan, make_render_plan
 from pixsim.scene.renderer import Renderer
@@ -278,7 +279,7 @@ def test_plan_command_prints_json():
     assert (code, err) == (0, "")
     table = json.loads(out)
     made = make_plan(load("macbeth", resolution=64), tolerance_e=1e-4, display=pixsim.parameters.Display())
-    assert table == made.as_dict() | {"assumption": ""}
+    assert table == made.as_dict() | {"assumption": "", "schema": SCHEMA}
     assert table["tolerance_e"] == 1e-4
     full = json.loads(command("plan macbeth --variant scalar_spectral --json --full")[1])
     assert all(item["kept"] for item in full["decisions"])
