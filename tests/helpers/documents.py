@@ -270,7 +270,7 @@ def updated(path: Path, outputs: list[tuple[Block, str]]) -> str:
     """
     lines = path.read_text(encoding="utf-8").splitlines()
     for block, printed in reversed(outputs):
-        end, new = block.line + block.text.count("\n"), printed.rstrip().splitlines()
+        end, new = block.line + len(block.text.strip("\n").splitlines()), printed.rstrip().splitlines()
         if ANY_LINES in block.text.splitlines():
             same_words = {words_of(line): line.rstrip() for line in reversed(new)}  # "ISO 15739" and "ISO 12232" have the same
             new = [line if line in new else same_words.get(words_of(line), line) for line in block.text.splitlines()]
