@@ -106,9 +106,6 @@ class Prescription:
         return tuple(dict.fromkeys(surface.glass for surface in self.surfaces if surface.glass != AIR))
 
 
-HOW_TO_LOAD = "a packaged lens, or the path of a .toml or .zmx file"
-
-
 def read_prescription(file: str) -> Prescription:
     """Read a packaged prescription by its name, or a user's by the path of its `.toml` or `.zmx` file.
 

@@ -72,7 +72,6 @@ def file(kind: str) -> Rule:
 
 
 SCALE = Rule(NUMBER_TAGS, smallest=SMALLEST)
-SHARE = number(0, 1)
 FLAG = Rule(("boolean",))
 TRANSFORM = Rule(("transform",))
 PLACE = Rule(("point", "vector"))
