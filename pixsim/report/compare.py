@@ -37,65 +37,13 @@ from pixsim.show.pictures import (
     worst_window,
 )
 from pixsim.studies.circumstances import SHARED, Circumstances
-from pixsim.studies.compare import OF_A_SENSOR, Compared, Comparison, Prepared
+from pixsim.studies.compare import OF_A_SENSOR, Compared, Comparison, Prepared, shown_delta_e, shown_probability, verdict
 from pixsim.studies.preparation import PAGE_S, Cost, frame_cost, render_cost
-from pixsim.studies.result import NO_VISIBLE_DELTA_E
 
 JSON_FILE, PAGE = "compare.json", "report.html"
-SURE = 0.999  # probabilities beyond it are not shown in more digits
-MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
 
 
 # --- sentences ------------------------------------------------------------------------------------------------------------------
-
-
-def shown_delta_e(value: float, half: float, film: float | None) -> str:
-    """Return a ΔE and its uncertainty as text: half of the 95 % interval and the film's error, to two digits, one above 0.01.
-
-    film : the film's error; None is stated as unknown
-
-    >>> shown_delta_e(0.12345, 0.0021, 0.0), shown_delta_e(0.12345, 0.001, 0.02)
-    ('0.1235 ± 0.0021 ΔE', '0.12 ± 0.02 ΔE')
-    """
-    error = half + (film or 0.0)
-    decimals = MOST_DECIMALS if error <= 0 else min(max(-math.floor(math.log10(error)) + (error < FINE), 1), MOST_DECIMALS)
-    unknown = " and the film's error, which is unknown" if film is None else ""
-    return f"{value:.{decimals}f} ± {error:.{decimals}f} ΔE{unknown}"
-
-
-def shown_probability(probability: float) -> str:
-    """Return a probability as text: .93, > .999, < .001.
-
-    >>> [shown_probability(p) for p in (0.5, 0.93, 0.99961, 1.0, 0.0)]
-    ['.5', '.93', '> .999', '> .999', '< .001']
-    """
-    if probability > SURE:
-        return "> .999"
-    if probability < 1 - SURE:
-        return "< .001"
-    return f"{probability:.3f}".rstrip("0").removeprefix("0")
-
-
-def verdict(result: Comparison, other: str) -> str:
-    """Return the answer for the first sensor and another: which is better, by how much, and how sure that is.
-
-    Neither is called better if half of the difference's 95 % interval and the film's error exceed it together.
-    """
-    first, difference = result.names[0], result.difference[other]
-    low, high = result.interval_delta_e[other]
-    better, worse = (first, other) if difference >= 0 else (other, first)
-    probability = result.probability_a_better[other]
-    of_better = shown_probability(probability if difference >= 0 else 1 - probability)
-    half, film = (high - low) / 2, result.film_delta_e[other]
-    size = shown_delta_e(abs(difference), half, film)
-    if difference == 0:
-        return f"{first} and {other} have the same mean ΔE in every pair of frames"
-    if abs(difference) <= half:
-        return f"{first} and {other} cannot be told apart: {better} is better by {size} (probability {of_better})"
-    if abs(difference) <= half + (film or 0.0):
-        return f"{first} and {other} cannot be told apart: {better} is better by {size}, within the error of the film"
-    visible = "" if abs(difference) >= NO_VISIBLE_DELTA_E else f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
-    return f"{better} is better than {worse} by {size} (probability {of_better}){visible}"
 
 
 def sensor_words(prepared: Prepared, number: int) -> str:

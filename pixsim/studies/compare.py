@@ -34,11 +34,13 @@ from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.pixel import derive, warn_of_disagreements
 from pixsim.sensor.technology import file_label, labels_of
+from pixsim.show.pages import html_cell
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.circumstances import Circumstances, circumstances_of
 from pixsim.studies.engine import results_of, workers_here
 from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
 from pixsim.studies.preparation import View, choose_view, frame_cost, jobs_in_memory
+from pixsim.studies.result import NO_VISIBLE_DELTA_E
 from pixsim.viewer.display import dot_edges_um, white_header, white_light
 from pixsim.viewer.score import (
     ImagingChain,
@@ -53,11 +55,16 @@ from pixsim.viewer.score import (
 )
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pixsim.scene.convergence import RenderNoise
     from pixsim.scene.scene import Scene
 
 Match = Literal["view", "lens", "own"]
 CONFIDENCE = 0.95
+FIGURE_WIDTH_IN, FIGURE_BORDER_IN, ROW_IN = 6.0, 0.8, 0.4
+SURE = 0.999  # probabilities beyond it are not shown in more digits
+MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
 SENSORS = (2, 8)  # of a comparison; the page shows each in full
 REPEATS = (2, 10_000)
 OF_A_SENSOR = ("camera", "lens", "pixel", "exposure")  # tables that each file has of its own; the others are those of the first
@@ -628,10 +635,86 @@ class Comparison:
             },
         }
 
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of mean ΔE: a row for each sensor, with its frames and the 95 % interval of their mean."""
+        from pixsim.show.figures import literal, new_figure
+
+        figure = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * len(self.sensors))
+        axes = figure.add_subplot()
+        for row, (name, (low, mean, high)) in enumerate(self.scores.items()):
+            axes.plot(self.delta_e[name], np.full(self.prepared.repeats, row), "o", color="tab:gray", alpha=0.5, markersize=4)
+            axes.errorbar([mean], [row], xerr=[[mean - low], [high - mean]], fmt="D", color=f"C{row}", capsize=5, markersize=5)
+        axes.set_yticks(range(len(self.sensors)), [literal(name) for name in self.names])
+        axes.set_ylim(len(self.sensors) - 0.5, -0.5)  # the first sensor is on top
+        axes.set_xlim(0.0, 1.05 * max(float(values.max()) for values in self.delta_e.values()) or 1.0)
+        axes.set_xlabel("mean ΔE: each frame (grey), and the mean with its 95 % interval")
+        return figure
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (sensor.name, f"{sensor.sensor.pixel.pitch_um:g}", f"{mean:.3f} ({low:.3f} to {high:.3f})")
+            for sensor, (low, mean, high) in zip(self.sensors, self.scores.values(), strict=True)
+        ]
+        title = "; ".join(verdict(self, other) for other in self.names[1:])
+        counted = ", ".join(f"{part.prepared.condition} ({weight:g})" for weight, part in self.counted)
+        over = f"; the mean over the conditions {counted}" if counted else ""
+        prepared = self.prepared
+        notes = [f"{prepared.scene}: {prepared.repeats} pairs of frames, seed {prepared.settings.seed}{over}", *self.notes]
+        return html_cell(title, ("sensor", "pixel size (µm)", "mean ΔE (95 %)"), rows, self.plot(), notes)
+
     def __repr__(self) -> str:
         shown = ", ".join(f"{name} {mean:.3f}" for name, (_, mean, _) in self.scores.items())
         conditions = f" under {len(self.conditions)} conditions" if self.conditions else ""
         return f"<Comparison mean ΔE {shown}, {self.prepared.repeats} pairs{conditions}>"
+
+
+def shown_delta_e(value: float, half: float, film: float | None) -> str:
+    """Return a ΔE and its uncertainty as text: half of the 95 % interval and the film's error, to two digits, one above 0.01.
+
+    film : the film's error; None is stated as unknown
+
+    >>> shown_delta_e(0.12345, 0.0021, 0.0), shown_delta_e(0.12345, 0.001, 0.02)
+    ('0.1235 ± 0.0021 ΔE', '0.12 ± 0.02 ΔE')
+    """
+    error = half + (film or 0.0)
+    decimals = MOST_DECIMALS if error <= 0 else min(max(-math.floor(math.log10(error)) + (error < FINE), 1), MOST_DECIMALS)
+    unknown = " and the film's error, which is unknown" if film is None else ""
+    return f"{value:.{decimals}f} ± {error:.{decimals}f} ΔE{unknown}"
+
+
+def shown_probability(probability: float) -> str:
+    """Return a probability as text: .93, > .999, < .001.
+
+    >>> [shown_probability(p) for p in (0.5, 0.93, 0.99961, 1.0, 0.0)]
+    ['.5', '.93', '> .999', '> .999', '< .001']
+    """
+    if probability > SURE:
+        return "> .999"
+    if probability < 1 - SURE:
+        return "< .001"
+    return f"{probability:.3f}".rstrip("0").removeprefix("0")
+
+
+def verdict(result: Comparison, other: str) -> str:
+    """Return the answer for the first sensor and another: which is better, by how much, and how sure that is.
+
+    Neither is called better if half of the difference's 95 % interval and the film's error exceed it together.
+    """
+    first, difference = result.names[0], result.difference[other]
+    low, high = result.interval_delta_e[other]
+    better, worse = (first, other) if difference >= 0 else (other, first)
+    probability = result.probability_a_better[other]
+    of_better = shown_probability(probability if difference >= 0 else 1 - probability)
+    half, film = (high - low) / 2, result.film_delta_e[other]
+    size = shown_delta_e(abs(difference), half, film)
+    if difference == 0:
+        return f"{first} and {other} have the same mean ΔE in every pair of frames"
+    if abs(difference) <= half:
+        return f"{first} and {other} cannot be told apart: {better} is better by {size} (probability {of_better})"
+    if abs(difference) <= half + (film or 0.0):
+        return f"{first} and {other} cannot be told apart: {better} is better by {size}, within the error of the film"
+    visible = "" if abs(difference) >= NO_VISIBLE_DELTA_E else f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
+    return f"{better} is better than {worse} by {size} (probability {of_better}){visible}"
 
 
 def sum_if_known(parts: Sequence[tuple[float, float | None]]) -> float | None:

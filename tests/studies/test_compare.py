@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.looks import Elements
 from helpers.sheets import sheet
 from hypothesis import given, settings, strategies as st
 from scipy import stats
@@ -29,6 +30,7 @@ from pixsim.studies.compare import (
     probability_above_zero,
     simulate_task,
     stream_key,
+    verdict,
 )
 
 # A chart without samples, few pixels and dots: a comparison takes 0.2 s.
@@ -354,3 +356,19 @@ def test_compare_invalid_raises(
     with pytest.raises(PixsimError) as error:
         pixsim.compare(files, **options)
     assert not [text for text in texts if text not in str(error.value)], str(error.value)
+
+
+def test_comparison_shows_itself_in_a_notebook(noisy: Comparison):
+    """The verdict, a row for each sensor with the interval of compare.json, and every frame in the figure."""
+    cell = noisy._repr_html_()
+    words = Elements(cell)
+    message = " ".join(words.words)
+    assert all(verdict(noisy, other) in message for other in noisy.names[1:])
+    assert words.tags.count("tr") == 1 + len(noisy.sensors)
+    for low, mean, high in noisy.scores.values():
+        assert f"{mean:.3f} ({low:.3f} to {high:.3f})" in message
+    (axes,) = noisy.plot().axes
+    drawn = np.concatenate([line.get_xdata() for line in axes.lines if len(line.get_xdata()) == noisy.prepared.repeats])
+    np.testing.assert_array_equal(np.sort(drawn), np.sort(np.concatenate(list(noisy.delta_e.values()))))
+    assert [label.get_text() for label in axes.get_yticklabels()] == list(noisy.names)
+    assert len(cell) < 100_000, "a notebook keeps it"
