@@ -17,7 +17,7 @@ from pixsim.optics.camera_light import camera_factor
 from pixsim.scene import variant as variants
 from pixsim.scene.bands import Pulse
 from pixsim.scene.plan import Plan, make_render_plan
-from pixsim.scene.renderer import Renderer, film, film_response
+from pixsim.scene.renderer import Renderer, film, film_response, mirror_margins
 from pixsim.scene.scene import Scene
 from pixsim.studies.budget import Probe, Setup, finer, minimum_um, probe, relative_rms, rms
 
@@ -173,7 +173,8 @@ def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: i
 
     def picture(seed: int) -> SpectralImage:
         radiance = tracer.trace(0, whole, sampler, spp, seed)
-        irradiance = radiance * (factor * camera.transmittance / BAND_NM)[:, :, None].astype(np.float32)
+        mirror_margins(radiance, job.margin, plan.ends)
+        irradiance = job.distorted(radiance) * (factor * camera.transmittance / BAND_NM)[:, :, None].astype(np.float32)
         widths_nm = np.full(CENTRES_NM.size, BAND_NM)
         return SpectralImage(CENTRES_NM, widths_nm, job.pitch_um, data=irradiance, header=header, margin=job.margin)
 

@@ -75,6 +75,7 @@ class Plan:
     given_spp : whether an option sets `spp`
     full : whether nothing may be left out
     tiling : of the blur of a real lens; None for a thin lens, and where a thin lens takes its place
+    ends : whether the scene ends with the film, above and below, and at the left and the right: there a margin mirrors the film
     defocus : what the thin lens's defocus is off at depths of the scene behind a real lens, largest errors first
     """
 
@@ -101,6 +102,7 @@ class Plan:
     white: tuple[Spectrum, ...] = ()
     white_lamps: tuple[str, ...] = ()
     defocus: tuple[Defocus, ...] = ()
+    ends: tuple[bool, bool] = (False, False)
 
     @checks_arguments
     def camera_of(self, camera: Camera) -> Camera:
@@ -111,16 +113,13 @@ class Plan:
     def margin(self, shape: tuple[int, int], pitch_um: float) -> int:
         """Return the cells at each side of a film that are rendered beyond it, as far as the blur of a real lens reaches.
 
-        None where a chart ends with the film: beyond it the picture is reflected.
-
         shape : (H, W) of the film in cells
         pitch_um : of its cells
         """
         if self.tiling is None or not self.tiling.psf_um:
             return 0
         whole = film.BLOCK * math.ceil(self.tiling.cells(pitch_um)[1] // 2 / film.BLOCK)
-        cells = min(whole, min(shape) // 2 // film.BLOCK * film.BLOCK)
-        return cells if self.chart is None or self.chart.reaches(cells) else 0
+        return min(whole, min(shape) // 2 // film.BLOCK * film.BLOCK)
 
     @property
     def passes(self) -> int:
@@ -259,6 +258,9 @@ def make_render_plan(
     lens, focus = rules.decide_lens(state, seen, bodies, width / height, pixels[0] if pixels else None, tolerance_e, full)
     # An unfocused chart differs from its picture, and the lens needs samples too.
     chart = rules.lone_chart(state, seen, bodies, (height, width)) if lens == "perspective" else None
+    # What is left out does not change where the scene ends.
+    sharp = lens if not full else rules.decide_lens(state, seen, bodies, width / height, None, tolerance_e, False)[0]
+    ends = rules.ends_with_film(state, seen, bodies, (height, width)) if tiling and sharp == "perspective" else (False, False)
     scene_spp = sample_count(state, sensor)
     passes = sum(len(light.fit.passes) for light in lights)
     explicit = "spp" in scene.parameters
@@ -301,6 +303,7 @@ def make_render_plan(
         white=white,
         white_lamps=scene.white_lamps,
         defocus=tuple(defocus),
+        ends=ends,
     )
     return _without_samples(plan) if exact and not full else plan
 

@@ -21,7 +21,7 @@ from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import WHOLE, SpectralImage
-from pixsim.optics.camera_lens import LENS_HEADER, Distortion, distortion_of, rendered_camera
+from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Pulse
@@ -59,7 +59,7 @@ def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int)
     tree, version = hash_of_tree(state), cache.version_fingerprint("mitsuba", "drjit")
     size = scene.film_shape(camera, state)
     margin = plan.margin(size, 1e3 * camera.die_mm / size[1])
-    settings += [margin] if margin else []
+    settings += [margin, *plan.ends] if margin else []
     return content_hash([tree, size, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, settings, seed, version])
 
 
@@ -213,16 +213,16 @@ class Renderer:
                 self.cache.store(index, level, *result)
         elif progress:
             progress(1.0)
-        if self.distortion is None:
-            return result
-        return [self._distorted(planes, self.distortion) for planes in result[0]], result[1]
+        return [self.distorted(planes) for planes in result[0]], result[1]
 
-    def _distorted(self, planes: Picture, distortion: Distortion) -> NDArray[np.float32]:
-        """Return pictures (H, W, pulses) as the chief rays of the real lens show them."""
+    def distorted(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return pictures (H, W, pulses) as the chief rays of a real lens show them; as they are for a thin lens."""
+        if self.distortion is None:
+            return planes
         widening = self.seen.die_mm / self.camera.die_mm
         result: NDArray[np.float32] = zeros(planes.shape, np.float32)
         for pulse in range(planes.shape[2]):
-            result[:, :, pulse] = distortion.applied(planes[:, :, pulse], self.pitch_um, widening)
+            result[:, :, pulse] = self.distortion.applied(planes[:, :, pulse], self.pitch_um, widening)
             release(planes, result)
         return result
 
@@ -254,6 +254,7 @@ class Renderer:
                             progress(number / (self.plan.passes * renders * len(parts)))
                     planes[rows, :, list(channels)] = total
                     release(planes[rows])
+            mirror_margins(planes, self.margin, self.plan.ends)
             pictures.append(planes)
         return pictures, renders * spp
 
@@ -261,6 +262,7 @@ class Renderer:
         """Return the pictures of a chart from its texels. Every pulse has the spectrum of the lamp, so they are all alike."""
         assert self.plan.chart is not None
         picture = (replace(self.plan.chart, shape=self.field) if self.margin else self.plan.chart).picture()
+        mirror_margins(picture, self.margin, self.plan.ends)
         return [np.broadcast_to(picture[:, :, None], (*picture.shape, len(light.fit.pulses))) for light in self.plan.lights]
 
     def _strip_borders(self, spp: int) -> list[int]:
@@ -332,6 +334,20 @@ class Renderer:
     def _image(self, header: dict[str, Any], **light: Any) -> SpectralImage:
         b = self.plan.bands
         return SpectralImage(b.wavelength_nm, b.width_nm, self.pitch_um, within=(b.nodes_nm, b.shares), header=header, **light)
+
+
+def mirror_margins(planes: Picture, margin: int, ends: tuple[bool, bool]) -> None:
+    """Continue pictures (H, W, ...) in place where the scene ends with the film: by their mirror image.
+
+    margin : cells at each side beyond the film, at most half of its sides
+    ends : as in `Plan`
+    """
+    if not margin:
+        return
+    for axis in np.flatnonzero(ends).tolist():
+        lines = np.moveaxis(planes, axis, 0)
+        lines[:margin] = lines[margin : 2 * margin][::-1]
+        lines[-margin:] = lines[-2 * margin : -margin][::-1]
 
 
 def _checked(values: NDArray[np.float32], channels: int) -> Array:

@@ -55,7 +55,10 @@ class Chart:
     source: str = ""
 
     def picture(self, part: tuple[slice, slice] = (WHOLE, WHOLE)) -> Array:
-        """Return the exact mean of each film cell, (H, W), or of a part of the film; it shows the middle of a larger chart."""
+        """Return the exact mean of each film cell, (H, W), or of a part of the film.
+
+        It shows the middle of a larger chart; beyond the end of a smaller one is nothing.
+        """
         padded = np.pad(self.texels, 1, self.beyond or "edge")
         down, across = (
             _cell_weights(count, n, per_sample, which)
@@ -66,11 +69,6 @@ class Chart:
             picture[rows] = (across @ (down[rows] @ padded).T).T
             release(picture[rows])
         return picture
-
-    def reaches(self, cells: int) -> bool:
-        """Return whether the chart goes on beyond each side of the film for some cells."""
-        sides = zip(self.shape, self.texels.shape, self.texels_per_sample, strict=True)
-        return all((count + 2 * cells) * per_sample <= n * (1 + ALIGNED) for count, n, per_sample in sides)
 
     @cached_property
     def digest(self) -> bytes:
@@ -149,9 +147,12 @@ def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice) ->
     """
     from scipy.sparse import csr_array  # imported here, since it takes time
 
-    covered = min(texels_per_sample * count, n)
+    covered = texels_per_sample * count
+    if covered <= n * (1 + ALIGNED):
+        covered = min(covered, n)
     first, stop, _ = which.indices(count)
     edges = (n - covered) / 2 + covered * np.arange(first, stop + 1) / count + 0.5  # the centre of texel i is at i + 1
+    edges = np.clip(edges, 0.5, n + 0.5)  # where the chart ends
     low, high = edges[:-1, None], edges[1:, None]
     touched = np.floor(low).astype(int) + np.arange(math.ceil(covered / count) + 2)
 
@@ -247,9 +248,11 @@ UNLIMITED = -1
 # On a film finer than the scene's: of a chart, stratified, with an eighth of the noise of one; of a path, independent.
 FEWEST_OF_A_CHART, FEWEST_OF_A_PATH = 2, 4
 MIN_OF_A_PATH = 16  # samples; with 4, multijitter correlates the dimensions of a path (still_life: 0.8 % too dark)
+ENDS = 1e-4  # of a chart's half width: where files round its size or the camera's angle, it still ends with the film
 ALIGNED = 1e-6  # of a chart's half width: tolerance for its position, rotation and size
 # Emitters that look the same from every point of the lens, or cannot be seen.
 ALIKE = ("area", "constant", "point", "spot", "directional", "projector")
+BACKGROUNDS = frozenset(("constant", "envmap", "sunsky", "sky"))  # seen beyond all shapes
 
 
 @dataclass(frozen=True)
@@ -349,23 +352,18 @@ def lone_chart(state: Any, camera: Camera, bodies: list[Body], shape: tuple[int,
     emitters = nodes_of(state, "Emitter")
     if len(bodies) != 1 or len(emitters) != 1 or emitters[0][1].props.plugin_name() != "area":
         return None
-    body, node = bodies[0], state.nodes[bodies[0].node]
-    if node.props.plugin_name() != FLAT[0] or body.corners is None or body.normal is None:
+    body = bodies[0]
+    if (half := _facing_half(state, body)) is None:
         return None
-    half = [float(np.ptp(body.corners[:, axis])) / 2 for axis in (1, 0)]
-    middle = body.corners.mean(axis=0)
-    up, across = body.corners[1] - body.corners[0], body.corners[2] - body.corners[0]
-    upright = max(abs(up[0]), abs(across[1])) <= ALIGNED * min(half)
-    depth = float(middle[2])
-    tangent = camera.die_mm / (2 * camera.image_distance_mm)
-    view = (tangent * depth * shape[0] / shape[1], tangent * depth)
-    centred = max(abs(middle[0]), abs(middle[1])) <= ALIGNED * min(half)
-    covers = all(v <= h * (1 + ALIGNED) for v, h in zip(view, half, strict=True))
-    if not (upright and centred and covers and abs(body.normal[2]) > 1 - 1e-9):
+    view = _view(camera, body, shape)
+    if not all(v <= h * (1 + ALIGNED) for v, h in zip(view, half, strict=True)):
         return None
     picture = emitted_picture(state, emitters[0][1])
     if picture is None:
         return None
+    assert body.corners is not None
+    assert body.normal is not None
+    up, across = body.corners[1] - body.corners[0], body.corners[2] - body.corners[0]
     # Rows of a film run down, columns to the right; y of the camera's frame points up, x to the left.
     turns = -1 if up[1] * picture.along_v > 0 else 1, -1 if across[0] * picture.along_u > 0 else 1
     texels = picture.texels[:: turns[0], :: turns[1]]
@@ -374,6 +372,38 @@ def lone_chart(state: Any, camera: Camera, bodies: list[Body], shape: tuple[int,
     source = f"{picture.source} {turns}" if picture.source else ""
     beyond = picture.beyond if seen else None
     return Chart(np.ascontiguousarray(texels), (per_sample[0], per_sample[1]), shape, beyond, source)
+
+
+def _facing_half(state: Any, body: Body) -> tuple[float, float] | None:
+    """Return half the height and width, m, of a rectangle that faces the lens upright and centred; None for other shapes."""
+    if state.nodes[body.node].props.plugin_name() != FLAT[0] or body.corners is None or body.normal is None:
+        return None
+    half = float(np.ptp(body.corners[:, 1])) / 2, float(np.ptp(body.corners[:, 0])) / 2
+    middle = body.corners.mean(axis=0)
+    up, across = body.corners[1] - body.corners[0], body.corners[2] - body.corners[0]
+    upright = max(abs(up[0]), abs(across[1])) <= ALIGNED * min(half)
+    centred = max(abs(middle[0]), abs(middle[1])) <= ALIGNED * min(half)
+    return half if upright and centred and abs(body.normal[2]) > 1 - 1e-9 else None
+
+
+def _view(camera: Camera, body: Body, shape: tuple[int, int]) -> tuple[float, float]:
+    """Return half the height and width of the view at the middle of a shape, m."""
+    assert body.corners is not None
+    tangent, depth = camera.die_mm / (2 * camera.image_distance_mm), float(body.corners[:, 2].mean())
+    return tangent * depth * shape[0] / shape[1], tangent * depth
+
+
+def ends_with_film(state: Any, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> tuple[bool, bool]:
+    """Return whether a scene ends where the film ends, above and below, and at the left and the right.
+
+    It does so if it is one rectangle, as large as the view, with nothing behind it. Such a rectangle is the picture: that the
+    world is black beyond it is not what anybody means.
+    """
+    names = [node.props.plugin_name() for _, node in nodes_of(state, "Emitter")]
+    if len(bodies) != 1 or set(names) & BACKGROUNDS or (half := _facing_half(state, bodies[0])) is None:
+        return False, False
+    above, beside = (abs(v / h - 1) <= ENDS for v, h in zip(_view(camera, bodies[0], shape), half, strict=True))
+    return above, beside
 
 
 def decide_samples(

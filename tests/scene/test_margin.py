@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pixsim import load_scene, render
+from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
 from pixsim.light.exr import read_channels, read_exr, write_channels, write_exr
@@ -16,6 +17,8 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.optics.camera_lens import Tiling, traced_lens
 from pixsim.scene.plan import Plan, make_render_plan
+from pixsim.scene.renderer import mirror_margins
+from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
@@ -105,19 +108,94 @@ def test_border_is_that_of_a_larger_picture(tmp_path: Path, more: str) -> None:
     np.testing.assert_allclose(image.planes, larger.planes[:, middle, middle], atol=0.25 * float(image.planes.max()))
 
 
+def ring(rate: Array, cells: int = 6) -> Array:
+    border = np.ones(rate.shape, bool)
+    border[cells:-cells, cells:-cells] = False
+    return rate[border]
+
+
+def border_rates(scene: Scene) -> tuple[Array, float, float]:
+    """Rates near the border from texels, and rms noise and rms error of those of sampled pictures, over the contrast."""
+    image, camera, plan = seen(scene, CELLS, exact=True)
+    assert plan.exact
+    assert image.margin == 12  # the reach of 21 cells, in blocks of 4
+    exact, physics = diffracted_rate(image, camera, derive(PIXEL)), derive(PIXEL)
+    plan = replace(plan, exact=False, spp=256)
+    one, other = (
+        diffracted_rate(render(scene.with_resolution(CELLS), camera, seed, plan=plan), camera, physics) for seed in (0, 1)
+    )
+    noise = np.sqrt(np.mean(ring(one - other) ** 2) / 2)
+    error = np.sqrt(np.mean([ring(rate - exact) ** 2 for rate in (one, other)]))
+    return exact, noise / exact.std(), error / exact.std()
+
+
 @pytest.mark.usefixtures("some_tiles")
-def test_a_chart_that_ends_with_the_picture_is_reflected_there(tmp_path: Path) -> None:
-    scene = load_scene("csf", resolution=CELLS)
-    camera = scene.camera(CameraOptions(die_mm=DIE_MM), LensOptions(file="singlet", focal_length_mm=12.0))
-    plan = make_render_plan(scene, camera, PIXEL)
-    assert plan.margin((CELLS, CELLS), 10.0) == 0
-    assert render(scene, camera, plan=plan).margin == 0
+def test_a_chart_that_ends_with_the_film_goes_on_as_its_mirror_image() -> None:
+    """By texels as by samples. A chart is the picture: its end is no edge of the scene, and does not darken the border."""
+    scene = load_scene("csf")
+    _, noise, error = border_rates(scene)
+    assert noise < 2e-3
+    assert error == pytest.approx(noise, rel=0.15)  # 1000 cells
+    camera = seen(scene, CELLS)[1]
+    for options in ({}, {"exact": True}, {"full": True}):
+        assert make_render_plan(scene, camera, PIXEL, **options).ends == (True, True)
+    image, camera, _ = seen(load_scene("flat"), CELLS, exact=True)
+    even = diffracted_rate(image, camera, derive(PIXEL))[CELLS // 2]
+    assert even[:3].mean() / even[8:11].mean() == pytest.approx(1, abs=0.02)  # the fall-off of the lens
+
+
+@pytest.mark.usefixtures("some_tiles")
+def test_a_chart_that_ends_beyond_the_film_is_black_there(tmp_path: Path) -> None:
+    """By texels as by samples, where its rectangle ends in a render with a margin."""
+    endless, camera, plan = seen(scene_beyond(tmp_path, 0.1), CELLS, exact=True)
+    assert plan.ends == (False, False)
+    far = diffracted_rate(endless, camera, derive(PIXEL))
+    half_m = camera.die_mm / (2 * camera.image_distance_mm)  # of the view at 1 m
+    exact, noise, error = border_rates(scene_beyond(tmp_path, 1.1 * half_m))
+    assert noise < 5e-3
+    assert error == pytest.approx(noise, rel=0.15)
+    assert ring(exact, 1).mean() / exact.mean() < 0.97 * ring(far, 1).mean() / far.mean()
+
+
+@pytest.mark.parametrize("larger", [1.0, 1.25, 2.0])
+def test_cells_beyond_a_chart_have_the_share_of_its_light(larger: float) -> None:
+    """An even chart of 30 × 40 texels on 12 × 16 cells, and on a film that is larger."""
+    chart = Chart(np.ones((30, 40)), (2.5, 2.5), (12, 16))
+    shape = round(12 * larger), round(16 * larger)
+    picture = replace(chart, shape=shape).picture()
+    assert picture.sum() == pytest.approx(12 * 16, rel=1e-12)
+    inside = picture[(shape[0] - 12) // 2 + 1 : (shape[0] + 12) // 2 - 1, (shape[1] - 16) // 2 + 1 : (shape[1] + 16) // 2 - 1]
+    np.testing.assert_allclose(inside, 1, rtol=1e-12)
+    assert (picture[0, 0] == 0) == (larger > 1.1)
+
+
+@pytest.mark.usefixtures("some_tiles")
+def test_sides_at_which_a_scene_ends_are_found_one_by_one(tmp_path: Path) -> None:
+    scene = load_scene("slanted_edge", resolution=CELLS)  # its chart is a square
+    lens = LensOptions(file="singlet", focal_length_mm=12.0)
+    ends = [
+        make_render_plan(scene, scene.camera(CameraOptions(die_mm=DIE_MM, die_height_mm=height), lens), PIXEL).ends
+        for height in (None, 0.32)
+    ]
+    assert ends == [(True, True), (False, True)]
+    camera = scene.camera(CameraOptions(die_mm=DIE_MM), lens)
     thin = make_render_plan(scene, scene.camera(), PIXEL)
     assert thin.margin((CELLS, CELLS), 10.0) == 0
     beyond = make_render_plan(scene_beyond(tmp_path, 0.1, BALL).with_resolution(CELLS), camera, PIXEL)
-    assert beyond.margin((CELLS, CELLS), 10.0) == 12  # the reach of 21 cells, in blocks of 4
+    assert beyond.ends == (False, False)
     assert beyond.margin((16, 16), 10.0) == 8  # no more than half of the picture
     assert traced_lens(camera.lens, 1.0).prescription.name  # type: ignore[arg-type]
+
+
+def test_margins_are_mirrored_where_a_scene_ends() -> None:
+    rng = np.random.default_rng(0)
+    whole = rng.random((12, 10, 2))
+    for ends in ((True, True), (False, True), (True, False), (False, False)):
+        found = whole.copy()
+        mirror_margins(found, 3, ends)
+        rows, columns = (slice(3, -3) if end else slice(None) for end in ends)
+        pad = [(3, 3) if end else (0, 0) for end in (*ends, False)]
+        np.testing.assert_array_equal(found, np.pad(whole[rows, columns], pad, "symmetric"))
 
 
 def light(margin: int, factored: bool) -> SpectralImage:
