@@ -1,4 +1,4 @@
-"""A study's report that is kept: nothing is drawn again when its folder holds the report of an equal result, unchanged."""
+"""Files that are kept: nothing is computed or drawn again when its folder holds what equal content gave, unchanged."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from pixsim.base import cache
+from pixsim.base.arrays import strips
 from pixsim.base.files import DEPENDENCIES, are_kept, digest_of, output_folder, versions, write_made_from
+from pixsim.base.mapped import release
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.result import StudyResult
@@ -42,10 +45,18 @@ def keep_or_write(result: StudyResult, folder: Path, write: Callable[[], Path]) 
 
 def digest_of_report(result: StudyResult) -> str:
     """Hash of everything that the files of a study's report are made from, but the wall times."""
-    digest = hashlib.blake2b(digest_size=16)
     studies = [result.study, *(part.study for part in result.parts)]
     technologies = [[technology_of(study, name) for name in study.technologies] for study in studies]
-    for text in _texts([_environment(), technologies, result], digest.update):
+    return digest_of_content(technologies, result)
+
+
+def digest_of_content(*content: Any) -> str:
+    """Hash of content, and of all else that decides on files that are made from it.
+
+    Raises TypeError for a value of an unknown kind.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    for text in _texts([_environment(), *content], digest.update):
         digest.update(f"{len(text)}:{text}".encode(errors="surrogatepass"))
     return digest.hexdigest()
 
@@ -68,10 +79,13 @@ def _texts(value: Any, update: Callable[[Any], object]) -> Iterator[str]:
         yield repr(value)
     elif isinstance(value, np.ndarray):
         yield f"{value.dtype} {value.shape}"
-        update(np.ascontiguousarray(value).data)
+        for part in _parts(value):
+            update(np.ascontiguousarray(part).data)
+            release(part)
     elif isinstance(value, SpectralImage):
-        light = value.factors or value.data  # a picture in a file has them in memory only while they are read
-        yield from _texts([value.wavelength_nm, value.band_width_nm, value.within, value.pitch_um, value.header, light], update)
+        light = value.whole.factors or value.whole.data
+        own = [value.wavelength_nm, value.band_width_nm, value.within, value.pitch_um, value.margin, value.header]
+        yield from _texts([*own, light], update)
     elif isinstance(value, Mapping):
         yield f"table of {len(value)}"
         for key, content in value.items():
@@ -89,3 +103,14 @@ def _texts(value: Any, update: Callable[[Any], object]) -> Iterator[str]:
         yield from _texts({each.name: getattr(value, each.name) for each in fields(value) if each.name not in LEFT_OUT}, update)
     else:
         raise TypeError(f"a report made from {type(value).__name__}, whose content is not known")
+
+
+def _parts(array: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Yield a few rows of an array at a time, in the order of its memory: a file may have those of a large picture."""
+    if array.ndim < 2:
+        yield array
+    elif array.ndim == 2:
+        yield from (array[rows] for rows in strips(*array.shape))
+    else:
+        for part in np.moveaxis(array, int(np.argmax(array.strides)), 0):
+            yield from _parts(part)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import time
 from collections.abc import Callable, Sequence
@@ -16,12 +17,22 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
 from pixsim.base.errors import invalid
-from pixsim.base.files import PROVENANCE, check_replaceable, digest_of, output_folder, publishing, write_json
+from pixsim.base.files import (
+    PROVENANCE,
+    are_kept,
+    check_replaceable,
+    digest_of,
+    output_folder,
+    publishing,
+    write_json,
+    write_made_from,
+)
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Correction, Develop, Display, Exposure, Record, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
+from pixsim.report.kept import digest_of_content
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
@@ -211,7 +222,7 @@ def run_and_write(
     """
     from pixsim.sensor.pixel import derive
 
-    derive(settings.pixel)
+    physics = derive(settings.pixel)
     if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(raw_suffixes):
         got = f"tiff or png for an ADC of {settings.pixel.bits} bits"
         raise invalid("--raw", got, f"at most {BITS_OF_PICTURES} bits; use npz for more")
@@ -245,6 +256,10 @@ def run_and_write(
             lap("render" if "plan" in more else "read")
             progress("sense and score")
             image.header |= white_header(image, camera, settings.display)
+            of_files = full, tuple(raw_suffixes), irradiance, sensor, variant, units
+            made_from = digest_of_content(of_files, light, physics.technology)
+            if are_kept(folder, "run", made_from):
+                return kept_summary(folder, notes)
             given = {"sensor": sensor, "variant": variant, "units": units}
             command = ["pixsim", "run", light.source, "--config", SETTINGS_FILE, *["--full"] * full]
             command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
@@ -274,6 +289,16 @@ def run_and_write(
                 (partial_folder / SETTINGS_FILE).write_text(text, encoding="utf-8")
                 write_all(partial_folder, image, score, summary, raw_suffixes)
                 lap("write")
+            write_made_from(folder, "run", made_from)
+    return summary
+
+
+def kept_summary(folder: Path, notes: Sequence[str]) -> dict[str, Any]:
+    """Return score.json of a folder whose files are kept, and repeat its warnings but those of `notes`, which were given."""
+    summary: dict[str, Any] = json.loads((folder / "score.json").read_bytes())  # which is as it was written
+    for note in summary["notes"]:
+        if note not in notes and note not in dark_notes(summary):
+            warn(note)
     return summary
 
 

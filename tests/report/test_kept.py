@@ -1,4 +1,4 @@
-"""A report is kept if and only if it would be drawn from equal content, and its files are as they were written."""
+"""Reports and runs are kept if and only if they would be made from equal content, and their files are as they were written."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.commands import command
+from helpers.commands import assert_refused, command
 from helpers.tiny import tiny, tiny_toml
 
 import pixsim
 from pixsim.base.files import PROVENANCE, publishing, write_made_from
-from pixsim.report import kept, study as report_of_study
+from pixsim.report import kept, run as report_of_run, study as report_of_study
 from pixsim.report.kept import digest_of_report, keep_or_write
 from pixsim.studies.evaluations import Counts
 from pixsim.studies.result import StudyResult
@@ -216,3 +216,77 @@ def test_study_command_again_draws_nothing(
         again = command(line)
     assert again[:2] == first[:2]
     assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before
+
+
+# --- runs ---
+
+RUN = "--pixel.pitch-um 21.2 --display.dots 32 --seed 3"
+OF_SCENE = f"csf --variant scalar_spectral --resolution 64 {RUN}"
+
+
+def picture_of(path: Path, light: float = 0.01) -> Path:
+    """Write a ramp of 32² samples of unknown white, of which a run warns."""
+    ramp = np.linspace(0.2, 1, 32) * light * np.ones((32, 1))
+    pixsim.write_npz(path, pixsim.SpectralImage([450.0, 550.0, 650.0], 100.0, 84.8, data=np.repeat(ramp[:, :, None], 3, axis=2)))
+    return path
+
+
+def files_of(folder: Path) -> dict[Path, tuple[int, int, bytes]]:
+    return {path: (path.stat().st_mtime_ns, path.stat().st_ino, path.read_bytes()) for path in folder.iterdir() if path.is_file()}
+
+
+def unused(*_: object, **__: object) -> None:
+    raise AssertionError("a picture is simulated")
+
+
+@pytest.mark.parametrize("source", ["a scene", "a picture"])
+def test_run_command_again_keeps_all_files(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its messages and its result are those of the first run."""
+    what = OF_SCENE if source == "a scene" else f"{picture_of(tmp_path / 'ramp.npz')} {RUN}"
+    line = f"run {what} --json --out {tmp_path / 'out'}"
+    first = command(line)
+    assert first[0] == 0, first
+    assert ("does not define its white" in first[2]) == (source == "a picture")
+    before = files_of(tmp_path / "out")
+    monkeypatch.setattr(report_of_run, "make_imaging_chain", unused)
+    assert command(line) == first
+    assert files_of(tmp_path / "out") == before
+
+
+OTHERS: dict[str, Callable[[Path, str], object]] = {  # what is done to the folder of the run, or changed in its command
+    "a setting": lambda folder, line: line.replace("--seed 3", "--seed 4"),
+    "the camera": lambda folder, line: f"{line} --camera.f-number 2.8",
+    "the files asked for": lambda folder, line: f"{line} --raw png --irradiance none",
+    "full": lambda folder, line: f"{line} --full",
+    "the light": lambda folder, line: picture_of(folder / "ramp.npz", 0.02) and line,
+    "the name of the picture": lambda folder, line: line.replace(
+        "ramp.npz", str((folder / "ramp.npz").rename(folder / "r.npz").name)
+    ),
+    "a missing file": lambda folder, line: (folder / "out/delta_e.png").unlink() or line,
+    "a command that was killed": lambda folder, line: (
+        (folder / "out/provenance.json").write_text((folder / "out/provenance.json").read_text().replace("made_from", "of_another"))
+        and line
+    ),
+}
+
+
+@pytest.mark.parametrize("change", OTHERS)
+def test_run_command_of_something_else_writes_all_files(change: str, tmp_path: Path) -> None:
+    """Their content is that of a run into a new folder."""
+    line = f"run {picture_of(tmp_path / 'ramp.npz')} {RUN} --out {tmp_path / 'out'}"
+    assert command(line)[0] == 0
+    other = str(OTHERS[change](tmp_path, line))
+    before = files_of(tmp_path / "out")
+    assert command(other)[0] == 0
+    after = files_of(tmp_path / "out")
+    assert not [path for path in after if path in before and after[path][0] == before[path][0]], "files that were not written"
+    assert command(other.replace("/out", "/new"))[0] == 0
+    content = {path.name: mark[2] for path, mark in files_of(tmp_path / "new").items() if path.name != PROVENANCE}
+    assert {path.name: mark[2] for path, mark in after.items() if path.name != PROVENANCE} == content
+
+
+def test_run_command_edited_file_is_refused(tmp_path: Path) -> None:
+    line = f"run {picture_of(tmp_path / 'ramp.npz')} {RUN} --out {tmp_path / 'out'}"
+    assert command(line)[0] == 0
+    (tmp_path / "out/score.json").write_text("{}")
+    assert_refused(*command(line), ["score.json", "not written by pixsim or changed since"])
