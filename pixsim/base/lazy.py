@@ -42,11 +42,14 @@ class PlainDocstring:
         return f"\n{self.text}"  # SciPy takes the first line for the signature
 
 
-def keep_docstrings_of_scipy() -> None:
-    """Let SciPy leave the docstrings of its functions as they are, where nobody reads them: in the process of a command.
+def import_less() -> None:
+    """Let SciPy import and do less, in the process of a command.
 
-    When it is imported it adds notes on other array libraries to hundreds of them. Its functions are the same.
+    It leaves the docstrings of its functions as they are, since nobody reads them: when it is imported it adds notes on other array
+    libraries to hundreds of them. Its functions are the same. Masked arrays, which Matplotlib needs, and polynomials are loaded
+    when they are used.
     """
+    load_when_used("ma", "polynomial")
     with suppress(ImportError):  # SciPy's own name for it may change: then nothing is gained
         from scipy._lib import _docscrape
 

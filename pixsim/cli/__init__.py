@@ -9,6 +9,7 @@ Little is imported here, so that `command` takes Ctrl-C before `main` imports th
 from __future__ import annotations
 
 import gc
+import os
 import sys
 
 from pixsim.cli.process import discard_output, interruption, leave, open_closed_streams
@@ -25,6 +26,7 @@ def command() -> NoReturn:
     """Run `main` as a process of its own."""
     interruption.guard()
     gc.disable()  # a tenth of the time of the imports; `stages` enables it
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # pydantic looks for them in all installed packages
     try:
         open_closed_streams()
         main()

@@ -20,7 +20,7 @@ from cyclopts import Parameter
 from pixsim.base.config import read_toml, study_layers
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder
-from pixsim.base.lazy import keep_docstrings_of_scipy
+from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Run
 from pixsim.cli import options as common
@@ -132,9 +132,9 @@ def run(
     Example: pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
 
     Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr, delta_e.png, score.json,
-    settings.toml and report.html. `pixsim run SCENE --config settings.toml` repeats it.
+    settings.toml and report.html, or keeps them where they would be the same. `pixsim run SCENE --config settings.toml` repeats it.
     """
-    keep_docstrings_of_scipy()
+    import_less()
     from pixsim.report.run import run_and_write
     from pixsim.report.wording import budget_lines, dark_notes, score_line
 
@@ -172,7 +172,7 @@ def plan(
 
     Example: pixsim plan macbeth --tolerance-e 1e-4
     """
-    keep_docstrings_of_scipy()
+    import_less()
     from pixsim.scene.plan import make_plan
     from pixsim.scene.scene import load_scene
 
@@ -288,7 +288,7 @@ def study(
     command continues an interrupted study, and draws no report again that would show the same; `pixsim study settings.toml`
     repeats it.
     """
-    keep_docstrings_of_scipy()
+    import_less()
     from pixsim.report.axes import axes_files, axes_lines, axes_summary, write_axes_report
     from pixsim.report.kept import keep_or_write
     from pixsim.report.outline import long_lines, outline_lines, study_outline
@@ -441,7 +441,7 @@ def compare(
     Options of cameras, pixels, exposures and displays, and --config, hold for all sensors. Writes compare.json, pictures,
     settings.toml, the settings of each sensor, and report.html.
     """
-    keep_docstrings_of_scipy()
+    import_less()
     from pixsim.report.compare import check_output, comparison_lines, outline, outline_lines, write_comparison
     from pixsim.studies.compare import prepare, run_prepared
 
@@ -484,7 +484,7 @@ def accuracy(
 
     Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
-    keep_docstrings_of_scipy()
+    import_less()
     from pixsim.accuracy.report import FILES, accuracy_lines, write_accuracy
     from pixsim.accuracy.survey import survey
 
@@ -532,7 +532,7 @@ def datasheet(
     saturation, stacks for the spatial terms, dark series over time and temperature. A black level below 6 σ of the dark
     signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
     """
-    keep_docstrings_of_scipy()
+    import_less()
     from pixsim.measure.datasheet import make_datasheet, sheet_summary as summary
     from pixsim.measure.datasheet_report import FILES, datasheet_lines, sheet_name, write_datasheet
 

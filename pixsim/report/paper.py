@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+import scipy  # whose parts are imported when they are used
 
 from pixsim.report.merit import study_mtf_terms, system_mtf
 from pixsim.report.pictures import CONTRAST_LABEL, extent, picture_axes
@@ -138,7 +138,7 @@ def figure_6(evidence: Evidence) -> Plate:
     axes = figure.subplots()
     vertices: list[tuple[float, float, float]] = []
     for pitch_um, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False):
-        smooth = gaussian_filter(evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest")
+        smooth = scipy.ndimage.gaussian_filter(evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest")
         down, across = evidence.border(pitch_um)
         border_um = 1e3 * down * height_mm, 1e3 * across * width_mm
         where = picture_axes(evidence.result.irradiance, border_um)

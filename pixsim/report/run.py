@@ -230,7 +230,7 @@ def run_and_write(
         allowed = "one of the two: a tolerance selects cheaper settings, --full uses none"
         raise invalid("--tolerance-delta-e", "with --full", allowed)
     names = {"report.html", *FILES, *(f"raw{suffix}" for suffix in raw_suffixes)}
-    check_replaceable(out, names - {"irradiance.exr"} if irradiance == "none" else names)
+    names -= {"irradiance.exr"} if irradiance == "none" else set()
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
 
@@ -245,11 +245,16 @@ def run_and_write(
             if settings.scene or sensor or variant or only_of_scenes:
                 options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution, --window"
                 raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
+            check_replaceable(out, names)
             prepared = partial(light_of_picture, source, settings, units)
         else:
             if units:
                 raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr); the units of a render are known")
-            prepared = _prepare(source, settings, full, sensor, variant, progress)
+            with ThreadPoolExecutor(1) as pool:  # files of a run before are read meanwhile
+                replaceable = pool.submit(check_replaceable, out, names)
+                known = prepared_run(source, settings, sensor, variant)
+                replaceable.result()
+            prepared = _prepare(source, settings, *known, full=full, progress=progress)
         with output_folder(out) as folder:
             light = prepared()
             image, camera, settings, more = light.irradiance, light.camera, light.settings, light.more
@@ -371,18 +376,19 @@ def prepared_run(
 
 
 def _prepare(
-    source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
+    source: str, asked: Run, scene: Scene, camera: Camera, settings: Run, view: View, *, full: bool, progress: Stage
 ) -> Callable[[], Light]:
-    """Check everything that can be checked before a render, and return the function that renders."""
+    """Check everything that can be checked before a render, and return the function that renders.
+
+    asked : settings before `prepared_run`, which returns those that follow
+    """
     from pixsim.scene.convergence import without_clock
     from pixsim.scene.plan import Plan, make_plan
     from pixsim.scene.scene import packaged_scenes
     from pixsim.sensor.pixel import derive
     from pixsim.studies.oversampling import render_and_measure
 
-    scene, camera, settings, view = prepared_run(source, settings, sensor, variant)
     named = source if source in packaged_scenes() else str(scene.path)
-    asked = settings
     settled: Settled | None = None
     if settings.tolerance_delta_e:
         from pixsim.studies.budget import Setup, settle

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+import scipy  # whose parts are imported when they are used
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array
@@ -48,7 +48,7 @@ SENSORS_SHOWN = 8  # in mean maps
 def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Array], name: str) -> Plate:
     """Show the ideal image, the image of one sensor, its ΔE map, and curves of equal ΔE of the mean map of several sensors."""
     mean, pitch_um = np.mean(maps, axis=0), score.physics.pitch_um
-    smooth = gaussian_filter(mean, ISO_SMOOTHING_DOTS, mode="nearest")
+    smooth = scipy.ndimage.gaussian_filter(mean, ISO_SMOOTHING_DOTS, mode="nearest")
     figure = new_figure(8.6, 7.6)
     figure.set_layout_engine(None)  # fixed margins: the automatic layout takes a fifth of the drawing time
     grid = figure.add_gridspec(2, len(WIDTHS), width_ratios=WIDTHS, **MARGINS)

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from pixsim.base import cache
-from pixsim.base.arrays import Array, strips
+from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.mapped import release, zeros
 from pixsim.base.parameters import Camera, Pixel
 from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
@@ -65,9 +65,12 @@ class Chart:
             for count, n, per_sample, which in zip(self.shape, self.texels.shape, self.texels_per_sample, part, strict=True)
         )
         picture: Array = zeros((down.shape[0], across.shape[0]))
-        for rows in strips(*picture.shape):  # the matrices are sparse; strips save memory
+
+        def compute(rows: slice) -> None:
             picture[rows] = (across @ (down[rows] @ padded).T).T
             release(picture[rows])
+
+        in_threads(compute, strips(*picture.shape), picture.size)  # the matrices are sparse; strips save memory
         return picture
 
     @cached_property

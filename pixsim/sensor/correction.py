@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
@@ -147,7 +147,9 @@ def without_defects(picture: Array, defects: NDArray[np.bool_]) -> Array:
     sound, result, missing = (~defects).astype(float), picture.copy(), defects.copy()
     size = 3
     while missing.any():
-        weight, total = (uniform_filter(values, size, mode="constant") for values in (sound, np.where(defects, 0.0, picture)))
+        weight, total = (
+            scipy.ndimage.uniform_filter(values, size, mode="constant") for values in (sound, np.where(defects, 0.0, picture))
+        )
         found = missing & (weight > 0.5 / size**2)
         result[found] = total[found] / weight[found]
         missing &= ~found

@@ -13,9 +13,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import lapack
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.sparse import csr_array
 
 from pixsim.base.arrays import Array, in_threads, strips
@@ -96,7 +95,7 @@ def knots_of(n: int) -> Knots:
     reach = int(np.abs(values.col - values.row).max())
     band = np.zeros((3 * reach + 1, n + 1), order="F")
     band[2 * reach + values.row - values.col, values.col] = values.data
-    factors, pivots, _ = lapack.dgbtrf(band, reach, reach)
+    factors, pivots, _ = scipy.linalg.lapack.dgbtrf(band, reach, reach)
     return Knots(knots, degree, reach, factors, pivots)
 
 
@@ -128,7 +127,7 @@ def spline_coefficients(samples: Array) -> Array:
     running = np.empty((len(samples) + 1, samples.shape[1]), order="F")
     running[0] = 0.0
     np.cumsum(samples, axis=0, dtype=float, out=running[1:])
-    return lapack.dgbtrs(spline.factors, spline.reach, spline.reach, running, spline.pivots, overwrite_b=True)[0]
+    return scipy.linalg.lapack.dgbtrs(spline.factors, spline.reach, spline.reach, running, spline.pivots, overwrite_b=True)[0]
 
 
 def running_integral(samples: Array) -> Array:
@@ -156,7 +155,9 @@ def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
     part = (edges - cell)[:, None]
-    lowest, highest = (extreme(samples, 3, axis=0, mode="nearest") for extreme in (minimum_filter1d, maximum_filter1d))
+    lowest, highest = (
+        extreme(samples, 3, axis=0, mode="nearest") for extreme in (scipy.ndimage.minimum_filter1d, scipy.ndimage.maximum_filter1d)
+    )
     slack = (highest - lowest) / 2
     before = np.cumsum(samples, axis=0) - samples
     bounds = np.maximum(lowest - slack, 0.0), highest + slack

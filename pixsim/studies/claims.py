@@ -12,8 +12,8 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike
-from scipy.ndimage import gaussian_filter1d
 
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Pixel, Study, content_hash
@@ -172,7 +172,7 @@ def threshold_contrast(delta_e: Array, level: float, border: float = 0.0) -> Arr
 
     border : fraction of the chart's height that the map omits above and below
     """
-    smooth = gaussian_filter1d(by_frequency(delta_e), CONTRAST_SMOOTHING_DOTS, axis=0, mode="nearest")
+    smooth = scipy.ndimage.gaussian_filter1d(by_frequency(delta_e), CONTRAST_SMOOTHING_DOTS, axis=0, mode="nearest")
     contrast = csf_contrast(chart_places(len(smooth), border))
     above = smooth > level
     return np.where(above.any(axis=0), contrast[above.argmax(axis=0)], np.inf)
@@ -191,7 +191,7 @@ def modes(delta_e: Array) -> int:
     counts, _ = np.histogram(values, bins=HISTOGRAM_BINS)
     step = np.ptp(values) / HISTOGRAM_BINS
     padded = np.pad(counts.astype(float), HISTOGRAM_BINS // 4)
-    density = gaussian_filter1d(padded, bandwidth / step, mode="constant")
+    density = scipy.ndimage.gaussian_filter1d(padded, bandwidth / step, mode="constant")
     return prominent_maxima(density, MODE_PROMINENCE * density.max())
 
 

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import disk_faults_named
-from pixsim.base.lazy import keep_docstrings_of_scipy
+from pixsim.base.lazy import import_less
 from pixsim.base.locks import temporary_folder
 from pixsim.base.machine import processors
 from pixsim.base.notes import MachineWarning, warn
@@ -352,7 +352,7 @@ WATCH_S = 1.0  # between two looks at the parent
 
 def begin_worker(parent: int) -> None:
     """Prepare this process, which the one of this number has started."""
-    keep_docstrings_of_scipy()
+    import_less()
     watch_parent(parent)
 
 

@@ -20,8 +20,8 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike
-from scipy.ndimage import correlate, correlate1d
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
@@ -237,8 +237,8 @@ def _interpolated(mosaic: Array, cell: tuple[str, ...]) -> Array:
     letters = np.array([list(row) for row in cell])[np.arange(height)[:, None] % rows, np.arange(width) % columns]
 
     def blurred(values: Array) -> Array:  # SciPy's "mirror" reflects about the centres of the outermost pixels
-        along_y = correlate1d(values, _tent(rows), axis=0, mode="mirror")
-        return np.asarray(correlate1d(along_y, _tent(columns), axis=1, mode="mirror"))
+        along_y = scipy.ndimage.correlate1d(values, _tent(rows), axis=0, mode="mirror")
+        return np.asarray(scipy.ndimage.correlate1d(along_y, _tent(columns), axis=1, mode="mirror"))
 
     planes = np.empty((len(channels_of(cell)), height, width))
     for plane, channel in zip(planes, channels_of(cell), strict=True):
@@ -255,14 +255,14 @@ def _menon(mosaic: Array, cell: tuple[str, ...]) -> Array:
     is_red, is_green, is_blue = letters == np.array(["R", "G", "B"])[:, None, None]
 
     def along(axis: int, values: Array, taps: Sequence[float]) -> Array:
-        return np.asarray(correlate1d(values, taps, axis=axis, mode="mirror"))
+        return np.asarray(scipy.ndimage.correlate1d(values, taps, axis=axis, mode="mirror"))
 
     # Green by interpolation along y and along x, and how much the difference from green changes along each.
     greens, changes = [], []
     for axis, weights in enumerate((MENON_CHANGES.T, MENON_CHANGES)):
         greens.append(np.where(is_green, mosaic, along(axis, mosaic, (-0.25, 0.5, 0.5, 0.5, -0.25))))
         difference = mosaic - greens[axis]
-        changes.append(correlate(np.abs(difference - np.roll(difference, -2, axis)), weights, mode="constant"))
+        changes.append(scipy.ndimage.correlate(np.abs(difference - np.roll(difference, -2, axis)), weights, mode="constant"))
     horizontal = changes[0] >= changes[1]
 
     def along_choice(values: Array, taps: Sequence[float]) -> Array:

@@ -16,8 +16,8 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
@@ -256,7 +256,7 @@ def _whiten(planes: Sequence[Array], full: NDArray[np.bool_], layout: Layout) ->
     if layout.is_stacked:
         near = np.any(np.split(full, layout.planes), axis=0)
     else:
-        near = maximum_filter(full, [2 * len(part) - 1 for part in (layout.cell, layout.cell[0])])
+        near = scipy.ndimage.maximum_filter(full, [2 * len(part) - 1 for part in (layout.cell, layout.cell[0])])
     brightest = np.max([plane[near] for plane in planes], axis=0)
     for plane in planes:
         plane[near] = brightest

@@ -15,7 +15,7 @@ LOOK = """
 import json, sys
 from pixsim.base import arrays, lazy
 if sys.argv[1] == "command":
-    lazy.keep_docstrings_of_scipy()
+    lazy.import_less()
 import scipy.fft, scipy.linalg, scipy.ndimage, scipy.optimize, scipy.special
 loaded = [name for name in sys.modules if name.startswith(("numpy.f2py.", "numpy.testing."))]
 values = [float(scipy.special.ndtr(0.3)), float(scipy.special.gammaincinv(2.5, 0.7)), float(scipy.special.erfcx(3.0))]
@@ -23,6 +23,8 @@ values += scipy.fft.dct([1.0, 2.0, 4.0]).tolist() + scipy.ndimage.gaussian_filte
 values += [scipy.optimize.brentq(lambda x: x * x - 2, 0, 2)] + scipy.linalg.cholesky([[2.0, 1.0], [1.0, 3.0]]).ravel().tolist()
 import numpy, numpy.testing, numpy.f2py
 numpy.testing.assert_allclose(1.0, 1.0)
+loaded += ["numpy.ma.core"] * (sys.argv[1] == "command" and "numpy.ma.core" in sys.modules)
+values += [float(numpy.ma.masked_less([1.0, 2.0], 1.5).mean()), float(numpy.polynomial.Polynomial([1.0, 2.0])(3.0))]
 docs = [function.__doc__ for function in (scipy.special.ndtr, scipy.ndimage.gaussian_filter, scipy.optimize.brentq)]
 print(json.dumps([loaded, values, numpy.f2py.get_include() != "", numpy.testing is sys.modules["numpy.testing"], docs]))
 """
@@ -59,7 +61,7 @@ DRAW = """
 import hashlib, sys
 from pixsim.base import lazy
 if sys.argv[1] == "command":
-    lazy.keep_docstrings_of_scipy()
+    lazy.import_less()
 from pixsim.show.figures import new_figure, svg_text
 figure = new_figure(2, 2)
 figure.subplots().plot([1, 2, 4], color="red", label="a line")
