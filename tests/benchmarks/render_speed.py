@@ -22,15 +22,14 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from benchmarks.plain import plain_mitsuba
 from helpers.timing import fresh
 
 import pixsim
 from pixsim.base.parameters import Pixel
 from pixsim.light.spectral import photons_per_joule
-from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.scene import sensor_node
 from pixsim.sensor.integration import ideal_rate
 from pixsim.sensor.pixel import derive
 
@@ -45,25 +44,13 @@ Picture = Callable[[int, int], tuple[np.ndarray, float]]  # (samples, seed) -> Q
 
 def plain(name: str, resolution: int, sampler: str) -> Picture:
     """Plain Mitsuba render of the XML in 31 bands."""
-    scene = pixsim.load_scene(name, resolution=resolution)
     weight = PHYSICS.quantum_efficiency(BANDS_NM) * photons_per_joule(BANDS_NM)
-    film = {"type": "specfilm", "component_format": "float32", "rfilter": {"type": "box"}}
-    film |= {"width": resolution, "height": resolution}
-    for k, nm in enumerate(BANDS_NM.tolist()):
-        film[f"band{k}"] = {"type": "regular", "wavelength_min": nm - 5, "wavelength_max": nm + 5, "values": "1, 1"}
-    with speaking_mitsuba(scene.choice.variant) as mi:
-        loaded = mi.load_file(str(scene.path), **scene.parameters)
-        sensor = sensor_node(scene.parse(), None)[1]
-        names = ("type", "fov", "aperture_radius", "focus_distance", "to_world")
-        lens = {key: sensor.props[key] for key in names if key in sensor.props}
+    bands_of = plain_mitsuba(pixsim.load_scene(name, resolution=resolution), resolution, sampler, BANDS_NM)
 
     def picture(spp: int, seed: int) -> tuple[np.ndarray, float]:
-        with speaking_mitsuba(scene.choice.variant) as mi:
-            camera = mi.load_dict({"type": "thinlens", **lens, "film": film, "sampler": {"type": sampler, "sample_count": spp}})
-            start = time.perf_counter()
-            path = mi.load_dict({"type": "path"})
-            bands = np.asarray(mi.render(loaded, sensor=camera, integrator=path, spp=spp, seed=seed), float)
-            return (bands * weight).sum(axis=2), time.perf_counter() - start
+        start = time.perf_counter()
+        rate = (bands_of(spp, seed) * weight).sum(axis=2)
+        return rate, time.perf_counter() - start
 
     return picture
 
