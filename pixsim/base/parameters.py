@@ -37,6 +37,7 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from pixsim.base.arguments import brief, checks_arguments
@@ -96,7 +97,8 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
         hint = f"It belongs in [{inner}]." if len(tables) == 1 else did_you_mean(name, known)
         return f"{where}: unknown name; allowed: {', '.join(known)}.{hint and ' '}{hint}"
     if problem["type"] == "missing":
-        return f"{where}: missing; it is required."
+        field = _field(title, path)
+        return f"{where}: missing; it is required{f', as in {field.examples[0]}' if field and field.examples else ''}."
     message = problem["msg"].removeprefix("Value error, ")
     if problem["type"].startswith(("greater_than", "less_than")):  # Pydantic writes 1e-15 in full
         (bound,) = problem["ctx"].values()
@@ -120,11 +122,24 @@ def _where(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
         for layer in reversed(layers):
             if layer.table and layer.names(loc[:length]):
                 return f"{layer.source}: {dotted}" if layer.source else dotted
-    return dotted
+    files = [layer.source for layer in layers if layer.source]  # empty ones
+    return f"{files[-1]}: {dotted}" if files else dotted
 
 
 def _names(title: str, path: list[str]) -> list[str]:
     """Field names of the record at a dotted path below the record named `title`."""
+    record = _record(title, path)
+    return [field.alias or name for name, field in record.model_fields.items()] if record else []
+
+
+def _field(title: str, path: list[str]) -> FieldInfo | None:
+    """The field at a dotted path below the record named `title`; None if there is none."""
+    record = _record(title, path[:-1])
+    return record.model_fields.get(path[-1]) if record and path else None
+
+
+def _record(title: str, path: list[str]) -> type[BaseModel] | None:
+    """The record at a dotted path below the record named `title`; None if there is none."""
     kinds: list[type[Record]] = [Record]  # and all its imported subclasses
     for kind in kinds:
         kinds += kind.__subclasses__()
@@ -133,9 +148,7 @@ def _names(title: str, path: list[str]) -> list[str]:
         if not part.isdecimal():  # the place in a list
             field = record.model_fields.get(part) if record else None
             record = _record_in(field.annotation) if field else None
-    if not (isinstance(record, type) and issubclass(record, BaseModel)):
-        return []
-    return [field.alias or name for name, field in record.model_fields.items()]
+    return record if isinstance(record, type) and issubclass(record, BaseModel) else None
 
 
 def _record_in(annotation: Any) -> Any:
@@ -651,8 +664,8 @@ Doubling = Annotated[float, Field(ge=1, le=1e6)]
 class DarkCurrent(Record):
     """Dark current of a data sheet: e_per_s · 2^((T - at_c)/doubling_k), with T the temperature of the pixel in °C."""
 
-    e_per_s: Current = Field(description="dark current of one pixel at at_c")
-    at_c: Annotated[float, Field(ge=-196, le=127)] = Field(description="temperature of the measurement")
+    e_per_s: Current = Field(description="dark current of one pixel at at_c", examples=["e_per_s = 0.5"])
+    at_c: Annotated[float, Field(ge=-196, le=127)] = Field(description="temperature of the measurement", examples=["at_c = 20"])
     doubling_k: Doubling | None = Field(
         None, description="temperature rise that doubles the dark current (absent: that of the technology, 8 K without one)"
     )
@@ -1701,8 +1714,8 @@ AxisNumber = float | int | str
 class AxisValue(Record):
     """One value of an axis: its label, and the settings of the study that it changes."""
 
-    label: CaseName = Field(description="name of the value, in columns and results")
-    set: Settings = Field(description="settings, as set.camera.f_number = 2.8")
+    label: CaseName = Field(description="name of the value, in columns and results", examples=['label = "fast lens"'])
+    set: Settings = Field(description="settings, as set.camera.f_number = 2.8", examples=["set.camera.f_number = 2.8"])
 
 
 # One branch for each kind, so that a message is about the kind that was meant.
@@ -1738,7 +1751,7 @@ class Axis(Record):
     `values` has a label and settings of its own; or `range_of` names a number of technologies, which a study replaces by values.
     """
 
-    name: CaseName = Field(description="name in columns and for --axis")
+    name: CaseName = Field(description="name in columns and for --axis", examples=['name = "lens"'])
     set: Annotated[tuple[DottedSetting, ...], BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...])] = Field(
         (), description="dotted settings that take each value together"
     )
@@ -1864,9 +1877,11 @@ def _spaced(first: float, last: float, count: int, spacing: str) -> list[float]:
 class Condition(Record):
     """One of the circumstances in which the pixel is used, such as day or night."""
 
-    name: CaseName = Field(description="name in columns and results")
+    name: CaseName = Field(description="name in columns and results", examples=['name = "night"'])
     weight: Annotated[float, Field(ge=0, le=1e9)] = Field(1.0, description="share of this condition; all are normalised to 1")
-    set: ConditionSettings = Field(description="settings, as set.exposure.max_integration_s = 0.033")
+    set: ConditionSettings = Field(
+        description="settings, as set.exposure.max_integration_s = 0.033", examples=["set.exposure.max_integration_s = 0.033"]
+    )
 
 
 class StudyScene(Record):
@@ -1879,7 +1894,9 @@ class StudyScene(Record):
 class Study(Effort):
     """Settings of a study: mean ΔE of many pitches, technologies and sensors."""
 
-    name: StudyName = Field(description="name: letters, digits, dots and dashes; the random streams depend on it")
+    name: StudyName = Field(
+        description="name: letters, digits, dots and dashes; the random streams depend on it", examples=['name = "my-study"']
+    )
     streams: StudyName | None = Field(
         None, description="name of the study whose random streams this one has; absent: its own, or that of its base"
     )

@@ -210,8 +210,8 @@ def pupil_function(numbers: Array, wavelength_nm: float, azimuth: float, step: f
 
 
 def mean_of_phase(waves: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return sin(πx)/(πx) to 1e-5 up to x = 0.5 waves, the mean of a phase that rises by x over a sample."""
-    z = np.square(np.float32(np.pi) * waves)
+    """Return sin(πx)/(πx) to 1e-5 up to x = 0.5 waves, the mean of a phase that rises by x over a sample; about 0 from 1 on."""
+    z = np.minimum(np.square(np.float32(np.pi) * waves), np.float32(np.pi**2))
     return 1 - z / 6 * (1 - z / 20 * (1 - z / 42 * (1 - z / 72)))
 
 

@@ -215,7 +215,9 @@ class SurfaceTable(Record):
 
     curvature_per_mm: Length | None = Field(None, description="1/radius")
     radius_mm: MaybeInfinite | None = Field(None, description="instead of the curvature, or beside it; inf for a plane")
-    thickness_mm: Length = Field(description="along the axis to the next vertex, or to the image plane")
+    thickness_mm: Length = Field(
+        description="along the axis to the next vertex, or to the image plane", examples=["thickness_mm = 3.2"]
+    )
     glass: str | float | GlassTable = Field("air", description="medium behind the surface")
     conic: Length = Field(0.0, description="k of the conic")
     asphere: dict[str, float] = Field(default_factory=dict, description="A4, A6 …: coefficients by the power of r")
@@ -227,7 +229,9 @@ class SurfaceTable(Record):
 class ApertureTable(Record):
     """Aperture of a prescription file."""
 
-    type: Literal["entrance_pupil_diameter", "stop_diameter", "f_number"]
+    type: Literal["entrance_pupil_diameter", "stop_diameter", "f_number"] = Field(
+        examples=['type = "f_number" with f_number = 5.6, or type = "entrance_pupil_diameter" with value_mm = 10']
+    )
     value_mm: Positive | None = None
     f_number: Positive | None = Field(None, description="for information, unless it is the type")
 
@@ -236,17 +240,17 @@ class FieldsTable(Record):
     """Fields of a prescription file."""
 
     type: Literal["angle_deg"] = "angle_deg"
-    max_deg: Annotated[float, Field(ge=0, lt=90)]
+    max_deg: Annotated[float, Field(ge=0, lt=90)] = Field(examples=["max_deg = 20"])
     angles_deg: tuple[float, ...] = ()
 
 
 class WavelengthsTable(Record):
     """Wavelengths of a prescription file."""
 
-    unit: Literal["um", "nm"]
-    values: tuple[Positive, ...] = Field(min_length=1)
+    unit: Literal["um", "nm"] = Field(examples=['unit = "nm"'])
+    values: tuple[Positive, ...] = Field(min_length=1, examples=["values = [486.1, 587.6, 656.3]"])
     weights: tuple[float, ...] = ()
-    primary: Positive
+    primary: Positive = Field(examples=["primary = 587.6"])
 
 
 class PrescriptionFile(Record):
@@ -261,10 +265,16 @@ class PrescriptionFile(Record):
     units: Literal["mm"] = "mm"
     object_distance_mm: MaybeInfinite = math.inf
     stop_surface: Annotated[int, Field(ge=1, le=MAX_SURFACES)] | None = None
-    aperture: ApertureTable
-    fields: FieldsTable
-    wavelengths: WavelengthsTable
-    surface: tuple[SurfaceTable, ...] = Field(min_length=1, max_length=MAX_SURFACES)
+    aperture: ApertureTable = Field(examples=['[aperture] with type = "f_number" and f_number = 5.6 below it'])
+    fields: FieldsTable = Field(examples=["[fields] with max_deg = 20 below it"])
+    wavelengths: WavelengthsTable = Field(
+        examples=['[wavelengths] with unit = "nm", values = [486.1, 587.6, 656.3] and primary = 587.6 below it']
+    )
+    surface: tuple[SurfaceTable, ...] = Field(
+        min_length=1,
+        max_length=MAX_SURFACES,
+        examples=['[[surface]] with radius_mm = 61.5, thickness_mm = 6 and glass = "SCHOTT:N-BK7" below it, for each surface'],
+    )
     glass: dict[str, GlassTable] = Field(default_factory=dict)
 
 

@@ -151,9 +151,10 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[
             + (f"; it is right with discs up to {max(found.disc_um for found in right):.3g} µm" if right else "")
         )
     if tiling is not None and tiling.error > BLUR_TOLERANCES * tolerance_e:
+        size = f"of up to {tiling.error:.1%} of" if tiling.error < 1 else "as large as"
         notes.append(
-            f"the blur of the real lens has an rms error of up to {tiling.error:.1%} of the picture's contrast, above "
+            f"the blur of the real lens has an rms error {size} the picture's contrast, above "
             f"{BLUR_TOLERANCES * tolerance_e:.1%}: its tiles reach their limit of {TILES[-1]} across the die or {MIN_SPACING} film "
-            "cells each, or its PSFs theirs"
+            "cells each, its PSFs theirs, or its wavefronts are too steep for polynomials"
         )
     return notes

@@ -1,5 +1,6 @@
 """Real lenses on the command line, in TOML and in Python: one setting however it is spelt, and one error for what is wrong."""
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,8 @@ from typing import Any
 import pytest
 from helpers.commands import command
 
-from pixsim import load_scene
+from pixsim import load_lens, load_scene
+from pixsim.base.config import packaged
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import CameraOptions, LensOptions
 from pixsim.cli.commands import with_lens_file
@@ -67,6 +69,108 @@ def test_wrong_lenses_are_one_error_in_toml_on_the_command_line_and_in_python(
         assert named in re.sub(r"\s+", " ", err)
     with pytest.raises(PixsimError, match=re.escape(named)):
         load_scene("csf", resolution=16).camera(CameraOptions(**camera), LensOptions(**lens))
+
+
+TOML = packaged("data/lenses")["singlet"].read_text(encoding="utf-8")
+GLASS, SURFACE = "GLAS MIRROR 0 0", "SURF 1\n  STOP\n"
+
+
+def zmx(*changes: tuple[str, str]) -> str:
+    """A lens of one surface of glass, with changes."""
+    text = MIRROR.replace(GLASS, "GLAS N-BK7 0 0").replace("-10", "10")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    return text
+
+
+def toml(old: str, new: str) -> str:
+    """The singlet, with the first match of a pattern replaced."""
+    text, count = re.subn(old, new, TOML, count=1)
+    assert count
+    return text
+
+
+REFLECTING = zmx(
+    (f"{SURFACE}  CURV 0.01\n  DISZ 10", "SURF 1\n  CURV 0\n  DISZ 2"),
+    ("SURF 2\n  DISZ 0", "SURF 2\n  CURV -0.1\n  DISZ 1\nSURF 3\n  STOP\n  DISZ 9\nSURF 4\n  DISZ 0"),
+    ("ENPD 1", "ENPD 15"),
+)
+# Files, and what their error names: line and surface where it stands there.
+FILES: dict[str, tuple[str, str | bytes, str]] = {
+    "zmx too large": (".zmx", "", f"of {100 << 20} bytes"),
+    "toml too large": (".toml", "", f"of {100 << 20} bytes"),
+    "zmx binary": (".zmx", bytes(range(256)) * 8, "a binary file; allowed: a Zemax prescription, which is text"),
+    "toml binary": (".toml", bytes(range(256)) * 8, "allowed: a readable TOML file in UTF-8"),
+    "toml in UTF-16": (".toml", TOML.encode("utf-16"), "allowed: a readable TOML file in UTF-8"),
+    "zmx in UTF-16": (".zmx", zmx(("N-BK7", "N-BK7_MOLD")).encode("utf-16"), "surface 1 (line 8), line 12: GLAS: got the unknown"),
+    "empty zmx": (".zmx", b"", "without a line SURF"),
+    "empty toml": (".toml", b"", "lens.toml: aperture: missing; it is required, as in [aperture] with type"),
+    "unit": (".zmx", zmx(("UNIT MM", "UNIT FURLONG")), "line 3: got UNIT FURLONG; allowed: MM, CM, IN"),
+    "mirror": (".zmx", zmx(("N-BK7", "MIRROR")), "surface 1 (line 8), line 12: GLAS: got 'MIRROR', a mirror"),
+    "mirror in toml": (".toml", toml(r'(?m)^glass = "[^"]+"', 'glass = "MIRROR"'), "surface 1 (line "),
+    "gradient": (".zmx", zmx((SURFACE, f"{SURFACE}  TYPE GRINSUR3\n")), "surface 1 (line 8): got the surface type GRINSUR3, a gr"),
+    "unsupported": (".zmx", zmx((SURFACE, f"{SURFACE}  TYPE TOROIDAL\n")), "surface 1 (line 8): got the surface type TOROIDAL"),
+    "decentred": (".zmx", zmx((SURFACE, f"{SURFACE}  TYPE COORDBRK\n")), "COORDBRK, a tilted or decentred axis"),
+    "moulded glass": (".zmx", zmx(("N-BK7", "L-BAL35_MOLD")), "the unknown glass 'L-BAL35_MOLD'"),
+    "unknown glass of toml": (".toml", toml(r'(?m)^glass = "[^"]+"', 'glass = "N-BK8"'), "glass: got the unknown glass 'N-BK8'"),
+    "no stop": (".zmx", zmx(("  STOP\n", "")), "got no surface; allowed: one of the surfaces 1 to 1"),
+    "no thickness": (".toml", toml(r"(?m)^thickness_mm = .*\n", ""), "surface 1 (line 26): thickness_mm: missing; it is required"),
+    "no aperture": (".toml", toml(r"(?ms)^\[aperture\]\n.*?(?=^\[)", ""), "aperture: missing; it is required, as in [aper"),
+    "rays miss": (".zmx", zmx(("CURV 0.01", "CURV 0.2"), ("ENPD 1", "ENPD 12")), "a marginal ray that misses surface 1"),
+    "total reflection": (".zmx", REFLECTING, "a marginal ray that is totally reflected at surface 2"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_what_is_wrong_with_a_file_is_named_by_every_route(folder: Path, case: str) -> None:
+    suffix, content, named = FILES[case]
+    path = folder / f"lens{suffix}"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    if case.endswith("too large"):
+        os.truncate(path, 100 << 20)  # without blocks on the disk
+    (folder / "run.toml").write_text(f"[lens]\nfile = '{path.name}'\n", encoding="utf-8")
+    for words in (["plan", "csf", "--lens", path.name], ["plan", "csf", "--config", "run.toml"], ["lens", path.name]):
+        code, out, err = command(" ".join(words))
+        assert (code, out) == (2, ""), err
+        assert named in re.sub(r"\s+", " ", err)
+    with pytest.raises(PixsimError) as caught:
+        load_lens(path)
+    assert named in re.sub(r"\s+", " ", str(caught.value))
+
+
+@pytest.mark.parametrize(("unit", "size_mm"), [("MM", 1.0), ("CM", 10.0), ("IN", 25.4)])
+def test_units_are_obeyed_by_every_route(folder: Path, unit: str, size_mm: float) -> None:
+    """A plano-convex lens of index 1.5 and radius 10 units has f = R/(n - 1)."""
+    text = zmx(
+        ("UNIT MM", f"UNIT {unit}"),
+        ("CURV 0.01", "CURV 0.1"),
+        ("N-BK7 0 0", "___BLANK 1 0 1.5 0"),
+        ("SURF 2\n", "SURF 2\n  DISZ 18\nSURF 3\n"),
+        ("DISZ 10", "DISZ 3"),
+    )
+    (folder / "lens.zmx").write_text(text, encoding="utf-8")
+    lens = load_lens(folder / "lens.zmx")
+    focal_mm = lens.first_order(550.0).focal_length_mm
+    assert focal_mm == pytest.approx(20 * size_mm, rel=1e-12)
+    camera = load_scene("csf").camera(CameraOptions(), LensOptions(file="lens.zmx", focal_length_mm=focal_mm))
+    assert camera.lens is not None
+    assert camera.lens.focal_length_mm == focal_mm
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("lens phone --field-deg 85", "field_deg: got 42.5, where the chief ray misses surface 5"),
+        ("lens phone --wavelength-nm 900", "wavelength_nm: got 900; allowed: 400 to 750, where the glass"),
+        ("lens cooke_triplet --f-number 2", "allowed: at least 4.99"),
+    ],
+)
+def test_rays_that_a_lens_has_not_are_refused_on_the_command_line(folder: Path, words: str, named: str) -> None:
+    code, out, err = command(words)
+    assert (code, out) == (2, "")
+    assert named in re.sub(r"\s+", " ", err)
+    assert not list(folder.glob("pixsim-out/*"))
 
 
 def test_a_lens_may_be_named_shortly_beside_its_other_options() -> None:

@@ -20,6 +20,7 @@ from pixsim.optics.field_blur import (
     even_window,
     field_blur,
     fit_wavefronts,
+    mean_of_phase,
     periodic_psf,
     picture_error,
     point_spread,
@@ -27,6 +28,10 @@ from pixsim.optics.field_blur import (
     tiles_reach_um,
     transform_of,
 )
+from pixsim.optics.glass import constant_glass
+from pixsim.optics.lens import lens_of
+from pixsim.optics.lens_waves import pupil_rays
+from pixsim.optics.prescription import Prescription, Surface
 from pixsim.optics.thin_lens import thin_lens_pupil
 
 NM = 550.0
@@ -76,6 +81,21 @@ def test_perfect_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cosines
     # The image point looks along x: radially the pupil is seen cos³ as wide, sagittally cos.
     np.testing.assert_allclose(along, diffraction_otf(frequency, NM, effective / cosine**3), atol=1e-3)
     np.testing.assert_allclose(across, diffraction_otf(frequency, NM, effective / cosine), atol=1e-3)
+
+
+def test_traced_thin_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cosines() -> None:
+    """Equiconvex, f = 1 mm, f/100, 10 nm thick, stop at the lens: from its rays to its OTF, with 0.006 waves of astigmatism."""
+    glass = constant_glass("n = 1.5", 1.5)
+    surfaces = Surface(1.0, 1e-5, glass), Surface(-1.0, 1.0)
+    lens = lens_of(Prescription("thin", "", "", surfaces, 0, "f_number", 100.0, "angle_deg", 20.0, (NM,), NM))
+    fields = np.linspace(0, 20, 5)
+    (rays,) = pupil_rays(lens, fields, np.array([NM]))
+    light = Light([fit_wavefronts(NM, np.array([one.height_um for one in rays]), rays)], np.ones(1))
+    for degrees, one in zip(fields.tolist(), rays, strict=True):
+        frequency, along, across = otf_along(periodic_psf(light, one.height_um, 0.0, 12.0, 400), 12.0)
+        cosine, effective = math.cos(math.radians(degrees)), math.hypot(1, 200.0) / 2
+        np.testing.assert_allclose(along, diffraction_otf(frequency, NM, effective / cosine**3), atol=1e-3)
+        np.testing.assert_allclose(across, diffraction_otf(frequency, NM, effective / cosine), atol=1e-3)
 
 
 def hopkins(frequency: Array, w20: float) -> Array:
@@ -263,6 +283,13 @@ def test_psfs_act_on_means_over_cells_and_give_such_means() -> None:
     of_cells = [averaged(np.roll(fine_psf, (row, column), (0, 1))) for row in (half, half - 1) for column in (half, half - 1)]
     twice = blurred(averaged(picture), finer**2 * np.mean(of_cells, axis=0))
     assert np.sqrt(np.mean((twice - right) ** 2)) > 0.05 * right.std()
+
+
+def test_mean_of_a_phase_is_its_sinc_and_nothing_where_it_turns_faster() -> None:
+    waves = np.linspace(-0.5, 0.5, 101, dtype=np.float32)
+    np.testing.assert_allclose(mean_of_phase(waves), np.sinc(waves), atol=1e-5)
+    fast = np.array([1.0, 1.5, 300.0, 1e15], np.float32)  # of aberrations of hundreds of waves
+    np.testing.assert_allclose(mean_of_phase(fast), 0, atol=0.01)
 
 
 def test_too_few_rays_are_refused() -> None:
