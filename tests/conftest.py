@@ -4,7 +4,7 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 # Before NumPy: threads make the small matrices of a fit several times slower, and the workers of a run share the cores.
@@ -23,9 +23,12 @@ from helpers.tiny import WHOLE_CHART, tiny
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.parameters import merge
+from pixsim.base.parameters import Camera, merge
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame
 from pixsim.studies import oversampling
+from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.score import ImagingChain
 
@@ -69,6 +72,19 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 def unpaged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages of studies have neither figures nor pictures, which take longer than the small study that they are of."""
     monkeypatch.setattr("pixsim.report.study.draw_section", lambda section, _: (section, [], None, []))
+
+
+@pytest.fixture(scope="module")
+def unmeasured() -> Iterator[None]:
+    """Films of small studies are taken as fine: to measure their errors takes about as long as all else before the rows."""
+
+    def fine(image: SpectralImage, _camera: Camera, pixels: Sequence[PixelPhysics], *_: object, **__: object) -> FilmError:
+        known = [0.0] * len(pixels), [oversampling.TOLERATED_DELTA_E] * len(pixels)
+        return FilmError(image.shape, image.pitch_um, tuple(pixel.pitch_um for pixel in pixels), *map(tuple, known))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(oversampling, "measure_film", fine)
+        yield
 
 
 @pytest.fixture

@@ -55,6 +55,8 @@ def is_type_checking(node: ast.AST) -> bool:
 def imports(tree: ast.AST, at_top_only: bool = False) -> Iterator[str]:
     """Dotted names that a module imports at run time, without those for the type checker."""
     for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.expr):  # two thirds of the nodes, without a statement in them
+            continue
         if is_type_checking(node) or (at_top_only and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)):
             continue
         if isinstance(node, ast.Import):
@@ -143,7 +145,8 @@ def test_only_cli_prints_or_exits() -> None:
         module
         for module in MODULES
         for node in ast.walk(tree(module))
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in {"print", "exit", "quit", "sys.exit", "os._exit"}
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute)
+        if ast.unparse(node.func) in {"print", "exit", "quit", "sys.exit", "os._exit"}
     }
     assert {module.partition(".")[0] for module in printing} == {"cli"}
 

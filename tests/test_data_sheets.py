@@ -70,7 +70,7 @@ def ways(pixel: dict[str, Any], folder: Path) -> dict[str, list[object]]:
     }
 
 
-@pytest.mark.parametrize("pixel", [SHEET, WORDS], ids=["fields", "words"])
+@pytest.mark.parametrize("pixel", [SHEET, pytest.param(WORDS, marks=pytest.mark.slow)], ids=["fields", "words"])
 def test_run_same_sensor_in_every_way_gives_same_frame(pixel: dict[str, Any], tmp_path: Path) -> None:
     frames = {}
     every_way = ways(pixel, tmp_path / "sheets")

@@ -23,7 +23,7 @@ def test_collected_charge_shallow_reset_matches_radau(reset_v):
         assert collected_charge_e(current, time_s, diode) == pytest.approx(expected, rel=1e-7)
 
 
-@pytest.mark.parametrize("temperature_k", [77.0, 400.0])
+@pytest.mark.parametrize("temperature_k", [pytest.param(77.0, marks=pytest.mark.slow), 400.0])
 def test_solvers_saturated_only_explicit_fails(temperature_k):
     diode = diode_of(Pixel(temperature_k=temperature_k))
     quadrature, implicit, explicit = solvers(diode, 1e13, 1.0, most=12_000)

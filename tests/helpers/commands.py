@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import io
 import os
@@ -46,6 +47,28 @@ def quick_adapter(hint: Any) -> pydantic.TypeAdapter[Any]:
         return adapter_of.__wrapped__(hint)
 
 
+Arguments = _collection.ArgumentCollection
+arguments_of = Arguments._from_callable
+ARGUMENTS: dict[Any, Any] = {}
+
+
+def quick_arguments(function: Callable[..., Any], *parameters: Any, reserved: Any = None, **groups: Any) -> Any:
+    """The arguments of a command, unread: copies of those that were made for it first."""
+    reserved = tuple(reserved or ())
+    key = function, parameters, reserved, tuple(groups.items())
+    try:
+        made = ARGUMENTS.get(key)
+    except TypeError:  # what cannot be a key
+        return arguments_of(function, *parameters, reserved=reserved, **groups)
+    if made is None:
+        made = ARGUMENTS[key] = arguments_of(function, *parameters, reserved=reserved, **groups)
+    copies = {id(argument): copy.copy(argument) for argument in made}
+    for argument in copies.values():
+        argument.tokens, argument._lookup = [], argument._lookup.copy()
+        argument.children = Arguments([copies[id(child)] for child in argument.children])
+    return Arguments(list(copies.values()))
+
+
 SIGN_OF_LIFE = re.compile(r"^\[\d+ s\] .*\n", re.MULTILINE)  # of pixsim.base.progress.Lines
 
 
@@ -57,6 +80,7 @@ def command(line: str, *words: object) -> tuple[int, str, str]:
         patch.setattr(verbosity, "__dict__", vars(verbosity).copy())
         patch.setattr(pydantic, "TypeAdapter", quick_adapter)
         patch.setattr(_collection, "_resolve_groups_from_callable", quick_groups)
+        patch.setattr(Arguments, "_from_callable", quick_arguments)
         with pytest.raises(SystemExit) as end:
             cli.main([*shlex.split(line), *map(str, words)])
     return end.value.code, out.getvalue(), SIGN_OF_LIFE.sub("", err.getvalue())

@@ -105,15 +105,11 @@ def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
     return table
 
 
-ANOTHER_SIZE = CASES[1]  # of the first case's process
-
-
 @pytest.mark.parametrize(
     "case",
     [
         CASES[0],
-        pytest.param(ANOTHER_SIZE, marks=pytest.mark.slow),
-        *CASES[2:],
+        *(pytest.param(case, marks=pytest.mark.slow) for case in CASES[1:]),  # test_emva1288 has another process
         *(pytest.param(case, marks=pytest.mark.judges_full) for case in MORE_CASES),
     ],
 )

@@ -18,6 +18,7 @@ Gates:
 from __future__ import annotations
 
 import ctypes.util
+from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
@@ -91,7 +92,7 @@ def bound_of(name: str) -> float:
     return make_plan(pixsim.load_scene(name, variant=VARIANT)).bound_e
 
 
-def rows(full: bool = False) -> list[dict[str, object]]:
+def rows(full: bool = False, names: Iterable[str] = tuple(SCENES)) -> list[dict[str, object]]:
     table = []
 
     def compare(judge: str, one: np.ndarray, other: np.ndarray, bound: float = 0.0) -> None:
@@ -99,7 +100,7 @@ def rows(full: bool = False) -> list[dict[str, object]]:
         table.append(row(f"{judge}: accepted", test, PASSING, 1, passing(one, other, bound), form))
         table.append(row(f"{judge}: at p < 0.05", test, *LIKELY, unlikely(one, other), form))
 
-    for name in SCENES:
+    for name in names:
         if HAS_LLVM and (full or name not in LONG):
             compare(f"`{name}`, LLVM and scalar", renders(name, "llvm_ad_spectral", seed=2), renders(name, VARIANT))
         if full or name not in LONG_IN_FULL:
@@ -108,7 +109,11 @@ def rows(full: bool = False) -> list[dict[str, object]]:
     return table
 
 
-@pytest.mark.parametrize("full", [False, pytest.param(True, marks=pytest.mark.judges_full)])
+def test_rows_of_chart_pass():
+    assert not_met(rows(names=["csf"])) == []
+
+
+@pytest.mark.parametrize("full", [pytest.param(False, marks=pytest.mark.slow), pytest.param(True, marks=pytest.mark.judges_full)])
 def test_rows_pass(full):
     assert not_met(rows(full)) == []
 

@@ -220,7 +220,7 @@ def test_box_reduced_other_columns_raise(columns):
         ((64, 64), 40, 64),  # fits: the same image
         ((4, 2048), 2, 1024),  # too wide
         ((30, 3000), 2, 1000),  # the largest number with whole samples in each mean
-        ((80, 80), 4000, 40),  # 4 × 40² × 4000 bytes are 26 MB; 80² samples would take 102 MB
+        ((80, 80), 2500, 40),  # 4 × 40² × 2500 bytes are 16 MB; 80² samples would take 64 MB
         ((101, 1999), 2, 970),  # prime: 49.01 rows
         ((1, 3000), 2, 3000),  # every coarser sampling would cut off the only row
         ((2, 3000), 2, 3000),

@@ -248,7 +248,7 @@ HOT: dict[str, float] = {"dsnu": 0.1, "hot_pixel_fraction": 0.01, "hot_pixel_med
 @pytest.mark.parametrize(
     ("options", "gain_db"),
     [
-        ({"pitch_um": 5.3, "read_noise_after_gain_e": 60.0, "prnu": 0.004}, 12.0),
+        pytest.param({"pitch_um": 5.3, "read_noise_after_gain_e": 60.0, "prnu": 0.004}, 12.0, marks=pytest.mark.slow),
         ({"pitch_um": 5.3, "read_noise_after_gain_e": 60.0, "adc_full_scale_e": 90_000.0}, 6.0),
         (LAYOUT | HOT, 0.0),
     ],
@@ -366,7 +366,11 @@ def test_colour_entries_are_those_of_another_program(colour_sheet: DataSheet) ->
 STACKED = pytest.param({"pattern": "stacked"}, marks=pytest.mark.slow)  # each takes two seconds
 
 
-@pytest.mark.parametrize("colour", [{}, STACKED, {"pattern": "quad_rggb", "binning": True}], ids=str)
+@pytest.mark.parametrize(
+    "colour",
+    [{}, *(pytest.param(more, marks=pytest.mark.slow) for more in (STACKED, {"pattern": "quad_rggb", "binning": True}))],
+    ids=str,
+)
 def test_colour_standard_errors_match_repeats(colour: dict[str, object]) -> None:
     """Six devices: the root mean square of their pulls. Of 8 quantities, a false alarm in 250 runs of new seeds."""
     pixel, pulls = colour_pixel(colour=D5100 | colour), []

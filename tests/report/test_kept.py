@@ -20,6 +20,7 @@ from pixsim.report.kept import digest_of_report, keep_or_write
 from pixsim.studies.evaluations import Counts
 from pixsim.studies.result import StudyResult
 
+pytestmark = pytest.mark.usefixtures("unmeasured")
 FILES = {"report.html": "page", "summary.json": "{}", "figures/curve.svg": "<svg/>"}
 
 
@@ -198,7 +199,9 @@ TYPES = pytest.param({}, "--uncertainty 8 --yes", id="types", marks=pytest.mark.
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize(("more", "option"), [pytest.param({}, "", id="plain"), pytest.param(AXIS, "", id="axis"), TYPES])
+@pytest.mark.parametrize(
+    ("more", "option"), [pytest.param({}, "", id="plain"), pytest.param(AXIS, "", id="axis", marks=pytest.mark.slow), TYPES]
+)
 def test_study_command_again_draws_nothing(
     more: dict[str, Any], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,7 +33,7 @@ die_mm = 1.5
 """
 
 
-pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
+pytestmark = pytest.mark.usefixtures("undrawn", "unpaged", "unmeasured")
 
 
 @pytest.fixture
@@ -133,7 +133,10 @@ def small_study(desk: Path, name: str, toml: str, **options: object) -> StudyRes
 @pytest.mark.parametrize(
     ("scene", "options", "ended_by"),
     [
-        ("macbeth", {"max_seconds": 1e-9, "render_noise": 1e-3, "resolution": 32}, "max_seconds"),
+        # test_run_settings_after_time_limit has it for a run
+        pytest.param(
+            "macbeth", {"max_seconds": 1e-9, "render_noise": 1e-3, "resolution": 32}, "max_seconds", marks=pytest.mark.slow
+        ),
         ("flat", {"max_seconds": 1e6}, "target"),
     ],
 )

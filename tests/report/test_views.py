@@ -142,7 +142,7 @@ def test_study_views_reduce_whole_pictures_only(tiny_result: StudyResult, monkey
     assert {(item.width, item.height) for item in views.tiles} == {(112, 112)}
 
 
-@pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
+@pytest.mark.parametrize("raster", ["fixed_size", pytest.param("one_to_one", marks=pytest.mark.slow)])
 def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
     result = pixsim.study(tiny(display={"raster": raster, "dots": 160}, detail=[0.9, 0.9]), tmp_path, jobs=1)
     curve = result.curves[0]

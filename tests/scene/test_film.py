@@ -135,7 +135,10 @@ def test_fitting_width_ends_within_one_pixel_of_die(columns, rows):
         assert rows <= height / width * columns * (1 + 1e-9) < rows + 1
 
 
-@pytest.mark.parametrize(("pixels", "pitch_um"), [((620, 413), 4.5), ((413, 620), 4.5), ((640, 481), 3.75)])
+@pytest.mark.parametrize(
+    ("pixels", "pitch_um"),
+    [((620, 413), 4.5), *(pytest.param(*case, marks=pytest.mark.slow) for case in (((413, 620), 4.5), ((640, 481), 3.75)))],
+)
 def test_render_film_gives_pixels_of_die(pixels, pitch_um):
     columns, rows = pixels
     camera = Camera(die_mm=columns * pitch_um / 1e3, die_height_mm=rows * pitch_um / 1e3)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -133,7 +135,14 @@ def test_read_luminance_hostile_file_raises(name: str, content: bytes | str | No
         Image.fromarray(RGB.astype(np.uint8)).save(path)
         path.write_bytes(path.read_bytes()[:-900])
     elif content == "bomb":
-        Image.new("1", (30000, 30000)).save(path)
+        size = struct.pack(">4sIIBBBBB", b"IHDR", 30000, 30000, 1, 0, 0, 0, 0)  # the head is enough: nothing is decompressed
+        chunks = (
+            struct.pack(">I", 13)
+            + size
+            + struct.pack(">I", zlib.crc32(size))
+            + struct.pack(">I4sI", 0, b"IDAT", zlib.crc32(b"IDAT"))
+        )
+        path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunks)
     elif content == "transparent":
         Image.fromarray(np.zeros((4, 4, 4), np.uint8)).save(path)
     elif content == "black":

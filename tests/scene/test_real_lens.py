@@ -116,6 +116,7 @@ def test_score_through_a_simple_lens_is_worse_than_through_a_thin_one(singlet) -
     assert real.mean_delta_e > 1.1 * ideal.mean_delta_e
 
 
+@pytest.mark.usefixtures("some_tiles")
 def test_ideal_image_has_the_distortion_unless_asked_otherwise() -> None:
     scene, camera = through("phone", 4.8, 96)
     image = render(scene, camera, plan=make_render_plan(scene, camera, PIXEL))

@@ -287,7 +287,7 @@ def test_macbeth_patch_luminances_match_tables(lamp):
     np.testing.assert_allclose(result / result[18], expected, rtol=gate)
 
 
-@pytest.mark.parametrize("lamp", ["d65", "a"])
+@pytest.mark.parametrize("lamp", [pytest.param("d65", marks=pytest.mark.slow), "a"])
 def test_macbeth_patch_illuminances_match_tables(lamp):
     scene = pixsim.load_scene("macbeth", variant=VARIANT, resolution=48, lamp=f"spectra/{lamp}.spd")
     camera = scene.camera()

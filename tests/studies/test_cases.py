@@ -29,7 +29,7 @@ from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study, prepare, warn_of_idle_axes
 from pixsim.viewer.score import ImagingChain
 
-pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
+pytestmark = pytest.mark.usefixtures("undrawn", "unpaged", "unmeasured")
 LIGHT = "scene.parameters.luminance_cd_per_m2"
 LENS = {
     "name": "lens",

@@ -239,6 +239,7 @@ def of_axes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
     return folder / "axes.toml", (folder / "out/results.csv").read_bytes()
 
 
+@pytest.mark.slow  # test_study_killed_process_is_resumed has one light
 def test_study_of_axes_killed_process_is_resumed(of_axes: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
     """Killed in the eighth task, of another light than the first; two processes go on, by the rows of both."""
     toml, expected = of_axes
@@ -349,22 +350,40 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield running
 
 
-@pytest.mark.parametrize("by", ["address", "client"])
-def test_study_on_cluster_same_bytes(by: str, cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def cluster_here() -> Iterator[str]:
+    """Address of a scheduler with two workers in threads of this process: what they get still travels as bytes, by TCP."""
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')")
+    own = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "protocol": "tcp://", "dashboard_address": None}
+    with distributed.LocalCluster(**own) as running:
+        yield running.scheduler_address
+
+
+def assert_same_bytes_on_cluster(by: str, cluster: str, toml: Path, expected: bytes, out: Path) -> None:
     from distributed import Client
 
     with Client(cluster) as client:
-        pixsim.study(toml, tmp_path, scheduler=client if by == "client" else cluster)
+        pixsim.study(toml, out, scheduler=client if by == "client" else cluster)
         assert client.status == "running", "it stays open"
         assert len(client.scheduler_info()["workers"]) == 2
-    assert (tmp_path / "results.csv").read_bytes() == expected
+    assert (out / "results.csv").read_bytes() == expected
 
 
-def test_study_of_axes_on_cluster_same_bytes(cluster: str, of_axes: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
+@pytest.mark.parametrize("by", ["address", "client"])
+def test_study_on_cluster_same_bytes(by: str, cluster_here: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
+    assert_same_bytes_on_cluster(by, cluster_here, toml, expected, tmp_path)
+
+
+@pytest.mark.slow  # the same with workers that are processes, each with its own cache
+def test_study_on_cluster_of_processes_same_bytes(cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
+    assert_same_bytes_on_cluster("address", cluster, toml, expected, tmp_path)
+
+
+def test_study_of_axes_on_cluster_same_bytes(cluster_here: str, of_axes: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
     """Lights of a batch travel together; here two batches of two."""
     toml, expected = of_axes
     monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 250_000)
-    assert pixsim.study(toml, tmp_path, scheduler=cluster).scenes.capacity == 2
+    assert pixsim.study(toml, tmp_path, scheduler=cluster_here).scenes.capacity == 2
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 

@@ -180,14 +180,14 @@ def test_film_error_limits():
 
 @pytest.mark.parametrize("factored", [True, False])
 def test_parts_of_large_picture_are_whole_blocks_at_one_scale(factored):
-    fine = light(np.random.default_rng(1).random((1536, 2048)))
+    fine = light(np.random.default_rng(1).random((1536, 2048)).astype(np.float32))
     if not factored:
         fine = SpectralImage(
-            fine.wavelength_nm,
-            fine.band_width_nm,
+            fine.wavelength_nm[:2],
+            20.0,
             fine.pitch_um,
-            data=fine.data[:, :, :2].repeat(8, axis=2)[:, :, :15],
-            header=fine.header,
+            data=fine.factors[1][0][:, :, None].repeat(2, axis=2),
+            header=fine.header | {"lamp_w_per_m2_sr_nm": fine.header["lamp_w_per_m2_sr_nm"][:2]},
         )
     parts = list(parts_of(fine, 0.5, Display(dots=2048)))
     assert len(parts) == 16

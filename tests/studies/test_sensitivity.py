@@ -27,6 +27,7 @@ from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.studies.study import check_pitches, load_study
 
+pytestmark = pytest.mark.usefixtures("unmeasured")
 # A chart whose cells are computed, on few dots; every pitch that the paper's statements need.
 BASE_TOML = tiny_toml(
     repeats=4,
@@ -37,7 +38,7 @@ BASE_TOML = tiny_toml(
     pitch={"values_um": [4.0, 5, 6, 7, 8]},
     camera={"die_mm": 0.7},
     display={"dots": 32},
-    resolution=256,
+    resolution=128,
 ).replace('"spp" = 4, ', "")
 SENSITIVITY_TOML = """
 name = "tiny-sensitivity"

@@ -82,7 +82,9 @@ def test_film_of_the_least_noise_is_measured(axis: dict[str, Any], least: str, m
     ],
 )
 def test_film_of_another_sight_is_measured(is_same: bool, over: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(FilmError, "surely_met", True)  # whatever it is
+    # Which films are measured is asked here, not their errors.
+    any_film = FilmError((256, 256), 2.7, (5.3,), (0.0,), (1.0,))
+    monkeypatch.setattr("pixsim.studies.oversampling.measure_film", lambda *_, **__: any_film)
     assert len(lights_of(monkeypatch, **{"axis": [LIGHT]} | over)[2]) == (1 if is_same else 2)
 
 

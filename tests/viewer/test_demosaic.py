@@ -111,7 +111,7 @@ def noise(cell: tuple[str, ...]) -> np.ndarray:
 @pytest.mark.parametrize(
     ("cell", "method"), [(BAYER["grbg"], "bilinear"), (BAYER["gbrg"], "malvar2004"), (("RC", "CB"), "interpolate")]
 )
-@pytest.mark.parametrize("dot_px", [None, 0.7, 1.6])
+@pytest.mark.parametrize("dot_px", [pytest.param(None, marks=pytest.mark.slow), 0.7, pytest.param(1.6, marks=pytest.mark.slow)])
 def test_covariance_agrees_with_monte_carlo(cell: tuple[str, ...], method: str, dot_px: float | None) -> None:
     """Each element within 1 % of the geometric mean of its variances.
 

@@ -90,7 +90,13 @@ def colour_error(image: SpectralImage, pixel: Pixel, develop: Develop, display: 
 PIXELS = DISPLAY.model_copy(update={"raster": "one_to_one"})  # dots are pixels, and none is left out
 
 
-@pytest.mark.parametrize(("lamp", "pattern"), [*zip(LAMPS, PHASES, strict=True), ("FL11", "stacked")])
+PHASES_OF_LAMPS = list(zip(LAMPS, PHASES, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("lamp", "pattern"),
+    [PHASES_OF_LAMPS[0], *(pytest.param(*each, marks=pytest.mark.slow) for each in PHASES_OF_LAMPS[1:]), ("FL11", "stacked")],
+)
 def test_luther_camera_has_no_colour_error(lamp: str, pattern: str) -> None:
     """Each patch fills the frame: ΔE below 1e-3 at every pixel, the border included; curves at 1 nm are off by up to 6e-4."""
     pixel = sensor({"pattern": pattern, "quantum_efficiencies": LUTHER})

@@ -40,7 +40,10 @@ def patches(picture: np.ndarray) -> np.ndarray:
     return np.array([picture[row, column].mean(axis=(0, 1)) for row in rows for column in columns])
 
 
-@pytest.mark.parametrize("lamp", LAMPS)
+# One smooth lamp and one with lines.
+@pytest.mark.parametrize(
+    "lamp", [lamp if lamp in ("D65", "FL11") else pytest.param(lamp, marks=pytest.mark.slow) for lamp in LAMPS]
+)
 def test_rendered_patches_have_the_colours_of_the_reference(lamp: str) -> None:
     """Within 0.05 ΔE, with the brightness that the scene states: bands, pulses, lens and the noise of the render together.
 
