@@ -35,11 +35,13 @@ SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
 MOST_SAMPLES = 320  # of a pupil: a PSF with more takes too long
 SHRUNK = 0.8  # of the last pupil's half widths, one step beyond it
 MAX_WINDOW = 4096  # film cells
-FINER = 1.5  # samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2 times its end
+BAND_END = 0.1  # of the film's Nyquist frequency, to each side of it: half the width in which a film's band ends
+FINER = 1.6  # samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2 times its end
 TURNED_MARGIN = 48  # film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
 PADDING = 1.5  # of the window of a PSF, for its OTF between frequencies: 2e-3 of the light at the sides of its cells
 SPLINE_MARGIN = 3  # frequencies, so that the end of a spline is not seen
 VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
+ROUNDING = 1e-9  # of lengths that are equal
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 
@@ -271,21 +273,34 @@ def most_cells(light: Light, pitch_um: float) -> int:
     return cells - (cells + 1) % 2 if cells >= 3 else 0
 
 
+def of_band(frequency: Array) -> Array:
+    """Return the weight of frequencies (n,), in cycles per film cell, in what a film shows: 1 within its band, ½ at its end.
+
+    The weights of frequencies that look the same on the film add up to 1. A band that broke off would make PSFs ring: all that is
+    odd in a PSF jumps there, and rings as 1/r. With this end of the band a PSF falls about as fast as its light does.
+    """
+    beyond = np.clip((np.abs(frequency) - 0.5) / BAND_END, -0.5, 0.5)
+    return np.asarray((1 - np.sin(np.pi * beyond)) / 2)
+
+
 def periodic_psf(light: Light, x_um: float, y_um: float, pitch_um: float, window: int) -> Array:
     """Return the PSF of an image point on a window of film cells, (window, window), in which it repeats; it adds up to 1.
 
     The chief ray's image point is at cell [0, 0]. The kernel acts on means over cells and gives such means: its transform is the
-    OTF up to the Nyquist frequency of the film, and 0 beyond.
+    OTF up to the end of the film's band, where `of_band` fades it.
 
     window : even
     """
     azimuth, height_um = math.atan2(y_um, x_um), math.hypot(x_um, y_um)
     numbers = [front.at(height_um) for front in light.fronts]
     widest = max(2 * float(n[:2].max()) / f.wavelength_nm for n, f in zip(numbers, light.fronts, strict=True))  # cut-off
-    half, size_um = window // 2, window * pitch_um
+    size_um = window * pitch_um
     fine = next_fast_len(max(window, math.ceil(2 * size_um / UM_PER_NM * widest) + 2), real=True)  # hold the intensity
-    total = np.zeros((window, half + 1), complex)
-    frequency = np.hypot(np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3))
+    most = min(math.ceil((1 + BAND_END) / 2 * window), (fine - 1) // 2)
+    total = np.zeros((2 * most + 1, most + 1), complex)
+    frequency = np.hypot(
+        np.fft.fftfreq(2 * most + 1, size_um * 1e-3 / (2 * most + 1))[:, None], np.arange(most + 1) / (size_um * 1e-3)
+    )
     pending = np.zeros((fine, fine), np.float32)
     # A sample of the pupil is a mean over its square, which dims the outer parts of the PSF.
     along = (np.sinc(np.fft.fftfreq(fine)) ** -2).astype(np.float32)
@@ -300,20 +315,32 @@ def periodic_psf(light: Light, x_um: float, y_um: float, pitch_um: float, window
             pending += intensity
         else:
             intensity *= unboxed
-            total += _low_frequencies(intensity, half) * light.transfer(frequency, front.wavelength_nm)
+            total += _low_frequencies(intensity, most) * light.transfer(frequency, front.wavelength_nm)
     if light.transfer is None:
         pending *= unboxed
-        total = _low_frequencies(pending, half)
-    total[0, 0] = 1.0
-    return np.asarray(irfft2(total.astype(complex), (window, window)))
+        total = _low_frequencies(pending, most)
+    return np.asarray(irfft2(_on_film(total, window), (window, window)))
 
 
-def _low_frequencies(intensity: Array, half: int) -> NDArray[np.complex128]:
-    """Return the transform (2 half, half + 1) of a PSF up to a frequency of `half` periods; both ends of it are averaged."""
-    columns = fft(rfft(intensity, axis=1)[:, : half + 1], axis=0, overwrite_x=True)
-    low = np.concatenate([columns[:half], columns[-half:]])
-    low[half] = (columns[half] + columns[-half]) / 2
-    return np.asarray(low)
+def _low_frequencies(intensity: Array, most: int) -> NDArray[np.complex128]:
+    """Return the transform (2 most + 1, most + 1) of a PSF up to `most` periods."""
+    columns = fft(rfft(intensity, axis=1)[:, : most + 1], axis=0, overwrite_x=True)
+    return np.concatenate([columns[: most + 1], columns[-most:]])
+
+
+def _on_film(transform: NDArray[np.complex128], window: int) -> NDArray[np.complex128]:
+    """Return the transform (window, window // 2 + 1) of samples on a film of a PSF with this transform, (2n + 1, n + 1)."""
+    most, half = transform.shape[1] - 1, window // 2
+    rows, columns = np.fft.fftfreq(2 * most + 1, 1 / (2 * most + 1)).astype(int), np.arange(most + 1)
+    weighted = transform * of_band(rows / window)[:, None] * of_band(columns / window)
+    wrapped = np.zeros((window, most + 1), complex)
+    np.add.at(wrapped, rows % window, weighted)
+    found = np.zeros((window, half + 1), complex)
+    found[:, : min(most, half) + 1] = wrapped[:, : half + 1]
+    for column in range((window + 1) // 2, most + 1):  # the same as a frequency below 0, where the transform is the conjugate
+        found[:, window - column] += wrapped[-np.arange(window), column].conj()
+    found[0, 0] = 1.0
+    return found
 
 
 def point_spread(light: Light, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
@@ -363,27 +390,38 @@ class RadialPsfs:
     @property
     def reach_um(self) -> float:
         """Largest distance from the axis."""
-        return (len(self.splines) - 3) * self.step_um
+        return (len(self.splines) - 2) * self.step_um
 
     def at(self, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
-        """Return the PSF of an image point as `point_spread` does, from those of the four nearest distances."""
+        """Return the PSF of an image point as `point_spread` does, from those of the four nearest distances.
+
+        Raises PixsimError beyond `reach_um`, and for a film with cells smaller than `pitch_um`.
+        """
         from scipy.ndimage import map_coordinates  # takes 0.05 s
 
-        place = min(math.hypot(x_um, y_um), self.reach_um) / self.step_um
-        first, azimuth = math.floor(place) - 1, math.atan2(y_um, x_um)
+        height_um, azimuth = math.hypot(x_um, y_um), math.atan2(y_um, x_um)
+        if not height_um <= self.reach_um * (1 + ROUNDING):
+            raise invalid("distance of a PSF from the axis", f"{height_um:.6g} µm", f"at most {self.reach_um:.6g} µm")
+        if not pitch_um >= self.pitch_um * (1 - ROUNDING):
+            raise invalid("film cell of a PSF", f"{pitch_um:.6g} µm", f"at least {self.pitch_um:.6g} µm, for which these PSFs are")
+        place = height_um / self.step_um
+        first = min(math.floor(place), len(self.splines) - 3) - 1
         table = np.zeros_like(self.splines[0])
         for index in range(first, first + 4):
             spline = self.splines[abs(index)]
             weight = np.float32(cubic_weights(place - index))
             table += weight * (spline if index >= 0 else spline.conj())  # the opposite point has the PSF turned by 180°
         window = odd_window(cells)
-        fy, fx = np.fft.fftfreq(window, pitch_um)[:, None], np.fft.rfftfreq(window, pitch_um)
+        most = math.ceil((1 + BAND_END) / 2 * window)
+        fx, fy = (
+            np.arange(most + 1) / (window * pitch_um),
+            np.fft.fftfreq(2 * most + 1, window * pitch_um / (2 * most + 1))[:, None],
+        )
         radial, sagittal = (fx * math.cos(azimuth) + fy * math.sin(azimuth)), (fy * math.cos(azimuth) - fx * math.sin(azimuth))
         middle = table.shape[1] // 2
         at = np.array([np.abs(sagittal) * self.period_um, radial * self.period_um + middle])
         spectrum = np.asarray(map_coordinates(table, at, order=3, prefilter=False, mode="mirror"), complex)
-        spectrum[0, 0] = 1.0
-        kernel = irfft2(spectrum, (window, window))
+        kernel = irfft2(_on_film(spectrum, window), (window, window))
         reach = cells // 2
         kernel = np.roll(kernel, (reach, reach), axis=(0, 1))[:cells, :cells]
         return Psf(kernel.astype(np.float32))
@@ -405,7 +443,7 @@ def radial_psfs(light: Light, pitch_um: float, cells: int, step_um: float, farth
     fine_um, heights_um = pitch_um / FINER, [index * step_um for index in range(count)]
     window = _even_window(light, heights_um, fine_um, FINER * WINDOW * cells)
     padded = next_fast_len(math.ceil(PADDING * window / 2)) * 2
-    most = min(math.ceil(math.sqrt(0.5) / pitch_um * padded * fine_um) + SPLINE_MARGIN, padded // 2 - 1)
+    most = min(math.ceil((1 + BAND_END) * math.sqrt(0.5) / pitch_um * padded * fine_um) + SPLINE_MARGIN, padded // 2 - 1)
     splines = np.empty((count, most + 1, 2 * most + 1), np.complex64)
 
     def compute(index: int) -> None:
@@ -600,8 +638,8 @@ def tile_psfs(
 
 
 def tiles_reach_um(shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> float:
-    """Return the distance from the axis of the farthest tile of `field_blur`."""
-    return math.hypot(*(tiles_along(n + cells - 1, spacing)[0] * spacing * pitch_um for n in shape))
+    """Return the distance from the axis of the farthest tile of `field_blur`, and of those that `amid_tiles` takes."""
+    return math.hypot(*((tiles_along(n + cells - 1, spacing)[0] + 0.5) * spacing * pitch_um for n in shape))
 
 
 def field_blur(psfs: RadialPsfs, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> FieldBlur:

@@ -3,12 +3,15 @@
 For each lens on the default die, a film of 1024² and a pixel of 2 µm: seconds of all processor cores together (which other
 programs on the machine raise) and by the clock, for the trace, for the plan's choice, for a first picture and for one whose
 PSFs come from the cache; the memory of the process; and the blurred picture against superposition at 64 points. Superposition
-takes the PSF of each lit point of random dots from its own pupil, whole and without tiles. For the packaged chart csf, lit
-everywhere, the picture of 129 × 129 tiles stands for it. Errors are relative to the rms of the blurred picture about its mean.
+takes the PSF of each lit point of random dots from its own pupil, within 97 cells and without tiles; light from further away
+counts as even. For the packaged chart csf, lit everywhere, the picture of 129 × 129 tiles stands for it. Errors are relative to
+the rms of the blurred picture about its mean. The part of the tiles alone is the difference from 129 × 129 tiles with PSFs of the
+same size.
 """
 
 from __future__ import annotations
 
+import math
 import resource
 import sys
 import tempfile
@@ -21,7 +24,7 @@ from unittest import mock
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import CameraOptions, LensOptions, Pixel
+from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
 from pixsim.light.spectral import photons_per_joule
 from pixsim.optics import camera_lens
 from pixsim.optics.camera_lens import Tiling, blur_of, choose_tiling, light_of
@@ -34,6 +37,7 @@ from pixsim.sensor.pixel import derive
 
 SIDE, POINTS, LIT, TOLERANCE = 1024, 64, 1 / 250, 0.01
 COMPARED, FINEST = (16, 32, 64), 128  # tiles across
+NEAR, WINDOW = 48, 240  # cells: how far from a point its light comes from, and in which a PSF repeats
 PIXEL = derive(Pixel(pitch_um=6.5, technology="0.35um"))
 APERTURE_UM = 2.0
 WEIGHT = photons_per_joule(SEEN_NM) * PIXEL.quantum_efficiency(SEEN_NM)
@@ -53,29 +57,74 @@ def forget() -> None:
     camera_lens._PSFS.clear()
 
 
-def superposed_at(picture: Array, points: Array, light: Light, pitch_um: float, cells: int) -> Array:
+def superposed_at(picture: Array, points: Array, light: Light, pitch_um: float) -> Array:
     """The blurred picture at cells (n, 2), each lit cell with its own PSF."""
-    values, reach = [], cells // 2
+
+    def psf_of(source: Array) -> Array:
+        y_um, x_um = (source - (SIDE - 1) / 2) * pitch_um
+        return periodic_psf(light, x_um, y_um, pitch_um, WINDOW)
+
+    values = []
     for point in points:
-        first = np.maximum(point - reach, 0)
-        lit = np.argwhere(picture[first[0] : point[0] + reach + 1, first[1] : point[1] + reach + 1]) + first
-        total = 0.0
-        for source in lit:
-            y_um, x_um = (source - (SIDE - 1) / 2) * pitch_um
-            psf = periodic_psf(light, x_um, y_um, pitch_um, 2 * cells + 2)  # twice as wide: little light folds back
-            total += picture[tuple(source)] * float(psf[tuple(point - source)])
-        values.append(total)
+        near = slice(point[0] - NEAR, point[0] + NEAR + 1), slice(point[1] - NEAR, point[1] + NEAR + 1)
+        lit = np.argwhere(picture[near]) + point - NEAR
+        here = np.roll(psf_of(point), (NEAR, NEAR), axis=(0, 1))[: 2 * NEAR + 1, : 2 * NEAR + 1].sum()
+        from_lit = sum(picture[tuple(source)] * float(psf_of(source)[tuple(point - source)]) for source in lit)
+        values.append(from_lit + picture.mean() * (1 - here))
     return np.array(values)
 
 
 def blurred(blur: FieldBlur, picture: Array) -> Array:
-    reach = blur.cells // 2
-    return blur.superposed(np.pad(picture, reach))[0][2 * reach : -2 * reach, 2 * reach : -2 * reach]
+    """The picture with the light of each point spread by its PSF, and what it lacks as a veil."""
+    blur._last.clear()
+    return np.asarray(blur.blurred(picture) * blur.even)
+
+
+def setting(name: str) -> tuple[Camera, float]:
+    camera = load_scene("csf", resolution=SIDE).camera(CameraOptions(), LensOptions(file=name))
+    return camera, 1e3 * camera.die_mm / SIDE
+
+
+def pictures() -> tuple[Array, Array, Array]:
+    """Random dots, the chart csf, and points of both (n, 2) at which errors are found."""
+    generator = np.random.default_rng(3)
+    dots = (generator.random((SIDE, SIDE)) < LIT).astype(float)
+    chart = csf_value((np.arange(SIDE) + 0.5) / SIDE, (np.arange(SIDE)[:, None] + 0.5) / SIDE)
+    return dots, chart, generator.integers(NEAR, SIDE - NEAR, (POINTS, 2))
+
+
+def relative(difference: Array, picture: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(difference))) / picture[NEAR:-NEAR, NEAR:-NEAR].std())
+
+
+def measure_errors(camera: Camera, pitch_um: float, tiling: Tiling, points: int = POINTS) -> None:
+    """Print the errors, after one another: in all against superposition, and of the tiles alone."""
+    dots, chart, places = pictures()
+    places = places[:points]
+    cells = tiling.cells(pitch_um)[1]
+
+    def at(tiles: float) -> FieldBlur:
+        wanted = replace(tiling, spacing_um=SIDE / tiles * pitch_um, psf_um=cells * pitch_um)
+        return blur_of(camera, (SIDE, SIDE), pitch_um, wanted, SEEN_NM, WEIGHT)
+
+    exact = superposed_at(dots, places, light_of(camera, SEEN_NM, WEIGHT, tiling), pitch_um)
+    finest = [blurred(at(FINEST), picture) for picture in (dots, chart)]
+    parts = {}
+    for tiles in (SIDE / tiling.cells(pitch_um)[0], *COMPARED):
+        found = [blurred(at(tiles), picture) for picture in (dots, chart)]
+        parts[tiles] = [relative((one - fine)[NEAR:-NEAR, NEAR:-NEAR], fine) for one, fine in zip(found, finest, strict=True)]
+        total = relative(found[0][tuple(places.T)] - exact, found[0])
+        print(
+            f"  {tiles:4.0f} tiles: error of random dots {total:.3%} in all; of the tiles alone "
+            f"{parts[tiles][0]:.4%} of random dots, {parts[tiles][1]:.4%} of csf",
+            flush=True,
+        )
+    orders = [math.log2(coarse / fine) for coarse, fine in zip(parts[32], parts[64], strict=True)]
+    print(f"  order from 33² to 65² tiles: {orders[0]:.2f} of random dots, {orders[1]:.2f} of csf")
 
 
 def measure(name: str) -> None:
-    camera = load_scene("csf", resolution=SIDE).camera(CameraOptions(), LensOptions(file=name))
-    pitch_um, shape = 1e3 * camera.die_mm / SIDE, (SIDE, SIDE)
+    (camera, pitch_um), shape = setting(name), (SIDE, SIDE)
     print(f"{name} at f/{camera.f_number:.3g} on {camera.die_mm:g} mm, film of {SIDE}² cells of {pitch_um:.3g} µm")
     lens = load_lens(name)
     x, y = np.meshgrid(np.linspace(-1, 1, 64), np.linspace(-1, 1, 64))
@@ -89,10 +138,7 @@ def measure(name: str) -> None:
     )
     print(f"  bound {tiling.error:.2%}, {tiling.worst:.2%} at the worst place; lacking in a PSF", end=" ")
     forget()
-    chart = csf_value((np.arange(SIDE) + 0.5) / SIDE, (np.arange(SIDE)[:, None] + 0.5) / SIDE)
-    generator = np.random.default_rng(3)
-    dots = (generator.random(shape) < LIT).astype(float)
-    points = generator.integers(cells // 2, SIDE - cells // 2, (POINTS, 2))
+    dots, chart, _ = pictures()
 
     def first(of: Tiling) -> FieldBlur:
         return blur_of(camera, shape, pitch_um, of, SEEN_NM, WEIGHT)
@@ -110,21 +156,7 @@ def measure(name: str) -> None:
         blur = first(at(tiles))
         blur._last.clear()
         timed(f"picture of {tiles + 1}² tiles, PSFs from the cache", lambda blur=blur: blur.blurred(chart))
-    exact_dots = superposed_at(dots, points, light_of(camera, SEEN_NM, WEIGHT, tiling), pitch_um, cells)
-    exact_chart = blurred(first(at(FINEST)), chart)[tuple(points.T)]
-    found = {}
-    for tiles in (SIDE / spacing, *COMPARED):
-        blur = first(tiling if tiles == SIDE / spacing else at(int(tiles)))
-        errors = []
-        for picture, exact in ((dots, exact_dots), (chart, exact_chart)):
-            picture_blurred = blurred(blur, picture)
-            inside = picture_blurred[cells:-cells, cells:-cells]
-            errors.append(float(np.sqrt(np.mean((picture_blurred[tuple(points.T)] - exact) ** 2)) / inside.std()))
-        found[tiles] = errors
-        print(f"  {tiles:4.0f} tiles: error {errors[0]:.3%} of random dots, {errors[1]:.3%} of csf", flush=True)
-    for which, picture_name in enumerate(("random dots", "csf")):
-        order = np.log2(found[32][which] / found[64][which])
-        print(f"  order from 33² to 65² tiles, {picture_name}: {order:.2f}")
+    measure_errors(camera, pitch_um, tiling)
     print(f"  memory of the process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20):.2f} GiB")
 
 

@@ -11,6 +11,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.field_blur import (
+    BAND_END,
     FieldBlur,
     FittedWavefronts,
     Light,
@@ -25,6 +26,7 @@ from pixsim.optics.field_blur import (
     picture_error,
     point_spread,
     radial_psfs,
+    tiles_alike,
     tiles_reach_um,
     transform_of,
 )
@@ -214,6 +216,87 @@ def test_tiles_agree_with_superposition_within_their_bound(
         found = blur.superposed(np.pad(picture, reach))[0][2 * reach : -2 * reach, 2 * reach : -2 * reach]
         errors.append(np.sqrt(np.mean((found[tuple(points.T)] - exact) ** 2)) / found[30:-30, 30:-30].std())
         assert errors[-1] < bound
+
+
+COARSE_UM = 4.0  # cells that do not resolve what the lens of f/4 passes
+
+
+@pytest.fixture(scope="module")
+def sharp_light() -> Light:
+    return Light([fitted(4.0, np.linspace(0, 0.6, 17), DISTANCE_MM, uneven)], np.ones(1))
+
+
+def test_error_of_tiles_falls_with_their_number_on_a_film_that_does_not_resolve_the_lens(sharp_light: Light) -> None:
+    """All light counts, also that beyond the PSFs; superposition takes whole PSFs from their own pupils.
+
+    The part of the tiles falls with the fourth power of their number, as cubic windows have it; what a PSF lacks stays.
+    """
+    side, cells, near = 128, 33, 32
+    dots = random_dots()[:side, :side]
+    points = np.random.default_rng(5).integers(near, side - near, (8, 2))
+
+    def psf_of(source: Array) -> Array:
+        y_um, x_um = (source - (side - 1) / 2) * COARSE_UM
+        return periodic_psf(sharp_light, x_um, y_um, COARSE_UM, 160)
+
+    exact = []
+    for point in points:
+        lit = np.argwhere(dots[point[0] - near : point[0] + near + 1, point[1] - near : point[1] + near + 1]) + point - near
+        here = np.roll(psf_of(point), (near, near), (0, 1))[: 2 * near + 1, : 2 * near + 1].sum()
+        exact.append(sum(float(psf_of(source)[tuple(point - source)]) for source in lit) + dots.mean() * (1 - here))
+    pictures = {}
+    for spacing in (32, 16, 8, 4):
+        blur = blur_of(sharp_light, dots.shape, COARSE_UM, spacing, cells)
+        pictures[spacing] = blur.blurred(dots) * blur.even
+    contrast = pictures[4].std()
+    parts = [float(np.sqrt(np.mean((pictures[spacing] - pictures[4]) ** 2)) / contrast) for spacing in (32, 16, 8)]
+    totals = [float(np.sqrt(np.mean((found[tuple(points.T)] - exact) ** 2)) / contrast) for found in pictures.values()]
+    assert math.log2(parts[0] / parts[1]) > 1.8, parts
+    assert math.log2(parts[1] / parts[2]) > 1.8, parts
+    assert max(totals[1:]) < 0.001, totals
+
+
+def test_a_psf_is_seen_through_a_low_pass_that_ends_softly() -> None:
+    """The raised cosine's response in closed form, convolved with a PSF whose samples resolve it."""
+    light = Light([fitted(4.0, np.linspace(0, 0.4, 9), 1.0, uneven, shift_um=9.0)], np.ones(1))
+    finer, window, place = 8, 96, (250.0, 120.0)
+    fine = np.fft.fftshift(periodic_psf(light, *place, COARSE_UM / finer, window * finer))
+    found = np.fft.fftshift(periodic_psf(light, *place, COARSE_UM, window))
+    away = (np.arange(window)[:, None] - window // 2) - (np.arange(window * finer) - window * finer // 2) / finer  # in cells
+    with np.errstate(divide="ignore", invalid="ignore"):
+        through = np.sinc(away) * np.cos(np.pi * BAND_END * away) / (1 - (2 * BAND_END * away) ** 2)
+    through[np.isclose(np.abs(away), 1 / (2 * BAND_END))] = np.pi / 4 * np.sinc(1 / (2 * BAND_END))
+    wanted = through @ fine @ through.T
+    middle = slice(window // 4, -window // 4)
+    norm = np.sqrt(np.sum(wanted**2))
+    assert np.sqrt(np.sum((found - wanted)[middle, middle] ** 2)) < 3e-4 * norm  # what repeats from beyond the window
+    outside = wanted.copy()
+    outside[window // 2 - 16 : window // 2 + 17, window // 2 - 16 : window // 2 + 17] = 0
+    assert np.sqrt(np.sum(outside**2)) < 4e-3 * norm  # a band that breaks off leaves 7 % there
+
+
+def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(sharp_light: Light) -> None:
+    """Between the distances that are computed, at any azimuth, and at the end of what is known; beyond it there is none."""
+    step_um, cells = 16.0, 33
+    psfs = radial_psfs(sharp_light, COARSE_UM, cells, step_um, 200.0)
+    for height_um, azimuth in ((0.0, 0.0), (3.0, 0.4), (100.0, 0.8), (200.0, 2.1), (psfs.reach_um, -2.5)):
+        place = height_um * math.cos(azimuth), height_um * math.sin(azimuth)
+        whole = np.roll(periodic_psf(sharp_light, *place, COARSE_UM, 240), (cells // 2, cells // 2), (0, 1))
+        error = psfs.at(*place, COARSE_UM, cells).kernel - whole[:cells, :cells]
+        assert np.sqrt(np.sum(error**2)) < 5e-4 * np.sqrt(np.sum(whole**2)), (height_um, azimuth)
+    assert 200.0 <= psfs.reach_um < 200.0 + 2 * step_um
+    with pytest.raises(PixsimError, match=r"distance of a PSF from the axis: got 300 µm; allowed: at most 2\d\d µm"):
+        psfs.at(300.0, 0.0, COARSE_UM, cells)
+    with pytest.raises(PixsimError, match=r"film cell of a PSF: got 3\.9 µm; allowed: at least 4 µm"):
+        psfs.at(0.0, 0.0, 3.9, cells)
+
+
+@pytest.mark.parametrize(("cells", "spacing", "psf_cells"), [(128, 5, 9), (96, 8, 17), (9, 8, 3), (40, 4, 33), (1024, 43, 65)])
+def test_psfs_reach_as_far_as_tiles_and_points_amid_them(cells: int, spacing: int, psf_cells: int) -> None:
+    reach_um = tiles_reach_um((cells, cells), 1.0, spacing, psf_cells)
+    tiles = [math.hypot(*place) * spacing for place in tiles_alike((cells + psf_cells - 1,) * 2, spacing)]
+    corner = (cells / 2 + 1.5 * spacing) * math.sqrt(2)  # the farthest tile around a corner that is amid tiles
+    assert max(*tiles, corner) <= reach_um
 
 
 def test_mirrors_do_not_change_the_blur(uneven_light: Light) -> None:
