@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fields
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, in_threads
 from pixsim.base.errors import invalid
 from pixsim.optics.glass import AIR, Glass
 from pixsim.optics.prescription import Prescription, read_prescription
@@ -230,8 +230,8 @@ class Lens:
     def _indices(self, wavelength_nm: Array) -> list[float | Array]:
         """Return the index in front of the lens and behind each surface: 1 for air, (C, 1) for glasses, or numbers if C is 1."""
         key = wavelength_nm.tobytes()
-        if key in self._known_indices:
-            return self._known_indices[key]
+        if (of_key := self._known_indices.get(key)) is not None:  # other threads may clear them
+            return of_key
         known: dict[Glass, float | Array] = {AIR: 1.0}
         for glass in self.prescription.glasses:
             known[glass] = glass.index(wavelength_nm)[:, None] if wavelength_nm.size > 1 else float(glass.index(wavelength_nm)[0])
@@ -330,8 +330,10 @@ class Lens:
     def _aim(self, field_deg: Array, wavelength_nm: Array) -> Array:
         """Return polynomials (C, terms, 2) from the stop to the entrance pupil in mm, from a cache."""
         keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
-        if new := sorted(set(keys) - self._aims.keys()):
-            self._aims.update(zip(new, self._new_aims(*(np.array(part) for part in zip(*new, strict=True))), strict=True))
+        new, each = sorted(set(keys) - self._aims.keys()), max(1, BLOCK // (RINGS * SPOKES))
+        for first in range(0, len(new), each):
+            some = new[first : first + each]
+            self._aims.update(zip(some, self._new_aims(*(np.array(part) for part in zip(*some, strict=True))), strict=True))
         return np.stack([self._aims[key] for key in keys])
 
     def _new_aims(self, field_deg: Array, wavelength_nm: Array) -> list[Array]:
@@ -523,19 +525,24 @@ class Lens:
         _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
         _, x, y = _in_line(stop_x=stop_x, stop_y=stop_y)
         chief = self._chief(fields, wavelengths)
-        bases = _bases(x, y)
-        parts: list[Wavefront] = []
+        bases, terms = _bases(x, y), self._aim(fields, wavelengths)
         each = max(1, BLOCK // max(x.size, 1))
-        for first in range(0, max(fields.size, 1), each):
-            some = slice(first, first + each)
-            parts.append(self._block(fields[some], wavelengths[some], x, y, bases, _part(chief, some)))
-        names = (part.name for part in dataclass_fields(Wavefront))
-        return (
-            parts[0] if len(parts) == 1 else Wavefront(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-        )
+        blocks = [slice(first, first + each) for first in range(0, max(fields.size, 1), each)]
+        parts: dict[int, Wavefront] = {}
 
-    def _block(self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, bases: Bases, chief: Rays) -> Wavefront:
-        terms = self._aim(field_deg, wavelength_nm)
+        def compute(number: int) -> None:
+            some = blocks[number]
+            parts[number] = self._block(fields[some], wavelengths[some], x, y, terms[some], bases, _part(chief, some))
+
+        in_threads(compute, range(len(blocks)), fields.size * x.size * len(self.prescription.surfaces))
+        if len(blocks) == 1:
+            return parts[0]
+        names = (part.name for part in dataclass_fields(Wavefront))
+        return Wavefront(*(np.concatenate([getattr(parts[number], name) for number in range(len(blocks))]) for name in names))
+
+    def _block(
+        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, terms: Array, bases: Bases, chief: Rays
+    ) -> Wavefront:
         across, along = (_polynomials(terms[..., axis], basis) for axis, basis in enumerate(bases))
         rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         semi = self.stop_semi_diameter_mm
