@@ -599,6 +599,7 @@ def lens(
     The lens is as in its file, with the object at infinity, unless the options change it. Writes report.html, summary.json and
     figures/*.svg and *.csv.
     """
+    import_less()
     from pixsim.optics.lens import load_lens
     from pixsim.report.lens import FILES, chosen_lens, lens_data, lens_lines, write_lens
 
