@@ -71,6 +71,13 @@ def spread_parts(count: int, size: int) -> list[slice]:
     return [slice(max(0, first), max(0, first) + size) for first in firsts]
 
 
+def transposed(plane: NDArray[Any]) -> NDArray[Any]:
+    """Return the transpose of a plane (H, W) as an array of its own, (W, H), in a third of the time where W is a power of two."""
+    padded = empty_planes(*plane.shape, dtype=plane.dtype)
+    padded[...] = plane
+    return np.ascontiguousarray(padded.T)
+
+
 @cache
 def reuse_freed_memory() -> None:
     """Make glibc reuse freed arrays of up to 32 MiB.

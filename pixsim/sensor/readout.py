@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,7 +182,11 @@ class Frame:
         """
         if self.corrected_e is not None:
             return self.corrected_e.astype(float)
-        return (self.dn.astype(float) - self.black_level_dn) / self.dn_per_e - self.mean_dark_e
+        electrons = self.dn.astype(float)
+        electrons -= self.black_level_dn
+        electrons /= self.dn_per_e
+        electrons -= self.mean_dark_e
+        return electrons
 
 
 @checks_arguments
@@ -190,8 +195,13 @@ def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
 
     The variance of NumPy's Poisson is 3.5 % too large at 1e15.
     """
+    return np.asarray(_shot_noise(mean_e, rng), float)
+
+
+def _shot_noise(mean_e: Array, rng: np.random.Generator) -> NDArray[Any]:
+    """Return `shot_noise` as whole numbers or float64."""
     if mean_e.max(initial=0.0) < POISSON_LIMIT_E:
-        return np.asarray(rng.poisson(mean_e), float)
+        return rng.poisson(mean_e)
     counts = np.asarray(rng.poisson(np.minimum(mean_e, POISSON_LIMIT_E)), float)
     normal = np.rint(mean_e + np.sqrt(mean_e) * rng.standard_normal(mean_e.shape))
     return np.where(mean_e < POISSON_LIMIT_E, counts, normal)
@@ -208,8 +218,15 @@ def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
     """
     if bits > MAX_CODE_BITS:
         raise invalid("bits", bits, f"1 to {MAX_CODE_BITS}", "Codes are stored in 32 bits with a sign.")
-    counts = np.asarray(np.rint(level_dn))
-    return np.clip(counts, 0, 2**bits - 1, out=counts).astype(np.int32)
+    codes = np.empty(level_dn.shape, np.int32)
+    _quantise(np.array(level_dn), bits, codes)
+    return codes
+
+
+def _quantise(level_dn: Array, bits: int, out: NDArray[np.int32]) -> None:
+    """Write the codes of `quantise` to `out`, and as float64 to `level_dn`."""
+    np.clip(np.rint(level_dn, out=level_dn), 0, 2**bits - 1, out=level_dn)
+    np.copyto(out, level_dn, casting="unsafe")  # whole numbers
 
 
 @checks_arguments
@@ -249,7 +266,7 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
             np.multiply(mean_e[rows], 1.0 if sensor.gain is None else sensor.gain[rows], out=mean)
             if mean_dark_e:
                 mean += mean_dark_e if sensor.dark_gain is None else np.multiply(mean_dark_e, sensor.dark_gain[rows], out=dark)
-            generated[rows] = shot_noise(mean, rng)
+            generated[rows] = _shot_noise(mean, rng)
         for rows in within:
             level, noise = generated[rows], charge[: rows.stop - rows.start]
             full = level >= full_e
@@ -261,8 +278,9 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
                 if added_e is not None:
                     level += added_e
             level *= p.dn_per_e
-            level += p.pixel.black_level_dn
-            dn[rows] = quantise(level, p.pixel.bits)
+            if p.pixel.black_level_dn:
+                level += p.pixel.black_level_dn
+            _quantise(level, p.pixel.bits, dn[rows])
             saturated.append(int(np.count_nonzero(full | (dn[rows] >= top_dn))))
 
     by_block(expose, mean_e.shape, rng)
@@ -340,10 +358,9 @@ def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure
         hint = "Make the sensor with the camera and aspect of the irradiance: make_sensor(pixel, camera, aspect=…)."
         raise invalid("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", hint)
     time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
-    dn, saturated_fraction = _expose(
-        signal_e_per_s * time_s, time_s, sensor if p is sensor.physics else replace(sensor, physics=p), rng
-    )
-    return make_frame(dn, saturated_fraction, signal_e_per_s, p, exposure)
+    mean_e = signal_e_per_s * time_s
+    dn, saturated_fraction = _expose(mean_e, time_s, sensor if p is sensor.physics else replace(sensor, physics=p), rng)
+    return _frame(dn, saturated_fraction, mean_e, time_s, p, exposure)
 
 
 @checks_arguments
@@ -357,9 +374,15 @@ def make_frame(
     saturated_fraction : as `Frame` defines it; it cannot be counted from the digital numbers
     """
     time_s = integration_time_s(exposure, physics, float(signal_e_per_s.max()))
+    return _frame(dn, saturated_fraction, signal_e_per_s * time_s, time_s, physics, exposure)
+
+
+def _frame(
+    dn: NDArray[np.int32], saturated_fraction: float, mean_e: Array, time_s: float, physics: PixelPhysics, exposure: Exposure
+) -> Frame:
     return Frame(
         dn=dn,
-        mean_e=signal_e_per_s * time_s,
+        mean_e=mean_e,
         integration_s=time_s,
         dn_per_e=physics.at_gain(exposure.gain_db).dn_per_e,
         black_level_dn=physics.pixel.black_level_dn,

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array, strips
+from pixsim.base.arrays import Array, strips, transposed
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display
@@ -37,6 +37,8 @@ GAMUT_TOLERANCE = 1e-9  # of a primary's largest light, for rounding
 WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # pictures divided by white stay within float64 for any sensor and exposure
 SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # quintic is only the reference for cubic displays
 B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
+BINS = 1 << 14  # of luminance; a power of two, so that a product with it is exact
+BIN_MARGIN = 1e-10  # of a luminance, far above the rounding of a power
 MAX_UNSURE, MAX_LOG = 0.1, 80.0  # in codes; of float32, which underflows at exp(-87)
 WHITE_PERCENTILE = 99.0  # of the luminance of a scene whose white is unknown
 WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
@@ -190,7 +192,10 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
     lines = np.moveaxis(values, axis, 0)
     degree = min(degree, len(lines) - 1)
     if degree < 2:
-        means = _mean_weights(len(lines), edges.tobytes(), degree) @ np.ascontiguousarray(lines)
+        weights = _mean_weights(len(lines), edges.tobytes(), degree)
+        if axis == 1 and values.ndim == 2:
+            return transposed(weights @ transposed(values))
+        means = weights @ np.ascontiguousarray(lines)
     else:
         from scipy.interpolate import make_interp_spline  # takes 0.3 s, needed for cubic displays only
 
@@ -356,12 +361,31 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
     [0.0, 0.0, 1.0]
     """
     top = 2**display.bits - 1
-    light = (np.arange(top + 1) / top) ** display.gamma
+    light, table = _light_of_codes(display.gamma, top), _light_of_bins(display.gamma, top)
     shown = np.empty(relative_luminance.shape)
     values, out = relative_luminance.reshape(-1), shown.reshape(-1)
     for part in strips(values.size, 1):
-        np.take(light, _counts(np.clip(values[part], 0.0, 1.0), display.gamma, top), out=out[part])
+        luminance, result = np.clip(values[part], 0.0, 1.0), out[part]
+        np.take(table, (luminance * BINS).astype(np.intp), out=result, mode="clip")  # checks of indices take as long again
+        several = np.flatnonzero(np.isnan(result))
+        result[several] = light[_counts(luminance[several], display.gamma, top)]
     return shown
+
+
+def _light_of_codes(gamma: float, top: int) -> Array:
+    """Return the light of each code, (top + 1,)."""
+    return (np.arange(top + 1) / top) ** gamma
+
+
+@lru_cache(maxsize=4)
+def _light_of_bins(gamma: float, top: int) -> Array:
+    """Return the light that is shown for all luminances of each of `BINS` bins from 0 to 1, and for 1; NaN for several codes."""
+    borders = np.arange(BINS + 1) / BINS
+    low, high = (np.rint((borders * side) ** (1 / gamma) * top) for side in (1 - BIN_MARGIN, 1 + BIN_MARGIN))
+    one_code = low[:-1] == high[1:]
+    table = np.ones(BINS + 1)
+    table[:-1] = np.where(one_code, _light_of_codes(gamma, top)[low[:-1].astype(np.intp)], np.nan)
+    return table
 
 
 def _counts(luminance: Array, gamma: float, top: int) -> NDArray[np.intp]:
