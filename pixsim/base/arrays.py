@@ -8,7 +8,7 @@ import math
 import operator
 import os
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -69,6 +69,18 @@ def spread_parts(count: int, size: int) -> list[slice]:
     """Slices of `size` cells, each in the middle of one of `PARTS` equal shares of `count` cells."""
     firsts = (round((place + 0.5) * count / PARTS - size / 2) for place in range(PARTS))
     return [slice(max(0, first), max(0, first) + size) for first in firsts]
+
+
+def mixed(matrix: Array, planes: Sequence[Array], out: Array | None = None) -> Array:
+    """Return a matrix (n, C) times C planes (H, W): (n, H, W); not by BLAS, whose rounding depends on the number of threads."""
+    result = np.empty((len(matrix), *planes[0].shape)) if out is None else out
+    for rows, spare in strips_of(planes[0].shape):
+        for place, weights in zip(result, matrix, strict=True):
+            total = place[rows]
+            np.multiply(planes[0][rows], weights[0], out=total)
+            for weight, plane in zip(weights[1:], planes[1:], strict=True):
+                total += np.multiply(plane[rows], weight, out=spare)
+    return result
 
 
 def transposed(plane: NDArray[Any]) -> NDArray[Any]:

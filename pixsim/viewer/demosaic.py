@@ -218,15 +218,20 @@ def _filtered(mosaic: Array, weights: Array) -> Array:
     planes = np.empty((weights.shape[2], height, width))
     for y, x, c in np.ndindex(weights.shape[:3]):
         taps, into = weights[y, x, c], planes[c, y::2, x::2]
-        total = np.zeros(into.shape)
-        for weight in np.unique(taps[taps != 0]):  # samples of equal weight are summed first
-            part = np.zeros(into.shape)
+        total = np.zeros(into.shape) if len(groups := np.unique(taps[taps != 0])) > 1 else None
+        part = np.empty(into.shape)
+        for weight in groups:  # samples of equal weight are summed first
+            summed: Array | float = 0.0
             for dy, dx in np.argwhere(taps == weight):
                 (row, odd_row), (column, odd_column) = divmod(y + dy, 2), divmod(x + dx, 2)
-                part += phase[odd_row, odd_column][row : row + into.shape[0], column : column + into.shape[1]]
-            part *= weight
-            total += part
-        into[...] = total
+                sample = phase[odd_row, odd_column][row : row + into.shape[0], column : column + into.shape[1]]
+                summed = np.add(sample, summed, out=part)
+            if total is None:
+                np.multiply(part, weight, out=into)
+            else:
+                total += np.multiply(part, weight, out=part)
+        if total is not None:
+            into[...] = total
     return planes
 
 

@@ -20,7 +20,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, mixed
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import BAYER, Camera, Develop, Display
 from pixsim.light.spectral import SpectralImage, colour_matching
@@ -188,17 +188,6 @@ def ideal_rgb(
     else:
         xyz = [on_display(irradiance.weighted(weight)) for weight in weights]
     return mixed(to_display / white_y(irradiance, camera, display), xyz)
-
-
-def mixed(matrix: Array, planes: Sequence[Array]) -> Array:
-    """Return a matrix (3, C) times C planes (H, W): (3, H, W)."""
-    result = np.empty((len(matrix), *planes[0].shape))
-    spare = np.empty(planes[0].shape)
-    for out, row in zip(result, matrix, strict=True):
-        np.multiply(planes[0], row[0], out=out)
-        for weight, plane in zip(row[1:], planes[1:], strict=True):
-            out += np.multiply(plane, weight, out=spare)
-    return result
 
 
 def balance(develop: Develop, layout: Layout, white_e: Array) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array, strips, transposed
+from pixsim.base.arrays import Array, mixed, strips, transposed
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display
@@ -458,12 +458,14 @@ def out_of_gamut_share(rgb: Array) -> float:
 
     rgb : light of the primaries, relative
     """
-    red, green, blue = np.moveaxis(_of_three("rgb", rgb), -1, 0)
-    relative = XYZ_FROM_RGB[1] / WHITE_XYZ[1]
-    luminance = relative[0] * red + relative[1] * green + relative[2] * blue
-    low, high = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
-    outside = (low < -GAMUT_TOLERANCE) | ((high > 1 + GAMUT_TOLERANCE) & (luminance <= 1))
-    return float(np.count_nonzero(outside) / outside.size)
+    planes = np.moveaxis(_of_three("rgb", rgb), -1, 0)
+    relative, outside = XYZ_FROM_RGB[1] / WHITE_XYZ[1], 0
+    for rows in strips(planes.shape[1], math.prod(planes.shape[2:])) if planes.ndim > 1 else [...]:
+        red, green, blue = planes[:, rows]
+        luminance = relative[0] * red + relative[1] * green + relative[2] * blue
+        low, high = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
+        outside += int(np.count_nonzero((low < -GAMUT_TOLERANCE) | ((high > 1 + GAMUT_TOLERANCE) & (luminance <= 1))))
+    return outside / planes[0].size
 
 
 def _of_three(name: str, values: Array) -> Array:
@@ -476,6 +478,9 @@ def _in_colour(matrix: Array, name: str, values: Array) -> Array:
     """Return a matrix (3, 3) times values (..., 3); not by BLAS, whose rounding depends on the number of threads."""
     planes = np.moveaxis(_of_three(name, values), -1, 0)
     result = np.empty_like(values, dtype=float)  # planes stay planes in memory
+    if values.ndim == 3:
+        mixed(matrix, list(planes), np.moveaxis(result, -1, 0))
+        return result
     for row, weights in enumerate(matrix):
         result[..., row] = weights[0] * planes[0] + weights[1] * planes[1] + weights[2] * planes[2]
     return result

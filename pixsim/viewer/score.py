@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.arguments import checks_arguments, checks_fields
-from pixsim.base.arrays import Array, stream
+from pixsim.base.arrays import Array, mixed, stream
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, check_develop
@@ -46,7 +46,7 @@ from pixsim.show.pages import html_cell, rows_csv, set_words
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
-from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, mixed, noise_covariance, rendition_of
+from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, noise_covariance, rendition_of
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
     colour_delta_e_map,
@@ -338,17 +338,19 @@ class ImagingChain:
             "dots_per_pixel": 1.0 if dot_um is None else pitch_um / dot_um,
         }
 
-    def light(self, frame: Frame, window: Callable[[Array], Array] = lambda picture: picture) -> Array:
+    def light(self, frame: Frame, window: Callable[[Array], Array] | None = None) -> Array:
         """Return what a frame asks of the display's dots: luminance (H, W), or light of the primaries (3, H, W), 1 for white.
 
-        window : selects a part of the dots
+        window : selects a part of the dots; None takes all
         """
         screen, whites_e = self.screen, np.array(self.whites_e_per_s) * frame.integration_s
         if self.rendition is None:
-            return window(screen.luminance(frame, float(whites_e[0]), self.shading))
+            luminance = screen.luminance(frame, float(whites_e[0]), self.shading)
+            return luminance if window is None else window(luminance)
         planes = balanced_planes(frame, self.develop, whites_e, self.physics.saturation_e, self.shading)
         own = screen.size_um, screen.display, screen.dot_edges_um
-        return np.stack([window(plane) for plane in frame_rgb(planes, frame, self.matrix, *own)])
+        light = frame_rgb(planes, frame, self.matrix, *own)
+        return light if window is None else np.stack([window(plane) for plane in light])
 
     def score_frame(self, frame: Frame) -> Score:
         """Return the score of a frame as shown on the screen."""

@@ -222,7 +222,7 @@ def exact_level_e(physics, generated_e: np.ndarray, integration_s: float) -> np.
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.97, 1.03, 30.0])
 def test_read_out_without_noise_matches_kernel(monkeypatch, limit, conversion, share):
     physics = derive(pixel(well_limit=limit, conversion=conversion, bits=16, **QUIET))
-    monkeypatch.setattr(sensors, "shot_noise", lambda mean_e, rng: mean_e.copy())
+    monkeypatch.setattr(sensors, "_shot_noise", lambda mean_e, rng: mean_e.copy())
     light_e = share * physics.full_well_e
     level = exact_level_e(physics, np.array(light_e + 0.03 * physics.dark_current_e_per_s), 0.03)
     expected = min(float(level) * physics.dn_per_e, 2**16 - 1)

@@ -490,6 +490,18 @@ def test_evaluate_too_many_dots_raises():
         evaluate(tall, Camera(die_mm=0.01), Pixel())
 
 
+@pytest.mark.parametrize(("gamma", "bits"), [(2.2, 8), (1.0, 1), (0.45, 10), (1.8, 14), (0.01, 8), (100.0, 8)])
+def test_shown_luminance_is_the_nearest_code_beside_every_border(gamma, bits):
+    """Luminances on both sides of each border of codes and of bins of luminance, by the definition in float64."""
+    top = 2**bits - 1
+    codes = np.unique(np.linspace(0, top - 1, 2000).astype(int))
+    borders = np.concatenate([((codes + 0.5) / top) ** gamma, np.arange(displays.BINS + 1) / displays.BINS])
+    luminance = np.concatenate([np.nextafter(borders, 2.0), borders, np.nextafter(borders, -1.0)])
+    clipped = np.clip(luminance, 0.0, 1.0)
+    expected = (np.rint(clipped ** (1 / gamma) * top) / top) ** gamma
+    np.testing.assert_array_equal(displays.shown_luminance(luminance, Display(gamma=gamma, bits=bits)), expected)
+
+
 @pytest.mark.parametrize("gamma", [0.01, 0.1, 1.0, 10.0, 100.0])
 @pytest.mark.parametrize("bits", [1, 8, 16])
 def test_shown_luminance_keeps_black_and_white(gamma, bits):
