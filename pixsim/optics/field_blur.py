@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft, ifft, irfft2, next_fast_len, rfft, rfft2
-from scipy.special import itj0y0, j0, j1
+from scipy.special import j0, j1, struve
 
 from pixsim.base.arrays import WORTH_THREADS, Array, dct, empty_planes, in_threads, inverse_dct
 from pixsim.base.errors import invalid
@@ -357,10 +357,12 @@ def point_spread(light: Light, x_um: float, y_um: float, pitch_um: float, cells:
 def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
     """Return the transform of light that falls as 1/r³ beyond a radius, as that of a pupil with an edge does; 1 at frequency 0.
 
-    With z = 2πfr, z ∫_z^∞ J₀(s)/s² ds = J₀(z) - z (1 + J₁(z) - ∫_0^z J₀(s) ds).
+    With z = 2πfr, z ∫_z^∞ J₀(s)/s² ds = J₀(z) - z (1 + J₁(z) - ∫_0^z J₀(s) ds). The last integral is by Struve's functions
+    (Abramowitz and Stegun 11.1.7), because `scipy.special.itj0y0` is wrong by many orders beyond z = 20 in SciPy before 1.17.
     """
     z = 2 * np.pi * frequency_cy_per_mm * beyond_um * 1e-3
-    return np.asarray(j0(z) - z * (1 + j1(z) - itj0y0(z)[0]))
+    integral = z * j0(z) + np.pi * z / 2 * (j1(z) * struve(0, z) - j0(z) * struve(1, z))
+    return np.asarray(j0(z) - z * (1 + j1(z) - integral))
 
 
 def cubic_weights(distance: Array | float) -> Array:

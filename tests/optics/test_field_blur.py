@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.special import jv
+from scipy.integrate import quad
+from scipy.special import j0, jv
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
@@ -29,6 +30,7 @@ from pixsim.optics.field_blur import (
     tiles_alike,
     tiles_reach_um,
     transform_of,
+    veil_mtf,
 )
 from pixsim.optics.glass import constant_glass
 from pixsim.optics.lens import lens_of
@@ -69,6 +71,16 @@ def otf_along(psf: Array, pitch_um: float) -> tuple[Array, Array, Array]:
     n = len(psf)
     spectrum = np.fft.fft2(psf)[: n // 2, : n // 2]
     return np.fft.rfftfreq(n, pitch_um * 1e-3)[: n // 2], spectrum[0], spectrum[:, 0]
+
+
+@pytest.mark.parametrize("from_z", [0.5, 5.0, 19.0, 21.0, 60.0])
+def test_veil_of_light_that_falls_as_the_cube_of_the_distance(from_z: float):
+    """The MTF of light beyond a radius r is z F(z), F' = -J0(z)/z². SciPy before 1.17 is wrong beyond z = 20."""
+    to_z, radius_um = 1.4 * from_z, 40.0
+    near, far = veil_mtf(np.array([from_z, to_z]) / (2 * np.pi * radius_um * 1e-3), radius_um)
+    right, error = quad(lambda z: j0(z) / z**2, from_z, to_z, epsabs=1e-12)
+    assert error < 1e-11
+    assert near / from_z - far / to_z == pytest.approx(right, abs=1e-10)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 20.0, 35.0])

@@ -191,16 +191,30 @@ def interpreter(version: str) -> str | None:
     return next((path for path in found if path and run(path, "--version", folder=ROOT).returncode == 0), None)
 
 
+def run_quick_tests(python: Path, folder: Path) -> None:
+    """Half of the quick tests of every package, against the installed package."""
+    files = [ROOT / f"tests/{package}/test_{name}.py" for package, names in QUICK_TESTS.items() for name in names.split()]
+    options = ("-q", "-n", "1", "-p", "no:cacheprovider", "--rootdir", ROOT, "-c", ROOT / "pyproject.toml")
+    done = run(python, "-m", "pytest", *options, *files, folder=folder)
+    assert done.returncode == 0, done.stdout[-4000:]
+
+
+VERSIONS = ("3.11", "3.12", "3.13")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("version", ["3.12", "3.13"])
-def test_installed_package_works_on_newer_python(version: str, shipped: dict[str, Path], tmp_path: Path):
-    """Newer packages come with it: from NumPy 2.5 on, which needs Python 3.12, types of arrays are told otherwise."""
-    python = interpreter(version)
-    if python is None or version == ".".join(map(str, sys.version_info[:2])):
-        pytest.skip(f"Python {version} is not here, or is the one of the other tests")
-    python = str(venv(tmp_path / "newer", python))
-    pip_install(python, f"{shipped['wheel']}[llvm]", folder=tmp_path)
-    assert_it_works(Path(python), tmp_path / "some where")
+@pytest.mark.parametrize("packages", ["newest", "lowest"])
+@pytest.mark.parametrize("version", VERSIONS)
+def test_installed_package_works_on_every_python(version: str, packages: str, shipped: dict[str, Path], tmp_path: Path):
+    """Newest packages are other ones on newer Pythons: from NumPy 2.5 on, which needs 3.12, types of arrays are told otherwise."""
+    chosen = interpreter(version)
+    if chosen is None:
+        pytest.skip(f"no Python {version}")
+    python = venv(tmp_path / packages, chosen)
+    pins = [lowest(requirement) for requirement in PROJECT["dependencies"]] if packages == "lowest" else []
+    pip_install(python, f"{shipped['wheel']}[llvm]", *pins, "pytest>=8", "pytest-xdist>=3.5", folder=tmp_path)
+    assert_it_works(python, tmp_path / "some where")
+    run_quick_tests(python, tmp_path)
 
 
 # What each extra brings; that of `llvm` is tested above, and the others are for those who work on pixsim.
@@ -251,19 +265,3 @@ def test_lowest_pins_every_dependency():
     pins = [lowest(requirement) for requirement in PROJECT["dependencies"]]
     assert "mitsuba==3.9.0" in pins
     assert not [pin for pin in pins if re.search(r"[<>*~!]", pin)], "a kind of bound that `lowest` does not convert"
-
-
-@pytest.mark.slow
-def test_installed_package_works_with_lowest_versions(shipped: dict[str, Path], tmp_path: Path):
-    """On the oldest Python, with half of the quick tests of every package."""
-    oldest = interpreter("3.11")
-    if oldest is None:
-        pytest.skip("no Python 3.11")
-    python = venv(tmp_path / "lowest", oldest)
-    pins = [lowest(requirement) for requirement in PROJECT["dependencies"]]
-    pip_install(python, f"{shipped['wheel']}[llvm]", *pins, "pytest>=8", "pytest-xdist>=3.5", folder=tmp_path)
-    assert_it_works(python, tmp_path / "some where")
-    files = [ROOT / f"tests/{package}/test_{name}.py" for package, names in QUICK_TESTS.items() for name in names.split()]
-    options = ("-q", "-n", "1", "-p", "no:cacheprovider", "--rootdir", ROOT, "-c", ROOT / "pyproject.toml")
-    done = run(python, "-m", "pytest", *options, *files, folder=tmp_path)
-    assert done.returncode == 0, done.stdout[-4000:]
