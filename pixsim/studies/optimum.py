@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky
+from scipy.linalg import LinAlgError, cholesky
 from scipy.linalg.lapack import dtrtri
 from scipy.special import gammaincinv, stdtrit
 
@@ -183,8 +183,23 @@ def inverse_factor(covariance: Array) -> Array:
 
     Not a triangular solve: LAPACK starts threads for one of any size, which takes far longer than these small matrices do.
     """
-    inverse, _ = dtrtri(cholesky(covariance, lower=True, check_finite=False), lower=1)
+    inverse, _ = dtrtri(lower_factor(covariance), lower=1)
     return np.asarray(inverse)
+
+
+def lower_factor(covariance: Array) -> Array:
+    """Return the lower Cholesky factor.
+
+    Of exact data, curves have a covariance of rounding errors, which may be indefinite: noise of their size is added then.
+    """
+    size, added = float(np.abs(covariance).max()), 0.0
+    while True:
+        try:
+            return np.asarray(cholesky(covariance + added * np.eye(len(covariance)), lower=True, check_finite=False))
+        except LinAlgError:
+            if not added <= len(covariance) * size:  # which is more than any eigenvalue, unless one is not a number
+                raise
+            added = 10 * added or float(np.finfo(float).eps) * size
 
 
 def multiplied(matrix: Array, vectors: Array) -> Array:
@@ -290,8 +305,7 @@ def drawn_curves(fits: list[Posterior], weights: list[float], places: Array, see
         if last > first:
             covariance = fit.covariance(places)
             covariance[np.diag_indices(places.size)] += ROUNDING**2 * max(1.0, float(covariance.trace()) / places.size)
-            factor = cholesky(covariance, lower=True, check_finite=False)
-            curves[first:last] = fit.mean(places) + multiplied(factor, normal[first:last])
+            curves[first:last] = fit.mean(places) + multiplied(lower_factor(covariance), normal[first:last])
     return curves
 
 

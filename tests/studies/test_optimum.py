@@ -66,6 +66,16 @@ def test_fit_curve_of_parabola(pitches: int, bend: float) -> None:
     assert low < BEST_UM < high < 1.02 * low
 
 
+def test_fit_curve_of_exact_rough_data() -> None:
+    """Without noise nothing is left open at the pitches; a covariance of rounding errors may not be definite."""
+    pitch = np.geomspace(5.3, 80, 60)
+    mean = parabola(pitch, 0.3, 30.0) * (1 + 0.03 * np.random.default_rng(0).standard_normal(pitch.size))
+    fit = fitted(mean, pitch_um=pitch)
+    np.testing.assert_allclose(fit.scale * fit.likeliest.mean(fit.likeliest.u), mean, rtol=1e-4)
+    least = int(np.argmin(mean))
+    assert pitch[least - 1] < fit.optimum.pitch_um < pitch[least + 1]
+
+
 @pytest.mark.parametrize("bend", [0.3, 1.0, 3.0])
 def test_close_to_least_of_parabola(bend: float) -> None:
     """0.5 + bend x² rises by 1 % at x = √(0.005/bend), by 2 % at √(0.01/bend); they are read on steps of 0.13 %, within."""
