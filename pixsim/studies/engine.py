@@ -1,4 +1,4 @@
-"""Parallel calls on worker processes: local ones by loky, a cluster by Dask, both through joblib. Lost calls are retried."""
+"""Parallel calls on worker processes: local ones by joblib, a cluster by Dask. Lost calls are retried."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,6 +38,8 @@ SUSPECTS = 2  # calls per job that are running or queued
 CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # to wait for a cluster's first worker
 RECONNECT_SECONDS, LOOK_SECONDS = 60.0, 0.1  # for a client that has lost its scheduler; it gives up after `CONNECT_SECONDS`
+BATCH_SECONDS, MOST_CALLS = 0.5, 1 << 8  # of the calls of one task of a cluster
+BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
 IDLE_SECONDS, WATCH_SECONDS = 300.0, 5.0  # for workers to come back after all are lost; between two looks
 AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
@@ -202,9 +205,11 @@ def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], 
 
 
 def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Any) -> Iterator[Reply[Result]]:
-    shared = {id(make): make() for _, make in calls.values()}
+    makes = {id(make): make for _, make in calls.values()}
+    # On all workers: what only a lost one had could not be made again. (Equal data, as None, would be one object by its content.)
+    remote = dict(zip(makes, client.scatter([make() for make in makes.values()], broadcast=True, hash=False), strict=True))
     with _given_up_without_workers(client):
-        yield from _replies(function, calls, shared, client)
+        yield from _replies(function, calls, remote, client)
 
 
 @contextmanager
@@ -232,23 +237,46 @@ def _given_up_without_workers(client: Any) -> Iterator[None]:
 
 
 def _replies(
-    function: Function[Task, Shared, Result], calls: Calls[Task, Shared], shared: dict[int, Shared], client: Any
+    function: Function[Task, Shared, Result], calls: Calls[Task, Shared], remote: dict[int, Any], client: Any
 ) -> Iterator[Reply[Result]]:
-    from joblib import Parallel, delayed, parallel_config
+    """Yield the replies of a cluster, whose tasks are batches of calls: Dask spends about 10 ms of processor time on each task.
 
-    if sum(client.ncores().values()) == 1:  # joblib would compute in this process; one thread keeps the order
-        remote = {name: client.scatter(data, hash=False) for name, data in shared.items()}
-        futures = [
-            client.submit(_numbered, function, index, task, remote[id(make)], pure=False)
-            for index, (task, make) in list(calls.items())
-        ]
-        yield from (future.result() for future in futures)
-        return
-    with parallel_config("dask", client=client, scatter=list(shared.values())):
-        parallel = Parallel(n_jobs=-1, return_as="generator_unordered")
-        yield from parallel(
-            delayed(_numbered)(function, index, task, shared[id(make)]) for index, (task, make) in list(calls.items())
-        )
+    A batch is the next calls, as many as take `BATCH_SECONDS` at the pace of the last batch, and at most a part of what is left.
+
+    remote : id of the function that makes shared data -> these data on the workers
+    """
+    from distributed import as_completed
+
+    left, size = iter(list(calls.items())), 1
+    unsent = len(calls)
+    sent = as_completed(loop=client.loop)
+
+    def send() -> None:
+        """Send batches until each thread of the cluster has some."""
+        nonlocal unsent
+        threads = max(1, sum(client.nthreads().values()))
+        while unsent and sent.count() < BATCHES_A_THREAD * threads:
+            most = -(-unsent // (BATCHES_A_THREAD * threads))
+            batch = [(index, task, remote[id(make)]) for index, (task, make) in islice(left, max(1, min(size, most)))]
+            unsent -= len(batch)
+            sent.add(client.submit(_batch, function, batch, pure=False))
+
+    try:
+        send()
+        for future in sent:
+            replies, seconds = future.result()
+            size = min(MOST_CALLS, max(1, round(BATCH_SECONDS * len(replies) / max(seconds, 1e-9))))
+            send()
+            yield from replies
+    finally:
+        with suppress(Exception):  # the scheduler is gone, and the batches with it
+            client.cancel(list(sent.futures))
+
+
+def _batch(function: Function[Task, Shared, Result], calls: list[tuple[int, Task, Shared]]) -> tuple[list[Reply[Result]], float]:
+    """Return the replies of some calls, and the seconds that they took."""
+    start = time.perf_counter()
+    return [_numbered(function, index, task, shared) for index, task, shared in calls], time.perf_counter() - start
 
 
 def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, shared: Shared) -> Reply[Result]:

@@ -387,13 +387,27 @@ def test_study_of_axes_on_cluster_same_bytes(cluster_here: str, of_axes: tuple[P
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
-@pytest.mark.slow
-def test_results_of_single_thread_cluster(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
-    """joblib takes a cluster of one thread for none, and would compute here."""
-    monkeypatch.setattr(ImagingChain, "score_frame", lambda *_: pytest.fail("computed here"))
-    with running_cluster(tmp_path, 1) as address:
-        pixsim.study(toml, tmp_path / "out", scheduler=address)
-    assert (tmp_path / "out/results.csv").read_bytes() == expected
+def test_results_of_cluster_batches_cheap_calls(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each comes once, with the data of its own `make`, and an error is that of its call."""
+    from distributed import Client
+
+    sent: list[int] = []
+    submit = Client.submit
+
+    def counted(self: Client, function: Callable[..., object], *arguments: object, **options: object) -> object:
+        sent.append(len(arguments[1]))
+        return submit(self, function, *arguments, **options)
+
+    monkeypatch.setattr(Client, "submit", counted)
+    makes = [lambda number=number: {"values": np.full(2, float(number))} for number in range(3)]
+    with Client(cluster, set_as_default=False) as client:
+        actual = sorted(results_of(double, [(task, makes[task % 3]) for task in range(1000)], Workers(client=client)))
+        with pytest.raises(ZeroDivisionError):
+            list(results_of(fail, [(task, nothing) for task in range(300, -1, -1)], Workers(client=client)))
+    assert actual == [(task, 2.0 * task * (task % 3)) for task in range(1000)]
+    # The first ones go alone, to measure their pace; the last ones are parts of what is left: log(1000)/log(6/5) of them.
+    assert len(sent) < 100
+    assert max(sent) > 50
 
 
 @pytest.mark.slow
