@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, count, pairwise, product
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -73,6 +73,7 @@ class Scale:
     unit : of its settings; empty if their names state none, or several
     log : whether the figure's scale is logarithmic
     left_out : number of values that a figure has no place for
+    lacking : number of values that a figure does not show because the study left out cases of them
     """
 
     name: str
@@ -80,6 +81,7 @@ class Scale:
     unit: str = ""
     log: bool = False
     left_out: int = 0
+    lacking: int = 0
 
     @classmethod
     def of(cls, axis: Axis) -> Scale:
@@ -233,6 +235,31 @@ class Grid:
             first = part.curves[0]
             if not first.alone:
                 self._cases.setdefault((first.condition, *(first.at[scale.name] for scale in self.scales)), part)
+        self._drop_incomplete()
+
+    def _drop_incomplete(self) -> None:
+        """Leave out conditions and values of axes until all cases of the others are there: a study may leave out cases.
+
+        First those that lack most of their cases.
+        """
+        if not self._cases:
+            self.scales = []
+            return
+        sides: list[list[Any]] = [[*self.conditions], *([*scale.values] for scale in self.scales)]
+        while missing := [key for key in product(*sides) if key not in self._cases]:
+            lacking = {
+                (place, value): sum(key[place] == value for key in missing) * len(side)
+                for place, side in enumerate(sides)
+                for value in side
+                if len(side) > 1
+            }
+            place, value = max(lacking, key=lambda each: lacking[each])
+            sides[place].remove(value)
+        self.conditions = sides[0]
+        self.scales = [
+            replace(scale, values=tuple(side), lacking=len(scale.values) - len(side))
+            for scale, side in zip(self.scales, sides[1:], strict=True)
+        ]
 
     def line(self, along: Scale, technology: int, condition: str, at: Mapping[str, Any], label: str = "") -> Line:
         """Return the curves along an axis."""
@@ -448,7 +475,11 @@ def without(scales: Sequence[Scale]) -> str:
     """Return what is left out of axes of very many values."""
     long = [scale for scale in scales if scale.left_out]
     words = [f"{len(scale.values)} of {len(scale.values) + scale.left_out} values of {scale.name}" for scale in long]
-    return f"Shown are {' and '.join(words)}, evenly chosen." if words else ""
+    lacking = " and ".join(f"{scale.lacking} of {scale.name}" for scale in scales if scale.lacking)
+    return joined(
+        f"Shown are {' and '.join(words)}, evenly chosen." if words else "",
+        f"Not shown are values with cases that are left out: {lacking}." if lacking else "",
+    )
 
 
 # --- plates ------------------------------------------------------------------------------------------------------------
@@ -905,7 +936,7 @@ def alone_plate(result: StudyResult) -> Plate | None:
     Panels for technologies and conditions.
     """
     scales = [Scale.of(axis) for axis in result.study.axis if axis.alone]
-    if not scales:
+    if not scales or not bases_of(result):
         return None
     groups, left_out = alone_groups(result, [scale.name for scale in scales])
 
@@ -954,9 +985,14 @@ def alone_plate(result: StudyResult) -> Plate | None:
     return Plate("tornado", caption, figure, table | optimum_columns(curves))
 
 
+def bases_of(result: StudyResult) -> dict[str, StudyResult]:
+    """Return the case about which axes are moved alone, by its condition."""
+    return {part.curves[0].condition: part for part in result.parts if set(part.curves[0].at.values()) == {BASE}}
+
+
 def alone_groups(result: StudyResult, names: Sequence[str]) -> tuple[list[Group], str]:
     """Return the curves about the base, a group for each technology and condition, and what is left out."""
-    bases = {part.curves[0].condition: part for part in result.parts if set(part.curves[0].at.values()) == {BASE}}
+    bases = bases_of(result)
     moved: dict[tuple[str, str], list[StudyResult]] = {}
     for part in result.parts:
         moved.setdefault((part.curves[0].condition, part.curves[0].alone), []).append(part)
@@ -975,7 +1011,7 @@ def alone_groups(result: StudyResult, names: Sequence[str]) -> tuple[list[Group]
         words += [condition] if len(bases) > 1 else []
         base, own = bases[condition], {}
         for name in names:
-            parts = moved[condition, name]
+            parts = moved.get((condition, name), [])  # all of them may be left out
             parts = touching(parts, base, technologies[place]) if name in of_process else parts
             own[name] = [part.curves[min(place, len(part.curves) - 1)] for part in parts]  # one of an axis over technologies
         groups.append(Group(", ".join(words), base.curves[place], own))

@@ -59,7 +59,7 @@ class Compromise:
     curves : one for each condition, in the order of the study
     weights : of the conditions, with the sum 1
     weighted : the fitted weighted mean of the curves; its optimum has the least weighted mean ΔE. None with fewer than 5 sizes
-        that all conditions share
+        that all conditions share, as where one of them is left out
     regret : None as for `weighted`
     """
 
@@ -113,13 +113,13 @@ def compromises_of(study: Study, curves: Sequence[Curve]) -> list[Compromise]:
 def compromise(study: Study, curves: Sequence[Curve], weights: Sequence[float]) -> Compromise:
     """Return the compromise between the curves of several conditions."""
     first = curves[0]
+    whole = {curve.condition for curve in curves} >= {condition.name for condition in study.condition if condition.weight}
     widths = partial(photodiode_widths_um, study, first.technology)
     label = first.label.removesuffix(f", {first.condition}")
     counted = [(curve, weight) for curve, weight in zip(curves, weights, strict=True) if weight]
-    pitches_um, delta_e = weighted_mean(counted)
     weighted = regret = None
-    if pitches_um.size >= LEAST_PITCHES:
-        weighted = fit_curve(pitches_um, delta_e, widths)
+    if whole and (mean := weighted_mean(counted))[0].size >= LEAST_PITCHES:
+        weighted = fit_curve(*mean, widths)
         regret = least_worst_regret([curve for curve, _ in counted])
     return Compromise(label, first.technology, first.at, tuple(curves), tuple(weights), weighted, regret)
 

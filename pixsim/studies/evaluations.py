@@ -200,6 +200,10 @@ class ResultsFile:
 FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola
 
 
+class TooFewSizesError(PixsimError):
+    """Fewer pixel sizes of a case are possible than a curve needs."""
+
+
 def _lines(file: IO[bytes]) -> Iterator[str]:
     """Iterate over the lines of a file that have an end and at most `MAX_LINE` characters."""
     while line := file.readline(MAX_LINE + 1):
@@ -737,7 +741,7 @@ class Evaluations:
     def possible(self, number: int, sampling: Sampling) -> Sampling:
         """Return the sampling of a part without the pitches that have no rows.
 
-        Raises PixsimError that names its case if too few are left.
+        Raises TooFewSizesError that names its case if too few are left.
         """
         left_out = self.left_out(number, sampling)
         kept = {
@@ -748,7 +752,7 @@ class Evaluations:
             if name in left_out and len(sensors) < FEWEST_SIZES:
                 where = ", ".join(filter(None, (label_of(name), self.parts[number].case.words)))
                 sizes = f"{len(sensors)} of {len(sampling[name])} pixel sizes are possible, and a curve needs {FEWEST_SIZES}"
-                raise PixsimError(f"{where}: {sizes}. {left_out[name][max(left_out[name])]}")
+                raise TooFewSizesError(f"{where}: {sizes}. {left_out[name][max(left_out[name])]}")
         return kept
 
     def _batches(self, samplings: Sequence[Sampling]) -> list[list[tuple[Task, Callable[[], SharedLight]]]]:

@@ -205,6 +205,7 @@ class StudyResult:
     parts : of a study with axes or conditions, the result of each case; irradiance, camera and film are then those of the first
     counts : what was made and what was reused, in a study with axes or conditions
     uncertainty : for each curve a `pixsim.studies.uncertainty.UncertaintyResult`, if sensor types were asked for
+    left_out : reasons why cases of a study with axes or conditions have no curves; each begins with technology and case
     findings : of a study with axes or conditions that compares with the paper, for each case its statements
         (`pixsim.studies.claims.Finding`)
     """
@@ -220,6 +221,7 @@ class StudyResult:
     warned: tuple[str, ...] = ()
     parts: tuple[StudyResult, ...] = field(default=(), repr=False)
     counts: Counts | None = None
+    left_out: tuple[str, ...] = ()
     uncertainty: tuple[Any, ...] = ()
     findings: tuple[tuple[Any, ...], ...] = field(default=(), repr=False)
 
@@ -310,6 +312,7 @@ class StudyResult:
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
             "chosen": self.view,
             "notes": self.notes,
+            **({"left_out": list(self.left_out)} if self.left_out else {}),
             "cases": cases,
             "curves": [curve.as_dict() | {"dark": self.part_of(curve).dark(curve)} for curve in self.curves],
         }

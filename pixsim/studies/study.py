@@ -48,6 +48,7 @@ from pixsim.studies.evaluations import (
     Part,
     ResultsFile,
     Sampling,
+    TooFewSizesError,
     check_ideals,
     first_sampling,
     largest_pixel_um,
@@ -494,9 +495,10 @@ def render_all(
     settled: Settled | None = None,
     *,
     store: Callable[[SpectralImage], SpectralImage],
-) -> list[Light]:
+) -> list[Light | str]:
     """Return the light of each case; cases that differ in nothing that it depends on share one.
 
+    In its place stands the reason why none of a case's pixel sizes is possible.
     Where Mitsuba traces no rays, which would take all processors by itself, the workers make them.
 
     store : returns an image that need not stay in memory, where there are several lights
@@ -504,16 +506,15 @@ def render_all(
     keys = [light_hash(case.study) for case in cases]
     studies = {key: case.study for case, key in zip(cases, keys, strict=True)}
     words = {key: case.words for case, key in zip(reversed(cases), reversed(keys), strict=True)}
-    lights: dict[str, Light] = {}
+    lights: dict[str, Light | str] = {}
     if len(studies) == 1:
-        lights = {key: render_for(study, variant, stage("render"), settled, words[key]) for key, study in studies.items()}
+        lights = {key: _light_or_reason(study, variant, stage("render"), settled, words[key]) for key, study in studies.items()}
     elif first_film(cases[0].study, *scene_for(cases[0].study, variant))[1].exact:
         lights = _computed_lights(studies, words, variant, stage("render"), workers, store)
     else:
         for key, study in studies.items():
             progress = stage(f"render {len(lights) + 1} of {len(studies)}")
-            image, camera, film = render_for(study, variant, progress, words=words[key])
-            lights[key] = store(image), camera, film
+            lights[key] = _stored(_light_or_reason(study, variant, progress, words=words[key]), store)
     return [lights[key] for key in keys]
 
 
@@ -524,7 +525,7 @@ def _computed_lights(
     progress: Progress,
     workers: Workers,
     store: Callable[[SpectralImage], SpectralImage],
-) -> dict[str, Light]:
+) -> dict[str, Light | str]:
     """Return the lights of charts whose film cells are computed.
 
     Of the films that show the same, the clearest is measured; if it is surely fine enough, so are the others.
@@ -538,17 +539,16 @@ def _computed_lights(
             seen[key] = store(image), camera
         progress(done / (2 * len(studies)))
     measured_in = {key: key for key in studies} | clearest(sights)
-    lights: dict[str, Light] = {}
+    lights: dict[str, Light | str] = {}
     left = [key for key in studies if measured_in[key] == key]
     while left:
-        for key, (image, camera, film) in results_of(
-            _render_task, [((key, studies[key], variant, words[key]), _nothing) for key in left], workers
-        ):
-            lights[key] = store(image), camera, film
+        for key, light in results_of(_render_task, [((key, studies[key], variant, words[key]), _nothing) for key in left], workers):
+            lights[key] = _stored(light, store)
             progress((len(studies) + len(lights)) / (2 * len(studies)))
         for key, of in measured_in.items():
-            if key not in lights and (film := lights[of][2]).surely_met:
-                lights[key] = *seen[key], film.for_other_noise
+            measured = lights[of]
+            if key not in lights and not isinstance(measured, str) and measured[2].surely_met:
+                lights[key] = *seen[key], measured[2].for_other_noise
         left = [key for key in studies if key not in lights]
     return lights
 
@@ -573,10 +573,23 @@ def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[
     return key, (image, camera, sight) if sight else None
 
 
-def _render_task(task: tuple[str, Study, str | None, str], _: None) -> tuple[str, Light]:
-    """Return the key of a task, and its light."""
+def _render_task(task: tuple[str, Study, str | None, str], _: None) -> tuple[str, Light | str]:
+    """Return the key of a task, and its light or the reason why there is none."""
     key, study, variant, words = task
-    return key, render_for(study, variant, words=words)
+    return key, _light_or_reason(study, variant, words=words)
+
+
+def _light_or_reason(study: Study, variant: str | None, *args: Any, **options: Any) -> Light | str:
+    """Return `render_for`, or the reason why none of the study's pixel sizes is possible."""
+    try:
+        return render_for(study, variant, *args, **options)
+    except AlikeChannelsError as error:
+        return str(error)
+
+
+def _stored(light: Light | str, store: Callable[[SpectralImage], SpectralImage]) -> Light | str:
+    """Return a light whose image need not stay in memory; a reason as it is."""
+    return light if isinstance(light, str) else (store(light[0]), *light[1:])
 
 
 # The sensors decide on the noise and the film of a render, and so does a part of the display.
@@ -598,10 +611,10 @@ def evaluate_cases(
     results: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
-) -> tuple[list[StudyResult], Counts]:
+) -> tuple[list[StudyResult | str], Counts]:
     """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima.
 
-    Returns the result of each case, and how much was computed.
+    Returns the result of each case, or the reason why too few of its pixel sizes are possible, and how much was computed.
     """
     caches: dict[str, SceneCache] = {}
     made: list[Part] = []
@@ -618,6 +631,7 @@ def evaluate_cases(
     rows = [NO_ROWS for _ in made]
     curves: list[tuple[Curve, ...]] = [() for _ in made]
     left_out: list[dict[str, dict[float, str]]] = [{} for _ in made]
+    impossible: dict[int, str] = {}
     with evaluations.resumed():
         for group in evaluations.groups():
             changed = group
@@ -630,7 +644,11 @@ def evaluate_cases(
                         study, rows[number] = made[number].study, own_rows
                         if left := evaluations.left_out(number, samplings[number]):
                             left_out[number] = merge(left_out[number], left)
-                            samplings[number] = evaluations.possible(number, samplings[number])
+                            try:
+                                samplings[number] = evaluations.possible(number, samplings[number])
+                            except TooFewSizesError as error:
+                                impossible[number] = str(error)
+                                continue
                         curves[number] = tuple(curve_of(study, technology, own_rows) for technology in study.technologies)
                         more = next_round(study, curves[number], samplings[number])
                         if more != samplings[number]:
@@ -639,9 +657,12 @@ def evaluate_cases(
                 changed = again
             evaluations.end_group()
         evaluations.finish(rows)
-    found = []
-    warn_of_left_out(cases, left_out)
-    for part, own, left, (irradiance, camera, film) in zip(made, curves, left_out, lights, strict=True):
+    found: list[StudyResult | str] = []
+    warn_of_left_out(cases, [{} if number in impossible else own for number, own in enumerate(left_out)])
+    for number, (part, own, left, (irradiance, camera, film)) in enumerate(zip(made, curves, left_out, lights, strict=True)):
+        if number in impossible:
+            found.append(impossible[number])
+            continue
         warn_of_clipped_white(part.study, part.scenes)
         warn_of_stacks(part.study, irradiance, camera)
         of_case: dict[str, Any] = {"at": part.case.at, "condition": part.case.condition, "alone": part.case.alone}
@@ -793,21 +814,29 @@ def run_prepared(
         lights = render_all(
             [case for case, _ in prepared.parts], variant, stage, workers, settled, store=PictureFile(folder).stored
         )
-        cases = [
-            replace(case, study=case.study.model_copy(update={"resolution": irradiance.shape[1]}))
-            for (case, _), (irradiance, _, _) in zip(prepared.parts, lights, strict=True)
-        ]
-        results = folder / "results.csv"
-        found, counts = evaluate_cases(cases, lights, prepared.view, results, workers, lambda: stage("evaluate"))
+        reasons = [light for light in lights if isinstance(light, str)]
+        lit = [(case, light) for (case, _), light in zip(prepared.parts, lights, strict=True) if not isinstance(light, str)]
+        found: list[StudyResult] = []
+        if lit:
+            cases = [replace(case, study=case.study.model_copy(update={"resolution": light[0].shape[1]})) for case, light in lit]
+            of_cases = cases, [light for _, light in lit], prepared.view, folder / "results.csv", workers
+            made, counts = evaluate_cases(*of_cases, lambda: stage("evaluate"))
+            reasons += [each for each in made if isinstance(each, str)]
+            found = [each for each in made if not isinstance(each, str)]
+        if not found:
+            raise PixsimError(reasons[0])
+        for note in few([[f"a case is left out: {reason}" for reason in reasons]]):
+            warn(note)
         warn_of_idle_axes(chosen, found)
         findings: tuple[tuple[Any, ...], ...] = ()
         if prepared.cases and chosen.paper:
             from pixsim.studies.claims import findings_of_cases
 
             findings = findings_of_cases(found, workers, stage("paper's statements"))
-    result, (irradiance, _, film) = found[0], lights[0]
+    result = found[0]
+    irradiance = result.irradiance
     noise = irradiance.header["render_noise"]
-    changes: dict[str, Any] = {"warned": tuple(notes), "film": film}
+    changes: dict[str, Any] = {"warned": tuple(notes), "left_out": tuple(reasons)}
     if prepared.cases:
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
         curves = tuple(curve for name in names for part in found for curve in part.curves if curve.technology == name)

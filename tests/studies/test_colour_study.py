@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import csv
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.commands import command
+from helpers.tiny import toml_of
 from PIL import Image
 
 import pixsim
 from pixsim.base.config import packaged
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Study, merge
+from pixsim.report.maps import Grid, axis_plates
 from pixsim.report.parts import parts_table
 from pixsim.scene.colour_chart import modulation, write_colour_chart
 from pixsim.sensor.pixel import physics_of
@@ -125,6 +130,59 @@ def test_study_without_possible_sizes_names_the_case(tmp_path: Path, sizes_um: l
     table = merge(SMALL, {"pixel": pixel, "pitch": {"values_um": sizes_um}, "axis": axis, "resolution": 64})
     with pytest.raises(PixsimError, match=f"{words}.*noise gains"):
         pixsim.study(Study.model_validate(table), out=tmp_path / "out", jobs=1)
+
+
+STACKS = {
+    "name": "stack",
+    "values": [{"label": name, "set": {"pixel": {"stack": {"enabled": name == "deep"}}}} for name in ("open", "deep")],
+}
+LENSES = {"name": "f", "set": "camera.f_number", "values": [2.8, 4.0]}
+
+
+@pytest.mark.filterwarnings("ignore:.*Fresnel", "ignore:.*black level")
+@pytest.mark.parametrize(
+    ("largest_um", "reason"),
+    [
+        (2.0, "1 of 5 pixel sizes are possible, and a curve needs 3. pixels of 0.6 µm"),
+        (0.65, "none of its pixel sizes is possible"),
+    ],
+)
+def test_cases_with_too_few_possible_sizes_are_left_out_with_the_reason(tmp_path: Path, largest_um: float, reason: str) -> None:
+    """By TOML on the command line and in Python: the others have their curves, figures and pages."""
+    table = merge(
+        SMALL, {"pixel": {"colour": CAMERA}, "pitch": {"values_um": [0.45, 0.5, 0.55, 0.6, largest_um]}, "resolution": 64}
+    )
+    table = merge(table, {"axis": [STACKS, LENSES]})
+    study = Study.model_validate(table)
+    with pytest.warns(UserWarning, match=rf"a case is left out: 4t-bsi, deep, f 4: {re.escape(reason)}"):
+        result = pixsim.study(study, out=tmp_path / "python", jobs=1)
+    assert [curve.at for curve in result.curves] == [{"stack": "open", "f": f_number} for f_number in (2.8, 4.0)]
+    assert [text.partition(":")[0] for text in result.left_out] == [f"4t-bsi, deep, f {f_number}" for f_number in (2.8, 4)]
+    assert result.as_dict()["left_out"] == list(result.left_out)
+    assert len(result.notes) >= 2
+    if largest_um > 1:  # nothing of the page depends on the reason
+        text = "".join(f"{name} = {toml_of(value)}\n" for name, value in table.items())
+        (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+        code, _, err = command(f"study {tmp_path / 'study.toml'} --out {tmp_path / 'files'} --jobs 1")
+        assert code == 0, err
+        assert re.sub(r"\s+", " ", err).count("a case is left out: 4t-bsi, deep") == 2
+        assert rows_of(tmp_path / "files") == rows_of(tmp_path / "python")
+        page = (tmp_path / "files" / "report.html").read_text(encoding="utf-8")
+        assert "a case is left out: 4t-bsi, deep, f 4" in page
+        assert "Not shown are values with cases that are left out: 1 of stack." in page
+
+
+def test_figures_show_values_of_which_all_cases_are_there(tmp_path: Path) -> None:
+    """Of two axes with one case left out, the value that lacks more of its cases is not shown."""
+    table = merge(SMALL, {"resolution": 64, "axis": [STACKS, merge(LENSES, {"values": [2.8, 4.0, 5.6]})]})
+    result = pixsim.study(Study.model_validate(table), out=tmp_path, jobs=1)
+    kept = replace(result, parts=tuple(part for part in result.parts if part.curves[0].at != {"stack": "deep", "f": 4.0}))
+    scales = Grid(kept).scales
+    assert [scale.values for scale in scales] == [("open", "deep"), (2.8, 5.6)]
+    assert [scale.lacking for scale in scales] == [0, 1]
+    assert len(axis_plates(kept)) == 5
+    none = replace(result, parts=tuple(part for part in result.parts if part.curves[0].at["stack"] == "open"))
+    assert [scale.values for scale in Grid(none).scales] == [("open",), (2.8, 4.0, 5.6)]
 
 
 def test_packaged_study_of_filters_is_possible() -> None:

@@ -111,6 +111,14 @@ def test_compromise_few_common_sizes_is_none() -> None:
     assert (found.best, found.regret) == (None, None)
 
 
+def test_compromise_without_one_of_the_conditions_is_none() -> None:
+    """A study may leave out the case of a condition: what suits the others is not what suits all."""
+    (day, night), weights = exact()[:2], [0.5, 0.5]
+    assert compromise(STUDY, [day, night], weights).best is not None
+    alone = compromise(STUDY, [day], weights[:1])
+    assert (alone.best, alone.regret) == (None, None)
+
+
 def test_weighted_mean_pairs_sensors() -> None:
     """A scatter that two conditions share with opposite signs cancels: sensors are added one by one."""
     noise = np.random.default_rng(1).standard_normal((PITCH_UM.size, 4))
