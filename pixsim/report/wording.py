@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pixsim.base.notes import told_apart
-from pixsim.base.parameters import Correction
+from pixsim.base.parameters import Correction, paths_of
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_along
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, interval_words, within_words
@@ -134,6 +134,9 @@ def study_view_line(result: Any) -> list[str]:
     columns = None if study.own_um is None else pixels_along(result.camera.die_um[1], study.own_um)
     shown = {"irradiance": result.irradiance.header, "chosen": result.view, "window_mm": study.window_mm}
     words = "; ".join(view_words(study.display.model_dump(), shown, columns))
+    moved = {path for axis in study.axis for path in axis.paths} | {path for each in study.condition for path in paths_of(each.set)}
+    if others := [".".join(path) for path in (("display", "dots"), ("scene", "parameters", MAX_LP_PER_MM)) if path in moved]:
+        words += f", except where an axis or a condition sets {' or '.join(others)}"
     own = "" if study.own_um is None else f" (pixels of {study.own_um:g} µm, as on the data sheet)"
     return [f"{words}{own}"] if words else []
 

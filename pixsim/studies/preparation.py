@@ -60,6 +60,11 @@ class View:
         """Return the scene with the chosen chart."""
         return scene if self.max_lp_per_mm is None else scene.with_parameters(**{MAX_LP_PER_MM: repr(self.max_lp_per_mm)})
 
+    @property
+    def without_chart(self) -> View:
+        """The view without its chart, for a scene that has another one."""
+        return View(self.dots)
+
     def as_chosen(self, other: View) -> View:
         """Return the view with what another one chose too, so that scores under both are comparable."""
         chart = self if self.max_lp_per_mm is None or other.max_lp_per_mm is None else other

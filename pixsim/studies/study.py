@@ -399,9 +399,20 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     prepared: list[tuple[Case, Prepared]] = []
     for case in cases_of(study):
         with _named(case):
-            part = _prepare(_with_view(case.study, view), variant, view, scenes)
+            seen = (
+                view if _same_chart(case.study, own) or scene_for(case.study, variant, scenes)[0].shows_csf else view.without_chart
+            )
+            part = _prepare(_with_view(case.study, seen), variant, view, scenes)
         prepared.append((replace(case, study=part.study), part))
-    return Prepared(study, view.scene(scene), camera, view, variant, tuple(prepared))
+    # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
+    kept = view if all(_same_chart(case.study, own) for case, _ in prepared) else view.without_chart
+    return Prepared(_with_view(study, kept), view.scene(scene), camera, view, variant, tuple(prepared))
+
+
+def _same_chart(first: Study, second: Study) -> bool:
+    """Return whether two studies show the same scene with the same chart."""
+    files = [(study.scene.file, study.scene.parameters.get("chart")) for study in (first, second)]
+    return files[0] == files[1]
 
 
 def _without_axes(study: Study) -> Study:
@@ -427,9 +438,10 @@ def _chosen_view(study: Study, scene: Scene, camera: Camera) -> View:
 
 
 def _with_view(study: Study, view: View) -> Study:
-    """Return the study with the display and the chart of a view."""
-    of_scene = study.scene.model_copy(update={"parameters": view.parameters(study.scene.parameters)})
-    return study.model_copy(update={"display": view.display(study.display), "scene": of_scene})
+    """Return the study with the display and the chart of a view, except for what an axis or a condition sets of them."""
+    display = study.display if "dots" in study.display.model_fields_set else view.display(study.display)
+    of_scene = study.scene.model_copy(update={"parameters": view.parameters({}) | study.scene.parameters})
+    return study.model_copy(update={"display": display, "scene": of_scene})
 
 
 def _prepare(study: Study, variant: str | None, view: View | None = None, scenes: dict[str, Scene] | None = None) -> Prepared:
@@ -841,8 +853,7 @@ def run_prepared(
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
         curves = tuple(curve for name in names for part in found for curve in part.curves if curve.technology == name)
         changes |= {"study": chosen, "curves": curves, "parts": tuple(found), "counts": counts, "findings": findings}
-    kept = _with_view(chosen, prepared.view) if prepared.cases else result.study
-    changes["settings_toml"] = repeated_settings(prepared, kept, irradiance, asked)
+    changes["settings_toml"] = repeated_settings(prepared, chosen if prepared.cases else result.study, irradiance, asked)
     if settled is not None:
         sensors = int(result.curves[0].sensors.min())
         changes["budget"] = settled.budget(RenderNoise(**noise), irradiance.header["bound_e"], sensors)

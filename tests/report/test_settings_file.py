@@ -15,6 +15,7 @@ from helpers.tiny import rows
 
 import pixsim
 from pixsim.base.config import packaged, read_toml
+from pixsim.report.wording import study_view_line
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.convergence import NO_TIME_LIMIT_S
 from pixsim.studies.result import StudyResult
@@ -173,6 +174,44 @@ def test_study_settings_make_same_numbers(options: str, desk: Path, tmp_path: Pa
     assert first == again
     assert len(first) == 12
     assert read_toml(tmp_path / "again/settings.toml") == read_toml(desk / "out/settings.toml")
+
+
+DUSK = '[[condition]]\nname = "dusk"\nset.exposure.max_integration_s = 0.01\n'
+AXIS = '[[axis]]\nname = "noise"\nset = "pixel.read_noise_e"\nvalues = [2, 20]\n'
+
+
+@pytest.mark.parametrize(
+    ("table", "kept"),
+    [
+        (AXIS, (75, 1e3 / 24)),
+        (DUSK + '[[condition]]\nname = "edge"\nset.scene.file = "slanted_edge"\n', (75, None)),
+        # More values of the claim of the first two.
+        pytest.param(
+            DUSK + '[[condition]]\nname = "few"\nset.display.dots = 32\nset.scene.parameters.max_lp_per_mm = 20\n',
+            (75, 1e3 / 24),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            AXIS.replace("pixel.read_noise_e", "display.dots").replace("2, 20", "32, 64"), (75, 1e3 / 24), marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_settings_of_cases_state_the_display_that_was_chosen(
+    table: str, kept: tuple[int, float | None], desk: Path, tmp_path: Path
+) -> None:
+    """In a window of 0.9 mm: a dot for each of 75 columns of 12 µm, and the chart to their Nyquist frequency, if all cases have it."""
+    dots, highest = kept
+    table = f"pitch = {{ values_um = [8, 10, 14, 20, 28] }}\n{table}"
+    result = small_study(desk, "own", table, config="sheet.toml", window_mm=0.9, resolution=64)
+    settings = tomllib.loads(result.settings_toml)
+    found = settings["display"]["dots"], settings["scene"].get("parameters", {}).get("max_lp_per_mm")
+    assert found == (dots, highest if highest is None else pytest.approx(highest, rel=1e-12))
+    assert study_view_line(result)[0].startswith(f"shown on {dots} dots (from the sensor's pixels), 1 pixel a dot")
+    again = repeated(result, tmp_path / "again")
+    for first, second in zip(result.curves, again.curves, strict=True):
+        assert np.array_equal(first.delta_e, second.delta_e)
+    own = {curve.delta_e.tobytes() for curve in result.curves}
+    assert len(own) == len(result.curves), "what a case sets is used"
 
 
 @pytest.mark.slow
