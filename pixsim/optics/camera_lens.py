@@ -517,6 +517,46 @@ def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
     return tiling
 
 
+MTF_PLACES = 9  # along the radius of the die, at which a lens's MTF is found
+MTF_CELLS = 65  # of PSFs for an MTF, at least
+
+
+def lens_mtf(image: SpectralImage, camera: Camera, weight: Array, frequency_cy_per_mm: Array) -> Array | None:
+    """Return the MTF of a camera's real lens, its rms over the die and over tangential and sagittal lines, (...) as frequencies.
+
+    None where a picture has a thin lens, or a film that is too coarse to show the blur.
+
+    weight : of the image's bands, (B,), 0 or more
+    """
+    tiling = tiling_of(image, camera)
+    if tiling is None or not tiling.psf_um:
+        return None
+    given = tuple(image.wavelength_nm.tolist()), tuple(np.asarray(weight, float).tolist()), tiling
+    known_cy_per_mm, mtf = _mean_mtf(camera, *given)
+    return np.interp(np.abs(frequency_cy_per_mm), known_cy_per_mm, mtf, right=0.0)
+
+
+@lru_cache(maxsize=64)
+def _mean_mtf(camera: Camera, wavelength_nm: tuple[float, ...], weight: tuple[float, ...], tiling: Tiling) -> tuple[Array, Array]:
+    """Return frequencies in cycles/mm up to the lens's cut-off, and the MTF of `lens_mtf` there."""
+    light = light_of(camera, np.array(wavelength_nm), np.array(weight), tiling)
+    cutoff = max(2 * float(front.numbers[:, :2].max()) / (1e-3 * front.wavelength_nm) for front in light.fronts)  # per µm
+    pitch_um = 0.5 / cutoff
+    farthest_um = min(float(front.height_um[-1]) for front in light.fronts)
+    along = np.linspace(0.0, farthest_um, MTF_PLACES)
+    height_um, width_um = camera.die_um
+    y_um, x_um = ((np.arange(AREA_POINTS) + 0.5) / AREA_POINTS * side / 2 for side in (height_um, width_um))
+    nearest = np.abs(np.hypot(x_um, y_um[:, None])[..., None] - along).argmin(axis=-1)
+    share = np.bincount(nearest.ravel(), minlength=MTF_PLACES) / nearest.size
+    cells = max(MTF_CELLS, math.ceil(tiling.psf_um / pitch_um))
+    window = max(even_window(light, place, 0.0, pitch_um, cells) for place in along.tolist())
+    power = np.zeros(window // 2)
+    for place, part in zip(along.tolist(), share.tolist(), strict=True):
+        otf = np.abs(np.fft.rfft2(periodic_psf(light, place, 0.0, pitch_um, window))) ** 2
+        power += part * (otf[0, : window // 2] + otf[: window // 2, 0]) / 2
+    return np.asarray(1e3 * np.arange(window // 2) / (window * pitch_um), float), np.asarray(np.sqrt(power), float)
+
+
 def ideal_light(image: SpectralImage, camera: Camera) -> SpectralImage:
     """Return the light of the ideal image: that on the sensor, or without distortion where `LensOptions.ideal` asks for it."""
     distortion = distortion_of(camera)

@@ -11,6 +11,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera_lens import lens_mtf
 from pixsim.optics.diffraction import diffraction_otf, square_aperture_mtf, white_otf
 from pixsim.optics.stack import aperture_mtf, aperture_side_um
 from pixsim.report.pictures import csf_range_lp_per_mm
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from pixsim.studies.result import StudyResult
 
 Value = TypeVar("Value", Array, float)
+LENSES = ("lens", "real lens")
 OF_DISPLAY = ("interpolation", "dot")
 MPE30_INTEGRATION_S = 0.030  # that of Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000)
 
@@ -32,7 +34,8 @@ def mtf_terms(
 ) -> dict[str, Array]:
     """Return the MTF of each term along an axis: lens, photodiode, interpolation and dot, (...) as the frequencies, 0 to 1.
 
-    The lens term is white-light diffraction, weighted by the scene's light and the pixel's response. The first two terms are
+    The lens term is white-light diffraction, weighted by the scene's light and the pixel's response; of a real lens, in its
+    place, `real lens`: the rms of its MTF over the die. The first two terms are
     those of Chen et al. (2000), section 2.2. The last two belong to the display: its interpolation between pixel centres, and
     the mean over a dot. A `one_to_one` display has neither. In the place of the photodiode, pixels with a stack have that of
     `stack_mtf_terms`.
@@ -42,7 +45,11 @@ def mtf_terms(
     if not weight.any():  # a black picture: assume equal light in all bands
         weight = response
     share = weight / weight.sum()
-    terms = {"lens": white_otf(frequency_cy_per_mm, irradiance.wavelength_nm, share, camera.effective_f_number)}
+    traced = lens_mtf(irradiance, camera, share, frequency_cy_per_mm)
+    if traced is not None:
+        terms = {"real lens": traced}
+    else:
+        terms = {"lens": white_otf(frequency_cy_per_mm, irradiance.wavelength_nm, share, camera.effective_f_number)}
     if physics.stack is None:
         terms["photodiode"] = square_aperture_mtf(frequency_cy_per_mm, physics.photodiode_side_um)
     else:
@@ -127,7 +134,7 @@ def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
     """Return sentences on the contrast left by each term at `detail_frequency_lp_per_mm`."""
     frequency, name = detail_frequency_lp_per_mm(irradiance, physics.pitch_um)
     terms = {term: float(mtf) for term, mtf in mtf_terms(irradiance, camera, physics, display, np.array(frequency)).items()}
-    left, *others = (f"{term} {'is ' * (term == 'lens')}{terms[term]:.3f}" for term in of_sensor(terms))
+    left, *others = (f"{term} {'is ' * (term in LENSES)}{terms[term]:.3f}" for term in of_sensor(terms))
     *some, last = (f"that of the {words}" for words in others)
     words = f"At {frequency:.3g} lp/mm, {name}, the MTF of the {', '.join([left, *some])} and {last}: "
     sensor = math.prod(of_sensor(terms).values())

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
 
 # Layout of four pictures and a colour bar with its labels.
-MARGINS = {"left": 0.075, "right": 0.985, "bottom": 0.06, "top": 0.965, "wspace": 0.05, "hspace": 0.22}
-WIDTHS = (1, 0.05, 0.28, 1)
+MARGINS = {"left": 0.095, "right": 0.985, "bottom": 0.06, "top": 0.965, "wspace": 0.05, "hspace": 0.22}
+WIDTHS = (1, 0.05, 0.36, 1)
 SENSORS_SHOWN = 8  # in mean maps
 
 

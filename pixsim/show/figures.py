@@ -58,6 +58,7 @@ COLOURS = tuple(look.colour for look in LOOKS)
 # Blur terms look the same in every figure, and differ from the first looks, which show pixel sizes.
 TERMS = {
     "lens": ("lens (diffraction)", LOOKS[4]),
+    "real lens": ("real lens, rms over the die", LOOKS[4]),
     "photodiode": ("photodiode", LOOKS[5]),
     "microlens": ("microlens, as wide as the pixel", LOOKS[5]),
     "opening": ("opening over the photodiode", LOOKS[5]),

@@ -1,6 +1,7 @@
 """Real lenses in a camera: against their rays, the thin lens that stands for them, and the closed forms of a thin real lens."""
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,9 @@ import pytest
 
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run
+from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import (
+    LENS_HEADER,
     Tiling,
     blur_of,
     camera_with_lens,
@@ -17,6 +20,7 @@ from pixsim.optics.camera_lens import (
     few_wavelengths,
     field_angles,
     fitted_wavefronts,
+    lens_mtf,
     lens_on_die,
     light_of,
     psfs_of,
@@ -24,6 +28,7 @@ from pixsim.optics.camera_lens import (
     traced_lens,
     without_lens,
 )
+from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.field_blur import point_spread
 from pixsim.optics.lens import Lens, load_lens
 from pixsim.optics.thin_lens import irradiance_factor
@@ -304,3 +309,20 @@ def test_blur_of_a_lens_preserves_an_even_scene_and_is_remembered() -> None:
     blur = blur_of(camera, (96, 96), 62.5, tiling, bands, weight)
     np.testing.assert_allclose(blur.blurred(np.ones((96, 96))), 1.0, rtol=1e-6)  # in single precision
     assert blur_of(camera, (96, 96), 62.5, tiling, bands, weight) is blur
+
+
+def test_mtf_of_a_lens_is_that_of_diffraction_where_it_is_stopped_down_and_far_below_it_over_a_large_die() -> None:
+    """Its rms over the die: of a tiny die on the axis of a slow lens that of the thin lens."""
+    frequency, ones = np.linspace(0, 45, 10), np.ones(1)
+    plane = {"data": np.ones((50, 50, 1)), "header": {LENS_HEADER: asdict(Tiling(20.0, 40.0, 0.0))}}
+    image = SpectralImage([550.0], 10.0, 2.0, **plane)
+    slow = with_lens("singlet", 0.1, given=CameraOptions(f_number=32.0), focal_length_mm=12.0)
+    found = lens_mtf(image, slow, ones, frequency)
+    np.testing.assert_allclose(found, diffraction_otf(frequency, 550.0, slow.effective_f_number), atol=5e-3)
+    fast = with_lens("singlet", 2.7, focal_length_mm=12.0)
+    worse = lens_mtf(image, fast, ones, frequency)
+    assert worse is not None
+    assert worse[0] == pytest.approx(1, abs=1e-12)
+    assert 0.01 < worse[6] < 0.7 * diffraction_otf(30.0, 550.0, fast.effective_f_number)
+    thin = SpectralImage([550.0], 10.0, 2.0, data=np.ones((50, 50, 1)))
+    assert lens_mtf(thin, without_lens(fast), ones, frequency) is None
