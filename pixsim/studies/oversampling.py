@@ -33,11 +33,13 @@ from pixsim.base.parameters import (
 )
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera_lens import LENS_HEADER, tiling_of
 from pixsim.scene.convergence import RenderNoise, render_until
 from pixsim.scene.film import BLOCK, fitting_width, largest_film
 from pixsim.scene.plan import Plan
 from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
+from pixsim.sensor.integration import ChannelLight, lights_of
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.budget import FilmSampling, Settled, Setup, coarser, film_error, sensor_delta_e, without_warnings
@@ -254,18 +256,36 @@ def film_steps(
 
     largest_um : pitch that sets the size of the parts; None means that of the pixel
     """
-    parts = list(parts_of(image, largest_um or physics.as_read.read_pitch_um, display))
+    size_um = largest_um or physics.as_read.read_pitch_um
+    parts = list(parts_of(image, size_um, display))
     sampling = FilmSampling.of(image.shape[1], camera, physics, display, chart)
     if min(parts[0][0].shape) < BLOCK * MIN_CELLS:
         return FilmSteps(np.empty((0, 0)), sampling)
-    films = [parts]
-    for _ in range(int(math.log2(BLOCK))):
-        films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
-    return FilmSteps(np.array([_mean_delta_e(film, camera, physics, exposure, correction, develop) for film in films]), sampling)
+    # The blur of a real lens depends on the place: a part has it from the whole picture.
+    places = measured_places(image, size_um, display) if tiling_of(image, camera) is not None else []
+    whole, delta_e = whole_blocks(image) if places else image, []
+    for step in range(1 + int(math.log2(BLOCK))):
+        if step:
+            parts = [(coarser(part, 2), shown) for part, shown in parts]
+            whole = coarser(whole, 2) if places else whole
+        lights = _cut_lights(lights_of(whole, camera, physics), places, 2**step) if places else [None] * len(parts)
+        delta_e.append(_mean_delta_e(parts, lights, camera, physics, exposure, correction, develop))
+    return FilmSteps(np.array(delta_e), sampling)
 
 
-def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterator[tuple[SpectralImage, Display]]:
-    """Yield the parts of a picture that are measured, whole blocks each, with displays that show them at the same scale."""
+def _cut_lights(
+    lights: Sequence[ChannelLight], places: Sequence[tuple[slice, slice]], factor: int
+) -> list[tuple[ChannelLight, ...] | None]:
+    """Return the light of each part of a film whose cells are `factor` times as wide as those that the places count."""
+    cut: list[tuple[ChannelLight, ...] | None] = []
+    for place in places:
+        rows, columns = (slice(side.start // factor, side.stop // factor) for side in place)
+        cut.append(tuple(replace(light, rate_e_per_s_um2=light.rate_e_per_s_um2[rows, columns]) for light in lights))
+    return cut
+
+
+def measured_places(image: SpectralImage, pitch_um: float, display: Display) -> list[tuple[slice, slice]]:
+    """Return the rows and columns of the parts of a picture that are measured, whole blocks; none if it is measured whole."""
     height, width = image.shape
     pixels = height * width * (image.pitch_um / pitch_um) ** 2
     dots = display.dots**2 * height / width if display.raster == "fixed_size" else pixels
@@ -274,27 +294,51 @@ def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterato
     fewest = max(BLOCK * MIN_CELLS, MIN_PIXELS * pitch_um / image.pitch_um, MIN_DOTS * width / display.dots)
     thinner = min(thinner, shortest / fewest)
     if thinner <= 1:
-        even = not (height % BLOCK or width % BLOCK)
-        yield image if even else image.with_planes(image.planes[:, : height // BLOCK * BLOCK, : width // BLOCK * BLOCK]), display
-        return
+        return []
     down, across = (spread_parts(count, int(count / PARTS / thinner) // BLOCK * BLOCK) for count in image.shape)
-    for rows, columns in product(down, across):
+    if LENS_HEADER in image.header:  # the parts of coarser films are cut out of pictures of whole blocks
+        down, across = (
+            [slice(*(end // BLOCK * BLOCK for end in (part.start, part.stop))) for part in side] for side in (down, across)
+        )
+    return list(product(down, across))
+
+
+def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterator[tuple[SpectralImage, Display]]:
+    """Yield the parts of a picture that are measured, whole blocks each, with displays that show them at the same scale."""
+    width = image.shape[1]
+    if not (places := measured_places(image, pitch_um, display)):
+        yield whole_blocks(image), display
+        return
+    for rows, columns in places:
         shown = display.model_copy(update={"dots": round(display.dots * (columns.stop - columns.start) / width)})
         yield image.with_planes(image.planes[:, rows, columns]), shown
 
 
+def whole_blocks(image: SpectralImage) -> SpectralImage:
+    """Return a picture without the last rows and columns that make no whole block."""
+    rows, columns = (count // BLOCK * BLOCK for count in image.shape)
+    if (rows, columns) == image.shape:
+        return image
+    more = 2 * image.margin
+    return image.with_planes(image.whole.planes[:, : rows + more, : columns + more], margin=image.margin)
+
+
 def _mean_delta_e(
     parts: Sequence[tuple[SpectralImage, Display]],
+    lights: Sequence[tuple[ChannelLight, ...] | None],
     camera: Camera,
     physics: PixelPhysics,
     exposure: Exposure,
     correction: Correction,
     develop: Develop,
 ) -> Array:
-    """Return the mean ΔE of each part, (parts,), all exposed as long as the brightest of them allows."""
+    """Return the mean ΔE of each part, (parts,), all exposed as long as the brightest of them allows.
+
+    lights : of each part behind the lens, where they are known
+    """
     chains = [
-        chain_at_pitch(prepare_scene(part, camera, physics, display), physics, exposure, correction, develop)
-        for part, display in parts
+        chain_at_pitch(prepare_scene(part, camera, physics, display, lights=light), physics, exposure, correction, develop)
+        for (part, display), light in zip(parts, lights, strict=True)
     ]
     time_s = integration_time_s(exposure, physics, max(float(chain.signal_e_per_s.max()) for chain in chains))
     exposed = [replace(chain, exposure=exposure.model_copy(update={"integration_s": time_s})) for chain in chains]

@@ -484,11 +484,13 @@ def prepare_scene(
     *,
     border_um: float | None = None,
     single: bool = False,
+    lights: tuple[ChannelLight, ...] | None = None,
 ) -> PreparedScene:
     """Return the light behind the lens and the screen. They depend on the pitch only if the raster is one_to_one.
 
     single : compute S-CIELAB in float32, as a study does for its many evaluations; not with `full`
     border_um : largest pitch scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's pitch
+    lights : behind the lens, of a part of a picture whose blur depends on its place; None computes them
 
     Raises PixsimError if the irradiance is negative or not finite.
     """
@@ -498,7 +500,7 @@ def prepare_scene(
     rendition = None if physics.layout is None else rendition_of(irradiance, channels, display)
     edges_um, light = ideal_on_dots(irradiance, camera, physics, display, border_um, rendition)
     ideal = shown(light, display)
-    lights = lights_of(irradiance, camera, physics)
+    lights = lights_of(irradiance, camera, physics) if lights is None else lights
     if full:  # nothing of the pixels' stack is left out
         lights = tuple(replace(one, illumination=replace(one.illumination, spare_e=0.0)) for one in lights)
     whites = tuple(displays.white_rate(irradiance, camera, channel, display) for channel in channels)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -14,15 +14,17 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel
+from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, LensOptions, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.report.wording import film_words, optimum_line
 from pixsim.scene.convergence import RenderNoise
 from pixsim.scene.film import MAX_ACROSS
 from pixsim.scene.plan import make_plan
+from pixsim.sensor.integration import lights_of
 from pixsim.studies.budget import FINE, FilmSampling, Setup, coarser, film_error, probe
-from pixsim.studies.oversampling import FilmError, measure_film, parts_of, render_on_film
+from pixsim.studies.oversampling import FilmError, film_steps, measure_film, measured_places, parts_of, render_on_film
 from pixsim.studies.result import StudyResult
 
 WIDTH = 4096  # of the films that are taken for the truth
@@ -202,6 +204,34 @@ def test_parts_of_small_picture_is_whole():
     ((part, display),) = parts_of(light(np.ones((65, 67))), 20.0, Display(dots=64))
     assert part.shape == (64, 64)
     assert display.dots == 64
+
+
+def test_parts_behind_a_real_lens_have_the_blur_of_their_place(monkeypatch):
+    """That of the whole picture, also on coarser films; as if it lay on the axis, a part in the corner would be sharper."""
+    options = LensOptions(file="singlet", focal_length_mm=12.0)
+    camera = camera_with_lens(Camera(die_mm=2.4, object_distance_m=5.0), CameraOptions(), options)
+    texture = light(np.random.default_rng(4).choice([0.2, 0.8], (96, 96)).repeat(4, axis=0).repeat(4, axis=1), camera)
+    texture.header.update({LENS_HEADER: asdict(Tiling(300.0, 160.0, 0.0))})
+    physics, display = pixsim.derive(PIXEL.model_copy(update={"pitch_um": 12.5})), Display(dots=96)
+    seen = []
+    monkeypatch.setattr("pixsim.studies.oversampling._mean_delta_e", lambda *given: seen.append(given[:2]) or np.zeros(16))
+    monkeypatch.setattr("pixsim.studies.oversampling.MEASURED", 1)
+    monkeypatch.setattr("pixsim.studies.oversampling.MIN_PIXELS", 1)
+    monkeypatch.setattr("pixsim.studies.oversampling.MIN_DOTS", 1)
+    film_steps(texture, camera, physics, Exposure(), display, None)
+    whole = texture
+    for parts, lights in seen:
+        right = lights_of(whole, camera, physics)[0].rate_e_per_s_um2
+        (part, _), (corner,) = parts[0], lights[0]
+        places = measured_places(texture, 12.5, display)[0]
+        factor = texture.shape[0] // whole.shape[0]
+        rows, columns = (slice(side.start // factor, side.stop // factor) for side in places)
+        np.testing.assert_array_equal(corner.rate_e_per_s_um2, right[rows, columns])
+        assert corner.rate_e_per_s_um2.shape == part.shape
+        whole = coarser(whole, 2)
+    part, corner = seen[0][0][0][0], seen[0][1][0][0]
+    centred = lights_of(part, camera, physics)[0].rate_e_per_s_um2
+    assert corner.rate_e_per_s_um2.std() < 0.9 * centred.std()
 
 
 def test_measure_film_parts_agree_with_whole(monkeypatch):
