@@ -214,7 +214,7 @@ def expected_numbers(pixel: pixsim.Pixel, name: str) -> dict[str, float]:
 
 
 # A second each, and with no property that the others lack.
-MORE_OF_A_KIND = ("cmv4000", "gsense4040bsi", "imx530", "imx455")
+MORE_OF_A_KIND = ("cmv4000", "gsense4040bsi", "imx530", "imx455", "gsense400bsi", "hwk4123")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in MORE_OF_A_KIND else n for n in PUBLISHED])

@@ -133,7 +133,7 @@ def moments(count: int, longest_s: float, seed: int) -> list[tuple[str, signal.S
 
 
 @proc
-@pytest.mark.parametrize(("name", "number", "of_group", "delay_s"), moments(8, 1.5, seed=1))
+@pytest.mark.parametrize(("name", "number", "of_group", "delay_s"), moments(8, 1.5, seed=1)[::2])
 def test_command_interrupted_at_random_moment(name, number, of_group, delay_s, tmp_path) -> None:
     interrupt(name, number, of_group, delay_s, tmp_path)
 
@@ -356,7 +356,7 @@ def test_replacing_keeps_the_permissions_of_a_new_file(tmp_path: Path) -> None:
     ("closed", "line", "expected"),
     [
         ((0,), "--version", 0),
-        ((1,), "schema study", 0),
+        pytest.param((1,), "schema study", 0, marks=pytest.mark.slow),
         pytest.param((2,), "schema nothing", 2, marks=pytest.mark.slow),  # each takes a process; the last two have it too
         ((0, 1, 2), "schema study", 0),
         ((0, 1, 2), "schema nothing", 2),
@@ -377,7 +377,8 @@ def test_command_closed_streams_are_like_dev_null(closed: tuple[int, ...], line:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 @pytest.mark.parametrize(
-    ("stream", "line", "expected"), [("stdout", "cache", 2), ("stdout", "--help", 2), ("stderr", "schema nothing", 2)]
+    ("stream", "line", "expected"),
+    [("stdout", "cache", 2), pytest.param("stdout", "--help", 2, marks=pytest.mark.slow), ("stderr", "schema nothing", 2)],
 )
 def test_command_full_stream(stream: str, line: str, expected: int, tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
@@ -445,6 +446,7 @@ def test_study_full_disk_at_the_report_names_file_and_what_is_kept(tmp_path: Pat
     assert [path.name for path in (tmp_path / "out").rglob("*")] == ["results.csv"]
 
 
+@pytest.mark.slow  # test_hostile has a full disk for a run
 @pytest.mark.parametrize(
     "max_bytes", [500, pytest.param(6000, marks=pytest.mark.slow), pytest.param(100_000, marks=pytest.mark.slow)]
 )

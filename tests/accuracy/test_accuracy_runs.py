@@ -314,6 +314,7 @@ def test_run_fixed_film_reports_unmet_tolerance(tmp_path):
     assert "leave --resolution unset" in result["err"]
 
 
+@pytest.mark.slow  # a study with a tolerance has it
 def test_run_prints_mean_over_sensors(chart, tmp_path):
     code, text, _ = command(f"run {chart} {RUN.replace('--json', '')} --tolerance-delta-e 5 --out {tmp_path / 'out'}")
     assert code == 0

@@ -348,7 +348,7 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
         ("black_level_dn = 7\noffset_fpn = 0.002", "21 % of dark pixels are at 0 DN, which raises the dark mean by 2.6 e-"),
         pytest.param("black_level_dn = 50\noffset_fpn = 0.002", "", marks=pytest.mark.slow),
         # With reset noise and offsets of a technology.
-        ('technology = "0.35um"', "set pixel.black_level_dn = 15 to avoid this"),
+        pytest.param('technology = "0.35um"', "set pixel.black_level_dn = 15 to avoid this", marks=pytest.mark.slow),
         pytest.param('technology = "0.35um"\nblack_level_dn = 15', "", marks=pytest.mark.slow),
         ("offset_fpn = 0.2", "avoiding this takes more bits (pixel.bits)"),
         ("offset_fpn = 0.02\n[exposure]\ngain_db = 20\n", "avoiding this takes less gain (exposure.gain_db)"),

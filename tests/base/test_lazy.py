@@ -72,6 +72,7 @@ print(hashlib.blake2b(svg_text(figure).encode()).hexdigest(), "linestyle" in Lin
 """
 
 
+@pytest.mark.slow  # two processes
 def test_figures_are_the_same_without_docstrings_of_matplotlib() -> None:
     """In a library its docstrings list the properties."""
     lines = [

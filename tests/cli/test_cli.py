@@ -326,6 +326,7 @@ main()
 """
 
 
+@pytest.mark.slow  # test_render_threads_are_bit_identical has the render
 def test_run_is_reproducible_on_one_core_and_elsewhere(desk: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     line = f"run csf {SMALL} --seed 3 --out "

@@ -86,6 +86,7 @@ def healthy() -> Visit:
 # --- This machine ---
 
 
+@pytest.mark.slow  # ten seconds of imports; the parts of a visit are tested one by one
 def test_doctor_working_machine_has_no_problems():
     visited = healthy()
     assert (visited.code, visited.result["ok"], visited.problems) == (0, True, [])
@@ -102,6 +103,7 @@ def test_doctor_working_machine_has_no_problems():
     assert visited.about("scalar_spectral", "Mitsuba")["mark"] == OK
 
 
+@pytest.mark.slow  # the same visit
 def test_doctor_reports_library_used_by_mitsuba():
     facts = healthy().picture["facts"]
     if facts["llvm"] is None:

@@ -96,7 +96,7 @@ def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["run --help", "run nothing", *(pytest.param(line, marks=pytest.mark.slow) for line in ("--help", "cache"))]
+    "line", ["run nothing", *(pytest.param(line, marks=pytest.mark.slow) for line in ("run --help", "--help", "cache"))]
 )
 def test_output_without_terminal_has_no_colours(line: str) -> None:
     done = process(line, FORCE_COLOR="", TERM="xterm-256color")

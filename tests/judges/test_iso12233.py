@@ -274,6 +274,7 @@ def test_other_f_number_or_photodiode_fails(setting: Setting, changes: dict[str,
     assert abs(worst(estimate(setting, BOUNDED)[1], setting, BOUNDED, **changes)) > GATE
 
 
+@pytest.mark.slow  # other wrong settings fail above
 def test_packaged_texture_fails() -> None:
     setting = Setting(5.0, 2.8, 6.5)
     coarse = Work((1024, 1024), 1024, 4, False)

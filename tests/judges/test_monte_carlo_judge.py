@@ -159,6 +159,6 @@ def test_same_seed_fails():
     assert unlikely(csf, csf) < LIKELY[0]
 
 
-def test_independent_renders_pass():
-    for name in ("csf", "macbeth"):
-        assert_one_image(renders(name, VARIANT, seed=3), renders(name, VARIANT))
+@pytest.mark.parametrize("name", ["csf", pytest.param("macbeth", marks=pytest.mark.slow)])
+def test_independent_renders_pass(name):
+    assert_one_image(renders(name, VARIANT, seed=3), renders(name, VARIANT))

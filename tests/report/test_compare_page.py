@@ -236,6 +236,7 @@ def test_compare_study_settings_make_the_same_numbers(under_study: tuple[Path, s
     assert (tmp_path / "again/settings.toml").read_bytes() == (folder / "settings.toml").read_bytes()
 
 
+@pytest.mark.slow  # its parts are those of a study and of a comparison
 @needs_browser
 def test_compare_study_page_fits_screens(under_study: tuple[Path, str], tmp_path: Path) -> None:
     assert_fits(under_study[0] / "report.html", tmp_path)
@@ -325,6 +326,7 @@ def test_compare_page_fits_screens(compared: tuple[Path, str, str], tmp_path: Pa
         assert len(view.tiles) == 6
 
 
+@pytest.mark.slow  # test_run_page_prints has the style
 @needs_browser
 def test_compare_page_prints(compared: tuple[Path, str, str], tmp_path: Path) -> None:
     headings = re.findall(r"<h2[^>]*>(.*?)</h2>", text_of(compared[0]))

@@ -101,7 +101,9 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "kept"
 
 
-@pytest.mark.parametrize("option", [*AGAIN, *UNRELATED])
+@pytest.mark.parametrize(
+    "option", [*AGAIN[:2], *(pytest.param(option, marks=pytest.mark.slow) for option in AGAIN[2:]), *UNRELATED]
+)
 def test_render_cache_ignores_unrelated_settings(option, tmp_path, folder, kept, rendered):
     shutil.copytree(kept, folder)
     run(tmp_path / "other", option)

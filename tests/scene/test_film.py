@@ -56,7 +56,7 @@ def test_film_shape_of_xml_without_die_height(tmp_path):
     assert scene.film_shape(square, scene.parse()) == (1024, 1024)
 
 
-@pytest.mark.parametrize("camera", [LANDSCAPE, PORTRAIT])
+@pytest.mark.parametrize("camera", [pytest.param(LANDSCAPE, marks=pytest.mark.slow), PORTRAIT])
 @pytest.mark.parametrize("name", ["csf", "flat", "slanted_edge", "siemens_star"])
 def test_packaged_charts_fill_die_of_any_shape(name, camera):
     """Every border is lit: the darkest texel of the charts has 2.4 % of the brightest."""

@@ -108,6 +108,7 @@ def test_blur_lowers_contrast_most_in_the_corners(singlet) -> None:
     assert 1 > 1.05 * peaks[1] > 1.05**2 * peaks[2]
 
 
+@pytest.mark.slow  # the next but one has the blur
 def test_score_through_a_simple_lens_is_worse_than_through_a_thin_one(singlet) -> None:
     scene, camera, _, image = singlet
     thin = without_lens(camera)

@@ -274,7 +274,9 @@ def test_macbeth_board_is_dark():
         np.testing.assert_allclose(strip, covered * patches + (1 - covered) * 0.03, rtol=0.02)
 
 
-@pytest.mark.parametrize("lamp", OF_EACH_KIND)
+@pytest.mark.parametrize(
+    "lamp", [lamp if lamp in (SMOOTH, LINES) else pytest.param(lamp, marks=pytest.mark.slow) for lamp in LAMPS]
+)
 def test_macbeth_patch_luminances_match_tables(lamp):
     light_nm = (531, 533) if lamp == "laser_532nm" else (360, 830)
     picture = luminance(FOLDER / "macbeth.xml", spp=256, light_nm=light_nm, lamp=f"spectra/{lamp}.spd")

@@ -224,6 +224,7 @@ def test_choose_unknown_variant_raises(name):
 # --- Dr.Jit imported first, perhaps with an LLVM that aborts ---
 
 
+@pytest.mark.slow  # the next but one warns of it or raises
 def test_choose_after_drjit_renders_scalar():
     done = python("import drjit" + RENDER)
     assert done.returncode == 0, done.stderr

@@ -532,7 +532,7 @@ def test_study_that_loses_its_cluster_keeps_rows(lost: str, pattern: str, tmp_pa
         thread.start()
         with pytest.raises(pixsim.PixsimError, match=pattern):
             pixsim.study(toml, tmp_path / "out", scheduler=address)
-        thread.join(HANG_S)
+        # The thread is not waited for: a worker that has ended does not answer it.
     kept = results.read_bytes().splitlines()[1:]
     assert kept
     pixsim.study(toml, tmp_path / "out", jobs=1)

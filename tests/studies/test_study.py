@@ -414,6 +414,7 @@ def test_study_minimum_at_end_is_no_optimum(tmp_path: Path) -> None:
         assert (best.inside, best.pitch_um) == (False, pytest.approx(end_um))
 
 
+@pytest.mark.slow  # test_engine kills a study, test_interruptions interrupts one
 def test_study_interrupt_keeps_finished_rows(done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]) -> None:
     """Interrupted in the second of three sensors of the second pitch."""
     toml, out = tmp_path / "tiny.toml", tmp_path / "out"

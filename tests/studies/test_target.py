@@ -194,7 +194,7 @@ def test_next_round_technologies_are_independent(fit: FittedCurve) -> None:
     assert limited == {names[0]: together[names[0]], names[1]: START}
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_rounds_narrow_the_interval(seed: int) -> None:
     """Of a known curve: more than equally many sensors of the pitches that the study began with would.
 
