@@ -199,7 +199,7 @@ AXIS = '[[axis]]\nname = "noise"\nset = "pixel.read_noise_e"\nvalues = [2, 20]\n
 def test_settings_of_cases_state_the_display_that_was_chosen(
     table: str, kept: tuple[int, float | None], desk: Path, tmp_path: Path
 ) -> None:
-    """In a window of 0.9 mm: a dot for each of 75 columns of 12 µm, and the chart to their Nyquist frequency, if all cases have it."""
+    """In a window of 0.9 mm: a dot for each of 75 columns of 12 µm, and the chart to their Nyquist frequency if all have it."""
     dots, highest = kept
     table = f"pitch = {{ values_um = [8, 10, 14, 20, 28] }}\n{table}"
     result = small_study(desk, "own", table, config="sheet.toml", window_mm=0.9, resolution=64)
