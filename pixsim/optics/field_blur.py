@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft, ifft, irfft2, next_fast_len, rfft, rfft2
-from scipy.special import j0, j1, struve
+from scipy.special import j0, j1
 
 from pixsim.base.arrays import WORTH_THREADS, Array, dct, empty_planes, in_threads, inverse_dct
 from pixsim.base.errors import invalid
@@ -40,6 +40,7 @@ FINER = 1.6  # samples of a PSF that is turned, along a cell: they hold the corn
 TURNED_MARGIN = 48  # film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
 PADDING = 1.5  # of the window of a PSF, for its OTF between frequencies: 2e-3 of the light at the sides of its cells
 SPLINE_MARGIN = 3  # frequencies, so that the end of a spline is not seen
+GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a period
 VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
 ROUNDING = 1e-9  # of lengths that are equal
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
@@ -357,12 +358,25 @@ def point_spread(light: Light, x_um: float, y_um: float, pitch_um: float, cells:
 def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
     """Return the transform of light that falls as 1/r³ beyond a radius, as that of a pupil with an edge does; 1 at frequency 0.
 
-    With z = 2πfr, z ∫_z^∞ J₀(s)/s² ds = J₀(z) - z (1 + J₁(z) - ∫_0^z J₀(s) ds). The last integral is by Struve's functions
-    (Abramowitz and Stegun 11.1.7), because `scipy.special.itj0y0` is wrong by many orders beyond z = 20 in SciPy before 1.17.
+    With z = 2πfr, z ∫_z^∞ J₀(s)/s² ds = J₀(z) - z (1 + J₁(z) - ∫_0^z J₀(s) ds).
     """
     z = 2 * np.pi * frequency_cy_per_mm * beyond_um * 1e-3
-    integral = z * j0(z) + np.pi * z / 2 * (j1(z) * struve(0, z) - j0(z) * struve(1, z))
-    return np.asarray(j0(z) - z * (1 + j1(z) - integral))
+    return np.asarray(j0(z) - z * (1 + j1(z) - integral_of_j0(z)))
+
+
+def integral_of_j0(end: Array) -> Array:
+    """Return ∫_0^z J₀(s) ds at z of 0 or more, (...), to 1e-13, by Gauss's quadrature up to each integer and beyond the last.
+
+    `scipy.special.itj0y0` is wrong by many orders beyond z = 20 in SciPy before 1.17, and Struve's functions, of which this integral
+    is made too (Abramowitz and Stegun 11.1.7), take twenty times as long.
+    """
+    node, weight = np.polynomial.legendre.leggauss(GAUSS_NODES)
+    node, weight = (1 + node) / 2, weight / 2
+    last = np.floor(end)
+    whole = j0(np.arange(last.max(initial=0.0))[:, None] + node) @ weight
+    rest = end - last
+    beyond = sum((share * j0(last + rest * at) for at, share in zip(node, weight, strict=True)), np.zeros(end.shape))
+    return np.asarray(np.concatenate([[0.0], np.cumsum(whole)])[last.astype(int)] + rest * beyond)
 
 
 def cubic_weights(distance: Array | float) -> Array:
