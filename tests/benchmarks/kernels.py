@@ -32,7 +32,7 @@ from pixsim.sensor.readout import capture_from_rates, sample_sensor
 from pixsim.viewer import scielab
 from pixsim.viewer.demosaic import demosaic
 from pixsim.viewer.display import WHITE_XYZ, frame_luminance
-from pixsim.viewer.score import ImagingChain, PreparedScene, chain_at_pitch, prepare_scene
+from pixsim.viewer.score import ImagingChain, PreparedScene, chain_at_pitch, prepare_scene, shown
 
 Work = Callable[[], object]
 NM = np.arange(400.0, 701.0, 10.0)
@@ -116,6 +116,21 @@ def unavoidable(chain: ImagingChain) -> dict[str, Work]:
     }
 
 
+def stages(chain: ImagingChain) -> dict[str, Work]:
+    """What an evaluation does, in its order: with the unavoidable operations, and with all else."""
+    frame, display = chain.capture(1), chain.screen.display
+    light, score = chain.light(frame), chain.score_frame(frame)
+    sensor = chain.sensor(1)
+    return {
+        "fixed pattern (normals, gamma)": lambda: chain.sensor(1),
+        "frame (Poisson, normals)": lambda: chain.capture_by(sensor, stream(1, "frame"), stream(1, "correction")),
+        "light of the dots": lambda: chain.light(frame),
+        "codes of the dots": lambda: shown(light, display),
+        "S-CIELAB (DCTs, cube roots)": lambda: chain.screen.delta_e_of(score.image),
+        "statistics": score.statistics,
+    }
+
+
 COLOUR = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
 LENSED = {"height_um": 3.0, "index": 1.5, "microlens": "square"}  # not shifted: what is collected varies over the field
 ROUNDS = 15
@@ -141,6 +156,7 @@ def parts() -> None:
         text = ", ".join(f"{name} {1e3 * time_s:.1f}" for name, time_s in seconds.items())
         sum_ = sum(seconds.values())
         print(f"{name:>17}: {1e3 * whole:12.1f} {1e3 * sum_:8.1f} {whole / sum_:6.2f}  {text}", flush=True)
+        print(f"{'':19}{', '.join(f'{stage} {1e3 * min(times):.1f}' for stage, times in turns(stages(chain)).items())}", flush=True)
 
 
 def turns(works: dict[str, Work]) -> dict[str, list[float]]:
