@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from pixsim.base import cache
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import WORTH_THREADS, Array, in_threads
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions, TracedLens, content_hash
 from pixsim.light.spectral import SpectralImage
@@ -602,8 +602,20 @@ def _chosen_tiling(
         nm, part = traced_wavelengths(camera, bands, weights, count)
         return Light(_wavefronts(camera, tuple(nm.tolist()), 1e-3 * heights_um), part)
 
-    def transforms(light: Light, window: int) -> NDArray[np.complex128]:
-        return np.array([np.fft.rfft2(periodic_psf(light, x, y, pitch_um, window)) for x, y in places])
+    def at_places(transform: Callable[[float, float], NDArray[np.complex128]]) -> NDArray[np.complex128]:
+        found = np.empty((len(places), window, window // 2 + 1), complex)
+
+        def compute(number: int) -> None:
+            found[number] = transform(*places[number])
+
+        in_threads(compute, range(len(places)), WORTH_THREADS)
+        return found
+
+    def transforms(light: Light) -> NDArray[np.complex128]:
+        return at_places(lambda x, y: np.fft.rfft2(periodic_psf(light, x, y, pitch_um, window)))
+
+    def between_tiles(psfs: RadialPsfs, spacing: int) -> NDArray[np.complex128]:
+        return at_places(lambda x, y: transform_of(amid_tiles(psfs, x, y, pitch_um, spacing, cells), pitch_um, window))
 
     def window_of(light: Light, cells: int) -> int:
         return max(even_window(light, x, y, pitch_um, cells) for x, y in places)
@@ -616,18 +628,18 @@ def _chosen_tiling(
         if not (most := most_cells(light, pitch_um)):
             return Tiling(1e3 * max(camera.die_mm, camera.height_mm), 0.0, 0.0)
         window = window_of(exact, min(TRIED_CELLS, most))
-        right = transforms(light, window)
-        of_wavelengths = error_of(right, transforms(exact, window))
+        right = transforms(light)
+        of_wavelengths = error_of(right, transforms(exact))
         if of_wavelengths <= LIGHT_SHARE * tolerance:
             break
     for nodes in NODES:
         between = light_of(camera, bands, weights, Tiling(0.0, 0.0, 0.0, wavelengths=wavelengths, nodes=nodes))
-        if error_of(transforms(between, window), right) <= LIGHT_SHARE * tolerance:
+        if error_of(transforms(between), right) <= LIGHT_SHARE * tolerance:
             break
     for cells in [*(cells for cells in PSF_CELLS if cells < most), min(most, PSF_CELLS[-1])]:
         if window < window_of(light, cells):
             window = window_of(light, cells)
-            right = transforms(light, window)
+            right = transforms(light)
         cut = [np.fft.fftshift(np.fft.irfft2(one, (window, window))) for one in right]
         middle = slice(window // 2 - cells // 2, window // 2 + cells // 2 + 1)
         found = np.array([transform_of([(1.0, Psf(one[middle, middle].astype(np.float32)))], pitch_um, window) for one in cut])
@@ -639,7 +651,7 @@ def _chosen_tiling(
         spacing = max(MIN_SPACING, round(max(shape) / count))
         tiling = Tiling(spacing * pitch_um, cells * pitch_um, 0.0, 0.0, wavelengths, nodes)
         psfs = psfs_of(camera, shape, pitch_um, tiling, bands, weights)
-        found = np.array([transform_of(amid_tiles(psfs, x, y, pitch_um, spacing, cells), pitch_um, window) for x, y in places])
+        found = between_tiles(psfs, spacing)
         error = fixed + error_of(found, right)
         if error <= tolerance or count == TILES[-1] or spacing == MIN_SPACING:
             worst = max(picture_error(one, other, pitch_um, aperture_um) for one, other in zip(found, right, strict=True))

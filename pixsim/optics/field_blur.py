@@ -367,8 +367,8 @@ def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
 def integral_of_j0(end: Array) -> Array:
     """Return ∫_0^z J₀(s) ds at z of 0 or more, (...), to 1e-13, by Gauss's quadrature up to each integer and beyond the last.
 
-    `scipy.special.itj0y0` is wrong by many orders beyond z = 20 in SciPy before 1.17, and Struve's functions, of which this integral
-    is made too (Abramowitz and Stegun 11.1.7), take twenty times as long.
+    `scipy.special.itj0y0` is wrong by many orders beyond z = 20 in SciPy before 1.17, and Struve's functions, of which this
+    integral is made too (Abramowitz and Stegun 11.1.7), take twenty times as long.
     """
     node, weight = np.polynomial.legendre.leggauss(GAUSS_NODES)
     node, weight = (1 + node) / 2, weight / 2
