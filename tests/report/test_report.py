@@ -202,6 +202,7 @@ def test_write_report_data_sheet_omits_process(made: tuple[StudyResult, Path], t
     assert "fill_factor_law" in text_of(made[1]), "a process uses those settings"
 
 
+@pytest.mark.slow  # test_paper has the statements, test_plates their figures
 @pytest.mark.usefixtures("undrawn")
 def test_write_report_paper_comparison(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """0.0415 is the largest number of the response file, 0.37 that of the process's."""

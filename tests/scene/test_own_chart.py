@@ -198,6 +198,7 @@ def _lens(camera: pixsim.Camera) -> tuple[float, float, float]:
     return camera.image_distance_mm, camera.f_number, camera.magnification
 
 
+@pytest.mark.slow  # test_run_chart_picture_is_seen_with_its_border renders one
 def test_chart_command_texture_gives_the_same_light(tmp_path: Path) -> None:
     """By the command, as TOML next to the picture, and by -D."""
     picture, texture = white_left(tmp_path / "mine.png"), tmp_path / "mine.exr"

@@ -96,8 +96,8 @@ def gates(pruned: Sampled, full: Sampled) -> tuple[np.ndarray, np.ndarray]:
     return pruned.mean_e.mean(axis=0) / mean - 1, pruned.bound_e + full.bound_e + float32 + quantile * error
 
 
-# test_monte_carlo_judge compares the pictures of csf, and flat has one luminance.
-RENDERED_ELSEWHERE = ("csf", "flat", "slanted_edge")
+# test_monte_carlo_judge compares the pictures of csf, flat has one luminance, and test_scenes has the patches under smooth lamps.
+RENDERED_ELSEWHERE = ("csf", "flat", "slanted_edge", "macbeth d65")
 
 
 @pytest.mark.parametrize(

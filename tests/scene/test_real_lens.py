@@ -274,6 +274,7 @@ def test_plan_says_by_how_much_defocus_is_wrong_in_scenes_with_depth(
         assert f"wrong by more than 0.1%: {worst.error:.1%}" in strict
 
 
+@pytest.mark.slow  # test_depths_are_those_of_the_shapes_in_view has the unknown size
 @pytest.mark.usefixtures("some_tiles")
 def test_shapes_of_unknown_size_and_mirrors_are_told_with_the_defocus() -> None:
     scene, camera = through("singlet", 6.0, 32, "still_life")
@@ -307,6 +308,7 @@ def test_discs_are_judged_once_an_octave_on_each_side() -> None:
     assert 2 * math.log2(max(everywhere)) + 1 < len(everywhere) < 2 * math.log2(max(everywhere)) + 4
 
 
+@pytest.mark.slow  # test_integration has each colour by the PSF of its own light
 def test_bands_of_a_scene_with_several_spectra_are_blurred_in_groups(singlet) -> None:
     """Light stored by bands is blurred group by group of bands, each at its mean wavelength: like that of one spectrum."""
     _, camera, _, image = singlet

@@ -400,6 +400,7 @@ def test_study_lights_in_memory_do_not_grow_with_their_number(
     assert most[0] == most[1], "light or pictures are held for each case"
 
 
+@pytest.mark.slow  # the one before takes lights one after the other
 def test_study_in_little_memory_has_the_same_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lights are then taken one after the other, and sensors are drawn again for each."""
     study = small(axis=[LIGHTS | {"count": 2}], resolution=64)

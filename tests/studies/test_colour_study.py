@@ -219,6 +219,7 @@ def test_study_does_not_compare_monochrome_and_colour_in_a_coloured_scene(red_gr
         pixsim.study(Study.model_validate(table), out=tmp_path, jobs=1)
 
 
+@pytest.mark.slow  # test_compare compares, and a run and a study have the colours
 @pytest.mark.filterwarnings("ignore:.*Fresnel")
 def test_comparison_in_colour(red_green: Path, tmp_path: Path) -> None:
     """From the command to the page: the better filters win, with the white of the chart, pictures in colour, and their matrices."""

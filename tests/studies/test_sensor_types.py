@@ -109,6 +109,7 @@ def test_check_axes_more_than_one_small_axis_raises() -> None:
 SHEET = {"pitch_um": 5.0, "full_well_e": 1e4, "read_noise_e": 20.0, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.6}
 
 
+@pytest.mark.slow  # the draws are those above; test_uncertainty has the numbers of sheets
 def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
