@@ -367,9 +367,7 @@ STACKED = pytest.param({"pattern": "stacked"}, marks=pytest.mark.slow)  # each t
 
 
 @pytest.mark.parametrize(
-    "colour",
-    [{}, *(pytest.param(more, marks=pytest.mark.slow) for more in (STACKED, {"pattern": "quad_rggb", "binning": True}))],
-    ids=str,
+    "colour", [{}, STACKED, pytest.param({"pattern": "quad_rggb", "binning": True}, marks=pytest.mark.slow)], ids=str
 )
 def test_colour_standard_errors_match_repeats(colour: dict[str, object]) -> None:
     """Six devices: the root mean square of their pulls. Of 8 quantities, a false alarm in 250 runs of new seeds."""
