@@ -92,7 +92,7 @@ def figure_2b(result: StudyResult) -> Plate:
     physics = physics_of(result.study, REFERENCE_TECHNOLOGY, OPTIMUM_UM)
     terms = study_mtf_terms(result, physics, frequency)
     shown = draw_terms(terms_axes, frequency, terms, result.study.display.interpolation)
-    table |= {f"{name}_mtf_{OPTIMUM_UM:g}um": mtf.tolist() for name, mtf in (terms | {"shown": shown}).items()}
+    table |= {f"{name.replace(' ', '_')}_mtf_{OPTIMUM_UM:g}um": mtf.tolist() for name, mtf in (terms | {"shown": shown}).items()}
     nyquist = 1e3 / (2 * OPTIMUM_UM)
     terms_axes.plot([nyquist] * 2, [0, np.interp(nyquist, frequency, shown)], ":", color="black", lw=1)
     terms_axes.set(title=f"scene to display: every term, {OPTIMUM_UM:g} µm pixels")

@@ -133,7 +133,10 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     table: dict[str, Column] = {
         "pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30,
     }  # fmt: skip
-    table |= {f"{term}_mtf_at_{frequency:.3g}_lp_per_mm": mtf.tolist() for term, mtf in (terms | {"shown": shown}).items()}
+    table |= {
+        f"{term.replace(' ', '_')}_mtf_at_{frequency:.3g}_lp_per_mm": mtf.tolist()
+        for term, mtf in (terms | {"shown": shown}).items()
+    }
     lower.set(xlabel="pixel size (µm)", ylabel=f"MTF at {frequency:.3g} lp/mm", ylim=(0, 1.02))
     lower.grid(alpha=0.25)
     ends = [f"{mpe:.3g} lx·s" if np.isfinite(mpe) else "none below saturation" for mpe in (mpe30[0], mpe30[-1])]

@@ -13,8 +13,9 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from pixsim.base.parameters import Camera, Pixel, StackOptions, Study, pixel_of
+from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel, StackOptions, Study, pixel_of
 from pixsim.light.spectral import SpectralImage, d65
+from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, without_lens
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.report.merit import (
     blur_words,
@@ -247,6 +248,19 @@ def test_blur_words_hold_the_terms() -> None:
     assert blur_words(light, camera, derive(pixel), display).startswith("At 33.3 lp/mm, the highest frequency of the chart, ")
     pixels = blur_words(light, camera, derive(pixel), display.model_copy(update={"raster": "one_to_one"}))
     assert pixels.endswith("reduces it no further.")
+
+
+def test_blur_words_name_the_real_lens() -> None:
+    """With the MTF of its aberrations, in place of diffraction."""
+    result, pixel = chen2000()
+    camera = camera_with_lens(Camera(object_distance_m=5.0), CameraOptions(), LensOptions(file="singlet", focal_length_mm=12.0))
+    light, display = result.irradiance, result.study.display
+    light.header.update({LENS_HEADER: asdict(Tiling(300.0, 80.0, 0.0))})
+    terms = mtf_terms(light, camera, derive(pixel), display, np.array(30.0))
+    thin = mtf_terms(light, without_lens(camera), derive(pixel), display, np.array(30.0))
+    assert list(terms) == ["real lens", *list(thin)[1:]]
+    assert 0.01 < float(terms["real lens"]) < 0.7 * float(thin["lens"])
+    assert re.search(r"the MTF of the real lens is 0\.\d+ and that of", blur_words(light, camera, derive(pixel), display))
 
 
 def test_mtf_terms_dark_picture_uses_equal_light() -> None:
