@@ -20,6 +20,8 @@ from pixsim.base.parameters import content_hash
 from pixsim.light.spectral import grid_nm
 from pixsim.scene.assets import mitsuba_folder
 
+UNUSABLE_HINT = "Leave out --variant; `pixsim doctor` says what each variant lacks."
+
 
 def import_mitsuba(variant: str) -> Any:
     """Import Mitsuba and set its variant; call `pixsim.scene.variant.choose` first."""
@@ -31,7 +33,7 @@ def import_mitsuba(variant: str) -> Any:
             mi.set_variant(variant)
         except ImportError as error:
             reason = " ".join(str(error).split())
-            raise invalid("variant", f"'{variant}' ({reason})", "a variant that runs here", "Leave out --variant.") from None
+            raise invalid("variant", f"'{variant}' ({reason})", "a variant that runs here", UNUSABLE_HINT) from None
     mi.set_log_level(mi.LogLevel.Error)  # it writes warnings to stdout, which is reserved for results
     if dr.thread_count() < 2:
         dr.set_thread_count(2)  # Mitsuba 3.9 blocks for ever on an EXR texture with one thread

@@ -1,11 +1,14 @@
 """Speed of the pruned render relative to plain Mitsuba at equal error, in one run on one machine.
 
     python tests/benchmarks/render_speed.py [SCENE ...] [--resolution 512]
+    python tests/benchmarks/render_speed.py [SCENE ...] --variant cuda_ad_spectral llvm_ad_spectral scalar_spectral
 
 The error is the RMS of the QE-weighted irradiance (0.35 µm pixel) over its mean, from pairs of independent renders; the plan's
 bound on the systematic error of pruning is printed too. Plain Mitsuba renders the scene's XML with `path`, a specfilm of 31
 bands of 10 nm, a box filter, and `independent` or `multijitter`. Times are medians of the render alone, after a warm-up. If the
 largest number of samples misses the target, the time is extrapolated, as the table states. Memory is the peak of a new process.
+
+With `--variant`, the variants render the scenes in turns, with equal samples: medians of the clock, and the ratio to the first.
 """
 
 from __future__ import annotations
@@ -55,9 +58,9 @@ def plain(name: str, resolution: int, sampler: str) -> Picture:
     return picture
 
 
-def pruned(name: str, resolution: int) -> tuple[Picture, Plan]:
+def pruned(name: str, resolution: int, variant: str | None = None) -> tuple[Picture, Plan]:
     """pixsim's planned render, with other numbers of samples."""
-    scene = pixsim.load_scene(name, resolution=resolution)
+    scene = pixsim.load_scene(name, variant=variant, resolution=resolution)
     camera = scene.camera()
     plan = pixsim.make_plan(scene, camera)
     jobs: dict[int, Renderer] = {}
@@ -100,12 +103,39 @@ def render(name: str, resolution: int, spp: int) -> None:
     pixsim.render(pixsim.load_scene(name, resolution=resolution, spp=spp))
 
 
+VARIANT_SPP, VARIANT_TURNS = 64, 5
+
+
+def compare_variants(name: str, resolution: int, variants: list[str]) -> None:
+    """Print the time of a render by each variant, and how its mean differs from that of the first."""
+    pictures, first_s = {}, {}
+    for variant in variants:
+        pictures[variant] = pruned(name, resolution, variant)[0]
+        first_s[variant] = pictures[variant](VARIANT_SPP, 0)[1]
+    runs = {variant: [] for variant in variants}
+    for turn in range(1, VARIANT_TURNS + 1):
+        for variant, picture in pictures.items():
+            runs[variant].append(picture(VARIANT_SPP, turn))
+    print(f"{name}, {resolution}², {VARIANT_SPP} samples")
+    means = {variant: statistics.fmean(float(rate.mean()) for rate, _ in pairs) for variant, pairs in runs.items()}
+    medians = {variant: statistics.median(seconds for _, seconds in pairs) for variant, pairs in runs.items()}
+    for variant in variants:
+        ratio, difference = medians[variant] / medians[variants[0]], means[variant] / means[variants[0]] - 1
+        print(
+            f"  {variant:18} {medians[variant]:8.3f} s (first {first_s[variant]:.2f} s), times {ratio:.2f}; mean {difference:+.2%}"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("scenes", nargs="*", default=list(TARGETS))
     parser.add_argument("--resolution", type=int, default=512)
+    parser.add_argument("--variant", nargs="+", metavar="NAME", dest="variants")
     options = parser.parse_args()
     for name in options.scenes or TARGETS:
+        if options.variants:
+            compare_variants(name, options.resolution, options.variants)
+            continue
         target, asked_independent, asked_multijitter = TARGETS[name]
         picture, plan = pruned(name, options.resolution)
         ladders = {"pruned": list(rungs(picture))}

@@ -215,6 +215,14 @@ def test_choose_scalar_needs_no_llvm(fresh):
         assert variant.choose("scalar_spectral").variant == "scalar_spectral"
 
 
+@pytest.mark.skipif(ctypes.util.find_library("cuda") is not None, reason="an NVIDIA driver is installed here")
+def test_cuda_without_driver_raises_and_others_still_render():
+    with pytest.raises(PixsimError, match=r"variant: got 'cuda_ad_spectral' \(.*Leave out --variant; `pixsim doctor`"):
+        pixsim.load_scene("flat", variant="cuda_ad_spectral", resolution=8)
+    scene = pixsim.load_scene("flat", variant="scalar_spectral", resolution=8, spp=4)
+    assert pixsim.render(scene).illuminance_lx().max() > 0
+
+
 @pytest.mark.parametrize("name", ["scalar_rgb", "llvm", ""])
 def test_choose_unknown_variant_raises(name):
     with pytest.raises(PixsimError, match=rf"variant: got '{name}'; allowed: llvm_ad_spectral, scalar_spectral"):
