@@ -83,7 +83,7 @@ class Checkout:
     def run(self, words: Words, folder: Path, out: str) -> Cost:
         """Run a command with the cache of a folder."""
         if words[:2] == OTHER_DISPLAY:
-            known = (self.path / "pixsim/data/studies/chen2000.toml").read_text(encoding="utf-8")
+            known = next((self.path / "pixsim").rglob("chen2000.toml")).read_text(encoding="utf-8")  # wherever a checkout has it
             study = folder / "display.toml"
             study.write_text(known.replace("[display]", "[display]\ngamma = 1.8"), encoding="utf-8")
             words = ("study", str(study), *words[2:])
