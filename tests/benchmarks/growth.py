@@ -1,33 +1,41 @@
-"""Scaling of time and memory with resolution, samples, bands, pitches, sensors and workers, with fitted exponents.
+"""Scaling of time and memory with resolution, samples, bands, pitches, sensors and evaluations, with fitted exponents.
 
-    python tests/benchmarks/growth.py [--largest 8192] [--out docs/pictures/growth.svg]
+    python tests/benchmarks/growth.py [--largest 8192] [--evaluations 1000000] [--out docs/pictures/growth.svg]
 
-Each point runs in a new process, after a warm-up on a small picture: processor time of a film's stages, which other programs
-disturb little, wall time of studies, and peak memory including Python, Mitsuba and the compiler. The exponent p of time ~ n^p is
-fitted to the larger half of the points, that of memory to what exceeds the smallest point. "from" is the value from which on each
-step costs more than the work that it adds, by `BEYOND_LINEAR` or more; "-" if there is none. The cache is off. 8192² takes minutes.
+Each point runs in a new process, after a warm-up: processor time, which other programs disturb little, and peak memory including
+Python, Mitsuba and the compiler. The exponent p of time ~ n^p is fitted to the larger half of the points, that of memory to what
+exceeds the smallest point. "from" is the value from which on each step costs more than the work that it adds, by `BEYOND_LINEAR` or
+more; "-" if there is none. The cache is off. 8192² and a million evaluations take minutes each.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers.timing import fresh, seconds_of
+from helpers.timing import fresh
 
 import pixsim
+from pixsim.studies import evaluations
 from pixsim.studies.study import render_for, study
+from pixsim.viewer.score import ImagingChain
 
 CONSTANT = 0.2  # smaller exponents are noise
 BEYOND_LINEAR = 1.15  # exponent of work between two neighbouring points
+SIZES = 100  # of a study of evaluations that take no time
 PITCHES_UM = np.geomspace(5.2, 15.0, 64).round(4).tolist()
 
 
@@ -72,15 +80,48 @@ def bands_run(count: int) -> dict[str, float]:
     return {"optics": time.process_time() - start}
 
 
-def study_run(pitches: int, repeats: int, jobs: int) -> dict[str, float]:
+def study_s(small: pixsim.Study, folder: str) -> float:
     """Seconds of the evaluations of a study, without render and report."""
+    start = time.process_time()
+    render_for(small)
+    rendered = time.process_time()
+    study(small, folder, jobs=1, agreed=True)
+    return max(time.process_time() - rendered - (rendered - start), 0.0)
+
+
+def study_run(pitches: int, repeats: int) -> dict[str, float]:
+    """Seconds of a study of a film of 512²."""
     scene = {"file": "csf", "parameters": {"resolution": 512}}
     pitch = {"values_um": PITCHES_UM[:: len(PITCHES_UM) // pitches][:pitches]}
     small = pixsim.Study.model_validate({"name": "growth", "repeats": repeats, "scene": scene, "pitch": pitch})
-    render_s = seconds_of(lambda: render_for(small))
+    render_for(small)  # imports and compiled kernels
     with tempfile.TemporaryDirectory() as folder:
-        study_s = seconds_of(lambda: study(small, folder, jobs=jobs))
-    return {"evaluate": max(study_s - render_s, 0.0)}
+        return {"evaluate": study_s(small, folder)}
+
+
+def evaluations_run(count: int) -> dict[str, float]:
+    """Seconds of a study whose evaluations take no time, and of the same one again, which has nothing to do.
+
+    Of each pitch two are made, and used for all of its sensors.
+    """
+    made: dict[tuple[float, int], Any] = {}
+
+    def scores_of(chain: ImagingChain, study: pixsim.Study, repeats: list[int], _: str) -> Iterator[tuple[int, Any, bool]]:
+        for repeat in repeats:
+            which = chain.physics.pitch_um, repeat % 2
+            if which not in made:
+                statistics = chain.simulate("growth", repeat).statistics()
+                made[which] = SimpleNamespace(statistics=partial(dict, statistics))
+            yield repeat, made[which], False
+
+    table = {"scene": {"file": "csf", "parameters": {"resolution": 64, "spp": 4}}, "camera": {"die_mm": 0.5}, "name": "growth"}
+    table |= {"pitch": {"values_um": np.geomspace(20, 80, SIZES).round(4).tolist()}, "display": {"dots": 16}}
+    with mock.patch.object(evaluations, "scores_of", scores_of):
+        for sensors in (2, count // SIZES):  # imports and compiled kernels first
+            small = pixsim.Study.model_validate(table | {"repeats": sensors})
+            with tempfile.TemporaryDirectory() as folder:
+                seconds = {stage: study_s(small, folder) for stage in ("keys, rows, fit", "nothing to do")}
+    return seconds
 
 
 Axis = tuple[str, Callable[[int], dict[str, float]], tuple[int, ...]]
@@ -88,9 +129,9 @@ AXES: dict[str, Axis] = {
     "resolution": ("samples per side", chart_run, (256, 512, 1024, 2048, 4096, 8192)),
     "samples": ("samples per cell, 512²", lambda spp: chart_run(512, spp), (4, 16, 64, 256, 1024)),
     "bands": ("bands, general image of 1024²", bands_run, (4, 8, 16, 32, 64)),
-    "pitches": ("pitches, 2 sensors each", lambda n: study_run(n, 2, 1), (8, 16, 32, 64)),
-    "sensors": ("sensors, 5 pitches", lambda n: study_run(5, n, 1), (4, 8, 16, 32)),
-    "workers": ("processes, 64 pitches × 16 sensors", lambda n: study_run(64, 16, n), (1, 2)),
+    "pitches": ("pitches, 2 sensors each", lambda n: study_run(n, 2), (8, 16, 32, 64)),
+    "sensors": ("sensors, 5 pitches", lambda n: study_run(5, n), (4, 8, 16, 32)),
+    "evaluations": ("evaluations of no time", evaluations_run, (1_000, 10_000, 100_000, 1_000_000)),
 }
 
 
@@ -115,8 +156,10 @@ def draw(results: dict[str, tuple[list[int], list[dict[str, float]]]], path: Pat
     from pixsim.show.figures import COLOURS, new_figure, svg_text
 
     figure = new_figure(9.0, 5.6)
-    grid = figure.subplots(2, len(results) // 2, squeeze=False)
-    for axes, (name, (values, points)) in zip(grid.flat, results.items(), strict=True):
+    grid = figure.subplots(2, -(-len(results) // 2), squeeze=False)
+    for spare in grid.flat[len(results) :]:
+        spare.remove()
+    for axes, (name, (values, points)) in zip(grid.flat, results.items(), strict=False):
         stages = [stage for stage in points[0] if stage != "GiB"]
         for stage, colour, marker in zip(stages, COLOURS, "os^D", strict=False):
             seconds = [point[stage] for point in points]
@@ -138,13 +181,15 @@ def draw(results: dict[str, tuple[list[int], list[dict[str, float]]]], path: Pat
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("axes", nargs="*", choices=[*AXES, []], default=[])
-    parser.add_argument("--largest", type=int, default=8192)
+    parser.add_argument("--largest", type=int, default=8192, help="samples across a film")
+    parser.add_argument("--evaluations", type=int, default=1_000_000, help="the largest number of them")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     os.environ["PIXSIM_CACHE_GIB"] = "0"
     results = {}
     for name in options.axes or AXES:
-        values = [value for value in AXES[name][2] if value <= options.largest]
+        largest = {"resolution": options.largest, "evaluations": options.evaluations}.get(name, math.inf)
+        values = [value for value in AXES[name][2] if value <= largest]
         points = [seconds | {"GiB": gib} for seconds, gib in (fresh(point, name, value) for value in values)]
         results[name] = values, points
         print(f"\n{AXES[name][0]:36}" + "".join(f"{value:>9}" for value in values) + "   exponent     from")

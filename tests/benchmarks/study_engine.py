@@ -28,9 +28,10 @@ TIMED = 100  # evaluations of each pitch, to time the work
 TARGET_MS = 2.0
 
 
-def small_study(repeats: int) -> pixsim.Study:
-    table = {"scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4}}, "camera": {"die_mm": 0.5}}
-    table |= {"name": "small", "repeats": repeats, "pitch": {"values_um": PITCHES_UM}, "display": {"dots": 96}}
+def small_study(repeats: int, dots: int = 96) -> pixsim.Study:
+    """Study of as many film cells as dots, and of a die that grows with them."""
+    table = {"scene": {"file": "csf", "parameters": {"resolution": dots, "spp": 4}}, "camera": {"die_mm": 0.5 * dots / 96}}
+    table |= {"name": "small", "repeats": repeats, "pitch": {"values_um": PITCHES_UM}, "display": {"dots": dots}}
     return pixsim.Study.model_validate(table)
 
 
