@@ -315,22 +315,23 @@ def study(
         folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
         spreads = sweep.uncertainty_of(study, options.config or [])
         prepared = replace(sweep.prepare(plan, variant, quick), uncertainty=spreads)
-        outline = study_outline(prepared, jobs, plan.quickened if quick else plan)
+        asked, types = None, 0
+        if uncertainty is not None or sobol is not None:
+            if uncertainty is not None and sobol is not None:
+                raise invalid("--uncertainty", "with --sobol", "one of the two")
+            asked = Asked(uncertainty or sobol or 0, sobol is not None, tuple(smaller_than or ()), spreads)
+            types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes or dry_run)
+        elif smaller_than:
+            raise invalid("--smaller-than", "without --uncertainty", "--uncertainty N beside it")
+        outline = study_outline(prepared, jobs, plan.quickened if quick else plan, types)
         if dry_run:
             show(outline, json, "\n".join(outline_lines(outline, folder)))
             return
         check_number(len(prepared.cases), prepared.evaluations, yes)
         names = (axes_files if prepared.cases else report_files)(prepared.study)
-        asked = None
-        if uncertainty is not None or sobol is not None:
-            if uncertainty is not None and sobol is not None:
-                raise invalid("--uncertainty", "with --sobol", "one of the two")
-            asked = Asked(uncertainty or sobol or 0, sobol is not None, tuple(smaller_than or ()), spreads)
-            types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes)
+        if asked is not None:
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
-        elif smaller_than:
-            raise invalid("--smaller-than", "without --uncertainty", "--uncertainty N beside it")
         check_replaceable(folder, names)
         for line in long_lines(outline):
             common.verbosity.note(line)

@@ -16,6 +16,7 @@ from pixsim.sensor.technology import label_of
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.preparation import (
     LONG_S,
+    MOST_EVALUATIONS,
     PAGE_S,
     Cost,
     cases_cost,
@@ -73,11 +74,12 @@ def run_outline(
     return outline | common(source, header, settings, camera, view, sensors) | {"estimate": asdict(cost)}
 
 
-def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | None = None) -> dict[str, Any]:
+def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
     """Return what a study would do; nothing is rendered or written.
 
     jobs : processes; None means as many as it would take
     asked : the study before it was prepared, for the window that would take less than a minute
+    types : number of sensor types of --uncertainty or --sobol
     """
     first = prepared.parts[0][1]
     study, camera = first.study, first.camera
@@ -85,13 +87,15 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
     film = film_of(scene, camera, plan)
     cells = math.prod(film["samples"])
     lights = len({light_hash(case.study) for case, _ in prepared.parts})
-    cost = cases_cost([(case.study, part.camera) for case, part in prepared.parts], lights, plan, cells, jobs)
+    cost = cases_cost([(case.study, part.camera) for case, part in prepared.parts], lights, plan, cells, jobs, types)
     sensors = []
     for name in study.technologies:
         pitches_um = study_pitches_um(study, name).tolist()
         counts = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
         sensors.append({"technology": name, "pitch_um": pitches_um, "pixels": counts, "sensors": study.repeats})
     more: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name, "evaluations": prepared.evaluations}
+    if types:
+        more["sensor_types"] = types
     if prepared.cases:
         more["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case, _ in prepared.cases]
     elif cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, cells, jobs)):
@@ -168,6 +172,8 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
         rows.append(
             ("cases", f"{len(outline['cases'])}, {outline['evaluations']} evaluations; the lines above are those of the first")
         )
+    if types := outline.get("sensor_types"):
+        rows.append(("types", f"{types} sensor types, each at up to {MOST_EVALUATIONS} sensors around the optimum"))
     own_um = outline.get("own_um") or (outline["sensors"][0]["pitch_um"][0] if "study" not in outline else None)
     columns = None if own_um is None else pixels_along(width_um, own_um)
     shown = "; ".join(view_words(display, outline, columns)) or "one dot a pixel"

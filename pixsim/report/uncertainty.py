@@ -11,7 +11,7 @@ from pixsim.base.files import write_json
 from pixsim.show.pages import Drawn, write_figures, write_page
 from pixsim.studies.result import StudyResult
 from pixsim.studies.sensor_types import total_indices_of
-from pixsim.studies.uncertainty import UncertaintyResult, distribution_plate, indices_plate
+from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distribution_plate, indices_plate
 
 PAGE = "uncertainty.html"
 MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
@@ -57,6 +57,9 @@ def uncertainty_lines(found: Sequence[UncertaintyResult]) -> list[str]:
         low, middle, high = ("beyond the sizes tried" if end is None else f"{end:.2f} µm" for end in ends)
         name = f"{each.label}: " if each.label else ""
         types = f"{len(each.outcomes)} sensor types"
-        lines.append(f"{name}optimum of {types}: median {middle}, nine tenths from {low} to {high}")
+        own = (
+            f"; each is known to ±{NORMAL_95 * each.optimum.own_sd:.2g} µm by its own 95 % interval" if each.optimum.own_sd else ""
+        )
+        lines.append(f"{name}optimum of {types}: median {middle}, nine tenths from {low} to {high}{own}")
         lines += [f"{name}probability that {statement}: {words}" for statement, words in verdict_rows(each)]
     return lines

@@ -222,6 +222,8 @@ FRAME_S_PER_PIXEL = 2.6e-7  # integration, noise and ADC
 SCORE_S_PER_DOT = 2.2e-7  # shown picture and S-CIELAB
 START_S, PAGE_S = 4.0, 6.0  # scene, compiling of the renderer; figures and page
 CALIBRATIONS = 4.0  # renders of a calibration for a tolerance, each with a handful of frames
+MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
+TYPE_S = 0.3  # of a sensor type: its pixels, and the fit of its curve
 FILM_BYTES_PER_CELL = 120.0
 DOT_BYTES = 150.0
 BASE_BYTES = 3.0e8  # the program and its libraries
@@ -292,11 +294,14 @@ def study_cost(study: Study, camera: Camera, plan: Plan, cells: int, jobs: int |
     return cases_cost([(study, camera)], 1, plan, cells, jobs)
 
 
-def cases_cost(cases: Sequence[tuple[Study, Camera]], lights: int, plan: Plan, cells: int, jobs: int | None = None) -> Cost:
+def cases_cost(
+    cases: Sequence[tuple[Study, Camera]], lights: int, plan: Plan, cells: int, jobs: int | None = None, types: int = 0
+) -> Cost:
     """Estimate a study with its cases, and a report of the first of them.
 
     lights : that are rendered for them; the memory holds one of them, and some behind the lens
     plan, cells : of the first one
+    types : of sensors for each case, beside the study itself
     """
     study, _ = cases[0]
     jobs = jobs or min(fitting_jobs(*case) for case in cases)
@@ -307,12 +312,13 @@ def cases_cost(cases: Sequence[tuple[Study, Camera]], lights: int, plan: Plan, c
     calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0
     renders_s = START_S + lights * (render.seconds - START_S)
     evaluations_s = sum(study.repeats * seconds for (study, _), seconds in zip(cases, sums_s, strict=True)) / jobs
+    types_s = types * sum(TYPE_S + MOST_EVALUATIONS * seconds / len(of) for of, seconds in zip(frames, sums_s, strict=True)) / jobs
     largest = max(frame.memory_bytes for of_case in frames for frame in of_case)
     light = min(4.0 * cells * (plan.planes if plan.factored else plan.bands.width_nm.size), MOST_BYTES)
     behind_lens = FILM_BYTES_PER_CELL * cells / 2
     held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))
     most = max(render.memory_bytes, BASE_BYTES + light + held + jobs * (BASE_BYTES + largest))
-    return Cost(calibration_s + renders_s + evaluations_s + report_s, most, jobs)
+    return Cost(calibration_s + renders_s + evaluations_s + types_s + report_s, most, jobs)
 
 
 LONG_S = 60.0

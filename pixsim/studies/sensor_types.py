@@ -22,6 +22,7 @@ from pixsim.studies.claims import scaling_rows
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluations import Evaluations, Part, Sampling, scenes_of, study_pitches_um
 from pixsim.studies.indices import total_indices
+from pixsim.studies.preparation import MOST_EVALUATIONS
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.uncertainty import (
@@ -39,7 +40,6 @@ from pixsim.studies.uncertainty import (
     unknowns_of_study,
 )
 
-MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
 MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
 TYPES_FILE = "types.csv"
 

@@ -432,12 +432,13 @@ class ResultDistribution:
     """Distribution of a result over the sensor types.
 
     quantiles : p05, p25, p50, p75 and p95; None for one among the censored values. The values inside are drawn in about their
-        mean so that their standard deviation is `sd`
+        mean so that their standard deviation is `sd`, if they are `apart`; else they are those of the values as they are
     mean : of the values inside; None if none is
     sd : √(scatter_sd² - own_sd²), or 0 where that is negative
     scatter_sd : standard deviation of the values inside
     own_sd : root mean square of the standard deviations of the values by their own intervals
     censored_low, censored_high : shares of optima at or beyond the smallest and the largest pitch tried
+    apart : whether the inputs' own part, scatter_sd² - own_sd², is larger than its standard error, scatter_sd² √(2/(n - 1))
     values : (n,) drawn in; -inf and inf for censored ones
     """
 
@@ -448,6 +449,7 @@ class ResultDistribution:
     own_sd: float
     censored_low: float
     censored_high: float
+    apart: bool
     values: Array = field(repr=False, compare=False)
 
     @classmethod
@@ -458,16 +460,18 @@ class ResultDistribution:
         scatter = float(inside.std(ddof=1)) if inside.size > 1 else None
         sd = None if scatter is None else math.sqrt(max(scatter**2 - own_sd**2, 0.0))
         drawn_in = np.where(sides < 0, -np.inf, np.inf)
-        factor = sd / scatter if sd is not None and scatter else 1.0
+        # Types share random numbers, so that they may scatter by less than their own intervals say: no quantile of 0 width then.
+        apart = scatter is None or scatter**2 - own_sd**2 > scatter**2 * math.sqrt(2 / (inside.size - 1)) or own_sd == 0
+        factor = sd / scatter if sd is not None and scatter and apart else 1.0
         drawn_in[sides == 0] = inside if mean is None else mean + factor * (inside - mean)
         return cls(
             {f"p{percent:02d}": quantile_of(drawn_in, percent / 100) for percent in PERCENTS}, mean, sd, scatter, own_sd,
-            float(np.mean(sides < 0)), float(np.mean(sides > 0)), drawn_in,
+            float(np.mean(sides < 0)), float(np.mean(sides > 0)), apart, drawn_in,
         )  # fmt: skip
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as in summary.json."""
-        names = ("quantiles", "mean", "sd", "scatter_sd", "own_sd", "censored_low", "censored_high")
+        names = ("quantiles", "mean", "sd", "scatter_sd", "own_sd", "censored_low", "censored_high", "apart")
         return {name: getattr(self, name) for name in names}
 
 
@@ -554,7 +558,13 @@ class UncertaintyResult:
                 f"Stated values outside the middle half of their distribution, with quantiles: {', '.join(lopsided)}. So the "
                 "base's optimum need not be near the median"
             )
-        if optimum.own_sd and optimum.scatter_sd:
+        if optimum.own_sd and optimum.scatter_sd and not optimum.apart:
+            lines.append(
+                f"The optima have a standard deviation of {optimum.scatter_sd:.3g} µm; each is known to {optimum.own_sd:.3g} µm "
+                "by its own interval. So these types do not tell how far the inputs move the optimum: at most as far as the optima "
+                "scatter, whose quantiles are stated. More sensors of each size would tell"
+            )
+        elif optimum.own_sd and optimum.scatter_sd:
             lines.append(
                 f"The optima have a standard deviation of {optimum.scatter_sd:.3g} µm. Less their own intervals' "
                 f"{optimum.own_sd:.3g} µm (variances subtracted) it is {optimum.sd:.3g} µm. Types share random numbers, and so a "
@@ -732,6 +742,8 @@ def distribution_words(distribution: ResultDistribution, what: str, unit: str) -
         f"Median of the {what}: {text['p50']}{unit}; middle half from {text['p25']} to {text['p75']}{unit}, "
         f"nine tenths from {text['p05']} to {text['p95']}{unit}."
     )
+    if distribution.own_sd:
+        words += f" Each is known to ±{NORMAL_95 * distribution.own_sd:.2g}{unit} by its own 95 % interval."
     for share, end in ((distribution.censored_low, "smallest"), (distribution.censored_high, "largest")):
         words += f" Hatched: {share:.1%} at or beyond the {end} pixel size tried." if share else ""
     return words

@@ -109,6 +109,19 @@ def test_check_axes_more_than_one_small_axis_raises() -> None:
 SHEET = {"pitch_um": 5.0, "full_well_e": 1e4, "read_noise_e": 20.0, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.6}
 
 
+def test_dry_run_counts_the_time_of_sensor_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """64 types take eight times as long as 8, beside the study itself."""
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(written(technologies=["0.35um"]), encoding="utf-8")
+    seconds = []
+    for more in ("", " --uncertainty 8", " --uncertainty 64"):
+        code, out, err = command(f"study s.toml --jobs 1 --dry-run --json{more}")
+        assert code == 0, err
+        seconds.append(json.loads(out)["estimate"]["seconds"])
+    assert seconds[2] - seconds[0] == pytest.approx(8 * (seconds[1] - seconds[0]), rel=1e-9)
+    assert seconds[1] - seconds[0] > 8 * 0.1, "a tenth of a second for each type, its curve alone"
+
+
 @pytest.mark.slow  # the draws are those above; test_uncertainty has the numbers of sheets
 def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

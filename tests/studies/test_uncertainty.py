@@ -18,6 +18,7 @@ from scipy import stats
 from pixsim.base.config import checked, packaged, with_data_sheets
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Layer, Pixel, Spread, Study, merge
+from pixsim.report.uncertainty import uncertainty_lines
 from pixsim.sensor.technology import Technology, load_technology, technology_of
 from pixsim.studies.indices import total_indices
 from pixsim.studies.optimum import fit_curve
@@ -202,7 +203,7 @@ def test_propagate_all_optima_censored() -> None:
     result = propagate(NORMAL, sensor(linear, (10.0, 20.0)), 16)
     assert result.optimum.as_dict() == {
         "quantiles": dict.fromkeys(NAMES), "mean": None, "sd": None, "scatter_sd": None, "own_sd": 0.0, "censored_low": 1.0,
-        "censored_high": 0.0,
+        "censored_high": 0.0, "apart": True,
     }  # fmt: skip
     json.dumps(result.as_dict(), allow_nan=False)
     assert "100% of the optima" in indices_plate(result).caption
@@ -227,10 +228,20 @@ def test_propagate_subtracts_own_interval(noise_um: float) -> None:
     assert any("variances subtracted" in line for line in result.statements)
 
 
-def test_own_interval_wider_than_scatter_leaves_nothing() -> None:
-    result = propagate(NORMAL, sensor(linear, half_um=2.0), 64)
-    assert result.optimum.sd == 0
-    assert quantiles(result.optimum) == pytest.approx(np.full(5, result.optimum.mean), rel=1e-12)
+@pytest.mark.parametrize("half_um", [0.9, 2.0])
+def test_own_interval_as_wide_as_scatter_leaves_the_optima_as_they_are(half_um: float) -> None:
+    """Types that share their random numbers scatter by less than their intervals say: 0.5 µm here, 0.46 and 1.02 µm of their own.
+
+    Of 64 types, the variance that is left has a standard error of 18 % of theirs.
+    """
+    result = propagate(NORMAL, sensor(linear, half_um=half_um), 64)
+    assert result.optimum.sd == pytest.approx(math.sqrt(max(result.optimum.scatter_sd**2 - (half_um / 1.96) ** 2, 0)), abs=1e-4)
+    assert not result.optimum.apart
+    # Quantiles of 64 balanced points: those of the inputs to a thirty-second of the distribution.
+    np.testing.assert_allclose(quantiles(result.optimum), 3.1 + 0.5 * Z, atol=0.1)
+    (line,) = [line for line in result.statements if "do not tell" in line]
+    assert f"known to {half_um / 1.96:.3g} µm" in line
+    assert f"±{half_um:.2g} µm by its own 95 % interval" in uncertainty_lines([result])[0]
 
 
 @pytest.mark.parametrize(
