@@ -292,8 +292,9 @@ def test_evaluate_is_finite_and_in_range_or_raises() -> None:
             assert all(math.isfinite(value) for value in score.statistics().values())
 
     scored()
-    # Most of the other chains have a white that fills no well, or pixels larger than the die.
-    assert outcomes["accepted"] > 0.4 * outcomes.total(), outcomes
+    # Most of the other chains have a white that fills no well, or pixels larger than the die. About 45 % are accepted; which
+    # ones are drawn depends on the constants in the files that are imported. 14 or fewer of 60 have a probability of 4e-4.
+    assert outcomes["accepted"] >= 15, outcomes
 
 
 def any_technology() -> st.SearchStrategy[Technology]:
