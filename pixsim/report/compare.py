@@ -37,7 +37,7 @@ from pixsim.show.pictures import (
     worst_window,
 )
 from pixsim.studies.circumstances import SHARED, Circumstances
-from pixsim.studies.compare import OF_A_SENSOR, Compared, Comparison, Prepared, shown_delta_e, shown_probability, verdict
+from pixsim.studies.compare import OF_A_SENSOR, Compared, Comparison, Prepared, headline, shown_delta_e, shown_probability, verdict
 from pixsim.studies.preparation import PAGE_S, Cost, frame_cost, render_cost
 
 JSON_FILE, PAGE = "compare.json", "report.html"
@@ -117,7 +117,7 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
 
     notes : None for all of the result
     """
-    lines = [verdict(result, other) for other in result.names[1:]]
+    lines = [headline(result, other) for other in result.names[1:]]
     width = max(map(len, result.names))
     where = f" in {result.shown.prepared.condition}" if result.conditions else ""
     for number, compared in enumerate(result.sensors):
@@ -126,7 +126,9 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
         lines.append(f"  {compared.name:{width}}  mean {_shown_mean(result, compared.name)}  {words}")
     for part in result.conditions:
         name = f"{part.prepared.condition} (weight {part.prepared.weight:.3g})"
-        lines += [f"  {name}: {verdict(part, other)}" for other in part.names[1:]]
+        lines += [
+            f"  {name}: {verdict(part, other)}" for other in part.names[1:] if headline(result, other) == verdict(result, other)
+        ]
     lines.append(conditions_line(result.prepared))
     return lines + [f"note: {note}" for note in (result.notes if notes is None else notes)]
 
@@ -333,7 +335,7 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
     common = scene_rows(first.irradiance, parameters if isinstance(parameters, dict) else {}, light)
     page = {
         "names": result.names,
-        "verdicts": [verdict(result, other) for other in result.names[1:]],
+        "verdicts": [headline(result, other) for other in result.names[1:]],
         "conditions": conditions_line(prepared),
         "shown": shown.prepared.condition,
         "compared": _condition_rows(result),

@@ -655,7 +655,7 @@ class Comparison:
             (sensor.name, f"{sensor.sensor.pixel.pitch_um:g}", f"{mean:.3f} ({low:.3f} to {high:.3f})")
             for sensor, (low, mean, high) in zip(self.sensors, self.scores.values(), strict=True)
         ]
-        title = "; ".join(verdict(self, other) for other in self.names[1:])
+        title = "; ".join(headline(self, other) for other in self.names[1:])
         counted = ", ".join(f"{part.prepared.condition} ({weight:g})" for weight, part in self.counted)
         over = f"; the mean over the conditions {counted}" if counted else ""
         prepared = self.prepared
@@ -715,6 +715,24 @@ def verdict(result: Comparison, other: str) -> str:
         return f"{first} and {other} cannot be told apart: {better} is better by {size}, within the error of the film"
     visible = "" if abs(difference) >= NO_VISIBLE_DELTA_E else f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
     return f"{better} is better than {worse} by {size} (probability {of_better}){visible}"
+
+
+def _winner(result: Comparison, other: str) -> str | None:
+    """Return the sensor that is visibly better, the other of two or the first; empty for no visible difference, None if unsure."""
+    difference, (low, high) = result.difference[other], result.interval_delta_e[other]
+    if abs(difference) < NO_VISIBLE_DELTA_E:
+        return ""
+    better = result.names[0] if difference > 0 else other
+    return better if abs(difference) > (high - low) / 2 + (result.film_delta_e[other] or 0.0) else None
+
+
+def headline(result: Comparison, other: str) -> str:
+    """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree."""
+    counted = [part for part in result.conditions if part.prepared.weight > 0]
+    if len({_winner(part, other) for part in (result, *counted)} - {None}) < 2:
+        return verdict(result, other)
+    parts = [f"{part.prepared.condition} (weight {part.prepared.weight:.3g}): {verdict(part, other)}" for part in counted]
+    return "; ".join(["the conditions disagree", *parts, f"weighted mean: {verdict(result, other)}"])
 
 
 def sum_if_known(parts: Sequence[tuple[float, float | None]]) -> float | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from helpers.browser import assert_fits, assert_prints, assert_sliders_move, nee
 from helpers.commands import assert_refused, command
 from helpers.looks import text_of
 
-from pixsim.report.compare import shown_delta_e, verdict
+from pixsim.report.compare import headline, shown_delta_e, verdict
 from pixsim.studies.compare import Comparison
 
 SMALL = "--display.dots 120 --resolution 256 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
@@ -274,6 +275,28 @@ CERTAIN = " (probability > .999)"
 )  # fmt: skip
 def test_verdict_is_as_sure_as_its_numbers(first: list[float], other: list[float], film: float | None, words: str) -> None:
     assert verdict(result_of(first, other, film), "b") == words
+
+
+@pytest.mark.parametrize(
+    ("night", "disagree"),
+    [
+        ([1.0, 1.01], True),  # where the other sensor is as much better as the first by day
+        ([1.2, 1.21], True),  # where no difference is seen
+        ([1.3, 1.31], False),
+    ],
+)
+def test_headline_names_the_conditions_that_disagree(night: list[float], disagree: bool) -> None:
+    """The weighted mean alone would say that one sensor is better, and that nobody sees it."""
+    parts = [result_of([1.0, 1.01], [1.2, 1.21], 0.0), result_of([1.2, 1.21], night, 0.0)]
+    for part, name in zip(parts, ("day", "night"), strict=True):
+        part.__dict__["prepared"] = SimpleNamespace(condition=name, weight=0.5)
+    both = result_of([1.1, 1.11], [1.1 + (night[0] - 1) / 2, 1.11 + (night[1] - 1.01) / 2], 0.0)
+    both.__dict__["conditions"] = tuple(parts)
+    words = headline(both, "b")
+    assert (words != verdict(both, "b")) == disagree
+    if disagree:
+        named = [f"{name} (weight 0.5): {verdict(part, 'b')}" for part, name in zip(parts, ("day", "night"), strict=True)]
+        assert words == "; ".join(["the conditions disagree", *named, f"weighted mean: {verdict(both, 'b')}"])
 
 
 def test_shown_delta_e_has_no_more_digits_than_it_is_sure_of() -> None:
