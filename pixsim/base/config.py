@@ -63,7 +63,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         table = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, or an invalid date
-        raise invalid(source, error, "TOML, see https://toml.io") from None
+        hint = "A number has a decimal point and no unit, as 3.45 or 10500." if "Expected newline" in str(error) else ""
+        raise invalid(source, error, "TOML, see https://toml.io", hint) from None
     except RecursionError:
         raise invalid(source, "too many nested tables", f"at most {MAX_DEPTH} levels") from None
     if depth(table) > MAX_DEPTH:

@@ -75,6 +75,17 @@ class Layer:
         return True
 
 
+# Usual words for what has another name, the latter first where it is the same.
+OTHER_WORDS = {
+    **dict.fromkeys(("pixel_size", "pixel_size_um", "pixel_pitch", "pixel_pitch_um", "pitch"), ("pitch_um",)),
+    **dict.fromkeys(("bit_depth", "adc_bits"), ("bits",)),
+    **dict.fromkeys(("gain", "conversion_gain", "system_gain"), ("gain_e_per_dn", "dn_per_e")),
+    **dict.fromkeys(("qe", "peak_qe", "quantum_efficiency_percent"), ("quantum_efficiency",)),
+    **dict.fromkeys(("read_noise", "readout_noise"), ("read_noise_e",)),
+    **dict.fromkeys(("full_well", "full_well_capacity", "well_capacity"), ("full_well_e",)),
+    **dict.fromkeys(("black_level",), ("black_level_dn",)),
+    "sensor": ("[pixel]",),
+}
 MAX_VALUE = 80  # characters of a value in a message
 BRANCHES = ("table", "number")  # of a field that may be either, in the place of an error: no name of a user
 
@@ -83,7 +94,16 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
     """Message of an error: one line for a PixsimError, one line per problem for a ValidationError."""
     if not isinstance(error, ValidationError):
         return str(error)
-    return "\n".join(_line(error.title, problem, layers) for problem in error.errors())
+    lines: list[str] = []
+    listed: set[str] = set()
+    for problem in error.errors():
+        line = _line(error.title, problem, layers)
+        before, unknown, rest = line.partition(": unknown name; allowed: ")
+        names, _, hint = rest.partition(".")
+        table = f"{before.rpartition('.')[0] if '.' in before.rpartition(': ')[2] else ''}: {names}"
+        lines.append(f"{before}: unknown name.{hint}" if unknown and table in listed else line)
+        listed.add(table)
+    return "\n".join(lines)
 
 
 def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
@@ -95,6 +115,10 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
         tables = [table for table in known if name in _names(title, [*above, table])]  # a table header is missing
         inner = ".".join([*above, *tables])
         hint = f"It belongs in [{inner}]." if len(tables) == 1 else did_you_mean(name, known)
+        if usual := [word for word in OTHER_WORDS.get(name, ()) if word in known or (word.startswith("[") and not above)]:
+            hint = f"Write {' or '.join(usual)}."
+        elif not above and (own := [word for word in OTHER_WORDS.get(name, ()) if word in _names(title, ["pixel"])]):
+            hint = f"It belongs in [pixel], as {' or '.join(own)}."
         return f"{where}: unknown name; allowed: {', '.join(known)}.{hint and ' '}{hint}"
     if problem["type"] == "missing":
         field = _field(title, path)
@@ -110,7 +134,21 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
         message = f"a table of {', '.join(_names(title, path))}" if _names(title, path) else "a table"
     value = repr(problem["input"])
     value = value if len(value) <= MAX_VALUE else value[:MAX_VALUE] + "…"
-    return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}."
+    hint = _hint(path, problem["input"])
+    return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
+
+
+def _hint(path: Sequence[str], value: Any) -> str:
+    """How to write a value that was meant well: in per cent, with its unit in its name, or as a range; empty for others."""
+    name = path[-1] if path else ""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if name == "prnu" and is_number and 0 < value <= 100:
+        return f"{value:g} % is {value / 100:g}, or prnu_percent = {value:g}."
+    if name == "dark_current" and is_number:
+        return f"Write dark_current_e_per_s = {value:g}, or dark_current = {{ e_per_s = {value:g}, at_c = 25 }}."
+    if path[:1] == ["pixel"] and isinstance(value, list | tuple) and len(value) == 2:
+        return f"A range of what is not known: [pixel.uncertainty] {name} = {{ range = {list(value)} }}; several values: --axis."
+    return ""
 
 
 def _where(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
@@ -242,9 +280,14 @@ def as_quantum_efficiency(value: Any) -> Any:
         try:
             value = float(value)  # type: ignore[arg-type]
         except (ValueError, TypeError):  # TypeError: `value` is a Path
+            if (per_cent := re.fullmatch(r"\s*(\d{1,3}(?:\.\d{1,9})?)\s*%\s*", str(value))) and not Path(value).exists():
+                number = float(per_cent[1])
+                raise ValueError(f"got '{value}'; allowed: a fraction: {number:g} % is {number / 100:g}") from None
             return read_curve(Path(value))
     if isinstance(value, int | float):
         value = as_float(value)
+        if 1 < value <= 100:
+            raise ValueError(f"got {value:g}; allowed: a fraction: {value:g} % is {value / 100:g}")
         if not MIN_FRACTION <= value <= 1:
             raise ValueError(f"got {value:g}; allowed: greater than 0, up to 1; or a CSV file of wavelength in nm and value")
         return value

@@ -13,12 +13,12 @@ from helpers.commands import assert_refused, command
 from helpers.tiny import tiny_toml
 
 import pixsim
-from pixsim.base.config import checked, sheet_uncertainty, study_layers, with_data_sheets
+from pixsim.base.config import checked, settings_layer, sheet_uncertainty, study_layers, with_data_sheets
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import CameraOptions, Layer, Run, Study, pixel_of
+from pixsim.base.parameters import CameraOptions, Layer, Pixel, Run, Study, pixel_of
 from pixsim.cli.options import SceneOptions
 from pixsim.sensor.integration import pixels_along
-from pixsim.sensor.pixel import fill_factor_law
+from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.study import checked_study, load_study, read_study
 
@@ -466,3 +466,50 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
     assert Study.model_validate(table).camera.die_height_mm == 1.6
     with pytest.raises(ValueError, match="needs the pitch of the sensor"):
         Study.model_validate(table | {"pixel": {}})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[pixel]\npixel_size_um = 3", "Write pitch_um."),
+        ("[pixel]\ngain = 2", "Write gain_e_per_dn or dn_per_e."),
+        ("read_noise = 3", "It belongs in [pixel], as read_noise_e."),
+        ("[sensor]\nbits = 8", "Write [pixel]."),
+        ("[pixel]\nquantum_efficiency = 65", "a fraction: 65 % is 0.65."),
+        ("[pixel]\nquantum_efficiency = '65 %'", "a fraction: 65 % is 0.65."),
+        ("[pixel]\nprnu = 0.6", "0.6 % is 0.006, or prnu_percent = 0.6."),
+        ("[pixel]\ndark_current = 3", "Write dark_current_e_per_s = 3, or"),
+        (
+            "[pixel]\nread_noise_e = [1.8, 3.0]",
+            "[pixel.uncertainty] read_noise_e = { range = [1.8, 3.0] }; several values: --axis.",
+        ),
+        ("[pixel]\npitch_um = 3,45", "A number has a decimal point and no unit, as 3.45 or 10500."),
+        ("[pixel]\nfull_well_e = 10500 e-", "A number has a decimal point and no unit, as 3.45 or 10500."),
+    ],
+)
+def test_words_and_units_of_data_sheets_are_answered_in_ours(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(PixsimError) as error:
+        checked(Run, [settings_layer(tmp_path / "s.toml")])
+    assert words in str(error.value)
+
+
+def test_allowed_names_are_listed_once_a_table(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text("[pixel]\nbit_depth = 8\nqe = 0.5\n[camera]\nx = 1", encoding="utf-8")
+    with pytest.raises(PixsimError) as error:
+        checked(Run, [settings_layer(tmp_path / "s.toml")])
+    lines = str(error.value).splitlines()
+    assert [("allowed: " in line, line.partition("toml: ")[2].split(":")[0]) for line in lines] == [
+        (True, "camera.x"),
+        (True, "pixel.bit_depth"),
+        (False, "pixel.qe"),
+    ]
+    assert lines[2].endswith("pixel.qe: unknown name. Write quantum_efficiency.")
+
+
+def test_incomplete_sheet_names_what_it_lacks() -> None:
+    """Not only the pitch that the transistors of a process leave, which nobody chose."""
+    with pytest.raises(PixsimError, match=r"No technology was chosen: the default would supply dark_current_e_per_s\. Give"):
+        derive(Pixel(pitch_um=2.4, full_well_e=6000, read_noise_e=1.5, quantum_efficiency=0.6))
+    with pytest.raises(PixsimError, match="fill factor is reached"):
+        derive(Pixel(technology="0.35um", pitch_um=2.4))
