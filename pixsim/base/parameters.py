@@ -200,6 +200,9 @@ class RecordType(ModelMetaclass):
     """Calls of a record's class raise PixsimError; pydantic's own methods, such as `model_validate`, its ValidationError."""
 
     def __call__(cls, *args: Any, **fields: Any) -> Any:
+        if args:
+            hint = "Of a file: tomllib.loads(Path('sensor.toml').read_text())['pixel'], after ** in the brackets."
+            raise invalid(cls.__name__, repr(args[0])[:MAX_VALUE], "fields by name, as pitch_um=3.45", hint)
         try:
             return super().__call__(*args, **fields)
         except ValidationError as error:

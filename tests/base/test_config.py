@@ -513,3 +513,8 @@ def test_incomplete_sheet_names_what_it_lacks() -> None:
         derive(Pixel(pitch_um=2.4, full_well_e=6000, read_noise_e=1.5, quantum_efficiency=0.6))
     with pytest.raises(PixsimError, match="fill factor is reached"):
         derive(Pixel(technology="0.35um", pitch_um=2.4))
+
+
+def test_pixel_of_a_file_name_says_how_to_read_one() -> None:
+    with pytest.raises(PixsimError, match=r"Pixel: got 'sensor_a\.toml'; allowed: fields by name.*tomllib\.loads"):
+        Pixel("sensor_a.toml")
