@@ -286,6 +286,8 @@ class Tiling:
     worst : the same where it is largest, for pictures with detail there only
     wavelengths : of a light's blur
     nodes : wavefronts from the axis to the corner, between which others are interpolated
+    cut_error : what of the error comes from the size of the PSFs, with any number of tiles
+    lacking : largest share of the light that falls beyond a PSF; it is spread as a veil that falls as 1/r³
     """
 
     spacing_um: float
@@ -294,6 +296,8 @@ class Tiling:
     worst: float = 0.0
     wavelengths: int = WAVELENGTHS[0]
     nodes: int = NODES[0]
+    cut_error: float = 0.0
+    lacking: float = 0.0
 
     def cells(self, pitch_um: float) -> tuple[int, int]:
         """Return the spacing and the side of the PSFs, an odd number, in film cells."""
@@ -434,7 +438,7 @@ def _light_key(camera: Camera, tiling: Tiling, wavelength_nm: Array, weight: Arr
     """Return all that the PSFs of a light depend on but the film."""
     nm, share = traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
     behind = [] if transfer is None else [transfer(BEHIND_CY_PER_MM, one).tolist() for one in nm.tolist()]
-    return [camera.model_dump(mode="json"), asdict(replace(tiling, error=0.0, worst=0.0)), nm.tolist(), share.tolist(), behind]
+    return [camera.model_dump(mode="json"), asdict(replace(tiling, error=0.0, worst=0.0, cut_error=0.0, lacking=0.0)), nm.tolist(), share.tolist(), behind]
 
 
 def psfs_of(
@@ -642,8 +646,10 @@ def _chosen_tiling(
             right = transforms(light)
         cut = [np.fft.fftshift(np.fft.irfft2(one, (window, window))) for one in right]
         middle = slice(window // 2 - cells // 2, window // 2 + cells // 2 + 1)
-        found = np.array([transform_of([(1.0, Psf(one[middle, middle].astype(np.float32)))], pitch_um, window) for one in cut])
-        if error_of(found, right) <= CUT_SHARE * tolerance:
+        inside = [Psf(one[middle, middle].astype(np.float32)) for one in cut]
+        found = np.array([transform_of([(1.0, psf)], pitch_um, window) for psf in inside])
+        cut_error, lacking = error_of(found, right), max(psf.lacking for psf in inside)
+        if cut_error <= CUT_SHARE * tolerance:
             break
     fixed = 2 * math.pi * max(front.residual_waves for front in light.fronts) + of_wavelengths
     count = TILES[0]
@@ -655,6 +661,6 @@ def _chosen_tiling(
         error = fixed + error_of(found, right)
         if error <= tolerance or count == TILES[-1] or spacing == MIN_SPACING:
             worst = max(picture_error(one, other, pitch_um, aperture_um) for one, other in zip(found, right, strict=True))
-            return replace(tiling, error=error, worst=fixed + worst)
+            return replace(tiling, error=error, worst=fixed + worst, cut_error=cut_error, lacking=lacking)
         needed = count * (error / tolerance) ** (1 / TILE_ORDER)
         count = next((more for more in TILES if more >= needed and more > count), TILES[-1])
