@@ -61,6 +61,7 @@ TILE_ORDER = 3  # the error of tiles falls with this power of their number, or f
 TRIED = (0.0, 0.25, 0.5, 0.7, 0.86, 0.97)  # of the way to the corner of the die, where errors are found
 AREA_POINTS = 64  # along half a side of the die, by which the share of the area is found for which such a place stands
 TRIED_CELLS = 33  # of a PSF, with which the errors of wavelengths and nodes are found
+COARSE_WINDOW = 32  # film cells, for rays on a film that is too coarse for waves
 VIEW_STEPS = 4
 LIGHT_SHARE, CUT_SHARE = 0.2, 0.6  # of the tolerance, for wavelengths, for nodes, and for what a PSF lacks
 USUAL_TOLERANCE = 0.01  # of the rms of a blurred picture about its mean
@@ -438,7 +439,13 @@ def _light_key(camera: Camera, tiling: Tiling, wavelength_nm: Array, weight: Arr
     """Return all that the PSFs of a light depend on but the film."""
     nm, share = traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
     behind = [] if transfer is None else [transfer(BEHIND_CY_PER_MM, one).tolist() for one in nm.tolist()]
-    return [camera.model_dump(mode="json"), asdict(replace(tiling, error=0.0, worst=0.0, cut_error=0.0, lacking=0.0)), nm.tolist(), share.tolist(), behind]
+    return [
+        camera.model_dump(mode="json"),
+        asdict(replace(tiling, error=0.0, worst=0.0, cut_error=0.0, lacking=0.0)),
+        nm.tolist(),
+        share.tolist(),
+        behind,
+    ]
 
 
 def psfs_of(
@@ -590,6 +597,27 @@ def choose_tiling(
     return cache.load_or_compute("tiling", key, TypeAdapter(Tiling).validate_python, lambda: _chosen_tiling(*settings), asdict)
 
 
+def _without_blur(
+    camera: Camera, light: Light, heights_um: Array, share: list[float], pitch_um: float, aperture_um: float
+) -> Tiling:
+    """Return the tiling of a film whose cells are too coarse for waves, with the error of leaving the blur of rays out."""
+    along, across = np.fft.fftfreq(COARSE_WINDOW, pitch_um), np.fft.rfftfreq(COARSE_WINDOW, pitch_um)
+    exact = np.zeros((heights_um.size, along.size, across.size), complex)
+    outside = np.zeros(heights_um.size)
+    for front, part in zip(light.fronts, light.share, strict=True):
+        for place, height_um in enumerate(heights_um.tolist()):
+            misses_um = front.misses_um(height_um)
+            sagittal, radial = (
+                np.exp(-2j * np.pi * f[:, None] * miss) for f, miss in zip((along, across), misses_um.T, strict=True)
+            )
+            exact[place] += part / len(misses_um) * (sagittal @ radial.T)
+            outside[place] += part * np.mean(np.abs(misses_um).max(axis=-1) > pitch_um / 2)
+    error = picture_error(np.ones_like(exact), exact, pitch_um, aperture_um, share=share)
+    worst = max(picture_error(np.ones_like(one), one, pitch_um, aperture_um) for one in exact)
+    side_um = 1e3 * max(camera.die_mm, camera.height_mm)
+    return Tiling(side_um, 0.0, error, worst, cut_error=error, lacking=float(outside.max()))
+
+
 def _chosen_tiling(
     camera: Camera, shape: tuple[int, int], pitch_um: float, bands: Array, weights: Array, aperture_um: float, tolerance: float
 ) -> Tiling:
@@ -630,7 +658,7 @@ def _chosen_tiling(
     for wavelengths in WAVELENGTHS:
         light, exact = traced(wavelengths), traced(2 * wavelengths)
         if not (most := most_cells(light, pitch_um)):
-            return Tiling(1e3 * max(camera.die_mm, camera.height_mm), 0.0, 0.0)
+            return _without_blur(camera, light, heights_um, share, pitch_um, aperture_um)
         window = window_of(exact, min(TRIED_CELLS, most))
         right = transforms(light)
         of_wavelengths = error_of(right, transforms(exact))
@@ -648,7 +676,7 @@ def _chosen_tiling(
         middle = slice(window // 2 - cells // 2, window // 2 + cells // 2 + 1)
         inside = [Psf(one[middle, middle].astype(np.float32)) for one in cut]
         found = np.array([transform_of([(1.0, psf)], pitch_um, window) for psf in inside])
-        cut_error, lacking = error_of(found, right), max(psf.lacking for psf in inside)
+        cut_error, lacking = error_of(found, right), max(0.0, *(psf.lacking for psf in inside))
         if cut_error <= CUT_SHARE * tolerance:
             break
     fixed = 2 * math.pi * max(front.residual_waves for front in light.fronts) + of_wavelengths

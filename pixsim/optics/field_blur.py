@@ -42,6 +42,7 @@ PADDING = 1.5  # of the window of a PSF, for its OTF between frequencies: 2e-3 o
 SPLINE_MARGIN = 3  # frequencies, so that the end of a spline is not seen
 GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a period
 VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
+RAYS = 200  # by which the share of light is judged that leaves a film cell
 ROUNDING = 1e-9  # of lengths that are equal
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
@@ -106,6 +107,19 @@ class FittedWavefronts:
         if height_um > end and np.any(numbers[:2] < SHRUNK * self.numbers[-1, :2]):
             return np.asarray(self.numbers[-1])
         return numbers
+
+    def misses_um(self, height_um: float) -> Array:
+        """Return how far rays that fill the pupil evenly land from the point of the field, (n, 2): sagittal and radial."""
+        numbers, exponents = self.at(height_um), powers()
+        radius, turn = np.sqrt((np.arange(RAYS) + 0.5) / RAYS), np.arange(RAYS) * math.pi * (3 - math.sqrt(5))
+        u, v = (radius * np.sin(turn))[:, None], (radius * np.cos(turn))[:, None]
+        a, b = exponents.T
+        slopes = a * u ** np.maximum(a - 1, 0) * v**b, b * u**a * v ** np.maximum(b - 1, 0)
+        coefficients = numbers[3 : 3 + len(exponents)]
+        misses = [
+            self.wavelength_nm * UM_PER_NM * (slope @ coefficients) / half for slope, half in zip(slopes, numbers, strict=False)
+        ]
+        return np.stack(misses, axis=-1) + np.array([0.0, numbers[2]])
 
 
 def powers() -> NDArray[np.intp]:
@@ -271,7 +285,7 @@ def _even_window(light: Light, heights_um: Iterable[float], pitch_um: float, cel
 def most_cells(light: Light, pitch_um: float) -> int:
     """Return the odd number of film cells along a side of the largest PSF whose pupil has `MOST_SAMPLES` across; 0 for none.
 
-    On a film so coarse that it is 0, a PSF falls on one cell.
+    On a film so coarse that it is 0, diffraction keeps to one cell.
     """
     cutoff = max(2 * float(front.numbers[:, :2].max()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
     cells = int(MOST_SAMPLES / (WINDOW * pitch_um * cutoff))

@@ -54,9 +54,15 @@ def decide_real_lens(
     target = BLUR_TOLERANCES * tolerance_e / (4 if full else 1)
     tiling = choose_tiling(camera, shape, pitch_um, tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um, target)
     tiles = math.ceil(1e3 * max(camera.die_mm, camera.height_mm) / tiling.spacing_um)
-    reason = f"{words}; {tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to {tiling.lacking:.1%} of the light, "
+    reason = (
+        f"{words}; {tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to {tiling.lacking:.1%} of the light, "
+    )
     reason += f"from wavefronts of {tiling.nodes} fields and {tiling.wavelengths} wavelengths: rms error "
-    reason += f"up to {tiling.error:.1e} of the contrast of detail all over the picture, {tiling.cut_error:.1e} of it by the size of "
+    if not tiling.psf_um:
+        reason = f"{words}; no blur, on film cells of {pitch_um:.3g} µm: rms error "
+    reason += (
+        f"up to {tiling.error:.1e} of the contrast of detail all over the picture, {tiling.cut_error:.1e} of it by the size of "
+    )
     reason += f"the PSFs; {tiling.worst:.1e} where it is largest"
     return tiling, [Decision("real lens", True, reason, bounded=False)]
 
@@ -153,10 +159,16 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[
         )
     if tiling is not None and tiling.error > BLUR_TOLERANCES * tolerance_e:
         size = f"of up to {tiling.error:.1%} of" if tiling.error < 1 else "as large as"
-        notes.append(
-            f"the blur of the real lens has an rms error {size} the picture's contrast, above "
-            f"{BLUR_TOLERANCES * tolerance_e:.1%}: its PSFs of {tiling.psf_um:.3g} µm lack up to {tiling.lacking:.1%} of the light, which "
-            f"makes {tiling.cut_error:.1%}; tiles reach their limit of {TILES[-1]} across the die or {MIN_SPACING} film cells each, or "
-            "wavefronts are too steep for polynomials"
-        )
+        size += f" the picture's contrast, above {BLUR_TOLERANCES * tolerance_e:.1%}"
+        if tiling.psf_um:
+            notes.append(
+                f"the blur of the real lens has an rms error {size}: its PSFs of {tiling.psf_um:.3g} µm lack up to "
+                f"{tiling.lacking:.1%} of the light, which makes {tiling.cut_error:.1%}; tiles reach their limit of {TILES[-1]} "
+                f"across the die or {MIN_SPACING} film cells each, or wavefronts are too steep for polynomials"
+            )
+        else:
+            notes.append(
+                f"the film is too coarse for the blur of the real lens, which is left out: an rms error {size}; up to "
+                f"{tiling.lacking:.1%} of a point's light would leave its cell. Take a finer film"
+            )
     return notes

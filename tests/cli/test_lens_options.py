@@ -11,8 +11,9 @@ from helpers.commands import command
 from pixsim import load_lens, load_scene
 from pixsim.base.config import packaged
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import CameraOptions, LensOptions
+from pixsim.base.parameters import CameraOptions, LensOptions, Pixel
 from pixsim.cli.commands import with_lens_file
+from pixsim.scene.plan import make_render_plan
 
 # Settings of [lens] and [camera], and what the error names.
 WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
@@ -69,6 +70,19 @@ def test_wrong_lenses_are_one_error_in_toml_on_the_command_line_and_in_python(
         assert named in re.sub(r"\s+", " ", err)
     with pytest.raises(PixsimError, match=re.escape(named)):
         load_scene("csf", resolution=16).camera(CameraOptions(**camera), LensOptions(**lens))
+
+
+def test_a_psf_larger_than_any_that_is_computed_is_one_error_by_every_route(folder: Path) -> None:
+    named = r"PSF window: got \d+ µm of \d+ film cells; allowed: at most 4096 cells\. Take a coarser film or a smaller f-number\."
+    lens, camera = LensOptions(file="phone"), CameraOptions(f_number=100.0)
+    (folder / "run.toml").write_text("[lens]\nfile = 'phone'\n[camera]\nf_number = 100\n", encoding="utf-8")
+    for words in (["--config", "run.toml"], ["--lens", "phone", "--camera.f-number", "100"]):
+        code, out, err = command("plan csf -D resolution=8192", *words)
+        assert (code, out) == (2, ""), err
+        assert re.search(named, re.sub(r"\s+", " ", err))
+    scene = load_scene("csf", resolution=8192)
+    with pytest.raises(PixsimError, match=named):
+        make_render_plan(scene, scene.camera(camera, lens), Pixel(pitch_um=6.5))
 
 
 TOML = packaged("data/lenses")["singlet"].read_text(encoding="utf-8")

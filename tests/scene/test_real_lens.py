@@ -15,7 +15,7 @@ from pixsim.optics.lens_defocus import defocus_error, depth_of_disc_m, largest_d
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.contents import Body
 from pixsim.scene.plan import make_render_plan
-from pixsim.scene.real_lens import SEEN_NM, depth_ranges_m, tried_discs_um
+from pixsim.scene.real_lens import SEEN_NM, depth_ranges_m, real_lens_warnings, tried_discs_um
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import diffracted_rate, ideal_rate
 from pixsim.sensor.pixel import derive
@@ -77,9 +77,38 @@ def test_plan_states_the_tiles_and_their_error(singlet) -> None:
     assert decision.kept
     assert "'singlet' at" in decision.reason
     assert "tiles across with PSFs of" in decision.reason
-    assert 0 < plan.tiling.error < 1
+    assert 0 < plan.tiling.cut_error <= plan.tiling.error < 1
+    assert 0 <= plan.tiling.lacking < 0.1
+    assert f"which lack up to {plan.tiling.lacking:.1%} of the light" in decision.reason
     assert image.header[LENS_HEADER]["error"] == plan.tiling.error
     assert Camera(**image.header["camera"]) == camera
+
+
+def test_light_that_does_not_fit_a_film_cell_or_a_psf_is_told() -> None:
+    """Rays of a singlet at f/5 and 96 mm miss by half a millimetre: more than cells of 250 µm, on which no waves are followed."""
+    scene, camera = through("singlet", 24.0, 96, "flat", refocus="paraxial")
+    plan = make_render_plan(scene, camera, PIXEL)
+    assert plan.tiling.psf_um == 0
+    assert plan.tiling.error > 0.5
+    lens = traced_lens(camera.lens, camera.object_distance_m)
+    y, x = np.indices((41, 41)) / 20 - 1
+    inside = np.hypot(x, y) <= 1
+    light = derive(PIXEL).quantum_efficiency(SEEN_NM) * photons_per_joule(SEEN_NM)
+    nm = float(np.average(SEEN_NM, weights=light))
+    field = lens.field_of_height(0.97 * math.hypot(12, 12), lens.primary_nm)
+    waves = lens.wavefront(np.array([field]), np.array([nm]), x[inside], y[inside])
+    outside = np.maximum(np.abs(waves.x_mm[0]), np.abs(waves.y_mm[0])) > 0.125
+    assert plan.tiling.lacking == pytest.approx(outside.mean(), abs=0.1)
+    (told,) = [note for note in plan.warnings if "the film is too coarse for the blur" in note]
+    assert f"up to {plan.tiling.error:.1%} of the picture's contrast" in told
+    assert "Take a finer film" in told
+    cut = replace(plan.tiling, psf_um=445.0, error=0.1, cut_error=0.09, lacking=0.5)
+    (told,) = [note for note in real_lens_warnings(camera, cut, [], 1e-3) if "blur" in note]
+    assert (
+        "up to 10.0% of the picture's contrast, above 1.0%: its PSFs of 445 µm lack up to 50.0% of the light, which makes 9.0%"
+        in told
+    )
+    assert not [note for note in real_lens_warnings(camera, replace(cut, error=0.01), [], 1e-3) if "blur" in note]
 
 
 def test_picture_has_the_traced_fall_off_and_the_glass_is_not_counted_twice() -> None:
