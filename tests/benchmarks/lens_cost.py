@@ -67,12 +67,19 @@ def forget() -> None:
     camera_lens._PSFS.clear()
 
 
+def seen_by_pixels(picture: Array, pitch_um: float) -> Array:
+    """The picture as square pixels average it, for which the plan's bound is."""
+    along, across = np.fft.fftfreq(picture.shape[0], pitch_um), np.fft.rfftfreq(picture.shape[1], pitch_um)
+    averaged = np.sinc(along * APERTURE_UM)[:, None] * np.sinc(across * APERTURE_UM)
+    return np.fft.irfft2(np.fft.rfft2(picture) * averaged, picture.shape)
+
+
 def superposed_at(picture: Array, points: Array, light: Light, pitch_um: float) -> Array:
-    """The blurred picture at cells (n, 2), each lit cell with its own PSF."""
+    """The blurred picture at cells (n, 2) as pixels see it, each lit cell with its own PSF."""
 
     def psf_of(source: Array) -> Array:
         y_um, x_um = (source - (SIDE - 1) / 2) * pitch_um
-        return periodic_psf(light, x_um, y_um, pitch_um, WINDOW)
+        return seen_by_pixels(periodic_psf(light, x_um, y_um, pitch_um, WINDOW), pitch_um)
 
     values = []
     for point in points:
@@ -118,10 +125,14 @@ def measure_errors(camera: Camera, pitch_um: float, tiling: Tiling, points: int 
         return blur_of(camera, (SIDE, SIDE), pitch_um, wanted, SEEN_NM, WEIGHT)
 
     exact = superposed_at(dots, places, light_of(camera, SEEN_NM, WEIGHT, tiling), pitch_um)
-    finest = [blurred(at(FINEST), picture) for picture in (dots, chart)]
+
+    def seen(tiles: float) -> list[Array]:
+        return [seen_by_pixels(blurred(at(tiles), picture), pitch_um) for picture in (dots, chart)]
+
+    finest = seen(FINEST)
     parts = {}
     for tiles in (SIDE / tiling.cells(pitch_um)[0], *COMPARED):
-        found = [blurred(at(tiles), picture) for picture in (dots, chart)]
+        found = seen(tiles)
         parts[tiles] = [relative((one - fine)[NEAR:-NEAR, NEAR:-NEAR], fine) for one, fine in zip(found, finest, strict=True)]
         total = relative(found[0][tuple(places.T)] - exact, found[0])
         print(
