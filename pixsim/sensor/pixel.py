@@ -856,7 +856,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         hint = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
         if assumed := pixel.assumption:
             missing = assumed.partition("without ")[2]
-            hint = f"No technology was chosen: the default would supply {missing}. Give {missing}, and the pixel needs none."
+            hint = f"No technology was chosen: the default would supply {missing}. Give {missing}, and the pixel needs none. {hint}"
         raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, hint)
     area_um2 = fill_factor * pixel.pitch_um**2
     gain_e_per_dn = pixel.gain_e_per_dn if pixel.dn_per_e is None else 1 / pixel.dn_per_e

@@ -184,8 +184,8 @@ AXIS = '[[axis]]\nname = "noise"\nset = "pixel.read_noise_e"\nvalues = [2, 20]\n
     ("table", "kept"),
     [
         (AXIS, (75, 1e3 / 24)),
-        (DUSK + '[[condition]]\nname = "edge"\nset.scene.file = "slanted_edge"\n', (75, None)),
-        # More values of the claim of the first two.
+        # More values of the claim of the first.
+        pytest.param(DUSK + '[[condition]]\nname = "edge"\nset.scene.file = "slanted_edge"\n', (75, None), marks=pytest.mark.slow),
         pytest.param(
             DUSK + '[[condition]]\nname = "few"\nset.display.dots = 32\nset.scene.parameters.max_lp_per_mm = 20\n',
             (75, 1e3 / 24),
