@@ -20,7 +20,7 @@ from pixsim.base.parameters import Exposure, Pixel
 from pixsim.measure.estimators import Frames, Series, pair, series
 from pixsim.sensor.collection import collected_fraction, even_light
 from pixsim.sensor.photodiode import stored_signal_e
-from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
+from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
@@ -235,6 +235,7 @@ def make_experiment(
     if min(shape) < LEAST_SIDE:
         raise invalid("shape", f"{shape[0]} × {shape[1]} pixels", f"at least {LEAST_SIDE} × {LEAST_SIDE}")
     warn_of_disagreements(pixel)
+    warn_of_implausible_numbers(pixel)
     exposure = exposure or Exposure()
     raw = most_frequent_channel(derive(pixel).at_gain(exposure.gain_db).as_read)
     time_s = usual_integration_s(raw, exposure)

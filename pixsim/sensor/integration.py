@@ -37,7 +37,7 @@ from pixsim.sensor.collection import (
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.pixel import PixelPhysics, other_unit_of_pitch
 
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
 EDGE_CONTRAST = 100.0  # ratio of neighbouring samples; a step rings by 1 % of its bright side, one sample and more away from it
@@ -311,7 +311,7 @@ def pixels_along(length_um: float, pitch_um: float) -> int:
     """Return `pixel_count`. Raises PixsimError if not one pixel fits."""
     count = pixel_count(length_um, pitch_um)
     if count < 1:
-        raise invalid("pixel.pitch_um", f"{pitch_um:g}", f"at most the die, {length_um:g} µm")
+        raise invalid("pixel.pitch_um", f"{pitch_um:g}", f"at most the die, {length_um:g} µm", other_unit_of_pitch(pitch_um))
     return count
 
 

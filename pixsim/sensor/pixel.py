@@ -45,9 +45,9 @@ from pixsim.sensor.technology import Junction, Technology, load_technology, tech
 
 # The public names; everything else is internal.
 __all__ = [
-    "PixelPhysics", "derive", "fill_factor_law", "given_efficiency", "growth_from_data_sheet", "photodiode_widths_um",
-    "physics_of", "pitch_for_fill_factor_um", "response_curve", "sheet_disagreements", "silicon_curve", "smallest_pitch_um",
-    "warn_of_disagreements",
+    "PixelPhysics", "derive", "fill_factor_law", "given_efficiency", "growth_from_data_sheet", "implausible_numbers",
+    "other_unit_of_pitch", "photodiode_widths_um", "physics_of", "pitch_for_fill_factor_um", "response_curve",
+    "sheet_disagreements", "silicon_curve", "smallest_pitch_um", "warn_of_disagreements", "warn_of_implausible_numbers",
 ]  # fmt: skip
 
 ELECTRON_C = 1.602176634e-19  # SI 2019, exact
@@ -996,6 +996,70 @@ def warn_of_disagreements(pixel: Pixel, technology: Technology | None = None) ->
     Raises PixsimError as `derive` does.
     """
     for text in sheet_disagreements(pixel, technology):
+        warn(text)
+
+
+# Beyond these, a number of a data sheet is rather in another unit. The published sheets of the tests are at most at 30 % of the
+# well (the high-gain channel of one with two), 7500 e-, 1 % and 11 µm.
+CLIPPED_WELL, SMALL_WELL_E, LARGE_PRNU, LARGE_PITCH_UM = 0.25, 100.0, 0.05, 100.0
+
+
+def other_unit_of_pitch(pitch_um: float) -> str:
+    """Return the pitch that was meant if a large one was given in nm, in words; empty for a usual one."""
+    return f"{pitch_um:g} nm is {pitch_um / 1e3:g} µm." if pitch_um > LARGE_PITCH_UM else ""
+
+
+@checks_arguments
+def implausible_numbers(pixel: Pixel, technology: Technology | None = None) -> list[str]:
+    """Return a sentence for each given number of a pixel that is possible, but more likely in another unit.
+
+    Raises PixsimError as `derive` does.
+    """
+    found = []
+    for name in ("pitch_um", "data_sheet_pitch_um"):
+        pitch_um = getattr(pixel, name)
+        if pitch_um is not None and (meant := other_unit_of_pitch(pitch_um)):
+            found.append(f"{name} = {pitch_um:g} is {pitch_um / 1e3:g} mm. {meant}")
+    for name in ("full_well_e", "saturation_capacity_e"):
+        well_e = getattr(pixel, name)
+        if well_e is not None and well_e < SMALL_WELL_E:
+            found.append(f"{name} = {well_e:g} is a well of {well_e:g} electrons. {well_e:g} ke- is {name} = {1e3 * well_e:g}.")
+    if pixel.prnu is not None and pixel.prnu > LARGE_PRNU:
+        per_cent = f"prnu = {pixel.prnu / 100:g}, or prnu_percent = {pixel.prnu:g}"
+        found.append(f"prnu = {pixel.prnu:g} is {100 * pixel.prnu:g} %. {pixel.prnu:g} % is {per_cent}.")
+    return [f"pixel: {text}" for text in [*found, *_clipped_well(pixel, technology)]]
+
+
+def _clipped_well(pixel: Pixel, technology: Technology | None) -> list[str]:
+    """Return a sentence if the ADC at 0 dB ends far below the full well, at the data sheet's own pitch."""
+    gains = {"gain_e_per_dn": "dn_per_e", "dn_per_e": "gain_e_per_dn", "adc_full_scale_e": None}
+    name = next((name for name in gains if getattr(pixel, name) is not None), None)
+    if name is None:
+        return []
+    own = {"pitch_um": pixel.data_sheet_pitch_um or pixel.pitch_um, "data_sheet_pitch_um": None}
+    p = derive(pixel.model_copy(update=own), technology)
+    share = p.adc_range_e / p.full_well_e
+    if share >= CLIPPED_WELL:
+        return []
+    value, other = getattr(pixel, name), gains[name]
+    # The range that the reciprocal gain has.
+    meant_e = math.inf if other is None else pixel.codes_dn * p.dn_per_e
+    if CLIPPED_WELL <= meant_e / p.full_well_e <= 1 / CLIPPED_WELL:
+        unit = "DN per electron" if other == "dn_per_e" else "electrons per DN"
+        hint = f"If the gain was meant in {unit}, set {other} = {value:g} in its place."
+    else:
+        hint = f"Check {name}, bits and the full well."
+    clips = f"the ADC clips at {p.adc_range_e:.0f} of {p.full_well_e:.0f} e-, {100 * share:.2g} % of the full well"
+    return [f"with {name} = {value:g}, {clips}. {hint}"]
+
+
+@checks_arguments
+def warn_of_implausible_numbers(pixel: Pixel, technology: Technology | None = None) -> None:
+    """Warn of each of the `implausible_numbers`, on behalf of the public function that calls this one.
+
+    Raises PixsimError as `derive` does.
+    """
+    for text in implausible_numbers(pixel, technology):
         warn(text)
 
 

@@ -18,7 +18,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_on
 from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
-from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
+from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
@@ -125,6 +125,7 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float | 
     (512, 512)
     """
     warn_of_disagreements(pixel)
+    warn_of_implausible_numbers(pixel)
     aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
     physics, width_um = derive(pixel).as_read, camera.die_um[1]
     shape = pixels_on((width_um / aspect, width_um), physics.read_pitch_um)

@@ -36,7 +36,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
-from pixsim.sensor.pixel import PixelPhysics, physics_of, warn_of_disagreements
+from pixsim.sensor.pixel import PixelPhysics, physics_of, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.technology import label_of, technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
@@ -319,6 +319,8 @@ def check_pitches(study: Study) -> None:
         for pitch_um in pitches_um:
             physics_of(study, technology, pitch_um, process)
         warn_of_disagreements(pixel_of(study, technology, pitches_um[-1]), process)
+        # A study tries pixels larger than usual ones, whose wells outgrow a given gain: only the smallest tells of a unit.
+        warn_of_implausible_numbers(pixel_of(study, technology, pitches_um[0]), process)
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"

@@ -30,7 +30,7 @@ from pixsim.sensor.collection import (
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
 from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, lights_of
-from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
+from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.readout import (
     MAX_BLACK,
     Frame,
@@ -657,6 +657,7 @@ def make_imaging_chain(
     check_develop(develop, pixel)
     physics = derive(pixel)
     warn_of_disagreements(pixel)
+    warn_of_implausible_numbers(pixel)
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
     light = prepare_scene(irradiance, camera, physics, display, full)
     warn_of_clipping(light.beyond_white)
