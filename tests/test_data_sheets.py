@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 import warnings
 from functools import partial
 from pathlib import Path
@@ -12,16 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.commands import command
-from helpers.tiny import rows, tiny_toml, toml_of
+from helpers.tiny import rows, tiny, tiny_toml, toml_of
 
 import pixsim
 from pixsim.base.config import read_toml
-from pixsim.base.parameters import Study
+from pixsim.base.parameters import Pixel, Study, is_data_sheet
 from pixsim.cli.options import SceneOptions
 from pixsim.measure import datasheet
 from pixsim.measure.datasheet import entries, make_datasheet, sheet_summary
 from pixsim.sensor.integration import pixels_along
-from pixsim.sensor.pixel import sheet_disagreements
+from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.study import check_technologies, load_study, prepare
 
@@ -265,8 +266,61 @@ def test_sheet_disagreements_name_both_numbers(options: dict[str, float], messag
 
 def test_sheet_disagreements_of_published_sheets_are_none() -> None:
     for path in SHEETS.glob("*.toml"):
-        found = sheet_disagreements(SceneOptions([path]).settings().pixel)
+        pixel = SceneOptions([path]).settings().pixel
+        found = [*sheet_disagreements(pixel), *implausible_numbers(pixel)]
         assert not found, (path.name, found)
+
+
+def test_implausible_numbers_of_sheets_in_docs_are_none() -> None:
+    pages = (Path(__file__).parents[1] / "docs").rglob("*.md")
+    blocks = [text for page in pages for text in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)]
+    of_pixels = [tomllib.loads(text).get("pixel", {}) for text in blocks]
+    tables = [{name: value for name, value in table.items() if name != "uncertainty"} for table in of_pixels]
+    sheets = [
+        Pixel(**table) for table in tables if is_data_sheet(table, "pitch_um") and isinstance(table["quantum_efficiency"], float)
+    ]
+    assert len(sheets) > 3, "those of first_sensor.md and others"
+    for pixel in sheets:
+        assert not implausible_numbers(pixel), pixel
+
+
+UNITS: dict[str, Any] = SHEET | {"full_well_e": 12.0, "prnu": 0.2}
+GAIN: dict[str, Any] = SHEET | {"gain_e_per_dn": 0.4}
+
+
+@pytest.mark.parametrize(("pixel", "count"), [(SHEET, 0), (UNITS, 2), (GAIN, 1)], ids=["sheet", "units", "gain"])
+def test_implausible_numbers_are_noted_by_every_entry(pixel: dict[str, Any], count: int, tmp_path: Path) -> None:
+    wanted = [text.removesuffix(".") for text in implausible_numbers(Pixel(**pixel))]
+    assert len(wanted) == count
+    file = file_of(tmp_path / "a.toml", pixel)
+    with warnings.catch_warnings(action="always"):
+        code, out, err = command(f"run csf {SMALL} --json", "--config", file, "--out", tmp_path / "run")
+    assert code == 0, err
+    assert [err.count(f"warning: {text}.\n") for text in wanted] == [1] * count
+    assert [note for note in json.loads(out)["notes"] if note in wanted] == wanted
+    irradiance = pixsim.read_exr(tmp_path / "run/irradiance.exr")
+    camera = pixsim.Camera.model_validate(irradiance.header["camera"])
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        pixsim.evaluate(irradiance, camera, Pixel(**pixel), display=pixsim.Display(dots=64))
+    assert [str(warning.message).removesuffix(".") for warning in caught if "pixel: " in str(warning.message)] == wanted
+    in_study = {name: value for name, value in pixel.items() if name != "pitch_um"} | {"data_sheet_pitch_um": 30.0}
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        prepare(tiny(technologies=["none"], pixel=in_study, pitch={"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}))
+    assert [str(warning.message).removesuffix(".") for warning in caught if "pixel: " in str(warning.message)] == wanted
+
+
+def test_compare_names_the_sensor_of_an_implausible_number(tmp_path: Path) -> None:
+    files = [file_of(tmp_path / "good.toml", SHEET), file_of(tmp_path / "bad.toml", GAIN)]
+    with warnings.catch_warnings(record=True, action="always"):
+        result = pixsim.compare(files, repeats=2, jobs=1, resolution=64, display={"dots": 32})
+    (note,) = [note for note in result.notes if "clips at" in note]
+    assert note.startswith("bad: pixel: with gain_e_per_dn = 0.4, the ADC clips at 1638 of 12000 e-")
+
+
+@pytest.mark.parametrize(("pitch_um", "hint"), [(3450.0, " 3450 nm is 3.45 µm."), (99.0, "")])
+def test_pitch_beyond_the_die_raises_with_other_unit(pitch_um: float, hint: str) -> None:
+    with pytest.raises(pixsim.PixsimError, match=rf"got {pitch_um:g}; allowed: at most the die, 90 µm\.{re.escape(hint)}$"):
+        pixels_along(90.0, pitch_um)
 
 
 # --- Several sensors ----------------------------------------------------------------------------------------------------

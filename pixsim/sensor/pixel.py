@@ -636,6 +636,22 @@ class PixelPhysics:
         return self.reset_noise_e**2 + self.read_noise_at_gain_e**2 + dark_e
 
 
+# Beyond these, a number of a data sheet is rather in another unit. The published sheets of the tests have 30 % of the well or more
+# (the high-gain channel of one with two), 7500 e- or more, 1 % at most and 11 µm at most.
+CLIPPED_WELL, SMALL_WELL_E, LARGE_PRNU, LARGE_PITCH_UM = 0.25, 100.0, 0.05, 100.0
+WELL_NAMES = "full_well_e", "saturation_capacity_e"
+
+
+def other_unit_of_pitch(pitch_um: float) -> str:
+    """Return the pitch that a large one is if it was given in nm, in words; empty for a usual one."""
+    return f"{pitch_um:g} nm is {pitch_um / 1e3:g} µm." if pitch_um > LARGE_PITCH_UM else ""
+
+
+def other_unit_of_well(name: str, well_e: float) -> str:
+    """Return the full well that a small one is if it was given in ke-, in words; empty for a usual one."""
+    return f"{well_e:g} ke- is {name} = {1e3 * well_e:g}." if well_e < SMALL_WELL_E else ""
+
+
 @checks_arguments
 def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float, full_well_e: float | None = None) -> float:
     """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is not given.
@@ -657,7 +673,9 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float
     if measured_e is not None and not low_e <= growth * measured_e <= high_e:
         scaled_e = growth * measured_e
         got = f"{pixel.pitch_um:g}, to which {measured_e:g} electrons at {measured_um:g} µm scale as {scaled_e:.2g}"
-        raise invalid("pixel.pitch_um", got, f"a full well of {low_e:g} to {high_e:g} electrons")
+        name = "full_well_e" if pixel.saturation_capacity_e is None else "saturation_capacity_e"
+        hint = other_unit_of_well(name, getattr(pixel, name))
+        raise invalid("pixel.pitch_um", got, f"a full well of {low_e:g} to {high_e:g} electrons", hint)
     return growth
 
 
@@ -999,31 +1017,24 @@ def warn_of_disagreements(pixel: Pixel, technology: Technology | None = None) ->
         warn(text)
 
 
-# Beyond these, a number of a data sheet is rather in another unit. The published sheets of the tests are at most at 30 % of the
-# well (the high-gain channel of one with two), 7500 e-, 1 % and 11 µm.
-CLIPPED_WELL, SMALL_WELL_E, LARGE_PRNU, LARGE_PITCH_UM = 0.25, 100.0, 0.05, 100.0
-
-
-def other_unit_of_pitch(pitch_um: float) -> str:
-    """Return the pitch that was meant if a large one was given in nm, in words; empty for a usual one."""
-    return f"{pitch_um:g} nm is {pitch_um / 1e3:g} µm." if pitch_um > LARGE_PITCH_UM else ""
-
-
 @checks_arguments
 def implausible_numbers(pixel: Pixel, technology: Technology | None = None) -> list[str]:
     """Return a sentence for each given number of a pixel that is possible, but more likely in another unit.
 
     Raises PixsimError as `derive` does.
+
+    >>> implausible_numbers(Pixel(technology="4t-bsi", pitch_um=1.4, prnu=0.2))
+    ['pixel: prnu = 0.2 is 20 %. 0.2 % is prnu = 0.002, or prnu_percent = 0.2.']
     """
     found = []
     for name in ("pitch_um", "data_sheet_pitch_um"):
         pitch_um = getattr(pixel, name)
         if pitch_um is not None and (meant := other_unit_of_pitch(pitch_um)):
             found.append(f"{name} = {pitch_um:g} is {pitch_um / 1e3:g} mm. {meant}")
-    for name in ("full_well_e", "saturation_capacity_e"):
+    for name in WELL_NAMES:
         well_e = getattr(pixel, name)
-        if well_e is not None and well_e < SMALL_WELL_E:
-            found.append(f"{name} = {well_e:g} is a well of {well_e:g} electrons. {well_e:g} ke- is {name} = {1e3 * well_e:g}.")
+        if well_e is not None and (meant := other_unit_of_well(name, well_e)):
+            found.append(f"{name} = {well_e:g} is a well of {well_e:g} electrons. {meant}")
     if pixel.prnu is not None and pixel.prnu > LARGE_PRNU:
         per_cent = f"prnu = {pixel.prnu / 100:g}, or prnu_percent = {pixel.prnu:g}"
         found.append(f"prnu = {pixel.prnu:g} is {100 * pixel.prnu:g} %. {pixel.prnu:g} % is {per_cent}.")

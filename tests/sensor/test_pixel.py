@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -351,6 +352,55 @@ def test_derive_dark_current_follows_temperature(at_c: float, expected: float) -
     assert derive(sheet_with(dark_current=law, data_sheet_pitch_um=2.0, temperature_k=273.15)).dark_current_e_per_s == 4.0
     with pytest.raises(PixsimError, match=r"dark_current: got 1e\+18 e-/s at -100 °C.*at most 1e\+18"):
         derive(sheet_with(dark_current={"e_per_s": 1e18, "at_c": -100}))
+
+
+# Each number on both sides of where a note begins; SHEET has 12 bits, and a full well of 10 000 e-.
+@pytest.mark.parametrize(
+    ("bad", "good", "message"),
+    [
+        ({"pitch_um": 3450.0}, {"pitch_um": 100.0}, r"pitch_um = 3450 is 3\.45 mm\. 3450 nm is 3\.45 µm\."),
+        ({"data_sheet_pitch_um": 101.0}, {"data_sheet_pitch_um": 99.0}, r"data_sheet_pitch_um = 101 is 0\.101 mm"),
+        ({"full_well_e": 10.5}, {"full_well_e": 100.0}, r"full_well_e = 10\.5 is .* 10\.5 ke- is full_well_e = 10500\."),
+        ({"saturation_capacity_e": 99.0}, {"saturation_capacity_e": 100.0}, r"99 ke- is saturation_capacity_e = 99000\."),
+        ({"prnu": 0.2}, {"prnu": 0.05}, r"prnu = 0\.2 is 20 %\. 0\.2 % is prnu = 0\.002, or prnu_percent = 0\.2\."),
+        ({"prnu": 0.051}, {"prnu_percent": 20.0}, r"prnu = 0\.051 is 5\.1 %"),
+        ({"gain_e_per_dn": 0.4}, {"dn_per_e": 0.4}, r"clips at 1638 of 10000 e-, 16 % .* in DN per electron, set dn_per_e = 0\.4 "),
+        (
+            {"dn_per_e": 2.5},
+            {"gain_e_per_dn": 2.5},
+            r"clips at 1638 of 10000 e-, 16 % .* electrons per DN, set gain_e_per_dn = 2\.5 ",
+        ),
+        ({"gain_e_per_dn": 2499 / 4095}, {"gain_e_per_dn": 2501 / 4095}, r"clips at 2499 of 10000 e-, 25 % "),
+        # Neither this gain nor its reciprocal fits the well.
+        ({"gain_e_per_dn": 0.01}, {"gain_e_per_dn": 1.0}, r"clips at 41 of 10000 e-, 0\.41 % .*\. Check gain_e_per_dn, bits and"),
+        ({"adc_full_scale_e": 2400.0}, {"adc_full_scale_e": 2600.0}, r"clips at 2400 .* Check adc_full_scale_e, bits and"),
+    ],
+)
+def test_implausible_numbers_name_the_other_unit(bad: dict[str, float], good: dict[str, float], message: str) -> None:
+    (text,) = pixels.implausible_numbers(sheet_with(**{"bits": 12} | bad))
+    assert re.search(message, text), text
+    assert not pixels.implausible_numbers(sheet_with(**{"bits": 12} | good))
+
+
+@pytest.mark.parametrize("pitch_um", [1.0, 20.0])
+def test_implausible_numbers_are_those_of_the_sheets_own_pitch(pitch_um: float) -> None:
+    scaled = {"pitch_um": pitch_um, "data_sheet_pitch_um": 4.0, "gain_e_per_dn": 0.4, "bits": 12}
+    (text,) = pixels.implausible_numbers(sheet_with(**scaled))
+    assert "1638 of 10000 e-" in text
+
+
+@pytest.mark.parametrize("name", [*TECHNOLOGIES, "4t-bsi", "4t-fsi"])
+def test_implausible_numbers_of_technologies_are_none(name: str) -> None:
+    smallest = max(pixels.smallest_pitch_um(load_technology(name)), 0.6)
+    for pitch_um in np.geomspace(1.001 * smallest, 100.0, 5):
+        assert not pixels.implausible_numbers(Pixel(technology=name, pitch_um=pitch_um)), pitch_um
+
+
+def test_derive_small_well_of_a_smaller_pixel_raises_with_other_unit() -> None:
+    with pytest.raises(PixsimError, match=r"10\.5 electrons at 4 µm scale as 0\.66; .* 10\.5 ke- is full_well_e = 10500\.$"):
+        derive(sheet_with(pitch_um=1.0, data_sheet_pitch_um=4.0, full_well_e=10.5))
+    with pytest.raises(PixsimError, match=r"a full well of 1 to 1e\+18 electrons\.$"):
+        derive(sheet_with(pitch_um=0.4, data_sheet_pitch_um=40.0, full_well_e=1e3))
 
 
 @pytest.mark.parametrize(("gain_e_per_dn", "saturation_e"), [(2.0, 8190.0), (3.0, 10_000.0)])
