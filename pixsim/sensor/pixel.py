@@ -642,6 +642,7 @@ CLIPPED_WELL, SMALL_WELL_E, LARGE_PRNU, LARGE_PITCH_UM = 0.25, 100.0, 0.05, 100.
 WELL_NAMES = "full_well_e", "saturation_capacity_e"
 
 
+@checks_arguments
 def other_unit_of_pitch(pitch_um: float) -> str:
     """Return the pitch that a large one is if it was given in nm, in words; empty for a usual one."""
     return f"{pitch_um:g} nm is {pitch_um / 1e3:g} µm." if pitch_um > LARGE_PITCH_UM else ""
