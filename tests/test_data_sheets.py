@@ -309,12 +309,16 @@ def test_implausible_numbers_are_noted_by_every_entry(pixel: dict[str, Any], cou
     assert [str(warning.message).removesuffix(".") for warning in caught if "pixel: " in str(warning.message)] == wanted
 
 
-def test_compare_names_the_sensor_of_an_implausible_number(tmp_path: Path) -> None:
+def test_compare_names_the_sensor_of_an_implausible_number_or_unused_uncertainty(tmp_path: Path) -> None:
     files = [file_of(tmp_path / "good.toml", SHEET), file_of(tmp_path / "bad.toml", GAIN)]
+    with files[1].open("a", encoding="utf-8") as file:
+        file.write("[pixel.uncertainty]\nread_noise_e = { sd = 0.5 }\n")
     with warnings.catch_warnings(record=True, action="always"):
         result = pixsim.compare(files, repeats=2, jobs=1, resolution=64, display={"dots": 32})
     (note,) = [note for note in result.notes if "clips at" in note]
     assert note.startswith("bad: pixel: with gain_e_per_dn = 0.4, the ADC clips at 1638 of 12000 e-")
+    (note,) = [note for note in result.notes if "uncertainty" in note]
+    assert note == "bad.toml: [pixel.uncertainty] of read_noise_e is not used: only studies draw sensor types"
 
 
 @pytest.mark.parametrize(("pitch_um", "hint"), [(3450.0, " 3450 nm is 3.45 µm."), (99.0, "")])

@@ -20,7 +20,7 @@ from scipy.special import stdtr, stdtrit
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
-from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_sensors
+from pixsim.base.config import checked, packaged, settings_layer, sheet_uncertainty, warn_of_mixed_sensors
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.notes import collected_notes, warn
@@ -282,6 +282,8 @@ def sensor_layer(file: str) -> Layer:
             raise invalid("sensor", got, f"a TOML file, or one of {', '.join(known)}", did_you_mean(file, known))
         layer = settings_layer(path)
         if "pixel" in layer.table:
+            if unsure := sheet_uncertainty(path):
+                warn(f"{path.name}: [pixel.uncertainty] of {', '.join(unsure)} is not used: only studies draw sensor types")
             return layer
         if tables := [name for name in layer.table if name in Run.model_fields]:
             got = f"'{file}' with {', '.join(tables)}, but no table [pixel]"
