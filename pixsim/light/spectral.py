@@ -97,13 +97,16 @@ class SpectralImage:
 
     Parameters
     ----------
-    wavelength_nm, band_width_nm : (B,) band centres and widths; each value is the mean over its band
+    wavelength_nm, band_width_nm : (B,) wavelengths and widths of adjoining bands; each value is the mean over its band. The
+        wavelength is the band's centre. In a render it is the mean wavelength of the lamps' light in the band instead, where
+        this is 1 nm or more from the centre. The bands of a render start at 360 nm: their upper edges are
+        360 + np.cumsum(band_width_nm)
     pitch_um : sampling pitch on the sensor
     data : (H, W, B) float32, W m⁻² nm⁻¹; or
     factors : (spectra (r, B) float64 W m⁻² nm⁻¹, pictures (r, H, W) float32): data = Σ_r spectrum × picture.
         With r = 1 a picture value of 1 is the on-axis irradiance of texel value 1.
-    within : distribution of the light within each band, (nodes in nm (B, n), shares of the light (B, n)); None puts it at the
-        band centre
+    within : distribution of the light within each band, (nodes in nm (B, n), shares of the light (B, n)); None puts it at
+        `wavelength_nm`
     header : provenance (camera, scene hash, seed, samples, versions), stored in files as JSON
     margin : samples of the given pictures at each side that lie beyond the picture; a real lens's blur takes light from there
 

@@ -123,6 +123,8 @@ def render(
 ) -> SpectralImage:
     """Render the spectral irradiance on the sensor plane before diffraction, W m⁻² nm⁻¹, mean over each sample and band.
 
+    Each call renders, since only the commands cache renders: keep the result, or store it with `write_exr`.
+
     Parameters
     ----------
     scene : from `load_scene`; its film and sampler give the resolution and the samples per pixel
