@@ -47,16 +47,17 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?")
 NO_METAL = "none"
 
 
-def found(name: str, folders: Iterable[Path], what: str) -> Path:
-    """Return the absolute path of the first file of that name. Raises PixsimError if there is none."""
+def found(name: str, folders: Iterable[Path], what: str, place: str, scene_folder: Path) -> Path:
+    """Return the absolute path of the first file of that name. Raises PixsimError, which names the place, if there is none."""
     folders = list(folders)
     places = [folder / name for folder in folders]
     if "\0" in name or not name:
-        raise invalid(what, repr(name), "the name of a file")
+        raise invalid(what, f"{name!r} in {place}", "the name of a file")
     file = next((path for path in places if os.path.lexists(path)), None)
     if file is None:
         got = f"'{name}', which does not exist" if any(path.parent.is_dir() for path in places) else missing(Path(name))
-        raise invalid(what, got, f"a file, relative to '{folders[0]}' or to the working directory")
+        allowed = f"a file, relative to '{os.path.abspath(scene_folder)}' or to the working directory"
+        raise invalid(what, f"{got}, in {place}", allowed)
     absolute = Path(os.path.abspath(file))
     if not is_utf8(absolute):
         raise invalid(what, f"'{absolute}'", "a path in UTF-8, for Mitsuba", "Rename the file or its folder.")

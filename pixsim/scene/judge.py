@@ -197,7 +197,8 @@ class _Judge:
                 if value.lower() not in FLAGS:
                     raise invalid(what, f"'{value}' in {node.place}", " or ".join(FLAGS))
             case "rgb":
-                _check_numbers(_split(value), rule, what, node, (1, 3))
+                bounded = replace(rule, low=max(rule.low, 0.0), high=min(rule.high, 1.0)) if rule.rgb_of_surface else rule
+                _check_numbers(_split(value), bounded, what, node, (1, 3))
             case "point" | "vector":
                 _check_vector(node, what, all_three=True)
             case "spectrum":
@@ -205,7 +206,7 @@ class _Judge:
                     raise invalid(what, f"<spectrum> in {node.place}", 'either value="…" or filename="…"')
                 if not value:
                     folders = (*self.files.folders, node.file.parent, self.files.folder, Path())
-                    value = spectrum_value(found(attributes["filename"], folders, "spectrum"))
+                    value = spectrum_value(found(attributes["filename"], folders, "spectrum", node.place, self.files.folder))
                     self.left_of_tables -= len(value)
                     if self.left_of_tables < 0:
                         got = f"files of spectra of more than {MAX_TABLES} characters"
@@ -223,7 +224,8 @@ class _Judge:
                 raise invalid(what, f"'{value}' in {node.place}", ", ".join(metals()), did_you_mean(value, metals()))
         elif rule.file:
             what_file = "texture" if rule.file == "picture" else rule.file
-            path = found(value, (*self.files.folders, self.files.folder, Path(), node.file.parent), what_file)
+            folders = (*self.files.folders, self.files.folder, Path(), node.file.parent)
+            path = found(value, folders, what_file, node.place, self.files.folder)
             if path != self.unread:
                 indices = [
                     child.attributes.get("value", "") for child in of.children if child.attributes.get("name") == "shape_index"

@@ -33,6 +33,7 @@ class Rule:
     smallest : magnitude of the smallest number that is not 0
     words : the values of a string; None for any that `pattern` matches
     kinds : plugins that it may be, besides
+    rgb_of_surface : each number of an <rgb> is from 0 to 1, as Mitsuba has it where it makes a reflectance of them
     file : kind of the file that it names: picture, mesh, volume; or metal, a table of Mitsuba's own
     """
 
@@ -44,6 +45,7 @@ class Rule:
     pattern: str | None = None
     kinds: tuple[str, ...] = ()
     file: str | None = None
+    rgb_of_surface: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ FLAG = Rule(("boolean",))
 TRANSFORM = Rule(("transform",))
 PLACE = Rule(("point", "vector"))
 COLOUR = Rule(COLOUR_TAGS, smallest=SMALLEST, kinds=("texture",))
+SURFACE = replace(COLOUR, rgb_of_surface=True)
 NUMBERS = Rule(("string",), smallest=SMALLEST, pattern="numbers")
 # A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
 INDEX = Rule(("string", *COLOUR_TAGS), 0, 1e3, pattern=r"[\w .+-]{1,64}", kinds=("texture",))
@@ -119,18 +122,18 @@ OF_PICTURES = {
 }  # fmt: skip
 OF_TABLES = {"wavelength_min": number(*LIGHT_NM), "wavelength_max": number(*LIGHT_NM)}
 OF_DIELECTRICS = {
-    "int_ior": INDEX, "ext_ior": INDEX, "specular_reflectance": COLOUR, "specular_transmittance": COLOUR,
+    "int_ior": INDEX, "ext_ior": INDEX, "specular_reflectance": SURFACE, "specular_transmittance": SURFACE,
 }  # fmt: skip
 OF_ROUGH = {
     "alpha": COLOUR, "alpha_u": COLOUR, "alpha_v": COLOUR, "distribution": words("beckmann", "ggx"), "sample_visible": FLAG,
 }  # fmt: skip
-OF_METALS = {"material": METAL, "eta": COLOUR, "k": COLOUR, "specular_reflectance": COLOUR}
+OF_METALS = {"material": METAL, "eta": COLOUR, "k": COLOUR, "specular_reflectance": SURFACE}
 OF_PLASTICS = {
-    "diffuse_reflectance": COLOUR, "specular_reflectance": COLOUR, "int_ior": INDEX, "ext_ior": INDEX, "nonlinear": FLAG,
+    "diffuse_reflectance": SURFACE, "specular_reflectance": SURFACE, "int_ior": INDEX, "ext_ior": INDEX, "nonlinear": FLAG,
 }  # fmt: skip
 OF_PRINCIPLED = {
-    **dict.fromkeys(("base_color", "roughness", "anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint"), COLOUR),
-    "flatness": COLOUR, "eta": number(0, 1e3), "diffuse_reflectance_sampling_rate": number(0, 1e6),
+    **dict.fromkeys(("base_color", "roughness", "anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint"), SURFACE),
+    "flatness": SURFACE, "eta": number(0, 1e3), "diffuse_reflectance_sampling_rate": number(0, 1e6),
 }  # fmt: skip
 OF_MEDIA = {
     "albedo": replace(VOLUME, high=1.0), "sigma_t": replace(VOLUME, high=1e9), "scale": Rule(NUMBER_TAGS, 0, 1e9, SMALLEST),
@@ -220,7 +223,7 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "instance": Plugin({"to_world": TRANSFORM}, holds=("shape",)),
     },
     "bsdf": {
-        "diffuse": Plugin({"reflectance": COLOUR}),
+        "diffuse": Plugin({"reflectance": SURFACE}),
         **dict.fromkeys(("dielectric", "thindielectric"), Plugin(OF_DIELECTRICS)),
         "roughdielectric": Plugin(more(OF_DIELECTRICS, OF_ROUGH)),
         "conductor": Plugin(OF_METALS),
@@ -230,7 +233,7 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "principled": Plugin(
             more(
                 OF_PRINCIPLED,
-                dict.fromkeys(("metallic", "clearcoat", "clearcoat_gloss"), COLOUR),
+                dict.fromkeys(("metallic", "clearcoat", "clearcoat_gloss"), SURFACE),
                 {
                     "specular": number(0, 1e3), "main_specular_sampling_rate": number(0, 1e6),
                     "clearcoat_sampling_rate": number(0, 1e6),
@@ -240,21 +243,21 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "principledthin": Plugin(
             more(
                 OF_PRINCIPLED,
-                {"diff_trans": replace(COLOUR, low=0, high=2)},
+                {"diff_trans": replace(SURFACE, low=0, high=2)},
                 {f"{name}_sampling_rate": number(0, 1e6) for name in ("specular_reflectance", "specular_transmittance")},
                 {"diffuse_transmittance_sampling_rate": number(0, 1e6)},
             )
         ),
         "twosided": Plugin(holds=("bsdf",)),
-        "mask": Plugin({"opacity": COLOUR}, holds=("bsdf",)),
-        "blendbsdf": Plugin({"weight": COLOUR}, holds=("bsdf",)),
+        "mask": Plugin({"opacity": SURFACE}, holds=("bsdf",)),
+        "blendbsdf": Plugin({"weight": SURFACE}, holds=("bsdf",)),
         "bumpmap": Plugin(more(OF_MAPS, {"scale": SCALE}), holds=("bsdf", "texture")),
         "normalmap": Plugin(more(OF_MAPS, {"normalmap": COLOUR}), holds=("bsdf", "texture")),
         "null": Plugin(),
     },
     "texture": {
         "bitmap": Plugin(OF_PICTURES, needs=("filename",)),
-        "checkerboard": Plugin({"color0": COLOUR, "color1": COLOUR, "to_uv": TRANSFORM}),
+        "checkerboard": Plugin({"color0": SURFACE, "color1": SURFACE, "to_uv": TRANSFORM}),
         "mesh_attribute": Plugin({"name": Rule(("string",), pattern=r"(vertex|face)_\w{1,64}"), "scale": SCALE}, needs=("name",)),
         "volume": Plugin(holds=("volume",)),
         "uniform": Plugin(more(OF_TABLES, {"value": SCALE})),
@@ -262,7 +265,7 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "irregular": Plugin({"wavelengths": replace(NUMBERS, low=LIGHT_NM[0], high=LIGHT_NM[1]), "values": NUMBERS}),
         "d65": Plugin({"scale": SCALE, "color": Rule(("rgb",), smallest=SMALLEST)}, holds=("texture",)),
         "blackbody": Plugin(more(OF_TABLES, {"temperature": number(1, 1e7)})),
-        "srgb": Plugin({"color": Rule(("rgb",), smallest=SMALLEST)}),
+        "srgb": Plugin({"color": Rule(("rgb",), smallest=SMALLEST, rgb_of_surface=True)}),
     },
     "medium": {
         "homogeneous": Plugin(OF_MEDIA, holds=("phase",)),
@@ -290,5 +293,6 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
 # Why some plugins of Mitsuba are not in the table.
 REASONS = {
     "integrator": 'Write <integrator type="path"/>; polarisation, depth and AOVs are not irradiance.',
-    "sensor": 'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.',
+    "sensor": 'Write <sensor type="thinlens"> with fov, and with focus_distance and aperture_radius in metres '
+    "(any, such as 0.001, if you set --camera.f-number).",
 }

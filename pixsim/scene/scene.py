@@ -25,6 +25,7 @@ from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.judge import SceneText, judge_scene
 from pixsim.scene.mitsuba import children, nodes_of, plain
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, OwnChart, is_own_chart
+from pixsim.scene.plugins import REASONS
 from pixsim.scene.tree import Table, Transform, Tree, parse_tree
 
 CHART, CHART_LINEAR = "chart", "chart_linear"
@@ -370,8 +371,7 @@ def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
     index, node = sensors[0]
     plugin = node.props.plugin_name()
     if plugin != "thinlens":
-        hint = 'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.'
-        raise invalid("sensor", f"'{plugin}'", "thinlens, since exposure and blur need an aperture", hint)
+        raise invalid("sensor", f"'{plugin}'", "thinlens, since exposure and blur need an aperture", REASONS["sensor"])
     for offset in ("principal_point_offset_x", "principal_point_offset_y"):
         if sensor_offset := float(node.props.get(offset, 0.0)):
             raise invalid("sensor", f"{offset} = {sensor_offset:g}", "0, since the die is centred on the lens axis")

@@ -210,7 +210,7 @@ def test_chart_frequencies_hold_on_sensor(lens):
     [
         ([], r"got no sensor; allowed: one thinlens sensor\."),
         ([sensor_xml(name="left"), sensor_xml(name="right")], r"got sensors 'left', 'right'; .*thinlens sensor\. .*--sensor"),
-        ([sensor_xml(FOV, "perspective")], r"got 'perspective'; allowed: thinlens.*aperture_radius = f/\(2N\)"),
+        ([sensor_xml(FOV, "perspective")], r"got 'perspective'; allowed: thinlens.*with fov.*--camera.f-number"),
         ([sensor_xml(FOV + '<float name="focus_distance" value="1"/>')], "a thinlens without aperture_radius"),
         ([sensor_xml(FOV + '<float name="aperture_radius" value="1e-3"/>')], "a thinlens without focus_distance"),
         ([sensor_xml(LENS)], "a thinlens without fov"),
@@ -439,12 +439,53 @@ def test_check_textures_maps_may_be_negative(tmp_path, monkeypatch):
 
 
 def test_load_scene_damaged_texture_raises(tmp_path):
-    with pytest.raises(PixsimError, match=r"texture: got 'nowhere\.exr', which does not exist; allowed: a file, relative to"):
+    with pytest.raises(
+        PixsimError, match=r"texture: got 'nowhere\.exr', which does not exist, in line \d+ of 'flat\.xml'; allowed"
+    ):
         load("flat", chart="nowhere.exr")
     whole = (packaged_scenes()["flat"].parent / "charts/slanted_edge.exr").read_bytes()
     (tmp_path / "torn.exr").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(PixsimError, match=r"EXR file: got '.*torn\.exr'"):
         load("flat", chart=str(tmp_path / "torn.exr"))
+
+
+BALL = '<shape type="sphere"><bsdf type="{}">{}</bsdf></shape>'
+
+
+@pytest.mark.parametrize(
+    ("what", "element"),
+    [
+        (
+            "texture",
+            BALL.format("diffuse", '<texture type="bitmap" name="reflectance"><string name="filename" value="no"/></texture>'),
+        ),
+        ("mesh", '<shape type="obj"><string name="filename" value="no"/></shape>'),
+        ("spectrum", BALL.format("diffuse", '<spectrum name="reflectance" filename="no"/>')),
+    ],
+)
+def test_load_scene_missing_file_names_its_line_and_the_folder(tmp_path, monkeypatch, what, element):
+    path = edited(tmp_path, "macbeth", (END, element))
+    monkeypatch.chdir(path.parent)
+    line = 1 + path.read_text().split(element)[0].count("\n")
+    expected = (
+        f"{what}: got 'no', which does not exist, in line {line} of '{path.name}'; allowed: a file, relative to '{path.parent}'"
+    )
+    with pytest.raises(PixsimError) as error:
+        pixsim.load_scene(path.name)
+    assert str(error.value).startswith(expected)
+
+
+@pytest.mark.parametrize(("plugin", "name"), [("principled", "base_color"), ("diffuse", "reflectance"), ("conductor", "eta")])
+@pytest.mark.parametrize("value", [1.0, 1.5, -0.5])
+def test_load_scene_rgb_of_a_reflectance_is_from_0_to_1(tmp_path, plugin, name, value):
+    """As Mitsuba has it; a refractive index may be larger."""
+    element = BALL.format(plugin, f'<rgb name="{name}" value="{value}, 0.5, 0.5"/>')
+    path = edited(tmp_path, "macbeth", (END, element))
+    if value == 1.0 or name == "eta":
+        pixsim.load_scene(path)
+        return
+    with pytest.raises(PixsimError, match=rf"{plugin}\.{name}: got '{value}' in line \d+ of '{path.name}'; allowed: 0 to 1"):
+        pixsim.load_scene(path)
 
 
 # --- The content hash ---
