@@ -17,17 +17,21 @@ from helpers.tiny import PITCHES_UM, rows, tiny_toml
 
 import pixsim
 from pixsim.base.errors import PixsimError
+from pixsim.base.schema import SCHEMA
 from pixsim.cli.templates import json_schema
 from pixsim.report.axes import axes_summary
 from pixsim.sensor.technology import load_technology
+from pixsim.studies import oversampling
 from pixsim.studies.cases import cases_of, with_range_ends
 from pixsim.studies.claims import Evidence, findings, scaling_rows, turned_words, verdicts
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.optimum import fit_curve
+from pixsim.studies.oversampling import measure_film
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.studies.study import check_pitches, load_study
 
 pytestmark = pytest.mark.usefixtures("unmeasured")
+
 # A chart whose cells are computed, on few dots; every pitch that the paper's statements need.
 BASE_TOML = tiny_toml(
     repeats=4,
@@ -238,17 +242,22 @@ def test_statements_of_a_case_are_those_of_the_study_alone(value: str, done: tup
 
 
 @pytest.mark.slow
-def test_sensitivity_command_two_workers_same_result(done: tuple[StudyResult, Path]) -> None:
-    result, folder = done
+def test_sensitivity_command_two_workers_same_result(
+    done: tuple[StudyResult, Path], desk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the error of the film measured, as commands do."""
+    monkeypatch.setattr(oversampling, "measure_film", measure_film)
     code, message, _ = command("study sensitivity.toml --out command --jobs 2")
     assert code == 0
-    lines = message.splitlines()
-    best = result.curves[0].optimum
-    assert lines[0].startswith(f"0.35um: optimal pixel size {best.pitch_um:.2f} µm")
-    assert any(line.startswith(f"0.35um, PRNU alone: {best.pitch_um:.2f} to {best.pitch_um:.2f} µm") for line in lines)
-    out = Path("command")
-    assert rows(out) == rows(folder), "the rows depend on the number of workers"
-    assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == json.loads(json.dumps(axes_summary(result, [])))
+    with pytest.warns(UserWarning, match="the axis PRNU changes nothing"):
+        result = pixsim.study("sensitivity.toml", desk / "measured", jobs=1)
+    out, lines = Path("command"), message.splitlines()
+    assert lines[0].startswith("0.35um: ")
+    assert any(line.startswith("0.35um, PRNU alone: ") for line in lines)
+    assert rows(out) == rows(desk / "measured") == rows(done[1]), "the rows depend on the number of workers"
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == json.loads(
+        json.dumps({"schema": SCHEMA} | axes_summary(result, []))
+    )
     page = (out / "report.html").read_text(encoding="utf-8")
     for verdict in verdicts(result):
         assert f"{len(verdict.turned_by)} of 11" in page
