@@ -249,7 +249,9 @@ MESSAGE = re.compile(
     r"got .+; allowed: .+|no real image forms|must be at least (?:0\.5|1e-06)|is not below the highest code|"
     r"state the same quantity|Give full_well_e|exceeds \w+ = |keeps a charge: "
 )
-EXPECTED_WARNING = ".*(brighter than display white|Usual causes|pixel\\.stack at )"
+# Of numbers that are possible, but more likely in another unit.
+UNITS = "electrons\\. .* is |prnu = .* % is |um = .* nm is |of the full well"
+EXPECTED_WARNING = f".*(brighter than display white|Usual causes|pixel\\.stack at |{UNITS})"
 
 
 @contextmanager
