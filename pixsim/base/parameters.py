@@ -94,19 +94,12 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
     """Message of an error: one line for a PixsimError, one line per problem for a ValidationError."""
     if not isinstance(error, ValidationError):
         return str(error)
-    lines: list[str] = []
     listed: set[str] = set()
-    for problem in error.errors():
-        line = _line(error.title, problem, layers)
-        before, unknown, rest = line.partition(": unknown name; allowed: ")
-        names, _, hint = rest.partition(".")
-        table = f"{before.rpartition('.')[0] if '.' in before.rpartition(': ')[2] else ''}: {names}"
-        lines.append(f"{before}: unknown name.{hint}" if unknown and table in listed else line)
-        listed.add(table)
-    return "\n".join(lines)
+    return "\n".join(_line(error.title, problem, layers, listed) for problem in error.errors())
 
 
-def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
+def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: set[str]) -> str:
+    """Return a problem as text. `listed` has the tables whose names were said, once for each; it is written to."""
     path = [str(part) for part in problem["loc"] if part not in BRANCHES]
     where = _where(title, problem, layers)
     if problem["type"] == "extra_forbidden":
@@ -119,7 +112,10 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
             hint = f"Write {' or '.join(usual)}."
         elif not above and (own := [word for word in OTHER_WORDS.get(name, ()) if word in _names(title, ["pixel"])]):
             hint = f"It belongs in [pixel], as {' or '.join(own)}."
-        return f"{where}: unknown name; allowed: {', '.join(known)}.{hint and ' '}{hint}"
+        table = where.rpartition(".")[0] if above else ""
+        allowed = "" if table in listed else f"; allowed: {', '.join(known)}"
+        listed.add(table)
+        return f"{where}: unknown name{allowed}.{hint and ' '}{hint}"
     if problem["type"] == "missing":
         field = _field(title, path)
         return f"{where}: missing; it is required{f', as in {field.examples[0]}' if field and field.examples else ''}."
@@ -1132,12 +1128,15 @@ class Pixel(PixelOptions):
     @property
     def assumption(self) -> str:
         """The technology that is assumed since a data sheet is incomplete, in words; empty if none is."""
+        return f"technology {self.technology} assumed, without {', '.join(self.assumed)}" if self.assumed else ""
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Names that a data sheet lacks, whose values the assumed technology has; empty if none is assumed."""
         given = self.given
         stated = given | efficiencies_of(self.colour)
-        missing = [*([] if "pitch_um" in given else ["pitch_um"]), *missing_of_data_sheet(stated)]
-        if "technology" in given or len(missing) > len(DATA_SHEET):
-            return ""
-        return f"technology {self.technology} assumed, without {', '.join(missing)}"
+        missing = (*(() if "pitch_um" in given else ("pitch_um",)), *missing_of_data_sheet(stated))
+        return () if "technology" in given or len(missing) > len(DATA_SHEET) else missing
 
     def __repr__(self) -> str:
         return super().__repr__() + (f"  # {self.assumption}" if self.assumption else "")

@@ -54,16 +54,13 @@ def decide_real_lens(
     target = BLUR_TOLERANCES * tolerance_e / (4 if full else 1)
     tiling = choose_tiling(camera, shape, pitch_um, tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um, target)
     tiles = math.ceil(1e3 * max(camera.die_mm, camera.height_mm) / tiling.spacing_um)
-    reason = (
-        f"{words}; {tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to {tiling.lacking:.1%} of the light, "
-    )
-    reason += f"from wavefronts of {tiling.nodes} fields and {tiling.wavelengths} wavelengths: rms error "
-    if not tiling.psf_um:
-        reason = f"{words}; no blur, on film cells of {pitch_um:.3g} µm: rms error "
-    reason += (
-        f"up to {tiling.error:.1e} of the contrast of detail all over the picture, {tiling.cut_error:.1e} of it by the size of "
-    )
-    reason += f"the PSFs; {tiling.worst:.1e} where it is largest"
+    if tiling.psf_um:
+        blur = f"{tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to {tiling.lacking:.1%} of the light, "
+        blur += f"from wavefronts of {tiling.nodes} fields and {tiling.wavelengths} wavelengths"
+    else:
+        blur = f"no blur, on film cells of {pitch_um:.3g} µm"
+    reason = f"{words}; {blur}: rms error up to {tiling.error:.1e} of the contrast of detail all over the picture, "
+    reason += f"{tiling.cut_error:.1e} of it by the size of the PSFs; {tiling.worst:.1e} where it is largest"
     return tiling, [Decision("real lens", True, reason, bounded=False)]
 
 

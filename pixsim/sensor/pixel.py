@@ -873,8 +873,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         usual = min(0.05, technology.fill_factor_limit / 2)
         allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
         hint = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
-        if assumed := pixel.assumption:
-            missing = assumed.partition("without ")[2]
+        if missing := ", ".join(pixel.assumed):
             hint = f"No technology was chosen: the default would supply {missing}. Give {missing}, and the pixel needs none. {hint}"
         raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, hint)
     area_um2 = fill_factor * pixel.pitch_um**2

@@ -730,10 +730,9 @@ def _winner(result: Comparison, other: str) -> str | None:
 
 def headline(result: Comparison, other: str) -> str:
     """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree."""
-    counted = [part for part in result.conditions if part.prepared.weight > 0]
-    if len({_winner(part, other) for part in (result, *counted)} - {None}) < 2:
+    if len({_winner(part, other) for part in (result, *(part for _, part in result.counted))} - {None}) < 2:
         return verdict(result, other)
-    parts = [f"{part.prepared.condition} (weight {part.prepared.weight:.3g}): {verdict(part, other)}" for part in counted]
+    parts = [f"{part.prepared.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in result.counted]
     return "; ".join(["the conditions disagree", *parts, f"weighted mean: {verdict(result, other)}"])
 
 
