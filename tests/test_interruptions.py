@@ -145,6 +145,25 @@ def test_command_interrupted_at_many_moments(name, number, of_group, delay_s, tm
     interrupt(name, number, of_group, delay_s, tmp_path)
 
 
+FINISHED = """import os, signal, joblib
+from pixsim.cli.process import interruption, leave
+class Late:
+    def __del__(self, send=os.kill, own=os.getpid(), number=signal.{number}):
+        send(own, number)
+late = Late()
+interruption.guard()
+interruption.begin()
+leave(3)
+"""
+
+
+@pytest.mark.parametrize("number", ["SIGTERM", "SIGINT", "SIGHUP"])
+def test_signal_after_the_command_keeps_its_exit_code(number: str, tmp_path: Path) -> None:
+    """Python clears its modules after it has taken away its handlers: a signal ended the process then, with everything written."""
+    process = started(FINISHED.format(number=number), tmp_path)
+    assert (*process.communicate(timeout=HANG_S), process.returncode) == ("", "", 3)
+
+
 @proc
 def test_command_closed_terminal_or_nohup(tmp_path: Path) -> None:
     interrupt("run", signal.SIGHUP, False, 0.1, tmp_path)

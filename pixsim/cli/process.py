@@ -46,6 +46,7 @@ class Interruption:
                 signal.signal(number, self._receive)
         signal.signal(signal.SIGALRM, self._raise)
         sys.unraisablehook = self._unraisable
+        atexit.register(self._ignore)  # the first one registered runs last
 
     def begin(self) -> None:
         """The command begins: from now on a signal raises KeyboardInterrupt."""
@@ -91,6 +92,14 @@ class Interruption:
             signal.setitimer(signal.ITIMER_REAL, WAIT_S)
         else:
             sys.__unraisablehook__(failure)
+
+    @staticmethod
+    def _ignore() -> None:
+        """Ignore signals while Python clears its modules, 0.2 s: it takes our handlers away first, and its own would end the
+        process as if the command had not ended.
+        """
+        for number in ENDING:
+            signal.signal(number, signal.SIG_IGN)
 
     def _leave(self) -> NoReturn:
         with suppress(OSError):
