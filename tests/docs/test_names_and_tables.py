@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import tomllib
+from datetime import datetime
 from importlib import import_module
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from helpers import validation
 from helpers.documents import ROOT
 
 import pixsim
+from pixsim.base.version import VERSION
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import Curve
 
@@ -45,6 +48,15 @@ def test_names_are_read_from_the_page() -> None:
     assert len(ROWS) > 12
     assert found("pixsim.study")
     assert not found("pixsim.no_such_name")
+
+
+def test_version_is_the_same_in_all_files() -> None:
+    """Package, project, citation and the changelog's newest part; where they say when, they say the same day."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    newest, day = re.findall(r"^## (\S+) \((.+)\)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)[0]
+    assert {VERSION, project["version"], *re.findall(r"^version: (.+)$", citation, re.MULTILINE), newest} == {pixsim.__version__}
+    assert re.findall(r"^date-released: (.+)$", citation, re.MULTILINE) == [f"{datetime.strptime(day, '%d %B %Y'):%Y-%m-%d}"]
 
 
 def test_validation_tables_name_every_judge_package_and_folder_of_data() -> None:
