@@ -70,7 +70,7 @@ def no_difference_words(curve: Any) -> str:
         return ""
     low, high = curve.no_difference_um
     whole = ", all sizes tried" if (low, high) == (curve.pitch_um[0], curve.pitch_um[-1]) else ""
-    return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) from {low:.3g} to {high:.3g} µm{whole}"
+    return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to {high:.3g} µm{whole}"
 
 
 def score_line(result: dict[str, Any]) -> str:

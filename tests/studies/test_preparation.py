@@ -332,9 +332,11 @@ def test_study_line_says_that_sizes_look_alike(tiny_result: pixsim.study) -> Non
 
     pitch_um = np.geomspace(1.4, 10.0, 8)
     curve = curve_through(pitch_um, 0.18 + 0.002 * np.arange(8.0), 1e-5)
-    assert optimum_line(curve).startswith("data sheet: no visible difference (< 0.05 ΔE) from 1.4 to 10 µm, all sizes tried; mean")
+    assert optimum_line(curve).startswith(
+        "data sheet: no visible difference (< 0.05 ΔE) between sizes from 1.4 to 10 µm, all sizes tried; mean"
+    )
     assert curve.as_dict()["no_visible_difference_um"] == (1.4, 10.0)
-    assert "no visible difference from 1.4 to 10 µm" in repr(replace(tiny_result, curves=(curve,)))
+    assert "no visible difference between sizes from 1.4 to 10 µm" in repr(replace(tiny_result, curves=(curve,)))
     assert "no visible" not in optimum_line(tiny_result.curves[0])
 
 
