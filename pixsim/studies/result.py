@@ -420,9 +420,8 @@ class StudyResult:
             best = curve.optimum
             if curve.no_difference_um is not None and not curve.alike_um:
                 low, high = curve.no_difference_um
-                words.append(
-                    f"{curve.label}: no visible difference between sizes from {low:.3g} to {high:.3g} µm, ΔE {best.mean_delta_e:.3f}"
-                )
+                sizes = f"sizes from {low:.3g} to {high:.3g} µm"
+                words.append(f"{curve.label}: no visible difference between {sizes}, ΔE {best.mean_delta_e:.3f}")
                 continue
             text = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {best.mean_delta_e:.3f}"
             if not best.inside:
