@@ -114,6 +114,13 @@ def run(
         list[RawFormat] | None,
         Parameter(help="Also write the raw frame in these formats, as --raw tiff png.", consume_multiple=False),
     ] = None,
+    frames: Annotated[
+        int,
+        Parameter(
+            help="Number of raw frames of this sensor: all have its fixed pattern, each has temporal noise of its own. The first, "
+            "raw.exr, is scored; the others are raw_002.exr, … (and the formats of --raw)."
+        ),
+    ] = 1,
     irradiance: Annotated[
         Literal["reduced", "full", "factors", "none"],
         Parameter(
@@ -135,26 +142,29 @@ def run(
     settings.toml and report.html, or keeps them where they would be the same. `pixsim run SCENE --config settings.toml` repeats it.
     """
     import_less()
-    from pixsim.report.run import run_and_write
+    from pixsim.report.run import check_raw, frames_lines, run_and_write
     from pixsim.report.wording import budget_lines, dark_notes, score_line
 
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
     render_options: dict[str, Any] = {"full": full, "sensor": sensor, "variant": variant, "units": units}
+    raw_suffixes = [f".{suffix}" for suffix in raw or []]
+    check_raw(chosen, raw_suffixes, frames)
     if dry_run:
         from pixsim.report.outline import outline_lines, run_outline
 
-        outline = run_outline(scene, chosen, **render_options)
+        outline = run_outline(scene, chosen, frames=frames, **render_options)
         show(outline, json, "\n".join(outline_lines(outline, folder)))
         return
-    files: dict[str, Any] = {"raw_suffixes": [f".{suffix}" for suffix in raw or []], "irradiance": irradiance}
+    files: dict[str, Any] = {"raw_suffixes": raw_suffixes, "frames": frames, "irradiance": irradiance}
     with stages() as stage:
         result = run_and_write(scene, chosen, folder, progress=stage, **render_options, **files)
     noise = result.get("render_noise")
     amount = f"render noise {noise['fraction']:.2g} of the sensor's noise" if noise and noise["fraction"] else "no render noise"
     of_noise = f"; {amount}" if noise else ""
     line = f"{score_line(result)}{of_noise}; report: {folder / 'report.html'}"
-    show(result, json, "\n".join([line, *(f"note: {note}" for note in dark_notes(result)), *budget_lines(result)]))
+    notes = [f"note: {note}" for note in dark_notes(result)]
+    show(result, json, "\n".join([line, *frames_lines(result), *notes, *budget_lines(result)]))
 
 
 @app.command

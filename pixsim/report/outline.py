@@ -42,8 +42,12 @@ def run_outline(
     sensor: str | None = None,
     variant: str | None = None,
     units: str | None = None,
+    frames: int = 1,
 ) -> dict[str, Any]:
-    """Return what a run would do; nothing is rendered or written. Raises PixsimError for the input that a run refuses."""
+    """Return what a run would do; nothing is rendered or written. Raises PixsimError for the input that a run refuses.
+
+    frames : of its sensor
+    """
     from pixsim.scene.plan import make_plan
 
     pitch_um = settings.pixel.pitch_um
@@ -62,7 +66,7 @@ def run_outline(
         header, view = {"parameters": scene.parameters}, chosen.as_dict()
         cost = render_cost(plan, math.prod(outline["film"]["samples"]), processors().usable)
     frame = frame_cost(camera, pitch_um, settings.display)
-    cost = Cost(cost.seconds + PAGE_S + 2 * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
+    cost = Cost(cost.seconds + PAGE_S + (1 + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
     sensors = [
         {
             "technology": settings.pixel.technology,
@@ -71,6 +75,7 @@ def run_outline(
             "sensors": 1,
         }
     ]
+    outline |= {"frames": frames} if frames > 1 else {}
     return outline | common(source, header, settings, camera, view, sensors) | {"estimate": asdict(cost)}
 
 
@@ -168,6 +173,8 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
             text = f"{len(sizes)} sizes from {sizes[0]:g} to {sizes[-1]:g} µm, {most:.3g} to {least:.3g} million pixels"
             text += f"; {sensor['sensors']} sensors of each"
         rows.append(("pixels", f"{label_of(sensor['technology'])}: {text}"))
+    if "frames" in outline:
+        rows.append(("frames", f"{outline['frames']} of the same sensor"))
     if "cases" in outline:
         rows.append(
             ("cases", f"{len(outline['cases'])}, {outline['evaluations']} evaluations; the lines above are those of the first")

@@ -75,6 +75,7 @@ FILES = {
     "provenance.json": "versions and wall times",
 }
 AFTERWARDS = ("score.json", PROVENANCE)
+MAX_FRAMES = 999  # of a run: the numbers in the names of their files have three digits
 MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
     "fill_factor": "photodiode area over pixel area",
@@ -144,6 +145,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     others = {
         path.name: "the frame of raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
     }
+    others |= {path.name: further_words(path, summary["frames"]) for path in sorted(folder.glob(f"{raw_stem(2)}.*"))}
     exposure = Exposure.model_validate(summary["exposure"])
     correction = Correction.model_validate(summary["correction"])
     records: dict[str, Record] = {"camera": camera, "pixel": physics.pixel, "exposure": exposure, "correction": correction}
@@ -186,6 +188,33 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     write_page(folder / "report.html", PAGE, page)
 
 
+def raw_stem(number: int) -> str:
+    """Return the name, without its suffix, of the file of a frame: raw, raw_002, raw_003, …; sorted names keep their order."""
+    return "raw" if number == 1 else f"raw_{number:03d}"
+
+
+def further_words(second: Path, frames: int) -> str:
+    """Return what the page says of the files of further frames beside that of the second one, of one format."""
+    last = "" if frames == 2 else f", and so on to {raw_stem(frames)}{second.suffix}"
+    return f"frame 2 of the same sensor{last}: the same fixed pattern, temporal noise of its own"
+
+
+def frames_lines(summary: dict[str, Any]) -> list[str]:
+    """Return a line on the frames of a run with several; none for one."""
+    frames = summary.get("frames", 1)
+    names = f"raw.exr{' and' if frames == 2 else f', {raw_stem(2)}.exr to'} {raw_stem(frames)}.exr"
+    return [f"{frames} frames of this sensor: {names}; the first is scored"] if frames > 1 else []
+
+
+def check_raw(settings: Run, raw_suffixes: Sequence[str], frames: int) -> None:
+    """Raise PixsimError for raw frames that a run cannot write: of too many bits for their format, or too many."""
+    if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(raw_suffixes):
+        got = f"tiff or png for an ADC of {settings.pixel.bits} bits"
+        raise invalid("--raw", got, f"at most {BITS_OF_PICTURES} bits; use npz for more")
+    if not 1 <= frames <= MAX_FRAMES:
+        raise invalid("--frames", frames, f"1 to {MAX_FRAMES}", "For more, call run with another --seed: another sensor.")
+
+
 def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     """Return a whole picture from its file, or the `reduced` one if it is large."""
     if factor_for(luminance) == 1:
@@ -207,12 +236,14 @@ def run_and_write(
     variant: str | None,
     units: str | None = None,
     raw_suffixes: Sequence[str] = (),
+    frames: int = 1,
     irradiance: Irradiance = "reduced",
     progress: Stage,
 ) -> dict[str, Any]:
     """Render a scene or read a spectral picture, simulate and score a frame, write all files, and return score.json.
 
     raw_suffixes : further formats of the frame besides raw.exr
+    frames : of the same sensor; the first is scored
     irradiance : what irradiance.exr holds: 'reduced', bands of at most 1024 samples across and 60 MB; 'full', what `read_exr`
         gives back bit for bit; 'factors', an image's factors only; 'none', no such file
 
@@ -223,13 +254,12 @@ def run_and_write(
     from pixsim.sensor.pixel import derive
 
     physics = derive(settings.pixel)
-    if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(raw_suffixes):
-        got = f"tiff or png for an ADC of {settings.pixel.bits} bits"
-        raise invalid("--raw", got, f"at most {BITS_OF_PICTURES} bits; use npz for more")
+    check_raw(settings, raw_suffixes, frames)
     if settings.tolerance_delta_e and full:
         allowed = "one of the two: a tolerance selects cheaper settings, --full uses none"
         raise invalid("--tolerance-delta-e", "with --full", allowed)
-    names = {"report.html", *FILES, *(f"raw{suffix}" for suffix in raw_suffixes)}
+    formats = tuple(dict.fromkeys((".exr", *raw_suffixes)))
+    names = {"report.html", *FILES, *(f"{raw_stem(number)}{suffix}" for number in range(1, frames + 1) for suffix in formats)}
     names -= {"irradiance.exr"} if irradiance == "none" else set()
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
@@ -261,11 +291,11 @@ def run_and_write(
             lap("render" if "plan" in more else "read")
             progress("sense and score")
             image.header |= white_header(image, camera, settings.display)
-            of_files = full, tuple(raw_suffixes), irradiance, sensor, variant, units
+            of_files = full, formats, frames, irradiance, sensor, variant, units
             made_from = digest_of_content(of_files, light, physics.technology)
             if are_kept(folder, "run", made_from):
                 return kept_summary(folder, notes)
-            given = {"sensor": sensor, "variant": variant, "units": units}
+            given = {"sensor": sensor, "variant": variant, "units": units, "frames": str(frames) if frames > 1 else None}
             command = ["pixsim", "run", light.source, "--config", SETTINGS_FILE, *["--full"] * full]
             command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
             text = settings_text(light.repeated or settings, shlex.join(command))
@@ -281,7 +311,7 @@ def run_and_write(
                         others = [chain.simulate("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
                         more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
                     lap("sense and score")
-                    progress("write")
+                    written_share = progress("write")
                     written.result()
                     compiled.result()
                 own = settings.exposure, settings.display, settings.seed, settings.correction
@@ -290,9 +320,14 @@ def run_and_write(
                     summary |= {"develop": settings.develop.model_dump(), "colour": chain.colour_facts(score.frame.integration_s)}
                 if irradiance == "factors" and not image.factors:
                     warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
+                summary |= {"frames": frames} if frames > 1 else {}
                 summary["notes"] = [*notes, *summary["notes"]]
                 (partial_folder / SETTINGS_FILE).write_text(text, encoding="utf-8")
-                write_all(partial_folder, image, score, summary, raw_suffixes)
+                for number, frame in enumerate(chain.further_frames(frames, "evaluate", settings.seed), 2):
+                    for suffix in formats:
+                        write_frame(partial_folder / f"{raw_stem(number)}{suffix}", frame)
+                    written_share(number / frames)
+                write_all(partial_folder, image, score, summary, formats)
                 lap("write")
             write_made_from(folder, "run", made_from)
     return summary
@@ -443,12 +478,17 @@ def write_irradiance(folder: Path, image: SpectralImage, irradiance: Irradiance 
         digest_of(path, alone=True)  # which the provenance asks for
 
 
-def write_all(folder: Path, image: SpectralImage, score: Score, summary: dict[str, Any], raw_suffixes: Sequence[str] = ()) -> None:
-    """Write all files of a run but its provenance and irradiance.exr to a folder; the last argument is that of `run_and_write`."""
+def write_all(
+    folder: Path, image: SpectralImage, score: Score, summary: dict[str, Any], formats: Sequence[str] = (".exr",)
+) -> None:
+    """Write all files of a run but its provenance, irradiance.exr and further frames to a folder.
+
+    formats : of the raw frame
+    """
 
     def write_numbers() -> None:
-        for suffix in dict.fromkeys((".exr", *raw_suffixes)):
-            write_frame(folder / f"raw{suffix}", score.frame)
+        for suffix in formats:
+            write_frame(folder / f"{raw_stem(1)}{suffix}", score.frame)
         write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
 
     with ThreadPoolExecutor(1) as pool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -292,6 +292,18 @@ class ImagingChain:
         layout, whites = self.physics.layout, np.array(self.whites_e_per_s)
         levels = None if layout is None else of_channels(whites / whites.max(), layout, self.signal_e_per_s.shape)
         return correct(frame, sensor, self.correction, correction_rng, self.even, levels)
+
+    def further_frames(self, count: int, *key: object) -> Iterator[Frame]:
+        """Yield frames 2, 3, … of the sensor of `capture`, whose frame is the first of `count`; they are not corrected.
+
+        All have the fixed pattern and the exposure of the first. Each has temporal noise of its own, which depends on the key
+        and the number of the frame only.
+        """
+        if count < 2:
+            return
+        sensor = self.sensor(*key)
+        for number in range(2, count + 1):
+            yield capture_from_rates(self.signal_e_per_s, sensor, self.exposure, stream(*key, "frame", number))
 
     def sensor(self, *key: object) -> Sensor:
         """Return the sensor of `capture`; it does not depend on the light."""

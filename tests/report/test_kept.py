@@ -260,6 +260,7 @@ OTHERS: dict[str, Callable[[Path, str], object]] = {  # what is done to the fold
     "a setting": lambda folder, line: line.replace("--seed 3", "--seed 4"),
     "the camera": lambda folder, line: f"{line} --camera.f-number 2.8",
     "the files asked for": lambda folder, line: f"{line} --raw png --irradiance none",
+    "the number of frames": lambda folder, line: f"{line} --frames 2",
     "full": lambda folder, line: f"{line} --full",
     "the light": lambda folder, line: picture_of(folder / "ramp.npz", 0.02) and line,
     "the name of the picture": lambda folder, line: line.replace(
