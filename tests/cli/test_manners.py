@@ -83,7 +83,7 @@ def test_help_shows_usage_and_json() -> None:
 
 def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
     # Brighter than display white, which gives a warning.
-    line = f"run csf {SMALL} --display.white-cd-per-m2 10 --out {tmp_path / 'out'}"
+    line = f"run csf {SMALL} --variant scalar_spectral --display.white-cd-per-m2 10 --out {tmp_path / 'out'}"
     plain = process(f"{line} --json")
     assert plain.returncode == 0, plain.stderr
     assert json.loads(plain.stdout)["pitch_um"] == 6.5
