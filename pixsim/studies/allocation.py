@@ -56,7 +56,7 @@ def rise_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     """Return the variance, summed over both ends of the interval, of the curve's rise from its minimum with so many sensors."""
     pitches_um = np.array(sorted(sensors))
     u = fit.places_of(pitches_um)
-    mean = np.interp(u, fit.places_of(fit.pitch_um), fit.delta_e) / fit.scale
+    mean = np.interp(u, fit.places, fit.delta_e) / fit.scale
     counts = np.array([sensors[um] for um in pitches_um.tolist()])
     best = fit.likeliest
     design = replace(best.design, u=u, noise=fit.noise * mean**2, sensors=counts)

@@ -17,6 +17,7 @@ from collections.abc import Callable, Collection, Container, Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from hashlib import blake2b
 from itertools import chain, islice
 from pathlib import Path
 from typing import IO, Any
@@ -332,16 +333,6 @@ def check_ideals(parts: Sequence[Part]) -> None:
                 check_one_ideal(grey, {name: shown(ideal, part.study.display)})
 
 
-def warn_of_clipped_white(study: Study, scenes: SceneCache) -> None:
-    """Warn if the display clips the ideal image, of each technology's smallest pixels if pixels are its dots.
-
-    It follows from the light, not from the rows, so that a resumed study warns as one that evaluates them.
-    """
-    for technology in study.technologies:
-        smallest = physics_of(study, technology, float(study_pitches_um(study, technology).min()))
-        warn_of_clipping(scenes.beyond_white(_light_key(study, scenes, technology), smallest, study.pitch.largest_um))
-
-
 def warn_of_stacks(study: Study, irradiance: SpectralImage, camera: Camera) -> None:
     """Warn of the limits of each technology's stack, for its smallest pixels, which exceed them most."""
     for technology in study.technologies:
@@ -595,6 +586,27 @@ class Part:
     def fingerprints(self) -> Fingerprints:
         """Keys of its frames and rows."""
         return Fingerprints(self.study, self.scenes.camera, self.scenes.irradiance, self.stored)
+
+
+def warn_of_clipped_white(part: Part) -> None:
+    """Warn if the display clips the ideal image, of each technology's smallest pixels if pixels are its dots.
+
+    It follows from the light, not from the rows, so that a resumed study warns as one that evaluates them.
+    """
+    study, scenes = part.study, part.scenes
+    for technology in study.technologies:
+        smallest = physics_of(study, technology, float(study_pitches_um(study, technology).min()))
+        light = electrons, *others = _light_key(study, scenes, technology)
+        pixels_um = smallest.as_read.read_pitch_um if study.display.raster == "one_to_one" else None
+        seen = [part.fingerprints.imaging, part.fingerprints.display, blake2b(electrons).hexdigest(), *others, pixels_um]
+        share = cache.load_or_compute(
+            "white",
+            content_hash(seen),
+            lambda known: float(known["beyond_white"]),
+            partial(scenes.beyond_white, light, smallest, study.pitch.largest_um),
+            lambda beyond_white: {"beyond_white": beyond_white},
+        )
+        warn_of_clipping(share)
 
 
 @dataclass

@@ -17,12 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cholesky
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg import LinAlgError
+from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.special import gammaincinv, stdtrit
 
 from pixsim.base.arguments import checks_fields
@@ -111,9 +112,14 @@ class FittedCurve:
         """Return the coordinates u (n,) of pitches: logarithms of photodiode widths over the smallest one."""
         return places_of(pitch_um, float(self.pitch_um[0]), self.width_um)
 
+    @cached_property
+    def places(self) -> Array:
+        """Coordinates u of the curve's own pitches, (places,)."""
+        return self.places_of(self.pitch_um)
+
     def pitches_at(self, places: Array) -> Array:
         """Return the pitches (n,) in µm at coordinates u: the inverse of `places_of`."""
-        return np.exp(np.interp(places, self.places_of(self.pitch_um), np.log(self.pitch_um)))
+        return np.exp(np.interp(places, self.places, np.log(self.pitch_um)))
 
 
 @dataclass(frozen=True)
@@ -132,7 +138,7 @@ class Design:
     def covariance(self, stiffness: float, residual: float) -> Array:
         """Return the covariance of the pitches' mean ΔE without the quadratic, (P, P)."""
         covariance = stiffness**2 * wiener_covariance(self.u, self.u)
-        covariance[np.diag_indices(self.u.size)] += self.noise * (1 / self.sensors + residual**2) + ROUNDING**2
+        covariance.flat[:: self.u.size + 1] += self.noise * (1 / self.sensors + residual**2) + ROUNDING**2
         return covariance
 
 
@@ -169,13 +175,21 @@ class Posterior:
 
 def wiener_covariance(one: Array, other: Array) -> Array:
     """Return the covariance of a Wiener process integrated twice from 0, (one, other): ∫ (a - w)² (b - w)²/4 dw to min(a, b)."""
-    least, apart = np.minimum(one[:, None], other), np.abs(one[:, None] - other)
-    return np.asarray(least**3 * (least**2 / 5 + apart * least / 2 + apart**2 / 3) / 4)
+    return _wiener_covariance(np.asarray(one, float).tobytes(), np.asarray(other, float).tobytes())
+
+
+@lru_cache(maxsize=8)  # the posteriors of a fit, about a hundred, share their places
+def _wiener_covariance(one: bytes, other: bytes) -> Array:
+    a, b = np.frombuffer(one)[:, None], np.frombuffer(other)
+    least, apart = np.minimum(a, b), np.abs(a - b)
+    covariance = np.asarray(least**3 * (least**2 / 5 + apart * least / 2 + apart**2 / 3) / 4)
+    covariance.setflags(write=False)
+    return covariance
 
 
 def quadratic(places: Array) -> Array:
     """Return x², x and 1 at places, (n, 3)."""
-    return np.vander(places, 3)
+    return np.stack([places * places, places, np.ones(places.shape)], axis=1)
 
 
 def inverse_factor(covariance: Array) -> Array:
@@ -192,14 +206,15 @@ def lower_factor(covariance: Array) -> Array:
 
     Of exact data, curves have a covariance of rounding errors, which may be indefinite: noise of their size is added then.
     """
-    size, added = float(np.abs(covariance).max()), 0.0
+    added = 0.0
     while True:
-        try:
-            return np.asarray(cholesky(covariance + added * np.eye(len(covariance)), lower=True, check_finite=False))
-        except LinAlgError:
-            if not added <= len(covariance) * size:  # which is more than any eigenvalue, unless one is not a number
-                raise
-            added = 10 * added or float(np.finfo(float).eps) * size
+        factor, failed = dpotrf(covariance + added * np.eye(len(covariance)) if added else covariance, lower=1)
+        if not failed:
+            return np.asarray(factor)
+        size = float(np.abs(covariance).max())
+        if not added <= len(covariance) * size:  # which is more than any eigenvalue, unless one is not a number
+            raise LinAlgError(f"the leading minor of order {failed} is not positive definite")
+        added = 10 * added or float(np.finfo(float).eps) * size
 
 
 def multiplied(matrix: Array, vectors: Array) -> Array:
@@ -299,14 +314,21 @@ def posteriors(design: Design, y: Array, degrees: int) -> tuple[list[Posterior],
 def drawn_curves(fits: list[Posterior], weights: list[float], places: Array, seed: int = 0) -> Array:
     """Return curves drawn from the posterior, (`DRAWS`, places), in units of the scale; the same for the same data and seed."""
     ends = np.rint(np.cumsum(weights) * DRAWS).astype(int)
-    normal = np.random.default_rng(seed).standard_normal((DRAWS, places.size))
+    normal = _normal((DRAWS, places.size), seed)
     curves = np.empty_like(normal)
     for fit, first, last in zip(fits, [0, *ends[:-1]], ends, strict=True):
         if last > first:
             covariance = fit.covariance(places)
-            covariance[np.diag_indices(places.size)] += ROUNDING**2 * max(1.0, float(covariance.trace()) / places.size)
+            covariance.flat[:: places.size + 1] += ROUNDING**2 * max(1.0, float(covariance.trace()) / places.size)
             curves[first:last] = fit.mean(places) + multiplied(lower_factor(covariance), normal[first:last])
     return curves
+
+
+@lru_cache(maxsize=1)  # all curves of a study are drawn with the same numbers
+def _normal(shape: tuple[int, int], seed: int) -> Array:
+    numbers = np.random.default_rng(seed).standard_normal(shape)
+    numbers.setflags(write=False)
+    return numbers
 
 
 def minima(places: Array, curves: Array) -> Array:

@@ -644,6 +644,7 @@ def evaluate_cases(
     samplings = [first_sampling(part.study) for part in made]
     rows = [NO_ROWS for _ in made]
     curves: list[tuple[Curve, ...]] = [() for _ in made]
+    fitted: list[Sampling] = [{} for _ in made]  # of these curves
     left_out: list[dict[str, dict[float, str]]] = [{} for _ in made]
     impossible: dict[int, str] = {}
     with evaluations.resumed():
@@ -663,7 +664,12 @@ def evaluate_cases(
                             except TooFewSizesError as error:
                                 impossible[number] = str(error)
                                 continue
-                        curves[number] = tuple(curve_of(study, technology, own_rows) for technology in study.technologies)
+                        known = {each.technology: each for each in curves[number]}
+                        curves[number] = tuple(
+                            known[name] if fitted[number].get(name) == sensors else curve_of(study, name, own_rows)
+                            for name, sensors in samplings[number].items()
+                        )
+                        fitted[number] = samplings[number]
                         more = next_round(study, curves[number], samplings[number])
                         if more != samplings[number]:
                             again.append(number)
@@ -677,7 +683,7 @@ def evaluate_cases(
         if number in impossible:
             found.append(impossible[number])
             continue
-        warn_of_clipped_white(part.study, part.scenes)
+        warn_of_clipped_white(part)
         warn_of_stacks(part.study, irradiance, camera)
         of_case: dict[str, Any] = {"at": part.case.at, "condition": part.case.condition, "alone": part.case.alone}
         own = tuple(replace(curve, **of_case, left_out=tuple(left.get(curve.technology, {}).items())) for curve in own)

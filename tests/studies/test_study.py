@@ -31,7 +31,7 @@ from pixsim.studies import evaluations as rows_module
 from pixsim.studies.budget import Setup
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study
-from pixsim.viewer.score import ImagingChain
+from pixsim.viewer.score import ImagingChain, SceneCache
 
 OWN = {"repeats": 3, "seed": 1}
 TINY_TOML = tiny_toml(**OWN)
@@ -112,9 +112,12 @@ def test_study_two_workers_one_core_same_bytes(by_command: Path, tmp_path: Path)
     assert {name for name in mine if mine[name] != theirs[name]} <= recorded_times
 
 
-def test_study_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluations: list[Frame]) -> None:
+def test_study_second_run_evaluates_nothing(
+    done: tuple[StudyResult, Path], evaluations: list[Frame], monkeypatch: pytest.MonkeyPatch
+) -> None:
     _, folder = done
     before = (folder / "results.csv").read_bytes()
+    monkeypatch.setattr(SceneCache, "ideal", lambda *_: pytest.fail("an ideal image was computed"))
     again = pixsim.study(tiny(), folder, jobs=1)
     assert evaluations == []
     assert (folder / "results.csv").read_bytes() == before

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 from helpers.commands import command
 from helpers.dense_curves import simulated
-from helpers.tiny import keys, tiny as tiny_study, tiny_toml
+from helpers.tiny import keys, rows, tiny as tiny_study, tiny_toml
 
 import pixsim
 from pixsim.base.notes import told_apart
 from pixsim.sensor.readout import Frame
 from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_PER_ADDITION, additions, next_sensors, rise_variance
 from pixsim.studies.optimum import FittedCurve, Posterior, fit_curve
-from pixsim.studies.result import Curve, StudyResult, target_notes
+from pixsim.studies.result import Curve, StudyResult, curve_of, target_notes
+from pixsim.studies.rows import Row
 from pixsim.studies.study import next_round
 from pixsim.viewer.score import ImagingChain, Score
 
@@ -294,6 +295,25 @@ def test_study_without_target_backs_up_other_rows(done: tuple[StudyResult, Path]
     assert result.curves[0].delta_e.shape == (6, 2)
     assert len(keys(tmp_path)) == 12
     assert (tmp_path / "results.csv.old").read_bytes() == (done[1] / "results.csv").read_bytes()
+
+
+def test_study_fits_only_curves_with_new_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There is room for one round, of the first technology; each curve is that of all of its rows."""
+    fitted: list[str] = []
+
+    def counted(study: pixsim.Study, technology: str, own: Sequence[Row]) -> Curve:
+        fitted.append(technology)
+        return curve_of(study, technology, own)
+
+    monkeypatch.setattr("pixsim.studies.study.curve_of", counted)
+    names = ["0.35um", "0.25um"]
+    result = pixsim.study(tiny(technologies=names, max_evaluations=24 + 8), tmp_path, jobs=1)
+    assert fitted == [*names, names[0]]
+    for curve in result.curves:
+        whole = curve_of(result.study, curve.technology, rows(tmp_path))
+        assert curve.sensors.sum() == (20 if curve.technology == names[0] else 12)
+        assert curve.optimum == whole.optimum
+        np.testing.assert_array_equal(curve.fit.delta_e, whole.fit.delta_e)
 
 
 def test_study_command_names_limit(done: tuple[StudyResult, Path], toml: Path, tmp_path: Path) -> None:
