@@ -84,8 +84,14 @@ OTHER_WORDS = {
     **dict.fromkeys(("read_noise", "readout_noise"), ("read_noise_e",)),
     **dict.fromkeys(("full_well", "full_well_capacity", "well_capacity"), ("full_well_e",)),
     **dict.fromkeys(("black_level",), ("black_level_dn",)),
+    # Of the sensor, or of the display.
+    **dict.fromkeys(("resolution", "pixel_count", "image_size", "width", "height", "columns", "rows"), ("pixels", "dots")),
+    "pixels": ("dots", "die_mm", "die_height_mm"),
     "sensor": ("[pixel]",),
 }
+PIXELS_OR_FILM = (
+    "The sensor's columns and rows are pixels in [camera], as pixels = [1936, 1216]; resolution is the width of the film."
+)
 MAX_VALUE = 80  # characters of a value in a message
 BRANCHES = ("table", "number")  # of a field that may be either, in the place of an error: no name of a user
 
@@ -104,14 +110,7 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
     where = _where(title, problem, layers)
     if problem["type"] == "extra_forbidden":
         *above, name = path
-        name, known = name.replace("-", "_"), _names(title, above)
-        tables = [table for table in known if name in _names(title, [*above, table])]  # a table header is missing
-        inner = ".".join([*above, *tables])
-        hint = f"It belongs in [{inner}]." if len(tables) == 1 else did_you_mean(name, known)
-        if usual := [word for word in OTHER_WORDS.get(name, ()) if word in known or (word.startswith("[") and not above)]:
-            hint = f"Write {' or '.join(usual)}."
-        elif not above and (own := [word for word in OTHER_WORDS.get(name, ()) if word in _names(title, ["pixel"])]):
-            hint = f"It belongs in [pixel], as {' or '.join(own)}."
+        known, hint = _names(title, above), _hint_of_name(title, above, name.replace("-", "_"))
         table = where.rpartition(".")[0] if above else ""
         allowed = "" if table in listed else f"; allowed: {', '.join(known)}"
         listed.add(table)
@@ -134,6 +133,36 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
     return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
 
 
+def names_meant(title: str, above: Sequence[str], name: str) -> list[list[str]]:
+    """Dotted paths, below the record named `title`, of the settings that an unknown name in the table `above` may mean.
+
+    One of `OTHER_WORDS` for a name of this table counts first, then the same name below it, above all tables, and in another table.
+    """
+    words, others = OTHER_WORDS.get(name, ()), [[table] for table in _names(title, [])]
+    own = [[*above, word] for word in words if word in _names(title, [*above])]
+    below = [[*above, table, name] for table in _names(title, [*above]) if name in _names(title, [*above, table])]
+    top = [[name]] if above and name in _names(title, []) else []
+    beside = [[*table, name] for table in others if name in _names(title, table)]
+    usual = ([[*table, word] for word in words if word in _names(title, table)] for table in others)
+    return own or below or top or beside or next(filter(None, usual), [])
+
+
+def _hint_of_name(title: str, above: list[str], name: str) -> str:
+    """What to write in place of an unknown name in a table; empty if nothing is known or similar."""
+    tables = [word for word in OTHER_WORDS.get(name, ()) if word.startswith("[") and not above]
+    meant = names_meant(title, above, name)
+    if tables or (meant and all(path[:-1] == above for path in meant)):
+        hint = f"Write {' or '.join(tables or [path[-1] for path in meant])}."
+    elif meant:
+        places = dict.fromkeys(f"in [{'.'.join(path[:-1])}]" if path[:-1] else "above all tables" for path in meant)
+        words = list(dict.fromkeys(path[-1] for path in meant))
+        named = "" if words == [name] else f", as {' or '.join(words)}"
+        hint = f"It belongs {' or '.join(places)}{named}."
+    else:
+        hint = did_you_mean(name, _names(title, above))
+    return PIXELS_OR_FILM if above and name == "resolution" and meant[0][-1] != "dots" else hint
+
+
 def _hint(path: Sequence[str], value: Any) -> str:
     """How to write a value that was meant well: in per cent, with its unit in its name, or as a range; empty for others."""
     name = path[-1] if path else ""
@@ -142,6 +171,8 @@ def _hint(path: Sequence[str], value: Any) -> str:
         return f"{value:g} % is {value / 100:g}, or prnu_percent = {value:g}."
     if name == "dark_current" and is_number:
         return f"Write dark_current_e_per_s = {value:g}, or dark_current = {{ e_per_s = {value:g}, at_c = 25 }}."
+    if name == "resolution" and not is_number and re.search(r"\d\D+\d", str(value)):
+        return PIXELS_OR_FILM
     if path[:1] == ["pixel"] and isinstance(value, list | tuple) and len(value) == 2:
         return f"A range of what is not known: [pixel.uncertainty] {name} = {{ range = {list(value)} }}; several values: --axis."
     return ""
@@ -1379,12 +1410,15 @@ DIE_DIGITS = 9  # of a die in mm: 1 pm, so that 2448 × 3.45 µm is 8.4456 mm
 
 
 def as_pixel_count(value: Any) -> Any:
-    """Columns and rows, from numbers or from text as in `2448x2048`."""
-    return (
-        [part.strip() for part in value.lower().replace("×", "x").replace(",", "x").strip("[] ").split("x")]
-        if isinstance(value, str)
-        else value
-    )
+    """Columns and rows, from numbers or from text as in `2448x2048`. ValueError if it is not a pair."""
+    given = value
+    if isinstance(value, str):
+        value = [part.strip() for part in value.lower().replace("×", "x").replace(",", "x").strip("[] ").split("x")]
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        hint = "The number of samples across the film is resolution." if isinstance(given, int) else ""
+        example = "1936x1216" if isinstance(given, str) else "[1936, 1216]"
+        raise ValueError(f"got {given!r}; allowed: columns and rows, as {example}.{hint and ' '}{hint}")
+    return value
 
 
 PixelCount = Annotated[

@@ -56,7 +56,9 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
     except (PixsimError, ValidationError) as error:
         end(explain(error), INVALID_INPUT)
     except CycloptsError as error:
-        end(f"{error}\nTry 'pixsim --help'.", INVALID_INPUT)
+        from pixsim.cli.mistakes import refusal
+
+        end(refusal(error), INVALID_INPUT)
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         discard_output()
     except OSError as error:

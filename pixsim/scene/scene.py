@@ -16,7 +16,7 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, content_hash
+from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run, content_hash, names_meant
 from pixsim.light.spectral import WHITE_LAMPS
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.scene import charts, variant as variants
@@ -251,7 +251,9 @@ def load_scene(
     allowed = names | settable
     if wrong := [name for name in given if name not in allowed]:
         similar = difflib.get_close_matches(wrong[0], allowed, 1)
-        hint = f"Did you mean '{similar[0]}'?" if similar else ""
+        settings = [".".join(path) for path in names_meant(Run.__name__, ["scene"], wrong[0])]
+        hint = f"The setting of this name is {' or '.join(settings)}, beside the scene." if settings else ""
+        hint = f"Did you mean '{similar[0]}'?" if similar else hint
         raise invalid("scene parameter", f"'{wrong[0]}'", ", ".join(sorted(allowed)), hint)
     file_white = text.defaults.get(WHITE)
     if white is not None and file_white is None:

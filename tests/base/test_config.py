@@ -447,7 +447,11 @@ def test_settings_pixels_with_another_die_raises(die: str, off_um: float, tmp_pa
 
 
 def test_settings_pixels_without_pitch_raises(tmp_path: Path) -> None:
-    for pixels, message in (("[640, 480]", "needs the pitch of the sensor"), ("[640]", "pixels"), ('"640 by 480"', "integer")):
+    for pixels, message in (
+        ("[640, 480]", "needs the pitch of the sensor"),
+        ("[640]", "columns and rows"),
+        ('"640 by 480"', "columns and rows"),
+    ):
         path = written(tmp_path / "sensor.toml", f"[camera]\npixels = {pixels}\n")
         with pytest.raises(PixsimError, match=message):
             SceneOptions([path]).settings()
@@ -475,6 +479,20 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
         ("[pixel]\ngain = 2", "Write gain_e_per_dn or dn_per_e."),
         ("read_noise = 3", "It belongs in [pixel], as read_noise_e."),
         ("[sensor]\nbits = 8", "Write [pixel]."),
+        ("[pixel]\nf_number = 4", "It belongs in [camera]."),
+        ("[camera]\nbits = 8", "It belongs in [pixel] or in [display]."),
+        ("[camera]\nseed = 8", "It belongs above all tables."),
+        ("pixels = [1936, 1216]", "It belongs in [camera]."),
+        ("width = 1936", "It belongs in [camera], as pixels."),
+        ("[display]\nresolution = 640", "Write dots."),
+        *(
+            (text, "columns and rows are pixels in [camera], as pixels = [1936, 1216]; resolution is the width of the film.")
+            for text in ("[camera]\nresolution = [1936, 1216]", "[pixel]\nresolution = 512", "resolution = [1936, 1216]")
+        ),
+        (
+            "[camera]\npixels = 1936",
+            "got 1936; allowed: columns and rows, as [1936, 1216]. The number of samples across the film is",
+        ),
         ("[pixel]\nquantum_efficiency = 65", "a fraction: 65 % is 0.65."),
         ("[pixel]\nquantum_efficiency = '65 %'", "a fraction: 65 % is 0.65."),
         ("[pixel]\nprnu = 0.6", "0.6 % is 0.006, or prnu_percent = 0.6."),

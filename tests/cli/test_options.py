@@ -111,6 +111,45 @@ def test_with_each_format_leaves_other_words() -> None:
     assert with_each_format(words) == words
 
 
+# --- Command lines that are refused ---
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (
+            "run csf my.toml",
+            "further word 'my.toml'; allowed: SCENE and options. A file of settings goes after --config: --config my.toml",
+        ),
+        ("study pixel-size 'a b.toml'", "goes after --config: --config 'a b.toml'"),
+        ("datasheet 0.35um my.toml", "goes after --config: --config my.toml"),
+        ("template sensor my.toml", "A file to write goes after -o: -o my.toml"),
+        ("chart csf out.exr -o other.exr", "A file to write goes after -o: -o out.exr"),
+        ("study pixel-size csf", "A scene goes after --scene: --scene csf"),
+        ("run csf flat", "further word 'flat'; allowed: SCENE and options."),  # it takes one
+        ("run csf phone", "A lens goes after --lens: --lens phone"),
+        ("plan csf 4t-bsi", "--pixel.technology 4t-bsi"),
+        ("run csf -D spp=64 luminance_cd_per_m2=10", "after a -D of its own: -D luminance_cd_per_m2=10"),
+        ("run csf camera.f_number=4", "Did you mean --camera.f-number=4?"),
+        ("run csf --camera.pixels 1936 1216", "a pair of numbers is written as 1936x1216"),
+        ("cache clear", "allowed: options. Did you mean --clear?"),
+        ("run csf a b c", "further words 'a' and 2 more"),
+        ("run --seed 3", "run: got no SCENE; allowed: An XML file, or the name of a packaged scene: csf,"),
+        ("run csf --spp 64", "A parameter of the scene goes after -D: -D spp=VALUE"),
+        ("run csf --camera.resolution 640x480", "Did you mean --camera.pixels?"),
+        ("run csf --bits=8", "Unknown option: --bits. Did you mean --pixel.bits or --display.bits?"),
+        ("run csf --pixel-size 3", "Did you mean --pixel.pitch-um?"),
+        ("run csf --linaer", "Did you mean --linear?"),  # by Cyclopts
+        ("lens phone --spp 4", "Unknown option: --spp.\nTry 'pixsim lens --help'"),
+        ("run csf --resolution 640x480", "The sensor's columns and rows are pixels in [camera]"),
+        ("run csf --camera.pixels 640", "camera.pixels: got '640'; allowed: columns and rows, as 1936x1216."),
+        ("run csf -D f_number=4", "The setting of this name is camera.f_number, beside the scene."),
+    ],
+)
+def test_refused_command_line_says_where_its_word_belongs(line: str, words: str) -> None:
+    assert_refused(*command(line), [words])
+
+
 # --- Completion ---
 
 

@@ -1,0 +1,86 @@
+"""The message of a command line that Cyclopts refuses: which word nothing takes, and how to write what was meant."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from cyclopts import Argument, CycloptsError, MissingArgumentError, UnknownOptionError, UnusedCliTokensError
+
+from pixsim.base.config import packaged
+from pixsim.base.parameters import Run, names_meant
+from pixsim.cli.options import app, scene_names
+
+OF_FILES_TO_WRITE = (".toml", ".exr", ".xml")  # which commands with -o write
+
+
+def refusal(error: CycloptsError) -> str:
+    """Return the message for a command line with a word or an option that its command does not take, or another fault."""
+    command, text = " ".join(error.command_chain or ()), str(error)
+    words, options = names_of(command) if command else ([], set())
+    if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
+        first, *others = error.unused_tokens
+        got = f"the further words '{first}' and {len(others)} more" if others else f"the further word '{first}'"
+        allowed, hint = f"{' and '.join([*words, 'options'])}", hint_of_word(first, options)
+        text = f"{command}: got {got}; allowed: {allowed}.{hint and ' '}{hint}"
+    elif isinstance(error, MissingArgumentError) and error.argument and error.argument.index is not None:
+        text = f"{command}: got no {word_of(error.argument)}; allowed: {error.argument.parameter.help}"
+    elif isinstance(error, UnknownOptionError) and error.token.keyword:
+        name = error.token.keyword.partition("=")[0]
+        if hint := hint_of_option(name, options) or ("" if "Did you mean" in text else hint_of_parameter(name, options)):
+            text = f"Unknown option: {name}. {hint}"
+    return f"{text}\nTry 'pixsim{command and ' '}{command} --help'."
+
+
+def names_of(command: str) -> tuple[list[str], set[str]]:
+    """Return the names of what a command takes without an option, as SCENE, and of its options."""
+    arguments = [argument for argument in app[command].assemble_argument_collection() if argument.parse]
+    words = [word_of(argument) for argument in arguments if argument.index is not None]
+    return words, {name for argument in arguments if argument.index is None for name in argument.names}
+
+
+def word_of(argument: Argument) -> str:
+    return argument.name.lstrip("-").upper()
+
+
+def hint_of_word(word: str, options: set[str]) -> str:
+    """Return where a word belongs that is no argument of a command; empty if nothing is known.
+
+    options : names of those of the command
+    """
+    name, equals, value = word.partition("=")
+    suffix, option = Path(word).suffix.lower(), f"--{name.lower().replace('_', '-')}"
+    if option in options:
+        return f"Did you mean {option}{equals}{shlex.quote(value) if value else ''}?"
+    if name and equals and "-D" in options:
+        return f"Each parameter of the scene goes after a -D of its own: -D {shlex.quote(word)}"
+    kinds = [
+        ("a file of settings", "--config", suffix == ".toml"),
+        ("a file to write", "-o", suffix in OF_FILES_TO_WRITE),
+        ("a scene", "--scene", suffix == ".xml" or word in scene_names()),
+        ("a lens", "--lens", suffix == ".zmx" or word in packaged("data/lenses")),
+        ("a technology", "--pixel.technology", word in packaged("data/technologies")),
+    ]
+    for kind, option, fits in kinds:
+        if fits and option in options:
+            return f"{kind[0].upper()}{kind[1:]} goes after {option}: {option} {shlex.quote(word)}"
+    is_number = word.replace(".", "").isdecimal()
+    return "An option takes one word: a pair of numbers is written as 1936x1216." if is_number else ""
+
+
+def hint_of_option(name: str, options: set[str]) -> str:
+    """Return the options of a command that an unknown one, such as --camera.resolution, means; empty if there are none."""
+    *above, last = name.lstrip("-").replace("-", "_").split(".")
+    meant = ["--" + ".".join(path).replace("_", "-") for path in names_meant(Run.__name__, above, last)]
+    known = [option for option in meant if option in options]
+    return f"Did you mean {' or '.join(known)}?" if known else ""
+
+
+def hint_of_parameter(name: str, options: set[str]) -> str:
+    """Return how a parameter of the scene is set, for an unknown option that may be one."""
+    parameter = name.lstrip("-").replace("-", "_")
+    return (
+        f"A parameter of the scene goes after -D: -D {parameter}=VALUE"
+        if "-D" in options and name.startswith("--") and "." not in name
+        else ""
+    )
