@@ -123,6 +123,12 @@ def store_arrays(kind: str, key: str, content: Arrays) -> None:
     _store(folder() / kind / f"{key}.npz", write, sum(array.nbytes for array in content.values()))
 
 
+def forget(kind: str, key: str) -> None:
+    """Remove the JSON entry of a key, if there is one."""
+    with suppress(OSError):
+        (folder() / kind / f"{key}.json").unlink()
+
+
 def has_room(size_bytes: int) -> bool:
     """Whether an entry of this size fits without displacing most of the others."""
     return size_bytes <= MAX_SHARE * limit_bytes()

@@ -1,6 +1,6 @@
 """`pixsim doctor`: checks of software, machine and a test render, with the command that fixes each problem.
 
-Checks that may abort or hang run in separate processes (`pixsim.cli.trial`).
+Checks that may abort or hang run in separate processes (`pixsim.scene.trial`).
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from pixsim.base import cache, machine
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.version import VERSION
-from pixsim.cli.trial import Trial, attempt
-from pixsim.scene import variant
+from pixsim.scene import graphics, variant
+from pixsim.scene.trial import Trial, attempt, picture_fault
+from pixsim.scene.variant import CUDA, LLVM, SCALAR
 
 MODULES = {"colour-science": "colour", "openexr": "OpenEXR", "pillow": "PIL"}  # import names that differ from package names
 
@@ -66,7 +67,6 @@ def pip(*arguments: str) -> str:
 
 OK, NOTE, PROBLEM = "ok", "note", "problem"
 LIMIT_S = 20.0  # per trial, which takes 1 to 3 s
-MAX_MEAN_ERROR, MAX_RMS_ERROR = 1e-3, 1e-2  # of the illuminance of the test render, normally 1e-5 and 4e-3
 MEMORY_GIB = 1.0  # `pixsim run csf` takes 0.6
 DISK_GIB = 0.5  # it writes 0.13
 MIN_VERSIONS = ("mitsuba", "drjit", "numpy", "scipy")  # checked if the metadata of pixsim are missing
@@ -75,7 +75,6 @@ OPTIONAL = {  # package -> extra of pixsim that installs it, and its purpose
     "distributed": ("cluster", "studies on a cluster"),
     "spectral": ("envi", "ENVI cubes"),
 }
-SCALAR, LLVM, CUDA = "scalar_spectral", "llvm_ad_spectral", "cuda_ad_spectral"
 
 
 @dataclass(frozen=True)
@@ -101,13 +100,18 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
     limit_s : time limit of each trial, s
     """
     required = requirements(metadata.requires("pixsim") or []) if installed("pixsim") else {}
+    card = graphics.judge(again=True)
     with ThreadPoolExecutor() as pool:
-        pending = [pool.submit(attempt, kind, limit_s=limit_s) for kind in ("libraries", "driver")]
-        libraries, driver = (trial.result() for trial in pending)
+        libraries = attempt("libraries", limit_s=limit_s)
         chosen = attempt("render", limit_s=limit_s)  # not in parallel, since it is timed
         usable = usable_llvm(libraries)
-        taken = (LLVM if usable else SCALAR) if chosen.facts.get("refused") is None else None
-        others = {name: pool.submit(attempt, "render", name, limit_s=limit_s) for name in (SCALAR, CUDA) if name != taken}
+        default = chosen.facts.get("variant", LLVM if usable else SCALAR)
+        taken = default if chosen.facts.get("refused") is None else None
+        others = {
+            name: pool.submit(attempt, "render", name, limit_s=limit_s)
+            for name in (SCALAR, LLVM)[: 1 + bool(usable)]
+            if name != taken
+        }
         imports = pool.submit(attempt, "imports", *map(module_of, required or MIN_VERSIONS), limit_s=limit_s)
         renders = {name: trial.result() for name, trial in others.items()}
     if taken:
@@ -115,8 +119,8 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
     return [
         *_software(required, imports.result()),
         *_llvm(libraries, usable),
-        *_variants(renders, taken, driver),
-        _graphics(driver),
+        *_variants(renders, taken, card),
+        _graphics(card),
         *_hardware(chosen.facts.get("threads")),
         _cache(),
         _space("results", out, "choose another folder with --out"),
@@ -202,33 +206,19 @@ def _status_of_library(line: dict[str, Any], taken: str | None) -> tuple[str, st
     return OK, "usable, but another is preferred", None
 
 
-def _variants(renders: dict[str, Trial], taken: str | None, driver: Trial) -> Iterator[Finding]:
+def _variants(renders: dict[str, Trial], taken: str | None, card: graphics.Verdict) -> Iterator[Finding]:
     compiled = next((names for trial in renders.values() if (names := trial.facts.get("compiled_in"))), None)
     if compiled:
         yield Finding("Mitsuba", "compiled in", OK, ", ".join(compiled), facts={"variants": compiled})
-    for name in (LLVM, SCALAR, CUDA):
-        fault = _fault(renders[name]) if name in renders else "needs a usable LLVM"
-        mark = NOTE if fault else OK
-        if name == CUDA and (reason := driver.facts.get("fault")) and fault:
-            fault, mark = reason, OK  # a graphics card is not required
+    faults = {name: picture_fault(renders[name]) if name in renders else "needs a usable LLVM" for name in (LLVM, SCALAR)}
+    for name, fault in (faults | {CUDA: card.fault}).items():
+        mark = NOTE if fault and (name != CUDA or card.tried_s) else OK  # a graphics card is not required
         works = "works" + (" and is the default" if name == taken else f", with --variant {name}")
         yield Finding("Mitsuba", name, mark, f"does not work: {fault}" if fault else works)
 
 
-def _fault(trial: Trial) -> str | None:
-    """Why a trial gave no image or a wrong one; None if it is correct."""
-    if reason := trial.fault or trial.facts.get("refused"):
-        return str(reason)
-    if (mean := trial.facts.get("mean_error")) is None:
-        return "gives no result"
-    rms = trial.facts["rms_error"]
-    if abs(mean) <= MAX_MEAN_ERROR and rms <= MAX_RMS_ERROR:  # False for NaN
-        return None
-    return f"its image is wrong: the illuminance differs from the closed form by {mean:+.2%} (mean), {rms:.2%} (RMS)"
-
-
 def _test_render(chosen: Trial, scalar: Trial | None) -> Finding:
-    fault, taken = _fault(chosen), chosen.facts.get("variant")
+    fault, taken = picture_fault(chosen), chosen.facts.get("variant")
     facts = {**chosen.facts, "seconds": chosen.seconds}
     facts.pop("compiled_in", None)
     if fault is None:
@@ -238,18 +228,20 @@ def _test_render(chosen: Trial, scalar: Trial | None) -> Finding:
             f"of which {facts['render_s']:.1f} s render"
         )
         return Finding("test render", facts["variant"], OK, text, facts=facts)
-    scalar_works = scalar is not None and _fault(scalar) is None and taken != SCALAR
+    scalar_works = scalar is not None and picture_fault(scalar) is None and taken != SCALAR
     unset = f"unset {variant.LLVM_VARIABLE}" if variant.LLVM_VARIABLE in fault else None
     fix = f"pixsim run csf --variant {SCALAR}" if scalar_works else pip("--force-reinstall", "mitsuba==3.9.*", "drjit")
     return Finding("test render", taken or "Mitsuba", PROBLEM, fault, unset or fix, facts)
 
 
-def _graphics(driver: Trial) -> Finding:
-    cards, fault = machine.graphics_cards(), driver.fault or driver.facts.get("fault")
-    facts = {"cards": cards, "cuda": driver.facts.get("cuda"), "devices": driver.facts.get("devices")}
-    if fault:
-        return Finding("machine", "GPU", NOTE if cards else OK, "; ".join([*cards, f"none usable: {fault}"]), facts=facts)
-    return Finding("machine", "GPU", OK, "; ".join(cards) or f"{facts['devices']} devices, CUDA {facts['cuda']}", facts=facts)
+def _graphics(card: graphics.Verdict) -> Finding:
+    cards = machine.graphics_cards()
+    facts = {"cards": cards, "card": card.card, "fault": card.fault}
+    shown = "; ".join(cards) or card.card
+    if card.fault:
+        text = f"{shown}; not used: {card.fault}" if shown else f"none usable: {card.fault}"
+        return Finding("machine", "GPU", NOTE if shown else OK, text, facts=facts)
+    return Finding("machine", "GPU", OK, shown, facts=facts)
 
 
 def _hardware(threads: int | None) -> Iterator[Finding]:

@@ -19,8 +19,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import content_hash
 from pixsim.light.spectral import grid_nm
 from pixsim.scene.assets import mitsuba_folder
-
-UNUSABLE_HINT = "Leave out --variant; `pixsim doctor` says what each variant lacks."
+from pixsim.scene.variant import UNUSABLE_HINT
 
 
 def import_mitsuba(variant: str) -> Any:

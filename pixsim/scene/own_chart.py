@@ -185,5 +185,5 @@ def _of_mitsuba(path: Path) -> Array:
 
     if path.suffix.lower() == ".hdr":
         judge_radiance(path, "chart picture")
-    values: Any = read_bitmap(path, variant.choose().variant)
+    values: Any = read_bitmap(path, variant.choose().reading)
     return np.asarray(values, float)[:, :, :3]

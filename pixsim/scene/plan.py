@@ -244,10 +244,10 @@ def make_render_plan(
     sensor = sensor_node(state, scene.sensor_id)[1]
     height, width = (max(1, side) for side in scene.film_shape(seen, state))  # the renderer checks the size
     bodies = find_bodies(state, sensor)
-    every_lamp = find_lamps(state, scene.choice.variant)
+    every_lamp = find_lamps(state, scene.choice.reading)
     lamps = checked_lamps(every_lamp)
     white = white_of(state, every_lamp if scene.white_lamps else lamps, scene.white_lamps)
-    surfaces = find_surfaces(state, scene.choice.variant)
+    surfaces = find_surfaces(state, scene.choice.reading)
     if not lamps:
         raise invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
     integrator, met, bounces = rules.decide_bounces(state, bodies, full)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 from pixsim.base import cache, mapped
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, strips
-from pixsim.base.errors import invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.mapped import release, zeros
+from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
@@ -129,7 +131,7 @@ def render(
     ----------
     scene : from `load_scene`; its film and sampler give the resolution and the samples per pixel
     camera : replaces the camera of the file; None takes that of the file
-    seed : of the sampler; equal seeds give bit-identical results
+    seed : of the sampler; equal seeds give bit-identical results, but for the rounding of float32 sums on a graphics card
     full : leave nothing out (every band, the scene's integrator, a sampled lens)
     plan : from `make_plan`; None makes the default plan
     progress : called with the fraction done
@@ -162,7 +164,7 @@ class Renderer:
         self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
         self.seen, self.distortion = rendered_camera(camera), distortion_of(camera)
         text = scene.text_for_camera(self.seen)
-        state = parse_tree(text.text, scene.choice.variant)
+        state = parse_tree(text.text, scene.choice.reading)
         self.size = scene.film_shape(self.seen, state)
         for side in self.size:
             check_resolution(side)
@@ -172,7 +174,6 @@ class Renderer:
         self.margin = plan.margin(self.size, self.pitch_um)
         self.field = self.size[0] + 2 * self.margin, self.size[1] + 2 * self.margin  # cells that are rendered
         self.on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
-        self.scalar = scene.choice.variant.startswith("scalar")
         wide = (
             self.seen.model_copy(update={"die_mm": self.seen.die_mm * self.field[1] / self.size[1]}) if self.margin else self.seen
         )
@@ -189,14 +190,34 @@ class Renderer:
         self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables)
         self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
+        self.begun = False  # whether there is a run of the variant
 
     @cached_property
     def tracer(self) -> Tracer:
         return self.traced(self.job)
 
     def traced(self, job: Job) -> Tracer:
-        """Return what traces a job: this process if the scene is packaged, else a child."""
-        return OwnTracer(job) if self.packaged else child_tracer(job, self.ends_at_s)
+        """Return what traces a job: this process if the scene is packaged, else a child, which a failing card may end too."""
+        own = self.packaged and self.source.choice.processors is None
+        return OwnTracer(job) if own else child_tracer(job, self.ends_at_s if not self.packaged else None)
+
+    def leave_card(self, error: PixsimError) -> None:
+        """Trace on the processors from now on, since the graphics card failed. Raises the error where nothing can be changed.
+
+        A card that was asked for stays, and so does one that has made a run: no result mixes variants.
+        """
+        processors = self.source.choice.processors
+        if processors is None or (self.ends_at_s is not None and time.monotonic() > self.ends_at_s):
+            raise error
+        if self.begun or self.source.choice.asked:
+            raise PixsimError(f"{error} On this graphics card; to render without it: --variant {processors.variant}.") from None
+        warn(f"rendering with {processors.variant}, since the graphics card failed: {error}")
+        self.source = replace(self.source, choice=processors)
+        self.job = replace(self.job, variant=processors.variant)
+        self.__dict__.pop("tracer", None)
+        if self.cache:
+            state = parse_tree(self.job.text, processors.variant)
+            self.cache = CachedRenders(hash_of_job(self.source, state, self.camera, self.plan, self.seed))
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
         """Return the irradiance relative to that on the axis, at the centre of each rendered cell of some rows and columns."""
@@ -210,11 +231,16 @@ class Renderer:
         """
         result = self.cache.find(index, level) if self.cache and not self.plan.exact else None
         if result is None:
-            result = self._rendered(index, level, progress)
+            try:
+                result = self._rendered(index, level, progress)
+            except PixsimError as error:
+                self.leave_card(error)
+                return self.run(index, progress, level)
             if self.cache and not self.plan.exact:  # which takes no longer than reading a file
                 self.cache.store(index, level, *result)
         elif progress:
             progress(1.0)
+        self.begun = True
         return [self.distorted(planes) for planes in result[0]], result[1]
 
     def distorted(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -271,7 +297,7 @@ class Renderer:
         """Return the rows that divide a render into parts, so that Ctrl-C works between them."""
         height, width = self.field
         samples = height * width * spp
-        if self.scalar:
+        if self.job.variant.startswith("scalar"):
             parts = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP))
         else:
             parts = max(-(-samples // SAMPLES_PER_KERNEL), -(-height * width // CELLS_PER_KERNEL))
@@ -365,8 +391,9 @@ def _checked(values: NDArray[np.float32], channels: int) -> Array:
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
     """Return the provenance of an irradiance; equal inputs give equal files."""
     decisions = [f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions]
+    variant = scene.choice.reading if plan.exact else scene.choice.variant  # nothing is traced: a graphics card has no part in it
     header: dict[str, Any] = {"scene": scene.path.name, "scene_hash": scene.content_hash, "parameters": scene.shown_parameters}
-    header |= {"camera": camera.model_dump(), "seed": seed, "spp": spp, "variant": scene.choice.variant, "plan": decisions}
+    header |= {"camera": camera.model_dump(), "seed": seed, "spp": spp, "variant": variant, "plan": decisions}
     header |= {
         "bound_e": plan.bound_e if plan.bounded else None,
         "spare_e": plan.spare_e,

@@ -83,7 +83,7 @@ class Scene:
     @checks_arguments
     def parse(self, **more: object) -> Tree:
         """Return the parsed tree of the judged text, with `more` parameters unless the user set them."""
-        return parse_tree(self.text(**more).text, self.choice.variant)
+        return parse_tree(self.text(**more).text, self.choice.reading)
 
     @checks_arguments
     def camera(self, options: CameraOptions | None = None, lens: LensOptions | None = None) -> Camera:
@@ -110,7 +110,7 @@ class Scene:
     @checks_arguments
     def for_camera(self, camera: Camera) -> Tree:
         """Return the parsed tree with the scene's lens and chart parameters set for a camera."""
-        return parse_tree(self.text_for_camera(camera).text, self.choice.variant)
+        return parse_tree(self.text_for_camera(camera).text, self.choice.reading)
 
     @checks_arguments
     def text_for_camera(self, camera: Camera) -> SceneText:
@@ -216,7 +216,7 @@ def load_scene(
     Parameters
     ----------
     scene : path, or a name as in `pixsim run`
-    variant : Mitsuba variant; None takes the fastest that works on this machine
+    variant : Mitsuba variant; None takes the graphics card if it passed its trial, else the processors
     sensor : id of the sensor, if the scene has several
     parameters : values of the scene's <default> parameters; `luminance_cd_per_m2` sets the luminance of texel value 1
         in a scene with a parameter `emitter_scale`; `max_lp_per_mm` the highest frequency on the sensor of the CSF chart;
@@ -274,7 +274,7 @@ def load_scene(
     state = loaded.parse()
     white_lamps = tuple(dict.fromkeys(str((file_lamps if lamps is None else lamps) or "").replace(",", " ").split()))
     if white_lamps:
-        white_of(state, find_lamps(state, choice.variant), white_lamps)
+        white_of(state, find_lamps(state, choice.reading), white_lamps)
         loaded = replace(loaded, white_lamps=white_lamps)
     sensor_of_scene = sensor_node(state, sensor)[1]
     read_camera(sensor_of_scene, Camera().die_mm)
@@ -301,7 +301,7 @@ def _with_own_chart(scene: Scene, text: SceneText, picture: Path | None, linear:
     """Return the scene with a picture as its chart, where the scene takes neutral textures there."""
     own = False
     if picture:
-        nodes = nodes_of(parse_tree(text.text, scene.choice.variant), "Texture")
+        nodes = nodes_of(parse_tree(text.text, scene.choice.reading), "Texture")
         own = any(is_neutral(node) for _, node in nodes if str(node.props.get("filename", "")) == str(picture))
     if linear and not (own and picture and picture.suffix.lower() not in LINEAR_SUFFIXES):
         name = scene.parameters.get(CHART, "")
@@ -323,7 +323,7 @@ def _with_luminance(scene: Scene, luminance: object) -> Scene:
         got = f"{value:g}, but '{scene.path.name}' has no parameter {EMITTER_SCALE}"
         raise invalid(LUMINANCE, got, f'scenes whose emitter has <float name="scale" value="${EMITTER_SCALE}"/>')
     unit = scene.with_parameters(**{EMITTER_SCALE: "1"}).parse()
-    lamp = find_lamp(unit, scene.choice.variant)
+    lamp = find_lamp(unit, scene.choice.reading)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
         raise invalid(LUMINANCE, f"{value:g}, but the luminance of the emitters is unknown", "emitters of one spectrum, above 0")
     scale = repr(value / lamp.luminance_cd_per_m2)

@@ -15,29 +15,43 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from pixsim.base import cache
 from pixsim.base.errors import invalid
 from pixsim.base.notes import MachineWarning, warn
+from pixsim.scene import graphics
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 LLVM_WHEEL = "karellen-llvm-core"
 SYSTEM, BY_HAND = "system", "installed by hand"  # origins of a library, besides the variable and the wheel
 OLDEST_LLVM = 17
-VARIANTS = ("llvm_ad_spectral", "scalar_spectral", "cuda_ad_spectral")
+LLVM, SCALAR, CUDA = "llvm_ad_spectral", "scalar_spectral", graphics.CUDA
+VARIANTS = (LLVM, SCALAR, CUDA)
+UNUSABLE_HINT = "Leave out --variant; `pixsim doctor` says what each variant lacks."
 SYSTEM_PATTERNS = ("lib/*-linux-gnu/libLLVM*.so*", "lib/llvm-*/lib/libLLVM*.so*", "lib64/libLLVM*.so*", "lib/libLLVM*.so*")
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A variant, its LLVM library if any, and why it was chosen."""
+    """A variant, its LLVM library if any, and why it was chosen.
+
+    processors : where a graphics card traces, what reads the scene and its spectra in this process: the driver never runs here
+    asked : whether the graphics card was asked for, so that no processors take its place if it fails
+    """
 
     variant: str
     llvm_path: str | None
     reason: str
+    processors: Choice | None = None
+    asked: bool = False
+
+    @property
+    def reading(self) -> str:
+        """The variant that reads the scene and its spectra: the one that traces, unless a graphics card does."""
+        return self.variant if self.processors is None else self.processors.variant
 
 
 def llvm_version(path: str) -> int | None:
@@ -173,28 +187,43 @@ def find_llvm() -> tuple[str | None, str]:
 def choose(asked: str | None = None) -> Choice:
     """Choose a variant, or check the requested one, and prepare its LLVM library; call before Mitsuba is imported.
 
-    Falls back to `scalar_spectral` with a warning. Raises PixsimError for an unknown variant, and for an LLVM variant without
-    a usable LLVM.
+    A graphics card that passed its trial is preferred, then LLVM. Falls back to `scalar_spectral` with a warning. Raises
+    PixsimError for an unknown variant, for an LLVM variant without a usable LLVM, and for a CUDA variant without a driver.
     """
     if asked is not None and asked not in VARIANTS:
         raise invalid("variant", f"'{asked}'", ", ".join(VARIANTS))
-    if asked in ("scalar_spectral", "cuda_ad_spectral"):
-        return Choice(asked, None, "requested")
+    if asked == SCALAR:
+        return Choice(SCALAR, None, "requested")
+    if asked == CUDA and (fault := graphics.absent()):
+        raise invalid("variant", f"'{asked}', but {fault}", "a variant that runs here", UNUSABLE_HINT)
+    processors, lacks = _for_processors(asked)
+    if asked == CUDA:
+        return Choice(CUDA, processors.llvm_path, "requested", processors, asked=True)
+    if asked is not None:
+        return processors
+    card = graphics.judge()
+    if card.fault is None:
+        return Choice(CUDA, processors.llvm_path, f"{card.card} passed its trial", processors)
+    if lacks:
+        warn(f"rendering with {SCALAR}, since {lacks}", MachineWarning)
+    return replace(processors, reason=f"{processors.reason}; no graphics card: {card.fault}")
+
+
+def _for_processors(asked: str | None) -> tuple[Choice, str]:
+    """Return LLVM, or else scalar, and in that case what it lacks for LLVM and how to get it."""
     if "drjit" in sys.modules and not os.environ.get(LLVM_VARIABLE):
         # It is too late to choose a library, and scalar_spectral needs none.
         hint = "import pixsim.scene.renderer before mitsuba and drjit, or set " + LLVM_VARIABLE
-        if asked is not None:
-            raise invalid("variant", f"'{asked}' after Mitsuba was imported", "scalar_spectral", f"Or {hint}.")
+        if asked == LLVM:
+            raise invalid("variant", f"'{asked}' after Mitsuba was imported", SCALAR, f"Or {hint}.")
         cause = "Mitsuba was imported before its LLVM was checked"
-        warn(f"rendering with scalar_spectral, since {cause}; {hint}", MachineWarning)
-        return Choice("scalar_spectral", None, "Mitsuba was imported before pixsim could check its LLVM")
+        return Choice(SCALAR, None, "Mitsuba was imported before pixsim could check its LLVM"), f"{cause}; {hint}"
     path, reason = find_llvm()
     if path is not None:
         os.environ[LLVM_VARIABLE] = path
         _reasons[path] = reason
-        return Choice("llvm_ad_spectral", path, reason)
+        return Choice(LLVM, path, reason), ""
     hint = f"for renders several times faster: pip install {LLVM_WHEEL} (or pixsim[llvm])"
-    if asked is not None:
+    if asked == LLVM:
         raise invalid("variant", f"'{asked}', but {reason}", f"LLVM {OLDEST_LLVM} or newer", f"Install one, {hint}.")
-    warn(f"rendering with scalar_spectral, since {reason}; {hint}", MachineWarning)
-    return Choice("scalar_spectral", None, reason)
+    return Choice(SCALAR, None, reason), f"{reason}; {hint}"

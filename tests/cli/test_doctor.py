@@ -18,10 +18,10 @@ from helpers.processes import HANG_S
 
 from pixsim.base import machine
 from pixsim.base.parameters import Camera
-from pixsim.cli import doctor, trial
+from pixsim.cli import doctor
 from pixsim.cli.commands import report
 from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, requirements, satisfies
-from pixsim.scene import variant
+from pixsim.scene import checks, trial, variant
 
 OLD_LLVM = [str(path) for major in (14, 15) for path in sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{major}.so.1"))]
 HIDES_THE_WHEEL = """
@@ -92,7 +92,7 @@ def test_doctor_working_machine_has_no_problems():
     assert (visited.code, visited.result["ok"], visited.problems) == (0, True, [])
     assert visited.picture["mark"] == OK
     facts = visited.picture["facts"]
-    assert abs(facts["mean_lx"] / facts["expected_lx"] - 1) < doctor.MAX_MEAN_ERROR
+    assert abs(facts["mean_lx"] / facts["expected_lx"] - 1) < trial.MAX_MEAN_ERROR
     assert 0 < facts["render_s"] < facts["seconds"]
     groups = dict.fromkeys(finding["room"] for finding in visited.result["findings"])
     assert list(groups) == ["software", "LLVM", "Mitsuba", "machine", "folders", "optional", "test render"]
@@ -116,7 +116,7 @@ def test_doctor_reports_library_used_by_mitsuba():
 def test_closed_form_lx_matches_hand_calculation():
     """Calculated by hand: mean 0.5125 of 1000 cd/m², π/(1 + 4·16·1.00387²) sr on the axis at f/4, f = 3.86 mm, 1 m."""
     camera = Camera()
-    illuminance_lx = trial.closed_form_lx(camera, 16)
+    illuminance_lx = checks.closed_form_lx(camera, 16)
     magnification = 3.86e-3 / (1 - 3.86e-3)
     on_axis = np.pi / (1 + 64 * (1 + magnification) ** 2)
     assert illuminance_lx[7:9, 7:9].mean() / (512.5 * on_axis) == pytest.approx(1, abs=0.1)  # contrast 0.1 there
@@ -215,11 +215,11 @@ def test_doctor_survives_aborting_mitsuba(tmp_path: Path):
 
 def test_fault_wrong_image_is_reported():
     right = {"mean_error": 1e-5, "rms_error": 4e-3}
-    judge = lambda **error: doctor._fault(trial.Trial([right | error], 1.0, 0, ""))  # noqa: E731
+    judge = lambda **error: trial.picture_fault(trial.Trial([right | error], 1.0, 0, ""))  # noqa: E731
     assert judge() is None
     for wrong in ({"mean_error": -0.01}, {"rms_error": 0.1}, {"mean_error": float("nan")}, {"rms_error": float("nan")}):
         assert "wrong" in str(judge(**wrong))
-    assert doctor._fault(trial.Trial([], 1.0, 0, "")) == "gives no result"
+    assert trial.picture_fault(trial.Trial([], 1.0, 0, "")) == "gives no result"
 
 
 def test_broken_packages_uses_lines_before_abort():

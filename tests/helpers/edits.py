@@ -9,7 +9,7 @@ import pytest
 import pixsim
 from pixsim.base.arrays import Array
 from pixsim.optics.thin_lens import field_factor
-from pixsim.scene import variant as variants
+from pixsim.scene import graphics, variant as variants
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import Decision
 from pixsim.scene.scene import Scene, packaged_scenes
@@ -19,6 +19,9 @@ FOLDER = packaged_scenes()["csf"].parent
 END = "</scene>"
 variants.choose()  # must precede the import of Mitsuba
 NEEDS_LLVM = pytest.mark.skipif(variants.find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only")
+NO_CARD = graphics.absent()
+NEEDS_CARD = pytest.mark.skipif(NO_CARD is not None, reason=f"no NVIDIA driver here: {NO_CARD}")
+NEEDS_NO_CARD = pytest.mark.skipif(NO_CARD is None, reason="an NVIDIA driver is installed here")
 VARIANTS = pytest.mark.parametrize("variant", [pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM), VARIANT])
 
 

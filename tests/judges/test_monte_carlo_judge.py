@@ -17,13 +17,12 @@ Gates:
 
 from __future__ import annotations
 
-import ctypes.util
 from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
 import pytest
-from helpers.edits import VARIANT
+from helpers.edits import NEEDS_CARD, VARIANT
 from judges.gates import not_met, row
 from scipy.stats import ttest_ind_from_stats
 
@@ -122,13 +121,10 @@ def scenes(long: set[str]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.judges_full) if n in long else n for n in SCENES])
 
 
-@pytest.mark.skipif(ctypes.util.find_library("cuda") is None, reason="no libcuda here: no NVIDIA driver, so no GPU")
+@NEEDS_CARD
 @scenes(LONG)
 def test_cuda_variant_matches_scalar(name):
-    try:
-        pixsim.load_scene(name, variant="cuda_ad_spectral").parse()
-    except pixsim.PixsimError as error:
-        pytest.skip(f"no GPU that Mitsuba can use: {error}")
+    """A card that cannot trace fails here: `pixsim doctor` says why."""
     assert_one_image(renders(name, "cuda_ad_spectral", seed=2), renders(name, VARIANT))
 
 

@@ -1,6 +1,6 @@
-"""Checks that may abort or hang (LLVM, Mitsuba, graphics driver), run in child processes with a time limit.
+"""Checks that may abort or hang (LLVM, Mitsuba, graphics driver): what a child process of `scene.trial` does.
 
-The child writes JSON lines to a pipe of its own, apart from the output of libraries. Lines before an abort are used.
+It writes JSON lines to a pipe of its own, apart from the output of libraries. Lines before an abort are used.
 """
 
 from __future__ import annotations
@@ -8,78 +8,19 @@ from __future__ import annotations
 import ctypes
 import json
 import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
 from pixsim.base.errors import PixsimError
 from pixsim.scene import variant as variants
+from pixsim.scene.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver
+from pixsim.scene.trial import Line
 
-Line = dict[str, Any]
 TRIED_SCENE, TRIED_RESOLUTION = "csf", 64
+CAPABILITY = 75, 76  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR
 POINTS = 16  # of the chart, along each side of a cell
-START = "import sys; sys.path[:] = {path!r}; from pixsim.cli.trial import main; main({fd}, {kind!r}, *{arguments!r})"
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Output, duration and exit status of a child process."""
-
-    lines: list[Line]
-    seconds: float
-    returncode: int | None  # None: stopped at the time limit
-    last_error: str  # last line of stderr
-
-    @property
-    def facts(self) -> Line:
-        """All lines merged into one."""
-        return {name: value for line in self.lines for name, value in line.items()}
-
-    @property
-    def fault(self) -> str | None:
-        """How the child failed; None if it succeeded."""
-        if self.returncode is None:
-            return f"hangs: stopped after {self.seconds:.0f} s"
-        if not self.returncode:
-            return None
-        if self.returncode < 0:
-            name = next((number.name for number in signal.Signals if number == -self.returncode), "unknown")
-            failure = f"dies of signal {-self.returncode} ({name})"
-        else:
-            failure = "fails"
-        return failure + (f": {self.last_error}" if self.last_error else "")
-
-
-def attempt(kind: str, *arguments: str, limit_s: float) -> Trial:
-    """Run one of TRIALS in a new process with the same module path."""
-    reading, writing = os.pipe()
-    code = START.format(path=sys.path, fd=writing, kind=kind, arguments=arguments)
-    start = time.perf_counter()
-    with os.fdopen(reading, encoding="utf-8") as pipe:
-        try:
-            child = subprocess.Popen(
-                [sys.executable, "-c", code],
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, pass_fds=(writing,),
-                text=True, errors="replace",
-            )  # fmt: skip
-        finally:
-            os.close(writing)
-        with child:
-            try:
-                _, errors = child.communicate(timeout=limit_s)
-                returncode: int | None = child.returncode
-            except subprocess.TimeoutExpired:
-                child.kill()
-                _, errors = child.communicate()
-                returncode = None
-        lines = [json.loads(line) for line in pipe if line.endswith("\n")]
-    messages = [line.strip() for line in errors.splitlines() if line.strip()]
-    return Trial(lines, time.perf_counter() - start, returncode, messages[-1] if messages else "")
 
 
 def libraries() -> Iterator[Line]:
@@ -103,19 +44,52 @@ def imports(*modules: str) -> Iterator[Line]:
 
 
 def driver() -> Iterator[Line]:
-    """CUDA version of the NVIDIA driver and number of devices, or the fault."""
-    try:
-        cuda = ctypes.CDLL("libcuda.so.1")
-    except OSError:
-        yield {"fault": "no NVIDIA driver (libcuda.so.1 not found)"}
+    """The NVIDIA driver and the card that Dr.Jit would use, or why there is none; a fault ends the check.
+
+    The functions of the driver that are called, and in which form, are those of the CUDA driver API.
+    """
+    cuda = loaded_driver()
+    if cuda is None:
+        yield {"fault": NO_DRIVER}
         return
+    number = ctypes.c_int()
+    cuda.cuDriverGetVersion(ctypes.byref(number))
+    yield {"cuda": [number.value // 1000, number.value % 1000 // 10]}
     if code := cuda.cuInit(0):
-        yield {"fault": f"the NVIDIA driver has no usable device (cuInit: {code})"}
+        yield {"fault": f"the NVIDIA driver finds no usable card ({_name_of(cuda, code)})"}
         return
-    count, version = ctypes.c_int(), ctypes.c_int()
+    count = ctypes.c_int()
     cuda.cuDeviceGetCount(ctypes.byref(count))
-    cuda.cuDriverGetVersion(ctypes.byref(version))
-    yield {"fault": None, "devices": count.value, "cuda": f"{version.value // 1000}.{version.value % 1000 // 10}"}
+    yield {"devices": count.value}
+    if count.value:
+        yield _card(cuda)
+    try:
+        ctypes.CDLL(os.environ.get(OPTIX_VARIABLE) or OPTIX)
+    except OSError:
+        yield {"fault": NO_OPTIX}
+        return
+    yield {"fault": None}
+
+
+def _name_of(cuda: ctypes.CDLL, code: int) -> str:
+    """Name of an error, such as CUDA_ERROR_NO_DEVICE."""
+    name = ctypes.c_char_p()
+    failed = cuda.cuGetErrorName(code, ctypes.byref(name))
+    return name.value.decode(errors="replace") if not failed and name.value else f"cuInit: {code}"
+
+
+def _card(cuda: ctypes.CDLL) -> Line:
+    """The first card, which Dr.Jit uses: its name, compute capability and memory."""
+    card, size, name = ctypes.c_int(), ctypes.c_size_t(), ctypes.create_string_buffer(256)
+    cuda.cuDeviceGet(ctypes.byref(card), 0)
+    cuda.cuDeviceGetName(name, len(name), card)
+    cuda.cuDeviceTotalMem_v2(ctypes.byref(size), card)
+    capability = []
+    for attribute in CAPABILITY:
+        value = ctypes.c_int()
+        cuda.cuDeviceGetAttribute(ctypes.byref(value), attribute, card)
+        capability.append(value.value)
+    return {"card": name.value.decode(errors="replace"), "memory_bytes": size.value, "capability": capability}
 
 
 def render(variant: str = "") -> Iterator[Line]:
@@ -128,7 +102,7 @@ def render(variant: str = "") -> Iterator[Line]:
     start = time.perf_counter()
     try:
         scene = pixsim.load_scene(TRIED_SCENE, variant=variant or None, resolution=TRIED_RESOLUTION)
-        mitsuba = import_mitsuba(scene.choice.variant)
+        mitsuba = import_mitsuba(scene.choice.reading)
         yield {"variant": scene.choice.variant, "llvm": scene.choice.llvm_path, "reason": scene.choice.reason}
         loaded = time.perf_counter()
         illuminance_lx = pixsim.render(scene).illuminance_lx()

@@ -1,0 +1,429 @@
+"""The graphics card: what is looked for, what a trial finds, and what becomes of it, with a driver of the tests.
+
+No card is needed here. `tests/judges/test_monte_carlo_judge.py` compares pictures of a real one.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.edits import NEEDS_NO_CARD, VARIANT
+from helpers.processes import HANG_S
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.scene import checks, graphics, renderer, variant
+from pixsim.scene.convergence import render_until
+from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.plan import make_render_plan
+from pixsim.scene.renderer import Renderer
+from pixsim.scene.tracer import Job, OwnTracer
+from pixsim.scene.tree import _to_json, tree_of
+from pixsim.scene.trial import Trial, attempt
+
+# Numbers that a real driver would report are read from the environment.
+FAKE_DRIVER = r"""
+#include <signal.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+static int of(const char *name, int otherwise) { const char *text = getenv(name); return text ? atoi(text) : otherwise; }
+int cuDriverGetVersion(int *version) { *version = of("FAKE_CUDA", 12080); return 0; }
+int cuInit(unsigned flags) {
+    if (of("FAKE_DIES", 0)) raise(SIGSEGV);
+    if (of("FAKE_HANGS", 0)) sleep(1000);
+    return of("FAKE_INIT", 0);
+}
+int cuGetErrorName(int code, const char **name) { *name = "CUDA_ERROR_NO_DEVICE"; return code != 100; }
+int cuDeviceGetCount(int *count) { *count = of("FAKE_COUNT", 1); return 0; }
+int cuDeviceGet(int *device, int number) { *device = number; return 0; }
+int cuDeviceGetName(char *name, int size, int device) { strncpy(name, "NVIDIA of a test", size); return 0; }
+int cuDeviceGetAttribute(int *value, int attribute, int device) {
+    *value = of("FAKE_CAPABILITY", 89) / (attribute == 75 ? 10 : 1) % 10;
+    return attribute != 75 && attribute != 76;
+}
+int cuDeviceTotalMem_v2(size_t *bytes, int device) { *bytes = (size_t) of("FAKE_GIB", 8) << 30; return 0; }
+"""
+FACTS: dict[str, Any] = {
+    "cuda": [12, 8], "devices": 1, "card": "NVIDIA of a test", "memory_bytes": 8 << 30, "capability": [8, 9], "fault": None,
+}  # fmt: skip
+CARD = "NVIDIA of a test, 8.0 GiB, CUDA 12.8"
+RIGHT = {"mean_error": 1e-5, "rms_error": 4e-3}
+DRIVER, PICTURE = Trial([FACTS], 0.1, 0, ""), Trial([RIGHT], 5.0, 0, "")
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> str:
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    path = tmp_path_factory.mktemp("driver") / "libcuda.so.1"
+    subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", path], input=FAKE_DRIVER, text=True, check=True)
+    return str(path)
+
+
+@pytest.fixture
+def driver(library: str, monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """A machine with the tests' driver, and some library in the place of OptiX."""
+    monkeypatch.setenv(graphics.DRIVER_VARIABLE, library)
+    monkeypatch.setenv(graphics.OPTIX_VARIABLE, library)
+    return monkeypatch
+
+
+class Machine:
+    """A machine with a card, whose trials the test decides; it counts them."""
+
+    def __init__(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
+        self.driver, self.picture, self.tries, self.patch, self.now_s = DRIVER, PICTURE, [], patch, 1e9
+        (folder / "nvidiactl").touch()
+        patch.setenv("PIXSIM_CACHE_DIR", str(folder / "cache"))
+        patch.setattr(graphics, "NODES", (str(folder / "nvidiactl"),))
+        patch.setattr(graphics, "loaded_driver", lambda: object())
+        patch.setattr(graphics, "attempt", self.attempt)
+        patch.setattr(graphics.time, "time", lambda: self.now_s)
+
+    def attempt(self, kind: str, *arguments: str, limit_s: float) -> Trial:
+        self.tries.append(" ".join([kind, *arguments]))
+        assert 0 < limit_s < 600
+        return self.driver if kind == "driver" else self.picture
+
+
+@pytest.fixture
+def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
+    return Machine(tmp_path, monkeypatch)
+
+
+@pytest.fixture
+def fresh(monkeypatch: pytest.MonkeyPatch):
+    variant.choose.cache_clear()
+    yield monkeypatch
+    variant.choose.cache_clear()
+
+
+# --- A machine without a card ---
+
+
+def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path):
+    """No process, and no library: what is left are two looks at the file system."""
+    fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
+    fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
+    fresh.setattr(graphics, "loaded_driver", lambda: pytest.fail("loaded a library"))
+    assert graphics.judge() == graphics.Verdict(graphics.NO_CARD)
+    fresh.setattr(variant, "_for_processors", lambda _: (variant.Choice("llvm_ad_spectral", "lib", "system, LLVM 19"), ""))
+    assert variant.choose() == variant.Choice("llvm_ad_spectral", "lib", f"system, LLVM 19; no graphics card: {graphics.NO_CARD}")
+
+
+def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path):
+    """A device of a driver whose library is not there, as in containers that get the devices alone; and other systems."""
+    (tmp_path / "nvidiactl").touch()
+    fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
+    fresh.setenv(graphics.DRIVER_VARIABLE, str(tmp_path / "nowhere.so"))
+    fresh.setattr(graphics, "attempt", lambda *_, **__: pytest.fail("started a process"))
+    assert graphics.judge().fault == graphics.NO_DRIVER
+    fresh.setattr(sys, "platform", "darwin")
+    assert graphics.judge().fault == graphics.NOT_LINUX
+
+
+# --- The check of the driver ---
+
+
+@pytest.mark.parametrize(
+    ("given", "fault"),
+    [
+        ({}, None),
+        ({"FAKE_CUDA": "12020"}, None),
+        ({"FAKE_CUDA": "13000"}, None),
+        ({"FAKE_CUDA": "12010"}, "is for CUDA 12.1; Mitsuba needs CUDA 12.2"),
+        ({"FAKE_CUDA": "11080"}, "is for CUDA 11.8; Mitsuba needs CUDA 12.2"),
+        ({"FAKE_CUDA": "12070"}, "install 570 or newer"),
+        ({"FAKE_INIT": "100"}, "finds no usable card (CUDA_ERROR_NO_DEVICE)"),
+        ({"FAKE_INIT": "999"}, "finds no usable card (cuInit: 999)"),
+        ({"FAKE_COUNT": "0", "CUDA_VISIBLE_DEVICES": "-1"}, "shows no card (CUDA_VISIBLE_DEVICES is '-1')"),
+        ({"FAKE_CAPABILITY": "75"}, None),
+        ({"FAKE_CAPABILITY": "61"}, "has compute capability 6.1; Mitsuba needs 7.5"),
+        ({"FAKE_GIB": "2"}, None),
+        ({"FAKE_GIB": "1"}, "has 1.0 GiB of memory, and a render needs up to 2 GiB"),
+        ({graphics.OPTIX_VARIABLE: "/nowhere/libnvoptix.so.1"}, "NVIDIA_DRIVER_CAPABILITIES"),
+    ],
+)
+def test_driver_says_what_is_wrong(given: dict[str, str], fault: str | None, driver: pytest.MonkeyPatch):
+    """The limits are those of the messages in Dr.Jit 1.5: CUDA 12.2, but not 12.7, compute capability 7.5."""
+    driver.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    for name, value in given.items():
+        driver.setenv(name, value)
+    found = graphics.driver_fault(Trial(list(checks.driver()), 0.1, 0, ""))
+    assert found == fault if fault is None else fault in str(found)
+
+
+def test_driver_tells_card(driver: pytest.MonkeyPatch):
+    (facts,) = [Trial(list(checks.driver()), 0.1, 0, "").facts]
+    assert facts == FACTS
+
+
+def test_driver_missing_function_is_fault(driver: pytest.MonkeyPatch, tmp_path: Path):
+    """A library with the name of the driver that is none; in a child, where the exception ends it."""
+    other = tmp_path / "libcuda.so.1"
+    subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", other], input="int f;", text=True, check=True)
+    driver.setenv(graphics.DRIVER_VARIABLE, str(other))
+    assert "the check of its driver fails: AttributeError" in str(graphics.driver_fault(attempt("driver", limit_s=HANG_S)))
+
+
+@pytest.mark.parametrize(("how", "fault"), [("FAKE_DIES", "dies of signal 11 (SIGSEGV)"), ("FAKE_HANGS", "hangs: stopped after")])
+def test_driver_that_dies_or_hangs_is_fault(how: str, fault: str, driver: pytest.MonkeyPatch):
+    driver.setenv(how, "1")
+    trial = attempt("driver", limit_s=1 if how == "FAKE_HANGS" else HANG_S)
+    assert fault in str(graphics.driver_fault(trial))
+    assert (trial.returncode is None) == (how == "FAKE_HANGS")
+
+
+# --- The verdict ---
+
+
+def test_card_that_works_is_tried_once(machine: Machine):
+    with pytest.warns(UserWarning, match=r"the graphics card \(NVIDIA of a test, 8.0 GiB, CUDA 12.8\) passed its trial"):
+        assert graphics.judge() == graphics.Verdict(None, CARD, machine.now_s)
+    assert machine.tries == ["driver", "render cuda_ad_spectral"]
+    machine.now_s += 1e9
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert graphics.judge().fault is None
+    assert len(machine.tries) == 2
+
+
+@pytest.mark.parametrize(
+    ("trials", "fault", "age_s"),
+    [
+        ({"driver": Trial([FACTS | {"cuda": [11, 8]}], 0.1, 0, "")}, "CUDA 11.8", graphics.FAILED_S),
+        ({"driver": Trial([], 20.0, None, "")}, "hangs: stopped after 20 s", graphics.STOPPED_S),
+        ({"driver": Trial([{"cuda": [12, 8]}], 0.1, -11, "")}, "dies of signal 11", graphics.FAILED_S),
+        ({"driver": Trial([], 0.1, 0, "")}, "shows no card", graphics.FAILED_S),
+        ({"picture": Trial([], 90.0, None, "")}, "hangs: stopped after 90 s", graphics.STOPPED_S),
+        ({"picture": Trial([], 1.0, -6, "")}, "dies of signal 6 (SIGABRT)", graphics.FAILED_S),
+        ({"picture": Trial([{"refused": "no OptiX"}], 1.0, 0, "")}, "no OptiX", graphics.FAILED_S),
+        ({"picture": Trial([RIGHT | {"mean_error": 2e-3}], 1.0, 0, "")}, "its image is wrong", graphics.FAILED_S),
+        ({"picture": Trial([RIGHT | {"rms_error": float("nan")}], 1.0, 0, "")}, "its image is wrong", graphics.FAILED_S),
+    ],
+)  # fmt: skip
+def test_failure_is_kept_for_a_while(machine: Machine, trials: dict[str, Trial], fault: str, age_s: float):
+    """A day; an hour after a time limit, which may only mean that the machine was busy."""
+    machine.__dict__.update(trials)
+    with pytest.warns(UserWarning, match="the graphics card is not used"):
+        assert fault in str(graphics.judge().fault)
+    count = len(machine.tries)
+    machine.driver, machine.picture = DRIVER, PICTURE
+    machine.now_s += 0.99 * age_s
+    assert fault in str(graphics.judge().fault)
+    assert len(machine.tries) == count
+    machine.now_s += 0.02 * age_s
+    with pytest.warns(UserWarning, match="passed its trial"):
+        assert graphics.judge().fault is None
+    assert len(machine.tries) == count + 2
+
+
+def test_clock_set_back_tries_again(machine: Machine):
+    machine.picture = Trial([], 1.0, -6, "")
+    with pytest.warns(UserWarning, match="is not used"):
+        graphics.judge()
+    machine.now_s -= 10
+    with pytest.warns(UserWarning, match="is not used"):
+        graphics.judge()
+    assert len(machine.tries) == 4
+
+
+def test_other_driver_or_visible_cards_are_tried(machine: Machine):
+    with pytest.warns(UserWarning, match="passed"):
+        graphics.judge()
+    for name in graphics.OF_DRIVER:
+        if name != graphics.DRIVER_VARIABLE:
+            machine.patch.setenv(name, "1")
+            with pytest.warns(UserWarning, match="passed"):
+                graphics.judge()
+    assert machine.tries.count("driver") == len(graphics.OF_DRIVER)
+
+
+@pytest.mark.parametrize(("name", "value"), [("PIXSIM_CACHE_GIB", "0"), ("PIXSIM_CACHE_DIR", "/dev/null/there")])
+def test_without_cache_nothing_is_tried(machine: Machine, name: str, value: str):
+    """Or each process would try, and each worker of a study; `pixsim doctor` does."""
+    machine.patch.setenv(name, value)
+    assert graphics.judge() == graphics.Verdict(graphics.NOT_KEPT)
+    assert machine.tries == []
+    assert graphics.judge(again=True).fault is None
+
+
+def test_damaged_verdict_is_tried_again(machine: Machine, tmp_path: Path):
+    with pytest.warns(UserWarning, match="passed"):
+        graphics.judge()
+    (entry,) = (tmp_path / "cache" / graphics.KIND).iterdir()
+    for damage in ("{", "[]", '{"fault": 3}', '{"fault": null, "card": 3}', '{"fault": null, "tried_s": "soon"}'):
+        entry.write_text(damage)
+        with pytest.warns(UserWarning, match="is damaged|passed"):
+            assert graphics.judge().fault is None
+    assert json.loads(entry.read_text())["fault"] is None
+
+
+def test_doctor_tries_again(machine: Machine):
+    machine.picture = Trial([], 1.0, -6, "")
+    with pytest.warns(UserWarning, match="is not used"):
+        graphics.judge()
+    machine.picture = PICTURE
+    assert graphics.judge(again=True).fault is None
+    assert graphics.judge().fault is None  # its verdict is kept
+    assert len(machine.tries) == 4
+
+
+# --- The choice ---
+
+
+def test_choose_prefers_card_and_reads_on_processors(machine: Machine, fresh: pytest.MonkeyPatch):
+    processors = variant.Choice("llvm_ad_spectral", "lib", "system, LLVM 19")
+    fresh.setattr(variant, "_for_processors", lambda _: (processors, ""))
+    with pytest.warns(UserWarning, match="passed"):
+        chosen = variant.choose()
+    assert chosen == variant.Choice("cuda_ad_spectral", "lib", f"{CARD} passed its trial", processors)
+    assert chosen.reading == "llvm_ad_spectral"
+    assert variant.choose("llvm_ad_spectral") == processors
+    assert variant.choose("scalar_spectral").variant == "scalar_spectral"
+    asked = variant.choose("cuda_ad_spectral")
+    assert (asked.variant, asked.reading, asked.asked) == ("cuda_ad_spectral", "llvm_ad_spectral", True)
+
+
+def test_choose_without_working_card_says_why(machine: Machine, fresh: pytest.MonkeyPatch):
+    machine.picture = Trial([], 1.0, -6, "")
+    fresh.setattr(variant, "_for_processors", lambda _: (variant.Choice("llvm_ad_spectral", "lib", "system, LLVM 19"), ""))
+    with pytest.warns(UserWarning, match="is not used"):
+        chosen = variant.choose()
+    reason = "system, LLVM 19; no graphics card: its trial render fails: dies of signal 6 (SIGABRT)"
+    assert chosen == variant.Choice("llvm_ad_spectral", "lib", reason)
+
+
+def test_choose_without_llvm_takes_card_without_warning(machine: Machine, fresh: pytest.MonkeyPatch):
+    fresh.setenv(variant.LLVM_VARIABLE, "of a test")
+    fresh.setattr(variant, "find_llvm", lambda: (None, "no LLVM 17 or newer was found"))
+    with pytest.warns(UserWarning, match="passed its trial") as noted:
+        chosen = variant.choose()
+    assert (chosen.variant, chosen.reading) == ("cuda_ad_spectral", "scalar_spectral")
+    assert len(noted) == 1
+
+
+# --- Renders ---
+
+
+def test_trees_are_equal_for_all_variants():
+    """The processors read a scene, and the card's process reads it again: its nodes must have the same numbers."""
+    for name in ("csf", "macbeth", "still_life"):
+        text = pixsim.load_scene(name, variant=VARIANT).text().text
+        with speaking_mitsuba(VARIANT) as mi:
+            states = [mi.parser.parse_string(mi.parser.ParserConfig(each), text) for each in variant.VARIANTS]
+        trees = {json.dumps(_to_json(tree_of(state))) for state in states}
+        assert len(trees) == 1
+
+
+CHOSEN = variant.Choice("cuda_ad_spectral", None, "of a test", variant.Choice(VARIANT, None, "of a test"))
+
+
+class Card:
+    """Traces in place of a card, until it fails."""
+
+    def __init__(self, job: Job, works: int) -> None:
+        assert job.variant == "cuda_ad_spectral"
+        self.own, self.works = OwnTracer(replace(job, variant=VARIANT)), works
+
+    def sample_count(self, *arguments: Any) -> int:
+        return self.own.sample_count(*arguments)
+
+    def trace(self, *arguments: Any) -> np.ndarray:
+        self.works -= 1
+        if self.works < 0:
+            raise PixsimError("the card fails.")
+        return self.own.trace(*arguments)
+
+
+def small() -> pixsim.Scene:
+    return pixsim.load_scene("flat", variant=VARIANT, resolution=8, spp=4)
+
+
+def light(choice: variant.Choice) -> pixsim.SpectralImage:
+    return pixsim.render(replace(small(), choice=choice))
+
+
+def test_packaged_scene_is_traced_in_child(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(renderer, "child_tracer", lambda job, ends_at_s: Card(job, 99))
+    image, known = light(CHOSEN), light(variant.choose(VARIANT))
+    assert (image.header["variant"], known.header["variant"]) == ("cuda_ad_spectral", VARIANT)
+    np.testing.assert_array_equal(image.illuminance_lx(), known.illuminance_lx())
+
+
+def test_failing_card_leaves_to_processors(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(renderer, "child_tracer", lambda job, ends_at_s: Card(job, 0))
+    with pytest.warns(UserWarning, match="rendering with scalar_spectral, since the graphics card failed: the card fails"):
+        image = light(CHOSEN)
+    known = light(variant.choose(VARIANT))
+    assert image.header == known.header
+    np.testing.assert_array_equal(image.illuminance_lx(), known.illuminance_lx())
+    with pytest.raises(PixsimError, match=r"the card fails\. On this graphics card; .*--variant scalar_spectral"):
+        light(replace(CHOSEN, asked=True))
+
+
+def test_card_that_fails_later_ends_the_render(monkeypatch: pytest.MonkeyPatch):
+    """A mean of renders by two variants could not be said to be of either."""
+    scene = replace(small(), choice=CHOSEN)
+    job = Renderer(scene, scene.camera(), make_render_plan(scene, scene.camera()), 0)
+    job.tracer = Card(job.job, 1)
+    job.run(0)
+    with pytest.raises(PixsimError, match=r"the card fails\. On this graphics card"):
+        job.run(1)
+
+
+def test_cached_renders_are_of_one_variant(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """Renders of a card and of the processors have own entries, also where the processors take over."""
+    monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
+    arguments = [pixsim.Pixel(pitch_um=100.0)], pixsim.Exposure()
+
+    def kept(works: int, choice: variant.Choice) -> tuple[str, set[str]]:
+        before = set((tmp_path / "render").glob("*"))
+        monkeypatch.setattr(renderer, "child_tracer", lambda job, ends_at_s: Card(job, works))
+        scene = replace(small(), choice=choice)
+        plan = make_render_plan(scene, scene.camera())
+        image, _ = render_until(scene, scene.camera(), plan, *arguments, render_noise=10.0, keep=True)
+        return image.header["variant"], set((tmp_path / "render").glob("*")) - before
+
+    first, of_card = kept(99, CHOSEN)
+    for path in of_card:
+        path.unlink()
+    with pytest.warns(UserWarning, match="the graphics card failed"):
+        second, of_processors = kept(0, CHOSEN)
+    assert (first, second) == ("cuda_ad_spectral", VARIANT)
+    assert of_card
+    assert of_processors
+    assert kept(0, variant.choose(VARIANT)) == (VARIANT, set())  # they are found again
+
+
+@NEEDS_NO_CARD
+def test_variant_without_driver_leaves_in_a_real_child():
+    """Mitsuba's own error in the process that would trace on the card."""
+    with pytest.warns(UserWarning, match=r"the graphics card failed: variant: got 'cuda_ad_spectral' \("):
+        image = light(CHOSEN)
+    np.testing.assert_array_equal(image.illuminance_lx(), light(variant.choose(VARIANT)).illuminance_lx())
+
+
+@NEEDS_NO_CARD
+def test_variant_asked_for_without_card_is_refused():
+    with pytest.raises(PixsimError, match=r"variant: got 'cuda_ad_spectral', but .*Leave out --variant; `pixsim doctor`"):
+        pixsim.load_scene("flat", variant="cuda_ad_spectral", resolution=8)
+
+
+def test_computed_chart_states_what_read_it():
+    """A chart whose cells are computed takes no rays, so that the card has no part in its light, and no study begins anew."""
+    scene = replace(pixsim.load_scene("csf", variant=VARIANT).with_resolution(256), choice=CHOSEN)
+    plan = make_render_plan(scene, scene.camera(), pixsim.Pixel(pitch_um=20.0), exact=True)
+    assert plan.exact
+    image, _ = render_until(scene, scene.camera(), plan, [], pixsim.Exposure())
+    assert image.header["variant"] == VARIANT
