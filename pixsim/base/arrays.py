@@ -33,14 +33,21 @@ STRIP_SAMPLES = 1 << 15  # float64, 256 KiB: three strips and the arrays compute
 
 
 def empty_planes(*shape: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """Uninitialised array (…, H, W) whose row stride is an odd number of cache lines.
+    """Uninitialised array (…, H, W) whose row stride is no even number of cache lines.
 
-    A stride of a power of two maps all rows to the same few cache lines: transforms along columns would take 3 times as long.
+    A stride of a power of two maps all rows to the same few cache lines: transforms along columns would take 3 times as long. Other
+    rows lie one behind the other, since loops over gaps between rows take longer too.
     """
     reuse_freed_memory()
-    numbers = CACHE_LINE_BYTES // np.dtype(dtype).itemsize
-    lines = -(-shape[-1] // numbers) | 1
-    return np.empty((*shape[:-1], lines * numbers), dtype)[..., : shape[-1]]
+    size = np.dtype(dtype).itemsize
+    if not _strides_clash(shape[-1] * size):
+        return np.empty(shape, dtype)
+    return np.empty((*shape[:-1], shape[-1] + CACHE_LINE_BYTES // size), dtype)[..., : shape[-1]]
+
+
+def _strides_clash(row_bytes: int) -> bool:
+    """Return whether rows of a length in bytes begin in no more than half of the cache's sets, as an even number of lines do."""
+    return row_bytes % (2 * CACHE_LINE_BYTES) == 0
 
 
 def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice]:
@@ -50,12 +57,12 @@ def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice
 
 
 def strips_of(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Slice of rows and an uninitialised work array (…, rows, W) for each strip of planes (…, H, W).
+    """Slice of rows and an uninitialised work array (…, rows, W) for each strip of planes (…, H, W), as large as those of float64.
 
     All strips share one work array: allocating the pages of a new one costs more than the arithmetic.
     """
-    scratch = None
-    for rows in strips(*shape[-2:]):
+    scratch, (height, width) = None, shape[-2:]
+    for rows in strips(height, width, STRIP_SAMPLES * 8 // np.dtype(dtype).itemsize):
         if scratch is None:
             scratch = np.empty((*shape[:-2], rows.stop, shape[-1]), dtype)
         yield rows, scratch[..., : rows.stop - rows.start, :]
@@ -85,9 +92,11 @@ def mixed(matrix: Array, planes: Sequence[Array], out: Array | None = None) -> A
 
 def transposed(plane: NDArray[Any]) -> NDArray[Any]:
     """Return the transpose of a plane (H, W) as an array of its own, (W, H), in a third of the time where W is a power of two."""
-    padded = empty_planes(*plane.shape, dtype=plane.dtype)
-    padded[...] = plane
-    return np.ascontiguousarray(padded.T)
+    if _strides_clash(plane.strides[0]):
+        padded = empty_planes(*plane.shape, dtype=plane.dtype)
+        padded[...] = plane
+        plane = padded
+    return np.array(plane.T, order="C")
 
 
 @cache

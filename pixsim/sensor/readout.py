@@ -183,10 +183,12 @@ class Frame:
         """
         if self.corrected_e is not None:
             return self.corrected_e.astype(float)
-        electrons = self.dn.astype(float)
-        electrons -= self.black_level_dn
-        electrons /= self.dn_per_e
-        electrons -= self.mean_dark_e
+        electrons = np.empty(self.dn.shape)
+        for rows in strips(*self.dn.shape):
+            part = electrons[rows]
+            np.subtract(self.dn[rows], self.black_level_dn, out=part)
+            part /= self.dn_per_e
+            part -= self.mean_dark_e
         return electrons
 
 

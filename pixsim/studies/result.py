@@ -349,7 +349,8 @@ class StudyResult:
         frames = self.fingerprints.frames_of_pitch(technology, pitch_um)
         blocks = [list(range(first, min(count, first + REPEATS_PER_TASK))) for first in range(0, count, REPEATS_PER_TASK)]
         parts = (scores_of(chain, self.study, repeats, block_key(frames, block)) for block, repeats in enumerate(blocks))
-        return [score for part in parts for _, score, _ in part]
+        # Figures sum over the maps, for which float32 has too few digits.
+        return [replace(score, delta_e=score.delta_e.astype(float)) for part in parts for _, score, _ in part]
 
     @checks_arguments
     def sensors_at(self, technology: str, pitch_um: float) -> int:

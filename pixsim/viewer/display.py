@@ -11,11 +11,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array, mixed, strips, transposed
+from pixsim.base.arrays import Array, strips, transposed
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display
@@ -37,9 +37,8 @@ GAMUT_TOLERANCE = 1e-9  # of a primary's largest light, for rounding
 WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # pictures divided by white stay within float64 for any sensor and exposure
 SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # quintic is only the reference for cubic displays
 B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
-BINS = 1 << 14  # of luminance; a power of two, so that a product with it is exact
-BIN_MARGIN = 1e-10  # of a luminance, far above the rounding of a power
-MAX_UNSURE, MAX_LOG = 0.1, 80.0  # in codes; of float32, which underflows at exp(-87)
+BINS_OF_CODE, MAX_BINS = 128, 1 << 18  # of luminance; powers of two, as the number of codes, so that a product with bins is exact
+CODE_MARGIN = 1e-10  # of a luminance, far above the rounding of a power
 WHITE_PERCENTILE = 99.0  # of the luminance of a scene whose white is unknown
 WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
 
@@ -361,54 +360,48 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
     [0.0, 0.0, 1.0]
     """
     top = 2**display.bits - 1
-    light, table = _light_of_codes(display.gamma, top), _light_of_bins(display.gamma, top)
+    table, borders = _light_of_bins(display.gamma, top), _code_borders(display.gamma, top)
     shown = np.empty(relative_luminance.shape)
     values, out = relative_luminance.reshape(-1), shown.reshape(-1)
     for part in strips(values.size, 1):
         luminance, result = np.clip(values[part], 0.0, 1.0), out[part]
-        np.take(table, (luminance * BINS).astype(np.intp), out=result, mode="clip")  # checks of indices take as long again
+        bins = (luminance * (table.size - 1)).astype(np.int32)
+        np.take(table, bins, out=result, mode="clip")  # checks of indices take as long again
         several = np.flatnonzero(np.isnan(result))
-        result[several] = light[_counts(luminance[several], display.gamma, top)]
+        result[several] = _light_of_codes(display.gamma, top)[np.searchsorted(borders, luminance[several], "right")]
     return shown
 
 
+@lru_cache(maxsize=4)
 def _light_of_codes(gamma: float, top: int) -> Array:
     """Return the light of each code, (top + 1,)."""
     return (np.arange(top + 1) / top) ** gamma
 
 
 @lru_cache(maxsize=4)
-def _light_of_bins(gamma: float, top: int) -> Array:
-    """Return the light that is shown for all luminances of each of `BINS` bins from 0 to 1, and for 1; NaN for several codes."""
-    borders = np.arange(BINS + 1) / BINS
-    low, high = (np.rint((borders * side) ** (1 / gamma) * top) for side in (1 - BIN_MARGIN, 1 + BIN_MARGIN))
-    one_code = low[:-1] == high[1:]
-    table = np.ones(BINS + 1)
-    table[:-1] = np.where(one_code, _light_of_codes(gamma, top)[low[:-1].astype(np.intp)], np.nan)
-    return table
+def _code_borders(gamma: float, top: int) -> Array:
+    """Return the least luminance of each code from 1 on, (top,): where round(top · luminance^(1/γ)) reaches it in float64.
 
-
-def _counts(luminance: Array, gamma: float, top: int) -> NDArray[np.intp]:
-    """Return the codes, round(top · luminance^(1/γ)), of luminance (n,) from 0 to 1.
-
-    NumPy computes `log` and `exp` of float32 several at a time, with errors below 4 units in the last place. They decide on codes
-    that are farther than that from a half; the others are computed in float64, as all are if that would be most.
+    It is within a few roundings of ((code - 1/2)/top)^γ, among numbers whose bits, read as integers, increase with them.
     """
-    reach = math.log(2 * top)  # |ln| of the smallest luminance^(1/γ) that is not code 0
-    unsure = top * float(np.finfo(np.float32).eps) * (1 / gamma + 5 * reach + 4)
-    if unsure > MAX_UNSURE or gamma * reach > MAX_LOG:
-        return np.rint(luminance ** (1 / gamma) * top).astype(np.intp)
-    with np.errstate(divide="ignore"):  # luminance 0 is exp(-infinity)
-        level = np.log(luminance.astype(np.float32))
-    level *= np.float32(1 / gamma)
-    np.exp(level, out=level)
-    level *= np.float32(top)
-    nearest = np.rint(level)
-    counts = nearest.astype(np.intp)
-    level -= nearest
-    near_half = np.flatnonzero(np.abs(level, out=level) > 0.5 - unsure)
-    counts[near_half] = np.rint(luminance[near_half] ** (1 / gamma) * top)
-    return counts
+    codes = np.arange(1.0, top + 1)
+    near = ((codes - 0.5) / top) ** gamma
+    below = np.maximum((near * (1 - CODE_MARGIN)).view(np.int64) - 1, 0)
+    reached = (near * (1 + CODE_MARGIN)).view(np.int64) + 1
+    while (reached - below > 1).any():
+        middle = (below + reached) // 2
+        has_code = np.rint(middle.view(float) ** (1 / gamma) * top) >= codes
+        reached, below = np.where(has_code, middle, reached), np.where(has_code, below, middle)
+    return reached.view(float)
+
+
+@lru_cache(maxsize=4)
+def _light_of_bins(gamma: float, top: int) -> Array:
+    """Return the light shown for all luminances of each of n equal bins from 0 to 1, and for 1, (n + 1,); NaN for several codes."""
+    count = min(BINS_OF_CODE * (top + 1), MAX_BINS)
+    edges, borders = np.arange(count + 1) / count, _code_borders(gamma, top)
+    first, last = np.searchsorted(borders, edges[:-1], "right"), np.searchsorted(borders, edges[1:], "left")
+    return np.append(np.where(first == last, _light_of_codes(gamma, top)[first], np.nan), 1.0)
 
 
 @checks_arguments
@@ -421,7 +414,7 @@ def to_xyz(luminance: Array) -> Array:
 def rgb_to_xyz(rgb: Array) -> Array:
     """Return the XYZ of light on the display, (..., 3) with white at Y = 100, for its primaries R, G, B (..., 3), 1 for white.
 
-    The primaries are those of sRGB (IEC 61966-2-1:1999); R = G = B is `to_xyz` of that luminance.
+    The primaries are those of sRGB (IEC 61966-2-1:1999); R = G = B is `to_xyz` of that luminance. XYZ of float32 are float32.
 
     rgb : light of the primaries, relative
 
@@ -461,10 +454,12 @@ def out_of_gamut_share(rgb: Array) -> float:
     planes = np.moveaxis(_of_three("rgb", rgb), -1, 0)
     relative, outside = XYZ_FROM_RGB[1] / WHITE_XYZ[1], 0
     for rows in strips(planes.shape[1], math.prod(planes.shape[2:])) if planes.ndim > 1 else [...]:
-        red, green, blue = planes[:, rows]
+        low, high = planes[:, rows].min(axis=0), planes[:, rows].max(axis=0)
+        negative = low < -GAMUT_TOLERANCE
+        bright = (high > 1 + GAMUT_TOLERANCE) & ~negative
+        red, green, blue = planes[:, rows][:, bright]
         luminance = relative[0] * red + relative[1] * green + relative[2] * blue
-        low, high = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
-        outside += int(np.count_nonzero((low < -GAMUT_TOLERANCE) | ((high > 1 + GAMUT_TOLERANCE) & (luminance <= 1))))
+        outside += int(np.count_nonzero(negative)) + int(np.count_nonzero(luminance <= 1))
     return outside / planes[0].size
 
 
@@ -477,10 +472,7 @@ def _of_three(name: str, values: Array) -> Array:
 def _in_colour(matrix: Array, name: str, values: Array) -> Array:
     """Return a matrix (3, 3) times values (..., 3); not by BLAS, whose rounding depends on the number of threads."""
     planes = np.moveaxis(_of_three(name, values), -1, 0)
-    result = np.empty_like(values, dtype=float)  # planes stay planes in memory
-    if values.ndim == 3:
-        mixed(matrix, list(planes), np.moveaxis(result, -1, 0))
-        return result
-    for row, weights in enumerate(matrix):
-        result[..., row] = weights[0] * planes[0] + weights[1] * planes[1] + weights[2] * planes[2]
+    dtype = np.float32 if values.dtype == np.float32 else float
+    result: Array = np.empty_like(values, dtype=dtype)  # planes stay planes in memory
+    np.einsum("ij,j...->i...", matrix.astype(dtype), planes, out=np.moveaxis(result, -1, 0), optimize=False)
     return result

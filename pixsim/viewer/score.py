@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.arguments import checks_arguments, checks_fields
-from pixsim.base.arrays import Array, mixed, stream
+from pixsim.base.arrays import Array, mixed, stream, strips
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, check_develop
@@ -73,7 +73,7 @@ SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
 class Score:
     """A sensor's picture as shown to a viewer, and its S-CIELAB difference from the ideal image.
 
-    delta_e : (H, W) S-CIELAB difference on the display's dots
+    delta_e : (H, W) S-CIELAB difference on the display's dots, in the precision in which it was computed
     ideal, image : (H, W) shown luminance, 1 for white; of a colour sensor (H, W, 3), the light of the display's primaries
     frame : the sensor frame that the image shows
     physics : of the pixel
@@ -92,7 +92,7 @@ class Score:
     @property
     def mean_delta_e(self) -> float:
         """Mean ΔE over all dots, which a study minimises."""
-        return float(self.delta_e.mean())
+        return float(self.delta_e.mean(dtype=float))
 
     def statistics(self) -> dict[str, float]:
         """Return the numbers of score.json and of a study's rows, with the unit in each name."""
@@ -152,24 +152,23 @@ class Score:
 
 def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
     """Return `np.percentile` of finite non-negative values, in a third of its time by way of a histogram."""
-    scale = (HISTOGRAM_BINS - 1) / max(float(values.max()), np.finfo(float).tiny * HISTOGRAM_BINS)
-    bins = (values * scale).astype(np.uint16).ravel()
-    up_to = np.bincount(bins, minlength=HISTOGRAM_BINS).cumsum()
-    sorted_bins: dict[int, Array] = {}
-
-    def ranked(rank: int) -> float:
-        """Return the value at a rank, 0 for the smallest."""
-        at = int(np.searchsorted(up_to, rank, "right"))
-        if at not in sorted_bins:
-            sorted_bins[at] = np.sort(values.ravel()[bins == at])
-        return float(sorted_bins[at][rank - (up_to[at - 1] if at else 0)])
-
-    result = []
-    for percentage in percent:
-        below, part = divmod(percentage / 100 * (values.size - 1), 1)
-        low, high = ranked(int(below)), ranked(min(int(below) + 1, values.size - 1))
-        result.append(low + part * (high - low))
-    return result
+    scale = (HISTOGRAM_BINS - 1) / max(float(values.max()), float(np.finfo(values.dtype).tiny) * HISTOGRAM_BINS)
+    values, bins, counts = values.ravel(), np.empty(values.size, np.uint16), np.zeros(HISTOGRAM_BINS, np.intp)
+    for part in strips(values.size, 1):
+        np.multiply(values[part], scale, out=bins[part], casting="unsafe")
+        counts += np.bincount(bins[part], minlength=HISTOGRAM_BINS)
+    up_to = counts.cumsum()
+    at = [percentage / 100 * (values.size - 1) for percentage in percent]
+    ranks = np.array([[int(place), min(int(place) + 1, values.size - 1)] for place in at])  # 0 for the smallest value
+    own = np.searchsorted(up_to, ranks, "right")
+    wanted = np.unique(own)
+    chosen = np.zeros(bins.shape, bool)
+    for one in wanted.tolist():  # a number of Python does not widen the bins
+        chosen |= bins == one
+    smallest = np.sort(values[chosen])  # bins increase with the values
+    skipped = up_to[wanted] - counts[wanted].cumsum()  # values in bins that are not wanted, below each one that is
+    found = smallest.astype(float)[ranks - skipped[np.searchsorted(wanted, own)]]
+    return [float(low + place % 1 * (high - low)) for place, (low, high) in zip(at, found, strict=True)]
 
 
 def allows_single(tolerance_delta_e: float | None) -> bool:
@@ -185,7 +184,7 @@ def perceived_lab(shown: Array, display: Display, full: bool = False, single: bo
     """
     view = viewing_conditions(display) | {"single": single}
     if shown.ndim == 3:
-        return filtered_lab(displays.rgb_to_xyz(shown), **view)
+        return filtered_lab(displays.rgb_to_xyz(shown.astype(np.float32) if single else shown), **view)
     return filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
 
 
@@ -231,7 +230,7 @@ class Screen:
         view = viewing_conditions(self.display) | {"single": self.single}
         if image.ndim == 2:
             return grey_delta_e_map(self.ideal_lab, image, **view)
-        return colour_delta_e_map(self.ideal_lab, displays.rgb_to_xyz(image), **view)
+        return colour_delta_e_map(self.ideal_lab, displays.rgb_to_xyz(image.astype(np.float32) if self.single else image), **view)
 
 
 @dataclass(frozen=True)

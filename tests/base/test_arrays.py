@@ -6,12 +6,23 @@ import pytest
 from pixsim.base import arrays, machine
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (3, 8), (2, 5, 512), (4, 1024), (7, 1000)])
-def test_empty_planes_row_stride_is_odd_in_cache_lines(shape):
-    planes = arrays.empty_planes(*shape)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 8), (3, 16), (2, 5, 512), (4, 1024), (7, 1000), (2, 3, 506)])
+def test_empty_planes_row_stride_is_no_even_number_of_cache_lines(shape, dtype):
+    planes = arrays.empty_planes(*shape, dtype=dtype)
     assert planes.shape == shape
-    assert planes.strides[-2] // 8 % 16 == 8
-    assert planes.strides[-2] < 8 * (shape[-1] + 16)
+    assert planes.dtype == dtype
+    row_bytes = shape[-1] * planes.itemsize
+    assert planes.strides[-2] == row_bytes + (64 if row_bytes % 128 == 0 else 0)
+
+
+@pytest.mark.parametrize("shape", [(5, 16), (16, 5), (3, 7)])
+def test_transposed_is_an_array_of_its_own(shape):
+    plane = np.random.default_rng(0).normal(size=shape)
+    turned = arrays.transposed(plane)
+    np.testing.assert_array_equal(turned, plane.T)
+    assert turned.flags.c_contiguous
+    assert not np.shares_memory(turned, plane)
 
 
 @pytest.mark.parametrize(("count", "width", "samples"), [(1, 1, 1), (10, 3, 7), (10, 3, 2), (10, 0, 5), (1000, 1000, None)])

@@ -22,7 +22,7 @@ from helpers.timing import median_s, seconds_of
 
 import pixsim
 from pixsim import optics
-from pixsim.base.arrays import dct, empty_planes, inverse_dct, stream
+from pixsim.base.arrays import dct, empty_planes, inverse_dct, stream, strips_of
 from pixsim.base.parameters import Camera, Display, Exposure, LensOptions, Pixel
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.scene.charts import csf_value
@@ -103,8 +103,13 @@ def unavoidable(chain: ImagingChain) -> dict[str, Work]:
     dots, number = screen.ideal.shape[:2], np.float32 if screen.single else np.float64
     first, planes = (empty_planes(count, *dots, dtype=number) for count in (1 if screen.ideal.ndim == 2 else 3, 3))
     first[...] = planes[...] = 0.5
-    relative, work = np.full((3, *dots), 0.5, number), np.empty((3, *dots), number)
-    roots = partial(scielab._single_cube_roots, relative, work) if screen.single else partial(np.cbrt, relative, out=work)
+    relative = np.full((3, *dots), 0.5, number)
+
+    def roots() -> None:
+        for rows, work in strips_of(relative.shape, number):
+            for plane, out in zip(relative[:, rows], work, strict=True):
+                scielab._single_f(plane, *scielab.CIE_LAB[:2], out) if screen.single else np.cbrt(plane, out=out)
+
     drawn = np.empty(mean_e.shape)
     normals = [spread for spread in (p.prnu, p.offset_fpn_e, p.noise_floor_e) if spread]
     return {

@@ -495,7 +495,7 @@ def test_shown_luminance_is_the_nearest_code_beside_every_border(gamma, bits):
     """Luminances on both sides of each border of codes and of bins of luminance, by the definition in float64."""
     top = 2**bits - 1
     codes = np.unique(np.linspace(0, top - 1, 2000).astype(int))
-    borders = np.concatenate([((codes + 0.5) / top) ** gamma, np.arange(displays.BINS + 1) / displays.BINS])
+    borders = np.concatenate([((codes + 0.5) / top) ** gamma, np.arange(displays.MAX_BINS + 1) / displays.MAX_BINS])
     luminance = np.concatenate([np.nextafter(borders, 2.0), borders, np.nextafter(borders, -1.0)])
     clipped = np.clip(luminance, 0.0, 1.0)
     expected = (np.rint(clipped ** (1 / gamma) * top) / top) ** gamma
@@ -548,6 +548,10 @@ def test_rgb_to_xyz_primaries_have_the_chromaticities_of_srgb():
     np.testing.assert_allclose(xyz.sum(axis=0), displays.WHITE_XYZ, rtol=1e-14)
     np.testing.assert_allclose(xyz[:, 1], [21.26, 71.52, 7.22], atol=0.01)
     np.testing.assert_allclose(displays.xyz_to_rgb(xyz), np.eye(3), atol=1e-14)
+    for values in (np.eye(3), np.eye(3)[None], np.eye(3)[0]):
+        single = displays.rgb_to_xyz(values.astype(np.float32))
+        assert single.dtype == np.float32
+        np.testing.assert_allclose(single, displays.rgb_to_xyz(values), rtol=1e-7)  # one rounding of the matrix
 
 
 def test_shown_rgb_has_the_codes_of_the_grey_display_and_clips():
@@ -567,6 +571,7 @@ def test_out_of_gamut_share_counts_colours_not_high_lights():
     assert displays.out_of_gamut_share(np.array(inside + bright)) == 0
     assert displays.out_of_gamut_share(np.array(outside)) == 1
     assert displays.out_of_gamut_share(np.array([inside[:3], outside])) == 0.5
+    assert [displays.out_of_gamut_share(np.array(one)) for one in inside + bright + outside] == [0.0] * 6 + [1.0] * 3
     for values in (np.ones((3, 2)), np.ones((0, 3)), np.array(1.0)):
         with pytest.raises(PixsimError, match="Move the three values last"):
             displays.out_of_gamut_share(values)

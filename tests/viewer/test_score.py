@@ -48,6 +48,9 @@ def chart(n: int, header: bool = True) -> SpectralImage:
 def test_percentiles_match_numpy(values):
     percent = (0, 1.7, 50, 90, 99, 100)
     np.testing.assert_allclose(score.percentiles(values, percent), np.percentile(values, percent), rtol=1e-14)
+    if values.max() < 1e30:
+        single = values.astype(np.float32)
+        np.testing.assert_allclose(score.percentiles(single, percent), np.percentile(single.astype(float), percent), rtol=1e-14)
 
 
 # --- One way and another ---
