@@ -27,7 +27,7 @@ DRIVERS, OPTIX = ("libcuda.so.1", "libcuda.so"), "libnvoptix.so.1"
 DRIVER_PATTERNS = ("*-linux-gnu/libcuda.so.*", "wsl/lib/libcuda.so.*")  # below /usr/lib, where Dr.Jit looks too
 OF_DRIVER = ("CUDA_VISIBLE_DEVICES", "NVIDIA_DRIVER_CAPABILITIES", "LD_LIBRARY_PATH", DRIVER_VARIABLE, OPTIX_VARIABLE)
 OLDEST_CUDA, FAULTY_CUDA, LOWEST_CAPABILITY = (12, 2), (12, 7), (7, 5)
-# A kernel takes 0.4 GiB: 48 bytes a cell, by Dr.Jit's count with LLVM, of `renderer.CELLS_PER_KERNEL`; the driver and OptiX take some.
+# A kernel takes 0.4 GiB: 48 bytes a cell, by Dr.Jit's count with LLVM, of `renderer.CELLS_PER_KERNEL`; the driver takes some too.
 LEAST_BYTES = 2 << 30
 DRIVER_S, PICTURE_S = 20.0, 90.0  # the first picture on a card compiles everything
 FAILED_S, STOPPED_S = 86400.0, 3600.0  # before a failure is tried again: a time limit may only mean that the machine was busy
