@@ -143,7 +143,7 @@ def run(
     """
     import_less()
     from pixsim.report.run import check_raw, frames_lines, run_and_write
-    from pixsim.report.wording import budget_lines, dark_notes, score_line
+    from pixsim.report.wording import budget_lines, dark_notes, score_line, unconverged_lines
 
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
@@ -163,8 +163,9 @@ def run(
     amount = f"render noise {noise['fraction']:.2g} of the sensor's noise" if noise and noise["fraction"] else "no render noise"
     of_noise = f"; {amount}" if noise else ""
     line = f"{score_line(result)}{of_noise}; report: {folder / 'report.html'}"
+    unsure = unconverged_lines(result["irradiance"], result.get("film"), result.get("error_budget"))
     notes = [f"note: {note}" for note in dark_notes(result)]
-    show(result, json, "\n".join([line, *frames_lines(result), *notes, *budget_lines(result)]))
+    show(result, json, "\n".join([line, *unsure, *frames_lines(result), *notes, *budget_lines(result)]))
 
 
 @app.command
@@ -304,7 +305,7 @@ def study(
     from pixsim.report.outline import long_lines, outline_lines, study_outline
     from pixsim.report.study import report_files, write_report
     from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
-    from pixsim.report.wording import budget_lines, film_words, optimum_line, study_view_line
+    from pixsim.report.wording import budget_lines, film_words, optimum_line, study_unconverged_lines, study_view_line
     from pixsim.studies import study as sweep
     from pixsim.studies.cases import check_number
     from pixsim.studies.conditions import compromises_of
@@ -363,7 +364,7 @@ def study(
                 common.verbosity.note(str(result.counts))
             else:
                 summary = result.as_dict()
-                lines = [*map(optimum_line, result.curves), *study_view_line(result)]
+                lines = [*map(optimum_line, result.curves), *study_unconverged_lines(result), *study_view_line(result)]
                 lines += [film_words(summary["film"])] if "film" in summary else []
             lines += uncertainty_lines(result.uncertainty)
             summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}

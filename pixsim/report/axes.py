@@ -13,7 +13,15 @@ from pixsim.base.parameters import Study
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
 from pixsim.report.parts import PARTS_FILE, parts_rows, parts_table
 from pixsim.report.study import report_files, write_pages
-from pixsim.report.wording import compromise_lines, film_words, interval_text, no_difference_words, optimum_line, study_view_line
+from pixsim.report.wording import (
+    compromise_lines,
+    film_words,
+    interval_text,
+    no_difference_words,
+    optimum_line,
+    study_unconverged_lines,
+    study_view_line,
+)
 from pixsim.show.figures import LOOKS, literal, new_figure
 from pixsim.show.pages import Column, Plate, table_csv, write_figures, write_page
 from pixsim.studies.cases import Case, cases_of
@@ -123,7 +131,7 @@ def axes_lines(result: StudyResult, compromises: Sequence[Compromise]) -> list[s
     if len(lines) > LINES_SHOWN:
         lines = [*lines[:LINES_SHOWN], f"and {len(lines) - LINES_SHOWN} more: optima.csv"]
     lines += alone_lines(result)
-    lines += [*study_view_line(result), *film_lines(result)]
+    lines += [*study_unconverged_lines(result), *study_view_line(result), *film_lines(result)]
     return lines
 
 
@@ -227,6 +235,7 @@ def write_axes_report(
                 "cases": [(case, optimum_line(part.curves[0])) for case, part in zip(shown, parts, strict=True)],
                 "shown": study_view_line(result),
                 "films": film_lines(result),
+                "unconverged": study_unconverged_lines(result),
                 "error_parts": parts_rows(parts_of_error),
                 "notes": result.notes,
                 "counts": result.counts,

@@ -37,7 +37,16 @@ from pixsim.show.pictures import (
     worst_window,
 )
 from pixsim.studies.circumstances import SHARED, Circumstances
-from pixsim.studies.compare import OF_A_SENSOR, Compared, Comparison, Prepared, headline, shown_delta_e, shown_probability, verdict
+from pixsim.studies.compare import (
+    OF_A_SENSOR,
+    Compared,
+    Comparison,
+    Prepared,
+    conditions_disagree,
+    headline,
+    shown_probability,
+    verdict,
+)
 from pixsim.studies.preparation import PAGE_S, Cost, frame_cost, render_cost
 
 JSON_FILE, PAGE = "compare.json", "report.html"
@@ -123,20 +132,12 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
     for number, compared in enumerate(result.sensors):
         time_ms = 1e3 * compared.score.frame.integration_s
         words = f"{sensor_words(result.prepared, number)}, exposed for {time_ms:.3g} ms{where}"
-        lines.append(f"  {compared.name:{width}}  mean {_shown_mean(result, compared.name)}  {words}")
+        lines.append(f"  {compared.name:{width}}  mean {result.shown_mean(compared.name)}  {words}")
     for part in result.conditions:
         name = f"{part.prepared.condition} (weight {part.prepared.weight:.3g})"
-        lines += [
-            f"  {name}: {verdict(part, other)}" for other in part.names[1:] if headline(result, other) == verdict(result, other)
-        ]
+        lines += [f"  {name}: {verdict(part, other)}" for other in part.names[1:] if not conditions_disagree(result, other)]
     lines.append(conditions_line(result.prepared))
     return lines + [f"note: {note}" for note in (result.notes if notes is None else notes)]
-
-
-def _shown_mean(result: Comparison, name: str) -> str:
-    """Return a sensor's mean ΔE and its uncertainty as text."""
-    low, mean, high = result.scores[name]
-    return shown_delta_e(mean, (high - low) / 2, result.film_of_sensors[name])
 
 
 def outline(prepared: Prepared) -> dict[str, Any]:
@@ -375,7 +376,7 @@ def _row(result: Comparison, number: int) -> dict[str, Any]:
     rows, columns = compared.sensor.pixels
     return {
         "name": compared.name,
-        "delta_e": _shown_mean(result, compared.name),
+        "delta_e": result.shown_mean(compared.name),
         "p99": f"{statistics['p99_delta_e']:.3g}",
         "pixels": f"{columns} × {rows}",
         "pitch_um": f"{compared.sensor.pixel.pitch_um:g}",
@@ -406,7 +407,7 @@ def _condition_rows(result: Comparison) -> list[tuple[str, str, list[str], list[
     named = [(part.prepared.condition, f"{part.prepared.weight:.3g}", part) for part in result.conditions]
     named += [("weighted mean", "", result)] if named else []
     return [
-        (name, weight, [_shown_mean(part, sensor) for sensor in part.names], [_pair(part, other) for other in part.names[1:]])
+        (name, weight, [part.shown_mean(sensor) for sensor in part.names], [_pair(part, other) for other in part.names[1:]])
         for name, weight, part in named
     ]
 

@@ -36,7 +36,16 @@ from pixsim.report.kept import digest_of_content
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
-from pixsim.report.wording import budget_lines, dark_notes, film_words, map_words, score_line, view_words
+from pixsim.report.wording import (
+    budget_lines,
+    dark_notes,
+    film_words,
+    map_words,
+    mean_words,
+    score_line,
+    unconverged_lines,
+    view_words,
+)
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_along, pixels_on
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
@@ -155,6 +164,8 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
         "line": score_line(summary),
+        "mean": mean_words(summary),
+        "unconverged": unconverged_lines(summary["irradiance"], summary.get("film"), summary.get("error_budget")),
         "view": "; ".join(view_words(summary["display"], summary, summary["pixels"][1])),
         "summary": summary,
         "label": label_of(physics.technology.name),

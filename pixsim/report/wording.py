@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Correction, paths_of
 from pixsim.scene.charts import MAX_LP_PER_MM
+from pixsim.scene.convergence import what_reaches
 from pixsim.sensor.integration import pixels_along
-from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, interval_words, within_words
+from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, few, interval_words, within_words
+from pixsim.viewer.light_error import NOT_CONVERGED, LightError
 from pixsim.viewer.score import clip_words, clips_dark
 
 SATURATED_SHOWN = 0.01
@@ -20,7 +23,7 @@ def optimum_line(curve: Any) -> str:
     Where a wide range of sizes shows no visible difference, that range comes first.
     """
     if curve.alike_um:
-        return f"{curve.label}: {alike_words(curve)}; least mean ΔE {curve.mean().min():.3f}"
+        return f"{curve.label}: {alike_words(curve)}; least mean ΔE {curve.light.shown(curve.mean().min())}"
     best, interval = curve.optimum, f"(95 %: {interval_words(curve)})"
     text = f"optimal pixel size {best.pitch_um:.2f} µm {interval}"
     if not best.inside:
@@ -31,9 +34,10 @@ def optimum_line(curve: Any) -> str:
     within = within_words(best.within_1_percent_um, curve)
     if words := no_difference_words(curve):
         size = "" if best.inside else ", the end of the range"
-        least = f"least {best.mean_delta_e:.3f} at {best.pitch_um:.2f} µm{size} {interval}"
-        return f"{curve.label}: {words}; mean ΔE is {least}; within 1 % of it: {within}"
-    return f"{curve.label}: {text}, mean ΔE {best.mean_delta_e:.3f}; within 1 % of it: {within}"
+        least = f"least {curve.light.number(best.mean_delta_e)} at {best.pitch_um:.2f} µm{size} {interval}"
+        unsure = "" if curve.light.converged else f", {NOT_CONVERGED}"
+        return f"{curve.label}: {words}; mean ΔE is {least}{unsure}; within 1 % of it: {within}"
+    return f"{curve.label}: {text}, mean ΔE {curve.light.shown(best.mean_delta_e)}; within 1 % of it: {within}"
 
 
 def map_words(start: str, mean: float, p99: float, end: float) -> str:
@@ -75,11 +79,7 @@ def no_difference_words(curve: Any) -> str:
 
 def score_line(result: dict[str, Any]) -> str:
     """Return the mean ΔE of a run, its pixels and its exposure; with a tolerance, the mean over sensors and its error."""
-    delta_e = f"mean ΔE {result['mean_delta_e']:.3f}"
-    if "error_budget" in result:
-        error, sensors = result["error_budget"]["total"]["delta_e"], result["sensors"]
-        within = "(error unknown)" if error is None else f"± {error:.1g}"
-        delta_e = f"mean ΔE {result['sensors_mean_delta_e']:.4f} {within} over {sensors} sensor{'s' * (sensors > 1)}"
+    delta_e = f"mean ΔE {mean_words(result)}"
     rows, columns = result["pixels"]
     border_um = result["border_um"][1] if result["display"]["raster"] == "fixed_size" else 0.0
     border = f" ({border_um:.3g} µm on each side not scored)" if border_um else ""
@@ -90,7 +90,53 @@ def score_line(result: dict[str, Any]) -> str:
     pixels += "".join(f", {words}" for words in view_words(result["display"], result, columns))
     film = f"; {film_words(result['film'])}" if "film" in result else ""
     assumed = f"; {result['assumption']}" if result["assumption"] else ""
+    delta_e += "," * (NOT_CONVERGED in delta_e)
     return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}{film}{assumed}"
+
+
+def mean_words(result: dict[str, Any]) -> str:
+    """Return the mean ΔE of a run as it is known: of all sensors and with its error if there is a budget, else by its light."""
+    if "error_budget" not in result:
+        return LightError.of(result["irradiance"], result.get("film")).shown(result["mean_delta_e"])
+    budget, sensors = result["error_budget"], result["sensors"]
+    error = budget["total"]["delta_e"]
+    within = "(error unknown)" if error is None else f"± {error:.1g}"
+    unsure = "" if budget["met"] else f", {NOT_CONVERGED}"
+    return f"{result['sensors_mean_delta_e']:.4f} {within} over {sensors} sensor{'s' * (sensors > 1)}{unsure}"
+
+
+def unconverged_lines(
+    header: Mapping[str, Any], film: Mapping[str, Any] | None, budget: Mapping[str, Any] | None = None
+) -> list[str]:
+    """Return a line on the errors of a result's light that are above their limits, and what makes them less; none without.
+
+    header : of the irradiance
+    film, budget : entries `film` and `error_budget` of score.json; a budget that is met holds all errors
+    """
+    light = LightError.of(header, film)
+    if light.converged or (budget and budget["met"]):
+        return []
+    means, limit = [], (film or {}).get("limit", "")
+    if light.noise is not None and not light.noise_is_met:
+        times, seconds = what_reaches(light.noise, light.noise_target)
+        by_clock = header["render_noise"].get("ended_by") == "max_seconds"
+        option = "a longer --max-seconds" if by_clock else f"--max-seconds {seconds:.15g}"
+        means.append(f"{option} (about {times:.15g} times as many samples)")
+    elif not light.film_is_met and "--max-seconds" in limit:
+        means.append("a longer --max-seconds")
+    if not light.film_is_met and "--resolution" in limit:
+        means.append("no --resolution, which fixes the film")
+    means.append("a part of the die (--window)")
+    return [f"{NOT_CONVERGED}: {'; '.join(light.reasons)}. To be surer: {', or '.join(means)}"]
+
+
+def study_unconverged_lines(result: Any) -> list[str]:
+    """Return the lines of `unconverged_lines` of a study, each once, for the films at the best pixel sizes."""
+    lines = []
+    for curve in result.curves:
+        part = result.part_of(curve)
+        lines.append(unconverged_lines(part.irradiance.header, part.film_at_best(curve), part.budget))
+    return few(lines)
 
 
 def film_words(film: dict[str, Any]) -> str:

@@ -154,16 +154,22 @@ def render_until(
 SECONDS_OF_LIMIT = 30.0  # of `Plan.most_samples` on two cores
 
 
-def more_samples(fraction: float, render_noise: float) -> str:
-    """Return what a render noise above its target does to the picture, and what reaches the target.
+def what_reaches(fraction: float, render_noise: float) -> tuple[float, float]:
+    """Return how many times as many samples as the limit bring a render noise to its target, and --max-seconds with time for them.
 
     The variance of the noise falls with the number of samples.
+    """
+    times = float(f"{(fraction / render_noise) ** 2:.2g}")
+    return times, float(f"{max(1.0, 2 * SECONDS_OF_LIMIT * times):.1g}")
+
+
+def more_samples(fraction: float, render_noise: float) -> str:
+    """Return what a render noise above its target does to the picture, and what reaches the target.
 
     >>> more_samples(1.6, 0.2)[:118]
     'The picture has 1.9 times the noise of the sensor alone. About 64 times as many samples reach the target: --max-second'
     """
-    times = float(f"{(fraction / render_noise) ** 2:.2g}")
-    seconds = float(f"{max(1.0, 2 * SECONDS_OF_LIMIT * times):.1g}")
+    times, seconds = what_reaches(fraction, render_noise)
     noisier = math.hypot(1.0, fraction)
     return (
         f"The picture has {noisier:.2g} times the noise of the sensor alone. About {times:.15g} times as many samples reach the "

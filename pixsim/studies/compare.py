@@ -42,6 +42,7 @@ from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_ste
 from pixsim.studies.preparation import View, choose_view, frame_cost, jobs_in_memory
 from pixsim.studies.result import NO_VISIBLE_DELTA_E
 from pixsim.viewer.display import dot_edges_um, white_header, white_light
+from pixsim.viewer.light_error import NOT_CONVERGED, LightError, with_error
 from pixsim.viewer.score import (
     ImagingChain,
     Score,
@@ -64,7 +65,6 @@ Match = Literal["view", "lens", "own"]
 CONFIDENCE = 0.95
 FIGURE_WIDTH_IN, FIGURE_BORDER_IN, ROW_IN = 6.0, 0.8, 0.4
 SURE = 0.999  # probabilities beyond it are not shown in more digits
-MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
 SENSORS = (2, 8)  # of a comparison; the page shows each in full
 REPEATS = (2, 10_000)
 OF_A_SENSOR = ("camera", "lens", "pixel", "exposure")  # tables that each file has of its own; the others are those of the first
@@ -595,6 +595,23 @@ class Comparison:
         own = [(weight, {sensor.name: sensor.film_delta_e for sensor in part.sensors}) for weight, part in parts]
         return {name: sum_if_known([(weight, errors[name]) for weight, errors in own]) for name in self.names}
 
+    @property
+    def unconverged(self) -> str:
+        """Which renders have more noise than their target, in words; empty for none. The film's error is in each ±."""
+        parts = self.conditions or (self,)
+        lights = [LightError.of(sensor.irradiance.header) for part in parts for sensor in part.sensors]
+        worst = max(lights, key=lambda light: light.noise or 0.0)
+        return f"{NOT_CONVERGED}: {worst.reasons[0]}" if worst.reasons else ""
+
+    @checks_arguments
+    def shown_mean(self, name: str) -> str:
+        """Return a mean ΔE as text, with its uncertainty: half of the 95 % interval, and the film's error.
+
+        name : of a sensor
+        """
+        low, mean, high = self.scores[name]
+        return shown_delta_e(mean, (high - low) / 2, self.film_of_sensors[name])
+
     def answers(self) -> dict[str, Any]:
         """Return the numbers that answer the question, as in compare.json."""
         return {
@@ -653,21 +670,19 @@ class Comparison:
         return figure
 
     def _repr_html_(self) -> str:
-        rows = [
-            (sensor.name, f"{sensor.sensor.pixel.pitch_um:g}", f"{mean:.3f} ({low:.3f} to {high:.3f})")
-            for sensor, (low, mean, high) in zip(self.sensors, self.scores.values(), strict=True)
-        ]
+        rows = [(sensor.name, f"{sensor.sensor.pixel.pitch_um:g}", self.shown_mean(sensor.name)) for sensor in self.sensors]
         title = "; ".join(headline(self, other) for other in self.names[1:])
         counted = ", ".join(f"{part.prepared.condition} ({weight:g})" for weight, part in self.counted)
         over = f"; the mean over the conditions {counted}" if counted else ""
         prepared = self.prepared
         notes = [f"{prepared.scene}: {prepared.repeats} pairs of frames, seed {prepared.settings.seed}{over}", *self.notes]
-        return html_cell(title, ("sensor", "pixel size (µm)", "mean ΔE (95 %)"), rows, self.plot(), notes)
+        return html_cell(title, ("sensor", "pixel size (µm)", "mean ΔE (95 % and the film's error)"), rows, self.plot(), notes)
 
     def __repr__(self) -> str:
-        shown = ", ".join(f"{name} {mean:.3f}" for name, (_, mean, _) in self.scores.items())
+        shown = ", ".join(f"{name} {self.shown_mean(name)}" for name in self.names)
         conditions = f" under {len(self.conditions)} conditions" if self.conditions else ""
-        return f"<Comparison mean ΔE {shown}, {self.prepared.repeats} pairs{conditions}>"
+        words = f"mean ΔE {shown}, {self.prepared.repeats} pairs{conditions}"
+        return f"<Comparison {'; '.join(filter(None, (words, self.unconverged)))}>"
 
 
 def shown_delta_e(value: float, half: float, film: float | None) -> str:
@@ -678,10 +693,8 @@ def shown_delta_e(value: float, half: float, film: float | None) -> str:
     >>> shown_delta_e(0.12345, 0.0021, 0.0), shown_delta_e(0.12345, 0.001, 0.02)
     ('0.1235 ± 0.0021 ΔE', '0.12 ± 0.02 ΔE')
     """
-    error = half + (film or 0.0)
-    decimals = MOST_DECIMALS if error <= 0 else min(max(-math.floor(math.log10(error)) + (error < FINE), 1), MOST_DECIMALS)
     unknown = " and the film's error, which is unknown" if film is None else ""
-    return f"{value:.{decimals}f} ± {error:.{decimals}f} ΔE{unknown}"
+    return f"{with_error(value, half + (film or 0.0))} ΔE{unknown}"
 
 
 def shown_probability(probability: float) -> str:
@@ -728,12 +741,18 @@ def _winner(result: Comparison, other: str) -> str | None:
     return better if abs(difference) > (high - low) / 2 + (result.film_delta_e[other] or 0.0) else None
 
 
+def conditions_disagree(result: Comparison, other: str) -> bool:
+    """Return whether two conditions, or one and the weighted mean, have different answers for the first sensor and another."""
+    return len({_winner(part, other) for part in (result, *(part for _, part in result.counted))} - {None}) > 1
+
+
 def headline(result: Comparison, other: str) -> str:
     """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree."""
-    if len({_winner(part, other) for part in (result, *(part for _, part in result.counted))} - {None}) < 2:
-        return verdict(result, other)
+    if not conditions_disagree(result, other):
+        return "; ".join(filter(None, (verdict(result, other), result.unconverged)))
     parts = [f"{part.prepared.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in result.counted]
-    return "; ".join(["the conditions disagree", *parts, f"weighted mean: {verdict(result, other)}"])
+    words = ["the conditions disagree", *parts, f"weighted mean: {verdict(result, other)}", result.unconverged]
+    return "; ".join(filter(None, words))
 
 
 def sum_if_known(parts: Sequence[tuple[float, float | None]]) -> float | None:

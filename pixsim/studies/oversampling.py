@@ -101,6 +101,13 @@ class FilmError:
             return np.full(np.shape(pitch_um), np.inf)
         return np.interp(np.log(pitch_um), np.log(self.pitch_um), known)
 
+    def at(self, pitch_um: float) -> FilmError:
+        """Return the error and what is tolerated at one pitch, interpolated between those measured."""
+        error = float(self.error_at(np.array(pitch_um)))
+        tolerated = float(np.interp(np.log(pitch_um), np.log(self.pitch_um), self.tolerated_delta_e))
+        known = error if math.isfinite(error) else math.nan
+        return replace(self, pitch_um=(pitch_um,), delta_e=(known,), tolerated_delta_e=(tolerated,))
+
     def alike_um(self, pitch_um: Array, mean_delta_e: Array) -> tuple[float, float] | None:
         """Return the smallest and largest of the pitches of a study that this film cannot tell from the best; None if it can.
 
@@ -111,7 +118,7 @@ class FilmError:
         """
         best = int(np.argmin(mean_delta_e))
         error = self.error_at(pitch_um)
-        if error[best] <= np.interp(np.log(pitch_um[best]), np.log(self.pitch_um), self.tolerated_delta_e):
+        if self.at(float(pitch_um[best])).met:
             return None
         alike = mean_delta_e - mean_delta_e[best] <= np.maximum(error, error[best])
         if pitch_um[best] < self.sample_um:

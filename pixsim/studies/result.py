@@ -40,6 +40,7 @@ from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci9
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.rows import Row
 from pixsim.viewer.display import white_light, white_rate
+from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ class Curve:
     fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is doubtful; None without microlenses
     data_sheet : whether the sensor is described by its data sheet only, without a process
     alike_um : smallest and largest of the pitches that the film cannot tell from the best; None if it can
+    light : errors of the light, the film's at the best of the pitches
     at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
     left_out : pitches in µm that are not among them, each with the reason
     """
@@ -79,6 +81,7 @@ class Curve:
     label: str = ""
     data_sheet: bool = False
     alike_um: tuple[float, float] | None = None
+    light: LightError = field(default=NOTHING_KNOWN, repr=False)
     fresnel_number: Array | None = field(default=None, repr=False)
     at: dict[str, float | int | str] = field(default_factory=dict)
     condition: str = ""
@@ -231,14 +234,21 @@ class StudyResult:
         object.__setattr__(self, "curves", tuple(self._labelled(curve, labels[curve.technology]) for curve in self.curves))
 
     def _labelled(self, curve: Curve, label: str) -> Curve:
-        """Return a curve with its label, and the pitches that its film cannot tell apart."""
+        """Return a curve with its label, the errors of its light, and the pitches that its film cannot tell apart."""
         part, words = self.part_of(curve), curve.words
         alike_um = part.film.alike_um(curve.pitch_um, curve.mean()) if part.film else None
+        light = LightError.of(part.irradiance.header, part.film_at_best(curve))
         fresnel = None
         if has_microlens(part.study.options_of(curve.technology), technology_of(part.study, curve.technology)):
             nm, pitches_um = part.irradiance.wavelength_nm, curve.pitch_um.tolist()
             fresnel = np.array([least_fresnel_number(physics_of(part.study, curve.technology, um), nm) for um in pitches_um], float)
-        return replace(curve, label=", ".join(filter(None, (label, words))), alike_um=alike_um, fresnel_number=fresnel)
+        return replace(curve, label=", ".join(filter(None, (label, words))), alike_um=alike_um, light=light, fresnel_number=fresnel)
+
+    @checks_arguments
+    def film_at_best(self, curve: Curve) -> dict[str, Any] | None:
+        """Return `FilmError.as_dict` at the pitch of a curve with the least mean ΔE; None if the film was not measured."""
+        best_um = float(curve.pitch_um[np.argmin(curve.mean())])
+        return None if self.film is None else self.film.at(best_um).as_dict()
 
     @checks_arguments
     def part_of(self, curve: Curve) -> StudyResult:
@@ -401,6 +411,7 @@ class StudyResult:
             within = within_words(best.within_1_percent_um, curve)
             low, high = best.mean_delta_e_interval
             delta_e = f"{best.mean_delta_e:.3f} ({low:.3f} to {high:.3f})"
+            delta_e = delta_e if curve.light.converged else curve.light.shown(best.mean_delta_e)
             rows.append((curve.label, size, interval_words(curve), delta_e, within))
         head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE (95 %)", "within 1 % of it")
         camera, evaluations = self.camera, sum(int(curve.sensors.sum()) for curve in self.curves)
@@ -418,13 +429,13 @@ class StudyResult:
     def __repr__(self) -> str:
         words = []
         for curve in self.curves:
-            best = curve.optimum
+            best, shown = curve.optimum, curve.light.shown(curve.optimum.mean_delta_e)
             if curve.no_difference_um is not None and not curve.alike_um:
                 low, high = curve.no_difference_um
                 sizes = f"sizes from {low:.3g} to {high:.3g} µm"
-                words.append(f"{curve.label}: no visible difference between {sizes}, ΔE {best.mean_delta_e:.3f}")
+                words.append(f"{curve.label}: no visible difference between {sizes}, ΔE {shown}")
                 continue
-            text = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {best.mean_delta_e:.3f}"
+            text = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {shown}"
             if not best.inside:
                 ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
                 text = f"no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"

@@ -47,6 +47,7 @@ from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, noise_covariance, rendition_of
+from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
     colour_delta_e_map,
@@ -79,6 +80,7 @@ class Score:
     physics : of the pixel
     border_um : (above and below, left and right) width of the border that is neither shown nor scored
     out_of_gamut : share of the dots of the ideal image and of the image whose colour the display cannot show; None for grey ones
+    light : what is known of the errors of its light
     """
 
     delta_e: Array = field(repr=False)
@@ -88,6 +90,7 @@ class Score:
     physics: PixelPhysics = field(repr=False)
     border_um: tuple[float, float] = (0.0, 0.0)
     out_of_gamut: tuple[float, float] | None = None
+    light: LightError = field(default=NOTHING_KNOWN, repr=False)
 
     @property
     def mean_delta_e(self) -> float:
@@ -137,17 +140,18 @@ class Score:
 
     def _repr_html_(self) -> str:
         rows = [(name, f"{value:.6g}") for name, value in self.statistics().items()]
-        title = f"{self.physics.pitch_um:g} µm pixels, mean ΔE {self.mean_delta_e:.3f}"
+        title = f"{self.physics.pitch_um:g} µm pixels, mean ΔE {self.light.shown(self.mean_delta_e)}"
         notes = [
             "One frame of one sensor: how much others differ is told by pixsim.study, whose means have 95 % intervals.",
             f"Pixel: {set_words(self.physics.pixel.model_dump(exclude_unset=True, exclude_none=True))}; all else is the default.",
+            *(f"Not converged: {reason}." for reason in self.light.reasons),
+            *([f"Light: {missing}; pixsim run and pixsim.study measure both."] if (missing := self.light.unmeasured) else []),
         ]
         return html_cell(title, ("", ""), rows, self.plot(), notes)
 
     def __repr__(self) -> str:
-        return (
-            f"<Score mean ΔE {self.mean_delta_e:.3f}, {self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms>"
-        )
+        words = [f"{self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms", self.light.unmeasured]
+        return f"<Score mean ΔE {self.light.shown(self.mean_delta_e)}, {'; '.join(filter(None, words))}>"
 
 
 def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
@@ -707,7 +711,7 @@ def evaluate(
     """
     settings = exposure or Exposure(), display or Display(), full, correction or NO_CORRECTION, develop or DEVELOP
     chain = make_imaging_chain(irradiance, camera, pixel, *settings)
-    return chain.simulate("evaluate", seed)
+    return replace(chain.simulate("evaluate", seed), light=LightError.of(irradiance.header))
 
 
 DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones

@@ -14,8 +14,8 @@ from helpers.browser import assert_fits, assert_prints, assert_sliders_move, nee
 from helpers.commands import assert_refused, command
 from helpers.looks import text_of
 
-from pixsim.report.compare import headline, shown_delta_e, verdict
-from pixsim.studies.compare import Comparison
+from pixsim.report.compare import headline, verdict
+from pixsim.studies.compare import Comparison, shown_delta_e
 
 SMALL = "--display.dots 120 --resolution 256 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
 SHEET = """\
@@ -250,7 +250,8 @@ def result_of(first: list[float], other: list[float], film: float | None) -> Com
     """A comparison of these ΔE, with this error of the film."""
 
     result = Comparison.__new__(Comparison)
-    values = {"names": ("a", "b"), "film_delta_e": {"b": film}, "differences": {"b": np.array(other) - np.array(first)}}
+    values: dict[str, Any] = {"names": ("a", "b"), "film_delta_e": {"b": film}, "unconverged": ""}
+    values["differences"] = {"b": np.array(other) - np.array(first)}
     kind = type("Given", (Comparison,), values)
     object.__setattr__(result, "__class__", kind)
     return result
@@ -297,6 +298,18 @@ def test_headline_names_the_conditions_that_disagree(night: list[float], disagre
     if disagree:
         named = [f"{name} (weight 0.5): {verdict(part, 'b')}" for part, name in zip(parts, ("day", "night"), strict=True)]
         assert words == "; ".join(["the conditions disagree", *named, f"weighted mean: {verdict(both, 'b')}"])
+
+
+def test_headline_says_that_a_render_is_too_noisy() -> None:
+    given = result_of([1.0, 1.01], [1.2, 1.21], 0.0)
+    lights = ({"fraction": fraction, "target": 0.2} for fraction in (0.3, 2.4, 0.1))
+    given.__dict__["sensors"] = [SimpleNamespace(irradiance=SimpleNamespace(header={"render_noise": noise})) for noise in lights]
+    object.__setattr__(given, "__class__", type("Given", (type(given),), {"unconverged": Comparison.unconverged}))
+    given.__dict__["conditions"] = ()
+    worst = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"
+    assert headline(given, "b") == f"{verdict(given, 'b')}; {worst}"
+    given.__dict__["sensors"] = given.sensors[2:]
+    assert headline(given, "b") == verdict(given, "b")
 
 
 def test_shown_delta_e_has_no_more_digits_than_it_is_sure_of() -> None:

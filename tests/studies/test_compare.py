@@ -365,8 +365,8 @@ def test_comparison_shows_itself_in_a_notebook(noisy: Comparison):
     message = " ".join(words.words)
     assert all(verdict(noisy, other) in message for other in noisy.names[1:])
     assert words.tags.count("tr") == 1 + len(noisy.sensors)
-    for low, mean, high in noisy.scores.values():
-        assert f"{mean:.3f} ({low:.3f} to {high:.3f})" in message
+    for name, (low, mean, high) in noisy.scores.items():
+        assert f"{mean:.4f} ± {(high - low) / 2 + noisy.film_of_sensors[name]:.4f} ΔE" in message
     (axes,) = noisy.plot().axes
     drawn = np.concatenate([line.get_xdata() for line in axes.lines if len(line.get_xdata()) == noisy.prepared.repeats])
     np.testing.assert_array_equal(np.sort(drawn), np.sort(np.concatenate(list(noisy.delta_e.values()))))

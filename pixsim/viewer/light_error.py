@@ -1,0 +1,110 @@
+"""How sure a mean ΔE is, by the light that it was computed from: the error of its film and the noise of its render, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from pixsim.base.notes import told_apart
+
+MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
+NOT_CONVERGED = "not converged"
+
+
+def with_error(value: float, error: float) -> str:
+    """Return a ΔE and its uncertainty as text, to two digits of it, one above 0.01.
+
+    >>> with_error(0.12345, 0.0021), with_error(0.9731, 0.62)
+    ('0.1235 ± 0.0021', '1.0 ± 0.6')
+    """
+    decimals = MOST_DECIMALS if error <= 0 else min(max(-math.floor(math.log10(error)) + (error < FINE), 1), MOST_DECIMALS)
+    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
+
+
+@dataclass(frozen=True)
+class LightError:
+    """Errors of the light behind a mean ΔE, each with the limit that it was given.
+
+    film_delta_e : largest error of the mean ΔE that the film may cause; NaN if it is unknown, None if it was not measured
+    tolerated_delta_e : for it
+    noise : of the render, as a fraction of the sensor's noise; None if it was not measured
+    noise_target : for it
+    rendered : whether pixsim rendered the light, and so could have measured both
+    """
+
+    film_delta_e: float | None = None
+    tolerated_delta_e: float = math.inf
+    noise: float | None = None
+    noise_target: float = math.inf
+    rendered: bool = False
+
+    @classmethod
+    def of(cls, header: Mapping[str, Any], film: Mapping[str, Any] | None = None) -> LightError:
+        """Return the errors that the header of an irradiance and an entry `film` of score.json state.
+
+        header : that of a file of another program may hold anything
+        """
+        found = header.get("render_noise")
+        noise = found if isinstance(found, Mapping) else {}
+        fraction, target = noise.get("fraction"), noise.get("target")
+        light = cls(rendered="scene_hash" in header)
+        if isinstance(fraction, float | int) and isinstance(target, float | int):
+            light = replace(light, noise=fraction, noise_target=target)
+        if film is None:
+            return light
+        error, tolerated = film["delta_e"], math.inf if film["met"] else min(film["tolerated_delta_e"])
+        return replace(light, film_delta_e=math.nan if error is None else error, tolerated_delta_e=tolerated)
+
+    @property
+    def film_is_met(self) -> bool:
+        """Whether the error of the film is tolerated, or was not measured."""
+        return self.film_delta_e is None or math.isinf(self.tolerated_delta_e) or self.film_delta_e <= self.tolerated_delta_e
+
+    @property
+    def noise_is_met(self) -> bool:
+        """Whether the noise is at most its target, or was not measured."""
+        return self.noise is None or self.noise <= self.noise_target
+
+    @property
+    def converged(self) -> bool:
+        """Whether no error is known to be above its limit."""
+        return self.film_is_met and self.noise_is_met
+
+    def shown(self, mean_delta_e: float) -> str:
+        """Return a mean ΔE as text, with the film's error if that is above its limit, and whether it has converged.
+
+        >>> LightError().shown(0.9731), LightError(0.6, 0.02).shown(0.9731), LightError(noise=2.4, noise_target=0.2).shown(0.9731)
+        ('0.973', '1.0 ± 0.6 (film), not converged', '0.973, not converged')
+        """
+        return self.number(mean_delta_e) + ("" if self.converged else f", {NOT_CONVERGED}")
+
+    def number(self, mean_delta_e: float) -> str:
+        """Return a mean ΔE as text, with the film's error if that is above its limit."""
+        if self.film_is_met or self.film_delta_e is None:
+            return f"{mean_delta_e:.3f}"
+        if math.isnan(self.film_delta_e):
+            return f"{mean_delta_e:.3f} ± an unknown error (film)"
+        return f"{with_error(mean_delta_e, self.film_delta_e)} (film)"
+
+    @property
+    def reasons(self) -> list[str]:
+        """Which errors are above their limits."""
+        found = []
+        if not self.film_is_met and self.film_delta_e is not None:
+            error, most = told_apart(self.film_delta_e, self.tolerated_delta_e, 1)
+            size = "unknown" if math.isnan(self.film_delta_e) else f"up to {error} ΔE"
+            found.append(f"the film's error is {size}, {most} tolerated")
+        if not self.noise_is_met and self.noise is not None:
+            found.append("render noise is {} of the sensor's noise, target {}".format(*told_apart(self.noise, self.noise_target)))
+        return found
+
+    @property
+    def unmeasured(self) -> str:
+        """What was not measured of light that pixsim rendered, in words; empty for nothing."""
+        parts = ["the film's error"] * (self.film_delta_e is None) + ["render noise"] * (self.noise is None)
+        return f"{' and '.join(parts)} not measured" if self.rendered and parts else ""
+
+
+NOTHING_KNOWN = LightError()

@@ -1,0 +1,131 @@
+"""A mean ΔE states the errors of its light wherever it is shown, if they are above their limits."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pixsim
+from pixsim.report.wording import mean_words, optimum_line, score_line, study_unconverged_lines, unconverged_lines
+from pixsim.studies.oversampling import FilmError
+from pixsim.studies.result import StudyResult
+from pixsim.viewer.light_error import LightError, with_error
+
+NOISY = {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}
+QUIET = NOISY | {"fraction": 0.2, "ended_by": "target"}  # at its target
+COARSE = FilmError((64, 64), 10.0, (5.0, 20.0), (0.6, 0.2), (0.02, 0.02), "the limit of 64 samples across for 20 pictures")
+FINE = replace(COARSE, delta_e=(0.02, 0.02), limit="")  # at what is tolerated
+UNKNOWN = replace(COARSE, delta_e=(math.nan, math.nan))
+
+
+def of_run(noise: dict[str, Any] | None, film: FilmError | None, **more: Any) -> dict[str, Any]:
+    """Entries of score.json on a mean ΔE of 0.9731."""
+    header = {"render_noise": noise} if noise else {}
+    return {"mean_delta_e": 0.9731, "irradiance": header, **({"film": film.at(5.0).as_dict()} if film else {}), **more}
+
+
+@pytest.mark.parametrize(
+    ("noise", "film", "shown", "reasons"),
+    [
+        (QUIET, FINE, "0.973", []),
+        (None, None, "0.973", []),  # of another program's light nothing is known
+        (NOISY, FINE, "0.973, not converged", ["render noise is 2.4 of the sensor's noise, target 0.2"]),
+        (QUIET, COARSE, "1.0 ± 0.6 (film), not converged", ["the film's error is up to 0.6 ΔE, 0.02 tolerated"]),
+        (QUIET, UNKNOWN, "0.973 ± an unknown error (film), not converged", ["the film's error is unknown, 0.02 tolerated"]),
+        (NOISY, COARSE, "1.0 ± 0.6 (film), not converged", ["up to 0.6 ΔE", "2.4 of the sensor's"]),
+    ],
+)
+def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
+    result = of_run(noise, film)
+    assert mean_words(result) == shown
+    lines = unconverged_lines(result["irradiance"], result.get("film"))
+    assert len(lines) == bool(reasons)
+    assert all(reason in line for line in lines for reason in reasons)
+    frame = {"pixels": [8, 8], "border_um": [0, 0], "display": {"raster": "one_to_one"}, "integration_s": 0.01, "pitch_um": 5.0}
+    frame |= {"exposure": {"integration_s": 0.01}, "saturated_fraction": 0.0, "assumption": ""}
+    assert score_line(result | frame).startswith(f"mean ΔE {shown}{',' * bool(reasons)} with 8 × 8 pixels")
+
+
+@pytest.mark.parametrize(
+    ("noise", "limit", "means", "others"),
+    [
+        # 12² times the samples, in twice the 30 s that the limit of samples takes on two cores
+        (NOISY, "", ["--max-seconds 8000 (about 140 times"], ["--resolution"]),
+        (NOISY | {"ended_by": "max_seconds"}, "", ["a longer --max-seconds (about 140 times"], ["9000"]),
+        (QUIET, "set by --resolution", ["no --resolution"], ["--max-seconds"]),
+        (QUIET, "as --max-seconds allows", ["a longer --max-seconds"], ["--resolution", "times"]),
+        (QUIET, "the limit of 64 samples across", ["To be surer: a part of the die"], ["--resolution", "--max-seconds"]),
+    ],
+)
+def test_unconverged_result_says_what_makes_it_surer(noise, limit, means, others):
+    result = of_run(noise, replace(COARSE, limit=limit))
+    (line,) = unconverged_lines(result["irradiance"], result["film"])
+    assert all(words in line for words in [*means, "(--window)"])
+    assert not any(words in line for words in others)
+
+
+@pytest.mark.parametrize("met", [True, False])
+def test_error_budget_decides_where_there_is_one(met):
+    """Its total holds the film's error and the noise, so that their own limits do not count beside it."""
+    budget = {"met": met, "total": {"delta_e": 0.03}}
+    result = of_run(NOISY, COARSE, error_budget=budget, sensors=3, sensors_mean_delta_e=0.97312)
+    assert mean_words(result) == "0.9731 ± 0.03 over 3 sensors" + ("" if met else ", not converged")
+    assert len(unconverged_lines(result["irradiance"], result["film"], budget)) == (not met)
+
+
+@pytest.mark.parametrize("found", ["loud", 1.0, [], {}, {"fraction": "a lot", "target": 0.2}, {"fraction": 3.0}])
+def test_header_of_another_program_may_hold_anything(found):
+    light = LightError.of({"render_noise": found})
+    assert (light.noise, light.converged, light.unmeasured) == (None, True, "")
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ({"render_noise": NOISY, "scene_hash": "a"}, ", not converged, 84.8 µm"),
+        ({"scene_hash": "a"}, "; the film's error and render noise not measured>"),
+        ({"render_noise": QUIET, "scene_hash": "a"}, "; the film's error not measured>"),
+        ({}, " ms>"),
+    ],
+)
+def test_score_of_a_picture_says_what_is_known_of_its_light(header, words):
+    image = pixsim.SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False, **header})
+    pixel = pixsim.Pixel(pitch_um=84.8, prnu=0, infrared_cut_nm=700)
+    score = pixsim.evaluate(image, pixsim.Camera(), pixel, display=pixsim.Display(white_cd_per_m2=1000, dots=32))
+    assert words in repr(score)
+    cell = score._repr_html_()
+    assert ("Not converged: render noise is 2.4" in cell) == ("not converged" in words)
+    assert ("pixsim.study measure" in cell) == ("not measured" in repr(score))
+
+
+def test_study_shows_the_errors_of_its_light(tiny_result: StudyResult):
+    """The film counts at the best pixel size: its error is interpolated in log pitch between those measured."""
+    (curve,) = tiny_result.curves[:1]
+    best_um = float(curve.pitch_um[np.argmin(curve.mean())])
+    header = tiny_result.irradiance.header | {"render_noise": NOISY}
+    quiet = tiny_result.irradiance.with_planes(tiny_result.irradiance.planes, header=header | {"render_noise": QUIET})
+    ends_um = best_um / 4, best_um * 4
+    film = replace(COARSE, pitch_um=ends_um, limit="set by --resolution")  # 0.4 in the middle of 0.6 and 0.2
+    for error, of_error in ((film, "± 0.4 (film), not converged"), (replace(FINE, pitch_um=ends_um), None)):
+        shown = replace(tiny_result, irradiance=quiet, curves=(curve,), film=error)
+        lines = study_unconverged_lines(shown)
+        found = [optimum_line(shown.curves[0]), shown._repr_html_()] + ([] if shown.curves[0].alike_um else [repr(shown)])
+        assert len(lines) == bool(of_error)
+        assert all((of_error or "not converged") in words for words in found) == bool(of_error)
+    noisy = replace(shown, irradiance=quiet.with_planes(quiet.planes, header=header))
+    assert all("not converged" in words for words in (repr(noisy), optimum_line(noisy.curves[0]), *study_unconverged_lines(noisy)))
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "shown"),
+    [
+        (0.9731, 0.0, "0.9731 ± 0.0000"),
+        (0.9731, 0.00012, "0.9731 ± 0.0001"),
+        (0.9731, 0.096, "0.97 ± 0.10"),
+        (21.7, 14.2, "21.7 ± 14.2"),
+    ],
+)
+def test_digits_follow_the_error(value, error, shown):
+    assert with_error(value, error) == shown
