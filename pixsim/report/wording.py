@@ -8,7 +8,7 @@ from typing import Any
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Correction, paths_of
 from pixsim.scene.charts import MAX_LP_PER_MM
-from pixsim.scene.convergence import what_reaches
+from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.integration import pixels_along
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, few, interval_words, within_words
 from pixsim.viewer.light_error import NOT_CONVERGED, LightError
@@ -122,10 +122,12 @@ def unconverged_lines(
         by_clock = header["render_noise"].get("ended_by") == "max_seconds"
         option = "a longer --max-seconds" if by_clock else f"--max-seconds {seconds:.15g}"
         means.append(f"{option} (about {times:.15g} times as many samples)")
+    elif light.noise is not None and light.noise > RENDER_NOISE:  # which coarser films show too, so that it counts as their error
+        means.append("a lower --render-noise")
     elif not light.film_is_met and "--max-seconds" in limit:
         means.append("a longer --max-seconds")
     if not light.film_is_met and "--resolution" in limit:
-        means.append("no --resolution, which fixes the film")
+        means.append("leaving out --resolution")
     means.append("a part of the die (--window)")
     return [f"{NOT_CONVERGED}: {'; '.join(light.reasons)}. To be surer: {', or '.join(means)}"]
 

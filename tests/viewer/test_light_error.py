@@ -54,8 +54,9 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
         # 12² times the samples, in twice the 30 s that the limit of samples takes on two cores
         (NOISY, "", ["--max-seconds 8000 (about 140 times"], ["--resolution"]),
         (NOISY | {"ended_by": "max_seconds"}, "", ["a longer --max-seconds (about 140 times"], ["9000"]),
-        (QUIET, "set by --resolution", ["no --resolution"], ["--max-seconds"]),
+        (QUIET, "set by --resolution", ["leaving out --resolution"], ["--max-seconds"]),
         (QUIET, "as --max-seconds allows", ["a longer --max-seconds"], ["--resolution", "times"]),
+        (QUIET | {"fraction": 2.4, "target": 3.0}, "", ["a lower --render-noise, or"], ["--max-seconds"]),
         (QUIET, "the limit of 64 samples across", ["To be surer: a part of the die"], ["--resolution", "--max-seconds"]),
     ],
 )
