@@ -123,7 +123,7 @@ def figure_4(result: StudyResult) -> Plate:
 def figure_5(evidence: Evidence) -> Plate:
     """Show the ideal image, output, ΔE map and curves of equal ΔE at 8 µm."""
     result, curve = evidence.result, evidence.curves[REFERENCE_TECHNOLOGY]
-    (score,) = result.scores(curve.technology, FIGURE_5_PITCH_UM, 1)
+    (score,) = result.shown_scores(curve.technology, FIGURE_5_PITCH_UM, 1)
     plate = study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM], "figure_5_pictures_8um")
     return replace(plate, caption="Figure 5: " + plate.caption)
 

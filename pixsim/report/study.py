@@ -181,7 +181,7 @@ def draw_section(section: Section, result: StudyResult) -> tuple[Section, list[D
         pitch_um = float(curve.pitch_um[best_place(curve)])
         # A data sheet's sensor may have many millions of pixels: no more of them than the study simulated.
         count = SENSORS_SHOWN if result.study.own_um is None else min(SENSORS_SHOWN, result.sensors_at(curve.technology, pitch_um))
-        scores = result.scores(curve.technology, pitch_um, count)
+        scores = result.shown_scores(curve.technology, pitch_um, count)
         plates = [study_pictures(result, curve, scores[0], [score.delta_e for score in scores], f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
     elif section.kind == "more":

@@ -10,12 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
-from pixsim.base import cache
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Exposure
 from pixsim.report.pictures import crops, picture_axes
-from pixsim.sensor.integration import array_size_um, pixels_on
-from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.readout import make_frame
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, Look, draw_delta_e, draw_picture, label_axes, new_figure
 from pixsim.show.pages import Plate, coarse_table
@@ -31,9 +27,9 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.studies.evaluations import block_key, chain_at, light_of, stream_key
+from pixsim.studies.evaluations import block_key, chain_at, kept_frames, light_of, shown_chain, stream_key
 from pixsim.studies.result import Curve, StudyResult
-from pixsim.viewer.score import PreparedScene, Score, chain_of_frames, shown
+from pixsim.viewer.score import Score, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -143,7 +139,10 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     """
     at, last = best_place(curve), curve.pitch_um.size - 1
     ends = sorted({0, at, last})
-    scores = {place: best if place == at else result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0] for place in ends}
+    sizes_um = {place: float(curve.pitch_um[place]) for place in ends}
+    scores = {
+        place: best if place == at else result.shown_scores(curve.technology, size_um, 1)[0] for place, size_um in sizes_um.items()
+    }
     ideal, end = max((score.ideal for score in scores.values()), key=lambda picture: picture.size), map_end(result)
     shape = ideal.shape[0], ideal.shape[1]
     centre = result.study.detail
@@ -187,21 +186,13 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
     """
     study, pitch_um = result.study, float(curve.pitch_um[place])
     light = light_of(study, result.scenes, curve.technology)
-    key = block_key(result.fingerprints.frames_of_pitch(curve.technology, pitch_um), 0)
-    frames = (cache.arrays("frames", key) if key else None) or {}
-    cached, corrected_e = frames.get("0"), frames.get("0_corrected_e")
-    if study.correction.is_on and corrected_e is None:
-        cached = None
-    physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
-    rows, columns = pixels_on(array_size_um(result.irradiance, result.camera), physics.as_read.read_pitch_um)
-    whole = rows * physics.planes, columns
-    if not isinstance(light, PreparedScene) or cached is None or cached.shape != whole:
+    known = kept_frames(block_key(result.fingerprints.frames_of_pitch(curve.technology, pitch_um), 0))
+    chain = shown_chain(study, light, curve.technology, pitch_um, [0], known)
+    if chain is None:
         chain = chain_at(study, light, result.camera, curve.technology, pitch_um)
-        frame = chain.capture(*stream_key(study, physics.technology.name, pitch_um, 0))
+        frame = chain.capture(*stream_key(study, chain.physics.technology.name, pitch_um, 0))
     else:
-        exposed = Exposure(integration_s=time_s, gain_db=physics.gain_db)
-        chain = chain_of_frames(light, physics, exposed, study.correction, study.develop, whole)
         # The shown picture does not depend on the saturated fraction or the mean signal.
-        frame = make_frame(cached.astype(np.int32), math.nan, chain.signal_e_per_s, chain.physics, exposed)
-        frame = replace(frame, corrected_e=corrected_e)
+        frame = make_frame(known["0"].astype(np.int32), math.nan, chain.signal_e_per_s, chain.physics, chain.exposure)
+        frame = replace(frame, corrected_e=known.get("0_corrected_e"))
     return shown(chain.light(frame, window.of), study.display)

@@ -104,7 +104,7 @@ class Evidence:
         height_um, width_um = picture_size_um(self.result.irradiance)
         maps, borders = {}, {}
         for pitch in FIGURE_6_PITCHES_UM:
-            scores = self.result.scores(REFERENCE_TECHNOLOGY, pitch, SENSORS)
+            scores = self.result.shown_scores(REFERENCE_TECHNOLOGY, pitch, SENSORS)
             down_um, across_um = scores[0].border_um
             maps[pitch], borders[pitch] = [score.delta_e for score in scores], (down_um / height_um, across_um / width_um)
         return maps, borders
@@ -115,7 +115,7 @@ class Evidence:
         study = self.result.study
         display = study.display.model_copy(update={"bits": FINE_DISPLAY_BITS})
         finer = replace(self.result, study=study.model_copy(update={"display": display}))
-        return finer.scores(REFERENCE_TECHNOLOGY, 8.0, 1)[0].delta_e
+        return finer.shown_scores(REFERENCE_TECHNOLOGY, 8.0, 1)[0].delta_e
 
     @cached_property
     def thresholds(self) -> dict[float, Array]:

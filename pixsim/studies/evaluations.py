@@ -52,6 +52,7 @@ from pixsim.viewer.score import (
     SharedLight,
     allows_single,
     chain_at_pitch,
+    chain_of_frames,
     check_one_ideal,
     prepare_scene,
     shown,
@@ -400,45 +401,99 @@ class ChainOfCase(ImagingChain):
 
 def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
     """Return the rows of a task; of pixels whose colours cannot be told apart, the reason in their place."""
+    known, repeats = kept_frames(task.frames_key), list(task.keys)
+    own = task.study, light, task.technology, task.pitch_um
+    shown = shown_chain(*own, repeats, known, task.process)
     key = task.light_key, task.pitch_um
-    if getattr(_recent, "key", None) != key:
-        chain = chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
+    if getattr(_recent, "key", None) not in ((*key, False), (*key, shown is not None)):
+        chain = shown or chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
         _recent.chain = ChainOfCase(**vars(chain)) if task.columns else chain
-        _recent.key = key
+        _recent.key = *key, shown is not None
     if _recent.chain.rendition is not None:
         try:
             _recent.chain.matrix  # noqa: B018 – it stays in the chain
         except AlikeChannelsError as error:
             return [{"key": key, LEFT_OUT: str(error)} for key in task.keys.values()]
     rows = []
-    for repeat, score, cached in scores_of(_recent.chain, task.study, list(task.keys), task.frames_key):
-        numbers = {name: repr(value) for name, value in score.statistics().items()}
-        own = {"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat)}
-        rows.append(own | numbers | task.columns | ({FROM_CACHE: "1"} if cached else {}))
+    for repeat, score, cached in scores_of(_recent.chain, task.study, repeats, task.frames_key, known):
+        statistics = score.statistics() | ({MEAN: float(known[MEAN])} if shown else {})
+        numbers = {name: repr(value) for name, value in statistics.items()}
+        of_row = {"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat)}
+        rows.append(of_row | numbers | task.columns | ({FROM_CACHE: "1"} if cached else {}))
     return rows
 
 
-def scores_of(chain: ImagingChain, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score, bool]]:
-    """Yield each repeat with its score, and whether its frame comes from the cache; new frames are stored there."""
+def kept_frames(frames_key: str) -> cache.Arrays:
+    """Return the frames that the cache has under a key, which may be empty.
+
+    Digital numbers stand under their repeat. What does not follow from them is stored too: each frame's saturated fraction, and the
+    time and the mean of the electrons, which all of them share.
+    """
+    return (cache.arrays("frames", frames_key) if frames_key else None) or {}
+
+
+MEAN, TIME = "mean_electrons_e", "integration_s"
+
+
+def names_of_frame(repeat: int, corrected: bool) -> list[str]:
+    """Return the names of a frame's arrays in the cache: digital numbers, saturated fraction, and the corrected electrons."""
+    return [str(repeat), f"{repeat}_saturated_fraction", *([f"{repeat}_corrected_e"] if corrected else [])]
+
+
+def shown_chain(
+    study: Study,
+    light: SharedLight,
+    technology: str,
+    pitch_um: float,
+    repeats: Iterable[int],
+    known: cache.Arrays,
+    process: Technology | None = None,
+) -> ImagingChain | None:
+    """Return the imaging chain of a pitch that shows frames of the cache again; None if one of them is missing.
+
+    It lacks the light behind the frames, which takes as long to compute as one of them to show: `Frame.mean_e` is 0.
+
+    known : of `kept_frames`
+    process : of the technology, for a worker that may not have its file
+    """
+    if not isinstance(light, PreparedScene) or not {MEAN, TIME} <= known.keys():
+        return None
+    physics = physics_of(study, technology, pitch_um, process)
+    rows, columns = pixels_on(light.array_um, physics.as_read.read_pitch_um)
+    whole = rows * physics.planes, columns
+    for repeat in repeats:
+        arrays = [known.get(name) for name in names_of_frame(repeat, study.correction.is_on)]
+        if any(array is None or array.shape not in (whole, ()) for array in arrays):
+            return None
+    exposed = study.exposure.model_copy(update={TIME: float(known[TIME])})
+    return chain_of_frames(light, physics, exposed, study.correction, study.develop, whole)
+
+
+def scores_of(
+    chain: ImagingChain, study: Study, repeats: list[int], frames_key: str, known: cache.Arrays
+) -> Iterator[tuple[int, Score, bool]]:
+    """Yield each repeat with its score, and whether its frame comes from the cache; new frames are stored there.
+
+    known : of `kept_frames`
+    """
     technology, pitch_um = chain.physics.technology.name, chain.physics.pitch_um
-    cached = (cache.arrays("frames", frames_key) if frames_key else None) or {}
-    # A frame's digital numbers stand under its repeat; its saturated fraction does not follow from them and is stored too.
-    frames = {name: array for name, array in cached.items() if array.shape in (chain.signal_e_per_s.shape, ())}
+    frames = {name: array for name, array in known.items() if array.shape in (chain.signal_e_per_s.shape, ())}
     before = len(frames)
     for repeat in repeats:
-        name, saturated, corrected = str(repeat), f"{repeat}_saturated_fraction", f"{repeat}_corrected_e"
-        if name in frames and saturated in frames and (corrected in frames or not chain.correction.is_on):
+        name, saturated, *corrected = names_of_frame(repeat, chain.correction.is_on)
+        if all(each in frames for each in (name, saturated, *corrected)):
             dn, fraction = frames[name].astype(np.int32), float(frames[saturated])
             frame = make_frame(dn, fraction, chain.signal_e_per_s, chain.physics, chain.exposure)
-            frame = replace(frame, corrected_e=frames.get(corrected))
+            frame = replace(frame, corrected_e=frames[corrected[0]] if corrected else None)
             yield repeat, chain.score_frame(frame), True
         else:
             frame = chain.capture(*stream_key(study, technology, pitch_um, repeat))
             if frames_key:
                 frames[name] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
                 frames[saturated] = np.array(frame.saturated_fraction)
+                frames |= {MEAN: np.array(frame.mean_e.mean()), TIME: np.array(frame.integration_s)}
                 if frame.corrected_e is not None:
-                    frames[corrected] = frame.corrected_e
+                    frames[corrected[0]] = frame.corrected_e
             yield repeat, chain.score_frame(frame), False
     if len(frames) > before:
         cache.store_arrays("frames", frames_key, frames)

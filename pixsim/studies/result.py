@@ -32,16 +32,18 @@ from pixsim.studies.evaluations import (
     Fingerprints,
     block_key,
     chain_at,
+    kept_frames,
     light_of,
     scenes_of,
     scores_of,
+    shown_chain,
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.rows import Row
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
-from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip
+from pixsim.viewer.score import ImagingChain, SceneCache, Score, clip_words, clips_dark, dark_clip
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -354,13 +356,27 @@ class StudyResult:
 
         Raises PixsimError for a pitch that is impossible in the technology.
         """
-        chain = chain_at(self.study, light_of(self.study, self.scenes, technology), self.camera, technology, pitch_um)
+        return self._scores(technology, pitch_um, repeats)
+
+    def shown_scores(self, technology: str, pitch_um: float, repeats: int) -> list[Score]:
+        """Return the same scores without `Frame.mean_e`, in less time where the cache has the frames."""
+        return self._scores(technology, pitch_um, repeats, shown=True)
+
+    def _scores(self, technology: str, pitch_um: float, repeats: int | None, shown: bool = False) -> list[Score]:
+        light = light_of(self.study, self.scenes, technology)
         count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
         frames = self.fingerprints.frames_of_pitch(technology, pitch_um)
-        blocks = [list(range(first, min(count, first + REPEATS_PER_TASK))) for first in range(0, count, REPEATS_PER_TASK)]
-        parts = (scores_of(chain, self.study, repeats, block_key(frames, block)) for block, repeats in enumerate(blocks))
+        whole: ImagingChain | None = None
+        scores: list[Score] = []
+        for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
+            own, key = list(range(first, min(count, first + REPEATS_PER_TASK))), block_key(frames, block)
+            known = kept_frames(key)
+            chain = shown_chain(self.study, light, technology, pitch_um, own, known) if shown else None
+            if chain is None:
+                chain = whole = whole or chain_at(self.study, light, self.camera, technology, pitch_um)
+            scores += [score for _, score, _ in scores_of(chain, self.study, own, key, known)]
         # Figures sum over the maps, for which float32 has too few digits.
-        return [replace(score, delta_e=score.delta_e.astype(float)) for part in parts for _, score, _ in part]
+        return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 
     @checks_arguments
     def sensors_at(self, technology: str, pitch_um: float) -> int:

@@ -106,7 +106,7 @@ def evaluations_run(count: int) -> dict[str, float]:
     """
     made: dict[tuple[float, int], Any] = {}
 
-    def scores_of(chain: ImagingChain, study: pixsim.Study, repeats: list[int], _: str) -> Iterator[tuple[int, Any, bool]]:
+    def scores_of(chain: ImagingChain, study: pixsim.Study, repeats: list[int], *_: Any) -> Iterator[tuple[int, Any, bool]]:
         for repeat in repeats:
             which = chain.physics.pitch_um, repeat % 2
             if which not in made:

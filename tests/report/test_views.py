@@ -119,6 +119,25 @@ def test_detail_at_equals_scored_picture(tiny_result: StudyResult, how: str, mon
         np.testing.assert_array_equal(picture, expected)
 
 
+def test_shown_scores_equal_scores(tiny_result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of sensors that the study has, and of one more, whose frame the cache has not: to the last bit."""
+    curve = tiny_result.curves[0]
+    own = curve.technology, float(curve.pitch_um[1])
+    count = tiny_result.sensors_at(*own)
+    expected = tiny_result.scores(*own, count + 1)
+    assert all(score.frame.mean_e.mean() > 0 for score in expected)
+    with monkeypatch.context() as patch:
+        patch.setattr("pixsim.studies.result.chain_at", None)  # the light on the pixels is not computed
+        shown = tiny_result.shown_scores(*own, count)
+    monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
+    for found in (shown, tiny_result.shown_scores(*own, count + 1)):
+        for one, other in zip(found, expected, strict=False):
+            np.testing.assert_array_equal(one.delta_e, other.delta_e)
+            np.testing.assert_array_equal(one.frame.dn, other.frame.dn)
+            kept = ("saturated_fraction", "integration_s", "fill_factor", "full_well_e", "max_delta_e")
+            assert [one.statistics()[name] for name in kept] == [other.statistics()[name] for name in kept]
+
+
 def test_study_views_one_to_one_large_pixels(tmp_path: Path) -> None:
     """Their pictures have one dot to 17: no window of the finest picture is empty in any."""
     more = {"display": {"raster": "one_to_one"}, "pitch": {"values_um": [20, 40, 400, 900, 2000]}}

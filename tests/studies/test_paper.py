@@ -68,7 +68,7 @@ class Known(StudyResult):
 
     given: Mapping[float, list[Array]] = field(default_factory=dict)
 
-    def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[SimpleNamespace]:
+    def shown_scores(self, technology: str, pitch_um: float, repeats: int) -> list[SimpleNamespace]:
         assert technology == "0.35um"
         return [SimpleNamespace(delta_e=item, border_um=(0.0, 0.0)) for item in self.given[pitch_um][:repeats]]
 
