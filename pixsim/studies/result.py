@@ -358,8 +358,15 @@ class StudyResult:
         """
         return self._scores(technology, pitch_um, repeats)
 
+    @checks_arguments
     def shown_scores(self, technology: str, pitch_um: float, repeats: int) -> list[Score]:
-        """Return the same scores without `Frame.mean_e`, in less time where the cache has the frames."""
+        """Return `scores` of a `technology` in less time, for pictures: where the cache has the frames, their `mean_e` is 0.
+
+        pitch_um : of the pixels
+        repeats : number of sensors
+
+        Raises PixsimError as `scores` does.
+        """
         return self._scores(technology, pitch_um, repeats, shown=True)
 
     def _scores(self, technology: str, pitch_um: float, repeats: int | None, shown: bool = False) -> list[Score]:
