@@ -636,8 +636,8 @@ class PixelPhysics:
         return self.reset_noise_e**2 + self.read_noise_at_gain_e**2 + dark_e
 
 
-# Beyond these, a number of a data sheet is rather in another unit. The published sheets of the tests have 30 % of the well or more
-# (the high-gain channel of one with two), 7500 e- or more, 1 % at most and 11 µm at most.
+# Beyond these, a number of a data sheet is rather in another unit. The ADCs of the published sheets of the tests end at 30 % of the
+# well (the high-gain channel of one with two) to 2.3 wells; their wells have 7500 e- or more, 1 % PRNU and 11 µm at most.
 CLIPPED_WELL, SMALL_WELL_E, LARGE_PRNU, LARGE_PITCH_UM = 0.25, 100.0, 0.05, 100.0
 WELL_NAMES = "full_well_e", "saturation_capacity_e"
 
@@ -1018,8 +1018,10 @@ def warn_of_disagreements(pixel: Pixel, technology: Technology | None = None) ->
 
 
 @checks_arguments
-def implausible_numbers(pixel: Pixel, technology: Technology | None = None) -> list[str]:
+def implausible_numbers(pixel: Pixel, technology: Technology | None = None, largest_um: float | None = None) -> list[str]:
     """Return a sentence for each given number of a pixel that is possible, but more likely in another unit.
+
+    largest_um : the largest pitch of a study of this pixel, whose well fills most of the ADC's range; None for the pixel's own
 
     Raises PixsimError as `derive` does.
 
@@ -1038,19 +1040,21 @@ def implausible_numbers(pixel: Pixel, technology: Technology | None = None) -> l
     if pixel.prnu is not None and pixel.prnu > LARGE_PRNU:
         per_cent = f"prnu = {pixel.prnu / 100:g}, or prnu_percent = {pixel.prnu:g}"
         found.append(f"prnu = {pixel.prnu:g} is {100 * pixel.prnu:g} %. {pixel.prnu:g} % is {per_cent}.")
-    return [f"pixel: {text}" for text in [*found, *_clipped_well(pixel, technology)]]
+    return [f"pixel: {text}" for text in [*found, *_other_range(pixel, technology, largest_um)]]
 
 
-def _clipped_well(pixel: Pixel, technology: Technology | None) -> list[str]:
-    """Return a sentence if the ADC at 0 dB ends far below the full well, at the data sheet's own pitch."""
+def _other_range(pixel: Pixel, technology: Technology | None, largest_um: float | None) -> list[str]:
+    """Return a sentence if the ADC at 0 dB ends far below the full well, or far above it, at the data sheet's own pitch."""
     gains = {"gain_e_per_dn": "dn_per_e", "dn_per_e": "gain_e_per_dn", "adc_full_scale_e": None}
     name = next((name for name in gains if getattr(pixel, name) is not None), None)
     if name is None:
         return []
     own = {"pitch_um": pixel.data_sheet_pitch_um or pixel.pitch_um, "data_sheet_pitch_um": None}
     p = derive(pixel.model_copy(update=own), technology)
+    if p.adc_range_e > p.full_well_e and pixel.data_sheet_pitch_um is None and largest_um is not None:
+        p = derive(pixel.model_copy(update={"pitch_um": largest_um}), technology)
     share = p.adc_range_e / p.full_well_e
-    if share >= CLIPPED_WELL:
+    if CLIPPED_WELL <= share <= 1 / CLIPPED_WELL:
         return []
     value, other = getattr(pixel, name), gains[name]
     # The range that the reciprocal gain has.
@@ -1060,17 +1064,21 @@ def _clipped_well(pixel: Pixel, technology: Technology | None) -> list[str]:
         hint = f"If the gain was meant in {unit}, set {other} = {value:g} in its place."
     else:
         hint = f"Check {name}, bits and the full well."
-    clips = f"the ADC clips at {p.adc_range_e:.0f} of {p.full_well_e:.0f} e-, {100 * share:.2g} % of the full well"
-    return [f"with {name} = {value:g}, {clips}. {hint}"]
+    found = f"the ADC clips at {p.adc_range_e:.0f} of {p.full_well_e:.0f} e-, {100 * share:.2g} % of the full well"
+    if share > 1:
+        codes = f"{p.full_well_e * p.dn_per_e:.0f} of the ADC's {pixel.codes_dn:.0f} codes above the black level"
+        steps = f"a step is {1 / p.dn_per_e:.3g} e-, and rounding adds {1 / p.dn_per_e / math.sqrt(12):.2g} e- of noise"
+        found = f"the full well of {p.full_well_e:.0f} e- fills {codes}, {100 / share:.2g} %; {steps}"
+    return [f"with {name} = {value:g}, {found}. {hint}"]
 
 
 @checks_arguments
-def warn_of_implausible_numbers(pixel: Pixel, technology: Technology | None = None) -> None:
+def warn_of_implausible_numbers(pixel: Pixel, technology: Technology | None = None, largest_um: float | None = None) -> None:
     """Warn of each of the `implausible_numbers`, on behalf of the public function that calls this one.
 
     Raises PixsimError as `derive` does.
     """
-    for text in implausible_numbers(pixel, technology):
+    for text in implausible_numbers(pixel, technology, largest_um):
         warn(text)
 
 

@@ -319,8 +319,9 @@ def check_pitches(study: Study) -> None:
         for pitch_um in pitches_um:
             physics_of(study, technology, pitch_um, process)
         warn_of_disagreements(pixel_of(study, technology, pitches_um[-1]), process)
-        # A study tries pixels larger than usual ones, whose wells outgrow a given gain: only the smallest tells of a unit.
-        warn_of_implausible_numbers(pixel_of(study, technology, pitches_um[0]), process)
+        # A study tries unusual sizes, whose wells outgrow a given gain or do not fill its range: only the smallest and the largest
+        # tell of a unit.
+        warn_of_implausible_numbers(pixel_of(study, technology, pitches_um[0]), process, pitches_um[-1])
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"

@@ -374,6 +374,19 @@ def test_derive_dark_current_follows_temperature(at_c: float, expected: float) -
         # Neither this gain nor its reciprocal fits the well.
         ({"gain_e_per_dn": 0.01}, {"gain_e_per_dn": 1.0}, r"clips at 41 of 10000 e-, 0\.41 % .*\. Check gain_e_per_dn, bits and"),
         ({"adc_full_scale_e": 2400.0}, {"adc_full_scale_e": 2600.0}, r"clips at 2400 .* Check adc_full_scale_e, bits and"),
+        # The opposite: the range is four wells and more. A step of 10.01 e- adds 10.01/√12 = 2.89 e-.
+        (
+            {"gain_e_per_dn": 40996 / 4095},
+            {"gain_e_per_dn": 39999 / 4095},
+            r"well of 10000 e- fills 999 of the ADC's 4095 codes above the black level, 24 %; a step is 10 e-, and rounding adds "
+            r"2\.9 e- .*\. Check gain_e_per_dn, bits and",
+        ),
+        ({"adc_full_scale_e": 40100.0, "black_level_dn": 95}, {"adc_full_scale_e": 39900.0}, r"fills 998 of the ADC's 4000 codes"),
+        (
+            {"full_well_e": 2000.0, "gain_e_per_dn": 2.5},
+            {"full_well_e": 2000.0, "dn_per_e": 2.5},
+            r"fills 800 of .* If the gain was meant in DN per electron, set dn_per_e = 2\.5 in its place\.",
+        ),
     ],
 )
 def test_implausible_numbers_name_the_other_unit(bad: dict[str, float], good: dict[str, float], message: str) -> None:
@@ -387,6 +400,19 @@ def test_implausible_numbers_are_those_of_the_sheets_own_pitch(pitch_um: float) 
     scaled = {"pitch_um": pitch_um, "data_sheet_pitch_um": 4.0, "gain_e_per_dn": 0.4, "bits": 12}
     (text,) = pixels.implausible_numbers(sheet_with(**scaled))
     assert "1638 of 10000 e-" in text
+
+
+def test_implausible_range_of_a_study_is_that_of_its_largest_pixel() -> None:
+    """One range for all sizes leaves codes unused at the smallest: no mistake, if the largest fills it."""
+    well_e = derive(Pixel(technology="4t-bsi", pitch_um=8.0)).full_well_e
+    small = {"technology": "4t-bsi", "pitch_um": 1.5}
+    for range_e, told in ((0.9 * well_e, False), (3.9 * well_e, False), (4.1 * well_e, True)):
+        pixel = Pixel(**small, adc_full_scale_e=range_e)
+        assert pixels.implausible_numbers(pixel), "for this pixel alone"
+        assert bool(found := pixels.implausible_numbers(pixel, largest_um=8.0)) == told
+        assert all(f"full well of {well_e:.0f} e-" in text for text in found)
+    sheet = sheet_with(bits=12, gain_e_per_dn=20.0, data_sheet_pitch_um=4.0)
+    assert pixels.implausible_numbers(sheet) == pixels.implausible_numbers(sheet, largest_um=100.0) != []
 
 
 @pytest.mark.parametrize("name", [*TECHNOLOGIES, "4t-bsi", "4t-fsi"])
