@@ -150,6 +150,7 @@ def traced_lens(lens: TracedLens, object_distance_m: float) -> Lens:
     return scaled.refocused(lens.refocus, 1e3 * object_distance_m, half_deg)
 
 
+@lru_cache(maxsize=16)
 def chief_rays(of_camera: TracedLens, object_distance_m: float, corner_mm: float) -> tuple[tuple[float, float, float], ...]:
     """Return image heights in mm, chief ray angles in degrees, and relative illuminations, up to the corner of a die.
 

@@ -75,7 +75,7 @@ class Scene:
         given.pop(charts.MAX_LP_PER_MM, None)  # of pixsim: `for_camera` makes the chart
         if self.own_chart:
             given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
-        key = repr(sorted(given.items()))
+        key = repr(sorted(given.items()))  # as in `load_scene`
         if key not in self._texts:  # a render asks ten times
             self._texts[key] = judge_scene(self.path, given)
         return self._texts[key]
@@ -269,7 +269,9 @@ def load_scene(
     display_white = file_white if white is None else white
     choice = variants.choose(variant)
     shown_white = None if display_white is None else _positive(WHITE, display_white)
-    loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=shows_csf)
+    # The text is that of the resolved file, unless a link's folder has the files that it names.
+    texts = {repr(sorted(given.items())): text} if picture is None and path == path.resolve() else {}
+    loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=shows_csf, _texts=texts)
     loaded = _with_own_chart(loaded, text, picture, linear)
     state = loaded.parse()
     white_lamps = tuple(dict.fromkeys(str((file_lamps if lamps is None else lamps) or "").replace(",", " ").split()))
