@@ -74,17 +74,24 @@ def unpaged(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pixsim.report.study.draw_section", lambda section, _: (section, [], None, []))
 
 
+def fine(image: SpectralImage, _camera: Camera, pixels: Sequence[PixelPhysics], *_: object, **__: object) -> FilmError:
+    """In place of `measure_film`: no error."""
+    known = [0.0] * len(pixels), [oversampling.TOLERATED_DELTA_E] * len(pixels)
+    return FilmError(image.shape, image.pitch_um, tuple(pixel.pitch_um for pixel in pixels), *map(tuple, known))
+
+
 @pytest.fixture(scope="module")
 def unmeasured() -> Iterator[None]:
     """Films of small studies are taken as fine: to measure their errors takes about as long as all else before the rows."""
-
-    def fine(image: SpectralImage, _camera: Camera, pixels: Sequence[PixelPhysics], *_: object, **__: object) -> FilmError:
-        known = [0.0] * len(pixels), [oversampling.TOLERATED_DELTA_E] * len(pixels)
-        return FilmError(image.shape, image.pitch_um, tuple(pixel.pitch_um for pixel in pixels), *map(tuple, known))
-
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(oversampling, "measure_film", fine)
         yield
+
+
+@pytest.fixture
+def unmeasured_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `unmeasured`, in one test of a module."""
+    monkeypatch.setattr(oversampling, "measure_film", fine)
 
 
 @pytest.fixture

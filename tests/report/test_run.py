@@ -279,7 +279,7 @@ def test_run_notes_reach_score_page_and_json(tmp_path):
 
 def test_run_irradiance_option_sets_contents(tmp_path):
     """The result is the same, but for the frame of a file whose samples are larger."""
-    y, x = np.indices((128, 2048))
+    y, x = np.indices((64, 2048))
     light = light_file(tmp_path / "wide.npz", 1.0 + (x // 3 + y) % 2, 1.0)
     line = f"run {light} --camera.die-mm 2.048 --pixel.pitch-um 16 --display.dots 128 --json --out {tmp_path / 'out'} --irradiance"
     scores, file = {}, tmp_path / "out/irradiance.exr"
@@ -289,12 +289,12 @@ def test_run_irradiance_option_sets_contents(tmp_path):
         assert ("holds its bands in full" in err) == (content == "factors")  # a cube of another program has no factors
         assert file.exists() == (content != "none")
         if content != "none":
-            assert pixsim.read_exr(file).shape == ((64, 1024) if content == "reduced" else (128, 2048))
+            assert pixsim.read_exr(file).shape == ((32, 1024) if content == "reduced" else (64, 2048))
     assert all(score == scores["full"] for score in scores.values())
     scored(f"{line} reduced")
     again, err = scored(f"run {file} --pixel.pitch-um 16 --display.dots 128 --json --out {tmp_path / 'again'}")
     assert "'irradiance.exr' holds means over 2 × 2 samples of the render, 2 µm wide" in err
-    assert again["irradiance"]["reduced"] == {"samples": [128, 2048], "factor": 2.0}
+    assert again["irradiance"]["reduced"] == {"samples": [64, 2048], "factor": 2.0}
     assert again["mean_electrons_e"] == pytest.approx(scores["full"]["mean_electrons_e"], rel=1e-3)
 
 

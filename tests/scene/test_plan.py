@@ -194,7 +194,7 @@ def test_decide_stack_names_the_height_and_where_no_light_is_lost() -> None:
 
 def test_decide_stack_says_what_it_left_out_and_the_evaluation_does_it() -> None:
     """A slow lens, whose narrow cones of light meet photodiodes alike everywhere; not a fast one, a small tolerance, or --full."""
-    scene, slow, pixel = load("csf", resolution=64), pixsim.Camera(f_number=45.0), pixsim.Pixel(pitch_um=10.0, stack=BARE)
+    scene, slow, pixel = load("csf", resolution=32), pixsim.Camera(f_number=45.0), pixsim.Pixel(pitch_um=10.0, stack=BARE)
     plan = make_plan(scene, slow, pixel)
     line = decision(plan, "pixel stack")
     assert not line.kept

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.edits import VARIANT
 
 from pixsim import evaluate, load_scene, render
 from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, LensOptions, Pixel
@@ -56,7 +57,7 @@ clips = false
 
 
 def through(lens: str, die_mm: float, resolution: int = 96, scene: str = "csf", distance_m: float = 0.0, **options: object):
-    loaded = load_scene(scene, resolution=resolution)
+    loaded = load_scene(scene, resolution=resolution, variant=VARIANT)
     given = CameraOptions(die_mm=die_mm, **({"object_distance_m": distance_m} if distance_m else {}))
     camera = loaded.camera(given, LensOptions(file=lens, **options))
     return loaded, camera

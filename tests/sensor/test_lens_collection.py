@@ -1,5 +1,6 @@
 """Pixels with a stack behind a real lens: the traced pupil, against its rays one by one, the fall-off, and a thin lens."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ def phone() -> Camera:
     return camera_with_lens(Camera(die_mm=4.8, object_distance_m=2.0), CameraOptions(), LensOptions(file="phone"))
 
 
+@cache
 def traced(camera: Camera, x_mm: float, y_mm: float, count: int = 160) -> tuple[np.ndarray, float, np.ndarray]:
     """Directions (n, 2) of an even grid from which light reaches a place, traced one by one; their area; the chief ray's."""
     lens = traced_lens(camera.lens, camera.object_distance_m)  # type: ignore[arg-type]

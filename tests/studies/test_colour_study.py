@@ -49,6 +49,7 @@ def rows_of(folder: Path, filters: str | None = None) -> list[dict[str, str]]:
     return [{name: value for name, value in row.items() if name not in ("key", "filters")} for row in rows]
 
 
+@pytest.mark.usefixtures("unmeasured_here")
 @pytest.mark.filterwarnings("ignore:.*black level")
 def test_study_of_filters(tmp_path: Path) -> None:
     pixsim.study(Study.model_validate(SMALL), out=tmp_path / "plain", jobs=1)
@@ -92,6 +93,7 @@ def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
     assert [curve.pitch_um.tolist() for curve in result.curves] == [kept, kept]
 
 
+@pytest.mark.usefixtures("unmeasured_here")
 def test_study_without_axes_has_parts_of_its_error(tmp_path: Path) -> None:
     """One row for its one curve; a monochrome study has none."""
     for colour, columns in ((CAMERA, 8), (None, 0)):
@@ -173,6 +175,7 @@ def test_cases_with_too_few_possible_sizes_are_left_out_with_the_reason(tmp_path
         assert "Not shown are values with cases that are left out: 1 of stack." in page
 
 
+@pytest.mark.usefixtures("unmeasured_here")
 def test_figures_show_values_of_which_all_cases_are_there(tmp_path: Path) -> None:
     """Of two axes with one case left out, the value that lacks more of its cases is not shown."""
     table = merge(SMALL, {"resolution": 64, "axis": [STACKS, merge(LENSES, {"values": [2.8, 4.0, 5.6]})]})
@@ -257,7 +260,7 @@ def test_run_in_colour_writes_coloured_pictures(tmp_path: Path) -> None:
 
     options = "--pixel.technology 4t-bsi --pixel.pitch-um 20 --pixel.colour.matrix RG,GB --pixel.colour.sensitivities Nikon_D810"
     options += " --pixel.colour.peak-quantum-efficiency 0.5 --display.dots 64 --resolution 48 --render-noise 1e4"
-    options += " --develop.demosaic malvar2004 --json"
+    options += " --develop.demosaic malvar2004 --variant scalar_spectral --json"
     code, out, err = command(f"run macbeth {options} --out", tmp_path / "run")
     assert code == 0, err
     assert '"layout": "RG/GB"' in out

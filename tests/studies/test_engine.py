@@ -387,7 +387,7 @@ def test_study_of_axes_on_cluster_same_bytes(cluster_here: str, of_axes: tuple[P
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
-def test_results_of_cluster_batches_cheap_calls(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_of_cluster_batches_cheap_calls(cluster_here: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each comes once, with the data of its own `make`, and an error is that of its call."""
     from distributed import Client
 
@@ -400,7 +400,7 @@ def test_results_of_cluster_batches_cheap_calls(cluster: str, monkeypatch: pytes
 
     monkeypatch.setattr(Client, "submit", counted)
     makes = [lambda number=number: {"values": np.full(2, float(number))} for number in range(3)]
-    with Client(cluster, set_as_default=False) as client:
+    with Client(cluster_here, set_as_default=False) as client:
         actual = sorted(results_of(double, [(task, makes[task % 3]) for task in range(1000)], Workers(client=client)))
         with pytest.raises(ZeroDivisionError):
             list(results_of(fail, [(task, nothing) for task in range(300, -1, -1)], Workers(client=client)))
