@@ -9,14 +9,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.constants import elementary_charge
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 
-E_PER_FC = 1e-15 / elementary_charge
-A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / elementary_charge  # 1 cm² = 1e8 µm²
+ELECTRON_C = 1.602176634e-19  # SI 2019, exact
+E_PER_FC = 1e-15 / ELECTRON_C
+A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / ELECTRON_C  # 1 cm² = 1e8 µm²
 UM_PER_CM = 1e4
 
 

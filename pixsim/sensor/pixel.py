@@ -39,7 +39,7 @@ from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.optics.stack import LOWEST_LENS, Stack
 from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.colour import Layout, channel_efficiency
-from pixsim.sensor.mismatch import DarkSpread, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
+from pixsim.sensor.mismatch import ELECTRON_C, DarkSpread, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
 
@@ -50,7 +50,6 @@ __all__ = [
     "sheet_disagreements", "silicon_curve", "smallest_pitch_um", "warn_of_disagreements", "warn_of_implausible_numbers",
 ]  # fmt: skip
 
-ELECTRON_C = 1.602176634e-19  # SI 2019, exact
 BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
 C_PER_FF_V = 1e-15
 E_PER_FC = C_PER_FF_V / ELECTRON_C

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import warnings
@@ -43,6 +44,10 @@ def warn(task: int, _: object) -> int:
 
 def fail(task: int, _: object) -> int:
     return 1 // task
+
+
+def collects_garbage(_task: int, _: object) -> bool:
+    return gc.isenabled()
 
 
 def die_once_at_7_um(task: evaluations.Task, light: evaluations.SharedLight, mark: Path) -> list[evaluations.Row]:

@@ -23,7 +23,7 @@ import joblib
 import numpy as np
 import pytest
 from helpers.processes import HANG_S, signalled
-from helpers.tasks import die_always, die_once, die_once_at_7_um, double, fail, nothing, warn
+from helpers.tasks import collects_garbage, die_always, die_once, die_once_at_7_um, double, fail, nothing, warn
 from helpers.tiny import tiny_toml, toml_of
 
 import pixsim
@@ -151,6 +151,11 @@ def library_threads(_: int, __: object) -> int:
 def test_results_of_worker_uses_one_core() -> None:
     """The libraries keep the threads that they start: without any, a worker runs in its own thread alone."""
     assert list(results_of(library_threads, [(task, nothing) for task in range(4)], Workers(2))) == [0] * 4
+
+
+def test_results_of_worker_collects_garbage() -> None:
+    """A worker leaves it while it imports; each call finds it on."""
+    assert list(results_of(collects_garbage, [(task, nothing) for task in range(4)], Workers(2))) == [True] * 4
 
 
 @pytest.mark.parametrize(
