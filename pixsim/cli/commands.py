@@ -226,6 +226,8 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
         f"relative error of the mean electrons at most {plan.bound_e:.1e}{'' if plan.bounded else ' plus unknown terms'}, "
         f"tolerance {plan.tolerance_e:g}"
     )
+    errors = "the film's error is" if plan.exact else "the film's error and the render noise are"
+    lines.append(f"{errors} measured by a run or a study, and stated in its result, beside mean ΔE if too large")
     return "\n".join(lines)
 
 

@@ -198,6 +198,9 @@ def outline_lines(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[
     height, across = shown["film"]["samples"]
     where = f", in {prepared.condition}" if prepared.conditions else ""
     lines += [conditions_line(prepared), f"film of {across} × {height} samples for all{where}"]
+    lines += [
+        "the film's error is measured by the renders and part of each ±; render noise stands beside the answer if it is too large"
+    ]
     return [*lines, f"{out}: nothing is written now", f"cost: {Cost(**shown['estimate'])}"]
 
 

@@ -12,8 +12,11 @@ from pixsim.base.parameters import Camera, Effort, Run, Study
 from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
 from pixsim.report.wording import view_words
 from pixsim.sensor.integration import pixels_along, pixels_on
+from pixsim.sensor.pixel import PixelPhysics, derive, physics_of
 from pixsim.sensor.technology import label_of
+from pixsim.studies.budget import FilmSampling, film_error
 from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.oversampling import TOLERATED_SHARE
 from pixsim.studies.preparation import (
     LONG_S,
     MOST_EVALUATIONS,
@@ -27,6 +30,7 @@ from pixsim.studies.preparation import (
     window_within,
 )
 from pixsim.studies.study import light_hash
+from pixsim.viewer.score import rounded
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
@@ -65,6 +69,7 @@ def run_outline(
         outline["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
         header, view = {"parameters": scene.parameters}, chosen.as_dict()
         cost = render_cost(plan, math.prod(outline["film"]["samples"]), processors().usable)
+        outline["errors"] = errors_of(plan, outline["film"], camera, derive(settings.pixel), settings)
     frame = frame_cost(camera, pitch_um, settings.display)
     cost = Cost(cost.seconds + PAGE_S + (1 + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
     sensors = [
@@ -98,7 +103,9 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
         pitches_um = study_pitches_um(study, name).tolist()
         counts = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
         sensors.append({"technology": name, "pitch_um": pitches_um, "pixels": counts, "sensors": study.repeats})
+    smallest = physics_of(study, study.technologies[0], sensors[0]["pitch_um"][0])
     more: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name, "evaluations": prepared.evaluations}
+    more["errors"] = errors_of(plan, film, camera, smallest, study)
     if types:
         more["sensor_types"] = types
     if prepared.cases:
@@ -142,6 +149,42 @@ def film_of(scene: Scene, camera: Camera, plan: Plan) -> dict[str, Any]:
     return {"samples": [height, width], "pitch_um": 1e3 * camera.die_mm / width, "spp": plan.spp, "passes": plan.passes}
 
 
+def errors_of(
+    plan: Plan, film: dict[str, Any], camera: Camera, physics: PixelPhysics, settings: Run | Study
+) -> dict[str, float | None]:
+    """Return what is known of the errors of the light before there is light.
+
+    physics : of the smallest pixel
+
+    film_share : least error of the film as a share of mean ΔE, for details and dots that it cannot show; None if a calibration
+        chooses the film
+    rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits them, 0 if there are none
+    render_noise : its target, as a fraction of the sensor's noise
+    """
+    sampling = FilmSampling.of(film["samples"][1], camera, physics, settings.display, plan.chart)
+    rays = plan.most_samples / math.prod(pixels_on(camera.die_um, physics.pitch_um))
+    return {
+        "film_share": None if settings.tolerance_delta_e else film_error(0.0, 0.0, 1.0, sampling),
+        "rays_a_pixel": 0.0 if plan.exact else None if settings.max_seconds else rays,
+        "render_noise": settings.render_noise,
+    }
+
+
+def errors_words(errors: dict[str, float | None]) -> str:
+    """Return `errors_of` as text, and where the measured errors will stand."""
+    share, rays, film = errors["film_share"], errors["rays_a_pixel"], ""
+    if share is not None and share > TOLERATED_SHARE:
+        tolerated = f"{100 * TOLERATED_SHARE:g} % tolerated"
+        film = f"film: at least {rounded(100 * share)} % of mean ΔE, since it has too few samples ({tolerated}); "
+    if rays == 0.0:
+        return f"{film}no render noise; the film's error is measured by the render, and stands beside mean ΔE where it is too large"
+    limit = (
+        "as long as --max-seconds allows" if rays is None else f"with at most {rounded(rays)} rays a pixel (more by --max-seconds)"
+    )
+    noise = f"render noise: to {errors['render_noise']:g} of the sensor's, {limit}"
+    return f"{film}{noise}; the errors of both are measured by the render, and stand beside mean ΔE where they are too large"
+
+
 def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
     """Return the outline as lines of text.
 
@@ -175,6 +218,8 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
         rows.append(("pixels", f"{label_of(sensor['technology'])}: {text}"))
     if "frames" in outline:
         rows.append(("frames", f"{outline['frames']} of the same sensor"))
+    if "errors" in outline:
+        rows.append(("errors", errors_words(outline["errors"])))
     if "cases" in outline:
         rows.append(
             ("cases", f"{len(outline['cases'])}, {outline['evaluations']} evaluations; the lines above are those of the first")

@@ -17,10 +17,12 @@ from helpers.commands import assert_refused, command
 from helpers.looks import text_of
 
 import pixsim
-from pixsim.base.parameters import CameraOptions
+from pixsim.base.parameters import CameraOptions, Run
 from pixsim.light.exr import read_channels, write_channels
 from pixsim.optics.exchange import read_with_camera, write_npz
+from pixsim.report.outline import outline_lines, run_outline
 from pixsim.report.run import FILES, colour_rows, shown_picture
+from pixsim.scene.film import PATH_SAMPLES
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, factor_for, reduced
@@ -335,6 +337,32 @@ def test_run_page_matches_score_json(ran: Path) -> None:
     assert '<th scope="row">film</th><td>128 × 128</td>' in page
     assert "at 95 % of the full well" in page  # as the automatic exposure is asked to
     assert "<p>At 33.3 lp/mm, the highest frequency of the chart, the MTF of the lens is 0.9" in page  # tests/studies/test_paper.py
+
+
+def test_dry_run_foresees_the_least_error_of_a_coarse_film(ran: Path) -> None:
+    """What the film cannot show is known before there is a picture; what its picture shows comes on top."""
+    outline = json.loads(command(f"{LINE} {ran} --dry-run --json")[1])
+    score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
+    share, measured = outline["errors"]["film_share"], score["film"]["delta_e"] / score["mean_delta_e"]
+    assert 0.02 < share < 1.02 * measured < 3 * share, "2 % between the means of two sensors"
+    assert f"film: at least {100 * share:.2g} % of mean ΔE" in command(f"{LINE} {ran} --dry-run")[1]
+
+
+@pytest.mark.parametrize(
+    ("more", "rays", "words"),
+    [
+        ({}, PATH_SAMPLES / 64**2, "render noise: to 0.2 of the sensor's, with at most 4900 rays a pixel"),
+        ({"max_seconds": 5.0}, None, "render noise: to 0.2 of the sensor's, as long as --max-seconds allows"),
+        ({"tolerance_delta_e": 0.1, "render_noise": 0.5}, PATH_SAMPLES / 64**2, "render noise: to 0.5 of the sensor's"),
+    ],
+)
+def test_dry_run_says_what_limits_the_render_noise(more, rays, words):
+    run = Run.model_validate({"camera": {"die_mm": 0.64}, "pixel": {"pitch_um": 10.0}, "resolution": 32, **more})
+    outline = run_outline("macbeth", run)
+    assert outline["errors"]["rays_a_pixel"] == (rays and pytest.approx(rays))
+    line = next(line for line in outline_lines(outline, Path("out")) if line.startswith("errors"))
+    assert words in line
+    assert ("film: at least" in line) == ("tolerance_delta_e" not in more), "where a calibration does not choose another film"
 
 
 def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
