@@ -65,7 +65,8 @@ def demosaic(mosaic: Array, pattern: str | Sequence[str], method: Method = "bili
     if min(values.shape[0] - len(cell), values.shape[1] - len(cell[0])) < 0:
         got = f"{values.shape[0]} × {values.shape[1]} pixels"
         raise invalid("mosaic", got, f"at least the unit cell of {len(cell)} × {len(cell[0])} pixels")
-    if wrong := np.count_nonzero(~(np.abs(values) <= MAX_VALUE)):
+    if not max(values.max(), -values.min()) <= MAX_VALUE:  # nor NaN, which both would be
+        wrong = np.count_nonzero(~(np.abs(values) <= MAX_VALUE))
         raise invalid("mosaic", f"{wrong} values that are not finite or too large", f"finite numbers up to {MAX_VALUE:g}")
     if method == "menon2007":
         planes = _menon(np.pad(values, MENON_REACH, mode="reflect"), cell)[:, MENON_REACH:-MENON_REACH, MENON_REACH:-MENON_REACH]
@@ -221,15 +222,16 @@ def _filtered(mosaic: Array, weights: Array) -> Array:
         total = np.zeros(into.shape) if len(groups := np.unique(taps[taps != 0])) > 1 else None
         part = np.empty(into.shape)
         for weight in groups:  # samples of equal weight are summed first
-            summed: Array | float = 0.0
+            summed: Array | None = None
             for dy, dx in np.argwhere(taps == weight):
                 (row, odd_row), (column, odd_column) = divmod(y + dy, 2), divmod(x + dx, 2)
                 sample = phase[odd_row, odd_column][row : row + into.shape[0], column : column + into.shape[1]]
-                summed = np.add(sample, summed, out=part)
+                summed = sample if summed is None else np.add(sample, summed, out=part)
+            assert summed is not None
             if total is None:
-                np.multiply(part, weight, out=into)
+                np.multiply(summed, weight, out=into)
             else:
-                total += np.multiply(part, weight, out=part)
+                total += np.multiply(summed, weight, out=part)
         if total is not None:
             into[...] = total
     return planes

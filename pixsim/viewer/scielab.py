@@ -369,14 +369,16 @@ def _opponent_spectrum(xyz: Planes, view: ViewingConditions, single: bool) -> Pl
 
 def _grey_spectrum(luminance: npt.ArrayLike, view: ViewingConditions, single: bool) -> Planes:
     """Return the DCT-II of the filtered X/Xn, Y/Yn and Z/Zn of a grey picture, (3, H, W)."""
-    grey = np.asarray(luminance, None if single else np.float64)
+    grey = np.asarray(luminance, np.float64)
+    allowed = "(H, W), not empty, all values finite"
     if grey.ndim != 2 or grey.size == 0:
-        raise invalid("luminance", f"shape {grey.shape}", "(H, W), not empty, all values finite")
+        raise invalid("luminance", f"shape {grey.shape}", allowed)
     picture, spectrum = (empty_planes(*shape, dtype=_precision(single)) for shape in (grey.shape, (3, *grey.shape)))
     picture[...] = grey
-    if not is_finite(picture):
-        raise invalid("luminance", f"shape {grey.shape}", "(H, W), not empty, all values finite")
-    return np.asarray(np.multiply(filter_transfer(view, *grey.shape, grey=True, single=single), dct(picture), out=spectrum))
+    coefficients = dct(picture)
+    if not math.isfinite(coefficients[0, 0]) and not is_finite(grey):  # the first one is the sum over the picture
+        raise invalid("luminance", f"shape {grey.shape}", allowed)
+    return np.asarray(np.multiply(filter_transfer(view, *grey.shape, grey=True, single=single), coefficients, out=spectrum))
 
 
 def _iter_lab_strips(spectrum: Planes, view: ViewingConditions, grey: bool = False) -> Strips:

@@ -73,10 +73,14 @@ def test_filtered_grey_lab_matches_filtered_lab(filters, shape, samples_per_deg,
     np.testing.assert_allclose(actual, whole, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("luminance", [np.ones(3), np.ones((2, 2, 3)), np.ones((0, 4)), np.array([[1.0, np.nan]])])
-def test_filtered_grey_lab_invalid_luminance_raises(luminance):
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize(
+    "luminance",
+    [np.ones(3), np.ones((2, 2, 3)), np.ones((0, 4)), np.array([[1.0, np.nan]]), np.array([[np.inf, -np.inf], [0.0, 1.0]])],
+)
+def test_filtered_grey_lab_invalid_luminance_raises(luminance, single):
     with pytest.raises(PixsimError, match=r"luminance: got shape .*; allowed: \(H, W\), not empty, all values finite"):
-        scielab.filtered_grey_lab(luminance, white_xyz=D65, samples_per_deg=23)
+        scielab.filtered_grey_lab(luminance, white_xyz=D65, samples_per_deg=23, single=single)
 
 
 # --- The published filter: closed forms, limits, conservation ---
