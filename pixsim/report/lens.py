@@ -294,7 +294,9 @@ def lens_plates(data: LensData) -> list[Plate]:
 
 WIDTH_IN = 8.6
 TICKS = 10  # at most, along the whole width
-LEFT_IN, RIGHT_IN, BOTTOM_IN, TOP_IN, BETWEEN_IN, LEGEND_IN = 0.62, 0.15, 0.5, 0.28, 0.75, 0.35
+# Beside the axes and between them there is room for the labels of six characters, such as -0.025, and the name of the axis.
+LEFT_IN, RIGHT_IN, BOTTOM_IN, TOP_IN, BETWEEN_IN, LEGEND_IN = 0.85, 0.2, 0.5, 0.28, 0.9, 0.35
+BETWEEN_SHARED_IN, TICKS_SHARED = 0.4, 4  # of panels that share their scales: labels at their ends do not meet
 
 
 def panels_of(count: int, height_in: float, shared: bool = False, legend_below: bool = False) -> tuple[Figure, list[Axes]]:
@@ -305,17 +307,17 @@ def panels_of(count: int, height_in: float, shared: bool = False, legend_below: 
     figure = new_figure(WIDTH_IN, height_in)
     figure.set_layout_engine(None)
     row = figure.subplots(1, count, squeeze=False, sharex=shared, sharey=shared)[0]
-    between = 0.25 if shared else BETWEEN_IN
+    between = BETWEEN_SHARED_IN if shared else BETWEEN_IN
     panel_in = (WIDTH_IN - LEFT_IN - RIGHT_IN - (count - 1) * between) / count
     below = BOTTOM_IN + (LEGEND_IN if legend_below else 0.0)
     sides = {"left": LEFT_IN / WIDTH_IN, "right": 1 - RIGHT_IN / WIDTH_IN, "wspace": between / panel_in}
     figure.subplots_adjust(bottom=below / height_in, top=1 - TOP_IN / height_in, **sides)
     for axes in row:
-        axes.locator_params(nbins=TICKS // 2 if shared or count > 1 else TICKS)
+        axes.locator_params(nbins=TICKS_SHARED if shared else TICKS // 2 if count > 1 else TICKS)
     return figure, list(row)
 
 
-def finish(axes: Axes, x: str, y: str, legend: Literal["best", "upper left"] | None = "best") -> None:
+def finish(axes: Axes, x: str, y: str, legend: Literal["best"] | None = "best") -> None:
     axes.set(xlabel=x, ylabel=y)
     axes.grid(alpha=0.25)
     if legend and axes.get_legend_handles_labels()[0]:
@@ -337,7 +339,7 @@ def layout(data: LensData) -> Plate:
     paths = [lens.ray_points(angle, lens.primary_nm, 0 * np.array(DRAWN_HEIGHTS), DRAWN_HEIGHTS) for angle in fields]
     reached = np.nanmax(np.abs([path[:, :-1, 1] for path in paths]), axis=(0, 1))
     edges = [surface.semi_diameter_mm or DRAWN_EDGE * float(most) for surface, most in zip(surfaces, reached, strict=True)]
-    figure, (axes,) = panels_of(1, 3.8)
+    figure, (axes,) = panels_of(1, 4.1, legend_below=True)
     outlines = []
     for surface, vertex, edge in zip(surfaces, vertices, edges, strict=False):
         y = np.linspace(-edge, edge, 81)
@@ -375,7 +377,8 @@ def layout(data: LensData) -> Plate:
     image = max(float(np.abs(data.curves["image_height_mm"]).max()), semi)
     axes.plot([vertices[-1]] * 2, [-1.05 * image, 1.05 * image], color="black", lw=1.2)
     axes.set_aspect("equal", adjustable="datalim")
-    finish(axes, "z (mm from the first surface)", "y (mm)", "upper left")
+    finish(axes, "z (mm from the first surface)", "y (mm)", None)
+    below(figure, axes, len(fields) + 1)
     caption = (
         f"The lens is {length:.4g} mm long, from its first surface to the image plane, and takes in fields to "
         f"{lens.max_field_deg:.3g}°. "
@@ -402,14 +405,18 @@ def ends_words(what: str, field_deg: Sequence[float], values: Sequence[float], u
 
 
 def half_words(data: LensData) -> str:
-    """Return where the lower MTF, tangential or sagittal, falls to one half, as a sentence."""
-    places = {}
-    for index in (0, data.field_deg.size - 1):
-        lower = data.mtf[index].min(axis=0)
-        below = np.flatnonzero(lower < 0.5)
-        end = f"at {data.frequency_lp_per_mm[below[0]]:.3g} lp/mm" if below.size else "nowhere in this figure"
-        places[f"{data.field_deg[index]:.3g}°"] = end
-    return f"The lower MTF falls to one half {', '.join(f'{end} ({angle})' for angle, end in places.items())}."
+    """Return where the lower MTF, tangential or sagittal, falls to one half on the axis and in the worst field, as a sentence."""
+    ends = []
+    for mtf in data.mtf.min(axis=1):
+        below = np.flatnonzero(mtf < 0.5)
+        ends.append(float(data.frequency_lp_per_mm[below[0]]) if below.size else math.inf)
+    if math.isinf(min(ends)):
+        return "The MTF is above one half in this figure, in every field."
+    words = [f"at {end:.3g} lp/mm" if math.isfinite(end) else "beyond this figure" for end in ends]
+    worst = int(np.argmin(ends))
+    if not worst:
+        return f"The lower MTF falls to one half {words[0]} on the axis, and nowhere earlier."
+    return f"The lower MTF falls to one half {words[0]} on the axis, and earliest {words[worst]} at {data.field_deg[worst]:.3g}°."
 
 
 def spot_plate(data: LensData) -> Plate:
@@ -437,7 +444,7 @@ def spot_plate(data: LensData) -> Plate:
     panels[0].set(ylabel="y (µm)", xlim=(-1.1 * most, 1.1 * most), ylim=(-1.1 * most, 1.1 * most))
     below(figure, panels[0], 6)
     caption = (
-        f"{ends_words('The spot', [data.field_deg[at] for at in shown], [data.spots[at].rms_um for at in shown], 'µm rms')} "
+        f"{ends_words('The spot', data.field_deg.tolist(), [spot.rms_um for spot in data.spots], 'µm rms')} "
         f"Spots: where rays of each wavelength meet the image plane, from the chief ray at {data.lens.primary_nm:.5g} nm; y points "
         "away from the axis. The circle is the first dark ring of diffraction. Rays that clear apertures stop are left out."
     )
@@ -472,9 +479,9 @@ def psf_plate(data: LensData) -> Plate:
         coarse = coarse_table(cut / cut.max(), f"psf_{data.field_deg[index]:.4g}_deg")
         table |= coarse
     panels[0].set_ylabel("y (µm)")
-    areas = [float((data.psfs[at] >= data.psfs[at].max() / 2).sum()) * data.psf_pitch_um**2 for at in shown]
+    areas = [float((psf >= psf.max() / 2).sum()) * data.psf_pitch_um**2 if psf.any() else math.nan for psf in data.psfs]
     caption = (
-        f"{ends_words('The area above half of the maximum', [data.field_deg[at] for at in shown], areas, 'µm²')} "
+        f"{ends_words('The area above half of the maximum', data.field_deg.tolist(), areas, 'µm²')} "
         f"Point spread functions of the {len(data.wavelength_nm)} wavelengths together, {how(data)}; brightness is the square "
         "root of the irradiance over its maximum. y points away from the axis. The table has means over blocks."
     )
@@ -615,6 +622,7 @@ def colour_plate(data: LensData) -> Plate:
 # Text and page ---------------------------------------------------------------------------------------------------------------
 
 Rows = list[tuple[str, ...]]
+UNBROKEN = str.maketrans(" -", "\u00a0\u2011")  # a number and its name stay on one line of a page
 
 
 def first_order_rows(data: LensData) -> Rows:
@@ -643,7 +651,7 @@ def surface_rows(data: LensData) -> Rows:
             f"{surface.thickness_mm:.6g}",
             surface.glass.name,
             f"{surface.conic:.5g}" if surface.conic else "",
-            ", ".join(f"A{power} {value:.4g}" for power, value in surface.asphere),
+            ", ".join(f"A{power} {value:.4g}".translate(UNBROKEN) for power, value in surface.asphere),
             semi + (", clips" if surface.clips and semi else ""),
         ))  # fmt: skip
     return rows

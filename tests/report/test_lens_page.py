@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from functools import cache
 from pathlib import Path
@@ -15,7 +16,7 @@ from helpers.looks import Elements, text_of
 
 import pixsim
 from pixsim.optics.diffraction import diffraction_otf
-from pixsim.report.lens import FIGURES, LensData, lens_data, line_mtf, ray_spreads, spot_points
+from pixsim.report.lens import FIGURES, LensData, lens_data, lens_plates, line_mtf, ray_spreads, spot_points
 
 
 @cache
@@ -97,6 +98,46 @@ def test_numbers_are_those_of_the_lens() -> None:
     # README of the reference values: .181 waves on the axis, chief ray at 18.99° unaimed and 19.3° aimed at 20°.
     assert content["fields"][0]["rms_wavefront_waves"] == pytest.approx(0.181, abs=0.01)
     assert content["fresnel_transmittance"] == pytest.approx(0.7058, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["triplet", "singlet", "double_gauss"])
+def test_texts_of_figures_lie_inside_and_apart(name: str) -> None:
+    """With labels of three digits and a sign, and of three decimals."""
+    scale = {"singlet": 1.0, "double_gauss": 0.005}
+    data = triplet() if name == "triplet" else lens_data(pixsim.load_lens(name).scaled(scale[name]), [486.1, 656.3])
+    for plate in lens_plates(data):
+        plate.figure.canvas.draw()
+        width, height = plate.figure.canvas.get_width_height()
+        inside = plate.figure.get_tightbbox().transformed(plate.figure.dpi_scale_trans)
+        assert min(inside.x0, inside.y0) >= 0, plate.name
+        assert inside.x1 <= width, plate.name
+        assert inside.y1 <= height, plate.name
+        labels = []
+        for axes in plate.figure.axes:
+            view = axes.get_window_extent().padded(1)
+            for axis, side in ((axes.xaxis, "intervalx"), (axes.yaxis, "intervaly")):
+                boxes = [label.get_window_extent() for label in axis.get_ticklabels() if label.get_text() and label.get_visible()]
+                (low, high), middles = getattr(view, side), [np.mean(getattr(box, side)) for box in boxes]
+                labels += [
+                    box for box, middle in zip(boxes, middles, strict=True) if low <= middle <= high
+                ]  # the others are not drawn
+        assert len(labels) > 3
+        for one, other in itertools.combinations(labels, 2):
+            assert not one.overlaps(other), (plate.name, one, other)
+
+
+def test_first_sentences_are_of_all_fields() -> None:
+    """Not of those shown only: the smallest and the largest spot of the table, and the field of the lowest MTF."""
+    data = triplet()
+    said = {plate.name: plate.caption.partition(". ")[0] for plate in lens_plates(data)}
+    rms = [spot.rms_um for spot in data.spots]
+    least, most = int(np.argmin(rms)), int(np.argmax(rms))
+    assert said["spots"].startswith(f"The spot is smallest at {data.field_deg[least]:.3g}° ({rms[least]:.3g} µm rms)")
+    assert said["spots"].endswith(f"largest at {data.field_deg[most]:.3g}° ({rms[most]:.3g} µm rms)")
+    ends = [data.frequency_lp_per_mm[np.argmax(mtf < 0.5)] for mtf in data.mtf.min(axis=1)]
+    worst = int(np.argmin(ends))
+    words = f"at {ends[0]:.3g} lp/mm on the axis, and earliest at {ends[worst]:.3g} lp/mm at {data.field_deg[worst]:.3g}°"
+    assert said["mtf"] == f"The lower MTF falls to one half {words}"
 
 
 @pytest.fixture(scope="module")
