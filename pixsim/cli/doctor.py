@@ -94,7 +94,7 @@ class Finding:
 
 
 def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Finding]:
-    """Run all checks, in about 5 s, or at most about three times `limit_s` if something hangs.
+    """Run all checks, in about 5 s, or at most about three times `limit_s` if something hangs; a graphics card has its own limits.
 
     out : output folder to check; it need not exist
     limit_s : time limit of each trial, s

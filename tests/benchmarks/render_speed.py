@@ -9,18 +9,23 @@ bands of 10 nm, a box filter, and `independent` or `multijitter`. Times are medi
 largest number of samples misses the target, the time is extrapolated, as the table states. Memory is the peak of a new process.
 
 With `--variant`, the variants render the scenes in turns, with equal samples: medians of the clock, and the ratio to the first.
+Then they take turns with a study of the ColorChecker, from an empty cache: the seconds of its render and of its evaluations.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import os
 import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from unittest import mock
 
 import numpy as np
 
@@ -29,7 +34,9 @@ from benchmarks.plain import plain_mitsuba
 from helpers.timing import fresh
 
 import pixsim
+from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import Pixel
+from pixsim.base.progress import stages
 from pixsim.light.spectral import photons_per_joule
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import Renderer
@@ -104,6 +111,11 @@ def render(name: str, resolution: int, spp: int) -> None:
 
 
 VARIANT_SPP, VARIANT_TURNS = 64, 5
+STUDY: dict[str, object] = {  # charts take no rays in a study
+    "name": "variants", "scene": {"file": "macbeth"}, "resolution": 512, "repeats": 8, "render_noise": 1.0,
+    "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]}, "display": {"dots": 256},
+}  # fmt: skip
+STUDY_TURNS = 3
 
 
 def compare_variants(name: str, resolution: int, variants: list[str]) -> None:
@@ -124,6 +136,26 @@ def compare_variants(name: str, resolution: int, variants: list[str]) -> None:
         print(
             f"  {variant:18} {medians[variant]:8.3f} s (first {first_s[variant]:.2f} s), times {ratio:.2f}; mean {difference:+.2%}"
         )
+
+
+def compare_studies(variants: list[str]) -> None:
+    """Print the time of a study with each variant, of its render and of its evaluations."""
+    study, runs = pixsim.Study.model_validate(STUDY), {variant: [] for variant in variants}
+    for _ in range(STUDY_TURNS):
+        for variant, own in runs.items():
+            seconds: dict[str, float] = {}
+            with TemporaryDirectory() as folder, ExitStack() as stack:
+                stack.enter_context(mock.patch.dict(os.environ, {FOLDER_VARIABLE: f"{folder}/cache"}))
+                stage = stack.enter_context(stages(seconds, quiet=True))
+                result = pixsim.study(study, f"{folder}/out", variant=variant, jobs=1, progress=stage)
+                stage("end")  # of the last stage's time
+            own.append((seconds["render"], seconds["evaluate"], float(result.curves[0].delta_e.mean())))
+    print(f"study of macbeth, {STUDY['resolution']}², {STUDY['repeats']} sensors at each of 6 sizes")
+    first = statistics.median(render_s + evaluate_s for render_s, evaluate_s, _ in runs[variants[0]])
+    for variant, own in runs.items():
+        render_s, evaluate_s, delta_e = (statistics.median(values) for values in zip(*own, strict=True))
+        ratio = statistics.median(one + other for one, other, _ in own) / first
+        print(f"  {variant:18} render {render_s:.2f} s, evaluations {evaluate_s:.2f} s, times {ratio:.2f}; mean ΔE {delta_e:.4f}")
 
 
 def main() -> None:
@@ -152,6 +184,8 @@ def main() -> None:
             print(f"  {ratio:8.1f} times faster than plain {sampler} (target {asked:g}): {'yes' if ratio >= asked else 'NO'}")
         few, many = (fresh(render, name, options.resolution, spp)[1] for spp in (4, 256))
         print(f"  memory of a process: {few:.2f} GiB with 4 samples, {many:.2f} GiB with 256")
+    if options.variants:
+        compare_studies(options.variants)
 
 
 if __name__ == "__main__":

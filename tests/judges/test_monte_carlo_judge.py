@@ -19,10 +19,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
+from tempfile import TemporaryDirectory
+from warnings import catch_warnings
 
 import numpy as np
 import pytest
-from helpers.edits import NEEDS_CARD, VARIANT
+from helpers.edits import NEEDS_CARD, NEEDS_LLVM, VARIANT
+from helpers.tiny import TINY
 from judges.gates import not_met, row
 from scipy.stats import ttest_ind_from_stats
 
@@ -36,7 +39,7 @@ from pixsim.sensor.pixel import derive
 SIGNIFICANCE, PASSING = 0.01, 0.9975
 LIKELY = (0.01, 0.12)  # of the pixels at p < 0.05, where 0.05 is expected
 FLOAT32 = 1e-5  # of the mean electrons: rounding in noiseless pixels
-RENDERS = 16
+RENDERS, STUDIES = 16, 6
 PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
 HAS_LLVM = find_llvm()[0] is not None
 # Samples, and a scaling that the test must detect: 7 standard errors of a pixel.
@@ -126,6 +129,33 @@ def scenes(long: set[str]) -> pytest.MarkDecorator:
 def test_cuda_variant_matches_scalar(name):
     """A card that cannot trace fails here: `pixsim doctor` says why."""
     assert_one_image(renders(name, "cuda_ad_spectral", seed=2), renders(name, VARIANT))
+
+
+@cache
+def studies(variant: str, first_seed: int) -> np.ndarray:
+    """Mean ΔE of independent studies of a ColorChecker, (studies, pitches): renders, sensors and noise have own seeds."""
+    table = {**TINY, "scene": {"file": "macbeth", "parameters": {"spp": 4}}, "resolution": 64}
+    found = []
+    for seed in range(first_seed, first_seed + STUDIES):
+        with TemporaryDirectory() as folder, catch_warnings(action="ignore"):  # its small film and few samples
+            study = pixsim.study(pixsim.Study.model_validate(table | {"seed": seed}), f"{folder}/out", variant=variant, jobs=1)
+        found.append(study.curves[0].delta_e.mean(axis=1))
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    "variant",
+    [
+        pytest.param("llvm_ad_spectral", marks=[NEEDS_LLVM, pytest.mark.judges_full]),
+        pytest.param("cuda_ad_spectral", marks=NEEDS_CARD),
+    ],
+)
+def test_study_matches_scalar(variant):
+    """No size of pixels differs, by the test of the pictures; a sixth more error or less does at some size."""
+    one, other = studies(variant, 1), studies(VARIANT, 1 + STUDIES)
+    assert passing(one, other) == 1
+    for wrong in (5 / 6, 7 / 6):
+        assert passing(wrong * one, other) < 1
 
 
 @scenes(LONG_IN_FULL)
