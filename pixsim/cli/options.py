@@ -203,7 +203,7 @@ Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/
 Variant = Annotated[
     str | None,
     Parameter(
-        help="Mitsuba variant: llvm_ad_spectral, cuda_ad_spectral or scalar_spectral [default: a graphics card that works, else LLVM, else scalar].",
+        help="Mitsuba variant: cuda_ad_spectral (NVIDIA card), llvm_ad_spectral, scalar_spectral [default: the first that works].",
         metavar="NAME",
         completer=lambda _: variant_names(),
     ),
