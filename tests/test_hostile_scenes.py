@@ -100,10 +100,10 @@ WAYS = {
         '<path value="q"/><shape type="rectangle"/>' + SPHERE.format(""),
         "",
     ),
-    "an emitter under a packaged scene": ("plugins/area.so", "pixsim", "csf", ""),
     "a path in the name": ("trav.so", "pixsim", SPHERE.format('<bsdf type="../trav"/>'), "bsdf: got '../trav'"),
     "a <path>": ("q/plugins/evil.so", "pixsim", '<path value="q"/>' + SPHERE.format('<bsdf type="evil"/>'), "bsdf: got 'evil'"),
-    "a spectrum and a film by load_dict": (("plugins/d65.so", "plugins/specfilm.so"), "resolver", "csf", ""),
+    # The emitter of a packaged scene; a spectrum and a film by load_dict.
+    "plugins of a packaged scene": (("plugins/area.so", "plugins/d65.so", "plugins/specfilm.so"), "resolver", "csf", ""),
 }
 
 

@@ -136,25 +136,25 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
     The function then raises PixsimError that names the first argument that is not of its kind or out of bounds.
     """
     checks: dict[str, Check] = {}
-    positions: list[str] = []
+    positions: list[tuple[str, Check | None]] = []
 
     def prepare() -> None:  # at the first call: annotations may name what is defined further down
         parameters = inspect.signature(function).parameters.values()
         hints = get_type_hints(_Annotated(function))
         for parameter in parameters:
-            if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
-                positions.append(parameter.name)
             if parameter.name in hints and parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 checks[parameter.name] = check_of(hints[parameter.name], BOUNDS.get(parameter.name), AXES.get(parameter.name))
+            if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
+                positions.append((parameter.name, checks.get(parameter.name)))
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         if not positions and not checks:
             prepare()
         values = list(args)
-        for index, (name, value) in enumerate(zip(positions, args, strict=False)):
-            if name in checks:
-                values[index] = checks[name](name, value)
+        for index, (name, check) in enumerate(positions[: len(args)]):
+            if check is not None:
+                values[index] = check(name, args[index])
         named = {name: checks[name](name, value) if name in checks else value for name, value in kwargs.items()}
         return function(*values, **named)  # type: ignore[arg-type]
 
@@ -248,9 +248,11 @@ def _number(kind: type, bounds: Bounds | None) -> Check:
     expected = f"a {bounds.of('whole number' if kind is int else 'number')}"
 
     def check(name: str, value: Any) -> Any:
-        number = value.item() if getattr(value, "ndim", None) == 0 else value  # a number of NumPy
-        if isinstance(number, bool) or not isinstance(number, numbers.Integral if kind is int else numbers.Real):
-            raise invalid(name, brief(value), expected)
+        number = value
+        if type(value) is not kind:  # what most are, and quickly seen to be
+            number = value.item() if getattr(value, "ndim", None) == 0 else value  # a number of NumPy
+            if isinstance(number, bool) or not isinstance(number, numbers.Integral if kind is int else numbers.Real):
+                raise invalid(name, brief(value), expected)
         try:
             size = float(number)
         except OverflowError:
