@@ -32,6 +32,7 @@ SMALL: dict[str, Any] = {
     **{"name": "filters", "technologies": ["4t-bsi"], "repeats": 2, "resolution": 128, "camera": {"die_mm": 0.2}},
     **{"pixel": {"stack": {"enabled": False}}, "display": {"dots": 24}, "pitch": {"values_um": [2.0, 2.5, 3.0, 4.0, 6.0]}},
 }
+FEW_PIXELS: dict[str, Any] = {"camera": {"die_mm": 0.1}}
 CAMERA = {"sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
 FILTERS = {
     "name": "filters",
@@ -77,6 +78,7 @@ def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
 
     def run(folder: str, *more_um: float, **settings: Any) -> pixsim.StudyResult:
         table = merge(SMALL, {"pixel": pixel, "resolution": 64, "pitch": {"values_um": [*more_um, *kept]}, **settings})
+        table = merge(table, FEW_PIXELS)
         return pixsim.study(Study.model_validate(table), out=tmp_path / folder, jobs=1)
 
     run("alone")
@@ -130,6 +132,7 @@ def result_at(folder: Path, pitch_um: str) -> float:
 def test_study_without_possible_sizes_names_the_case(tmp_path: Path, sizes_um: list[float], axis: list[Any], words: str) -> None:
     pixel = {"colour": CAMERA, "stack": {"enabled": True}}
     table = merge(SMALL, {"pixel": pixel, "pitch": {"values_um": sizes_um}, "axis": axis, "resolution": 64})
+    table = merge(table, FEW_PIXELS)
     with pytest.raises(PixsimError, match=f"{words}.*noise gains"):
         pixsim.study(Study.model_validate(table), out=tmp_path / "out", jobs=1)
 
@@ -155,7 +158,7 @@ def test_cases_with_too_few_possible_sizes_are_left_out_with_the_reason(tmp_path
     table = merge(
         SMALL, {"pixel": {"colour": CAMERA}, "pitch": {"values_um": [0.45, 0.5, 0.55, 0.6, largest_um]}, "resolution": 64}
     )
-    table = merge(table, {"axis": [STACKS, LENSES]})
+    table = merge(table, {"axis": [STACKS, LENSES]} | FEW_PIXELS)
     study = Study.model_validate(table)
     with pytest.warns(UserWarning, match=rf"a case is left out: 4t-bsi, deep, f 4: {re.escape(reason)}"):
         result = pixsim.study(study, out=tmp_path / "python", jobs=1)
