@@ -24,7 +24,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, empty_planes
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.parameters import BAYER, channels_of
 from pixsim.viewer.display import SPLINE_DEGREE, average_axis
@@ -216,7 +216,7 @@ def _filtered(mosaic: Array, weights: Array) -> Array:
     reach = weights.shape[-1] // 2
     padded = np.pad(mosaic, reach, mode="reflect")
     phase = {(y, x): np.ascontiguousarray(padded[y::2, x::2]) for y in (0, 1) for x in (0, 1)}
-    planes = np.empty((weights.shape[2], height, width))
+    planes = empty_planes(weights.shape[2], height, width)  # which are transposed for the means over dots
     for y, x, c in np.ndindex(weights.shape[:3]):
         taps, into = weights[y, x, c], planes[c, y::2, x::2]
         total = np.zeros(into.shape) if len(groups := np.unique(taps[taps != 0])) > 1 else None

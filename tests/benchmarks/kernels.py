@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
@@ -142,7 +143,10 @@ ROUNDS = 15
 
 
 def parts() -> None:
-    """Least times of processors in turns that alternate between the whole and its parts: other programs disturb both alike."""
+    """Least times of processors in turns that alternate between the whole and its parts, and the median of the turns' ratios.
+
+    Other programs disturb both alike in a turn, but a long piece of work less often not at all.
+    """
     print(f"\nan evaluation, ms of processors: {'whole':>12} {'parts':>8} {'ratio':>6}  at most {MAX_TIMES_PARTS:g}")
     film = chart(1024)
     cases = {f"{pitch_um:g} µm": Pixel(pitch_um=pitch_um) for pitch_um in PITCHES_UM}
@@ -156,11 +160,13 @@ def parts() -> None:
         light.store_integrals()
         chain = chain_at_pitch(light, physics, EXPOSURE)
         works = {"whole": lambda chain=chain: chain.simulate(1).statistics()} | unavoidable(chain)
-        seconds = {name: min(times) for name, times in turns(works).items()}
-        whole = seconds.pop("whole")
+        times = turns(works)
+        seconds = {name: min(each) for name, each in times.items()}
+        whole, wholes = seconds.pop("whole"), times.pop("whole")
+        ratio = median(each / sum(own) for each, *own in zip(wholes, *times.values(), strict=True))
         text = ", ".join(f"{name} {1e3 * time_s:.1f}" for name, time_s in seconds.items())
         sum_ = sum(seconds.values())
-        print(f"{name:>17}: {1e3 * whole:12.1f} {1e3 * sum_:8.1f} {whole / sum_:6.2f}  {text}", flush=True)
+        print(f"{name:>17}: {1e3 * whole:12.1f} {1e3 * sum_:8.1f} {ratio:6.2f}  {text}", flush=True)
         print(f"{'':19}{', '.join(f'{stage} {1e3 * min(times):.1f}' for stage, times in turns(stages(chain)).items())}", flush=True)
 
 
