@@ -15,7 +15,7 @@ from typing import Any
 
 from pixsim.base.errors import PixsimError
 from pixsim.scene import variant as variants
-from pixsim.scene.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver
+from pixsim.scene.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver, without_driver
 from pixsim.scene.trial import Line
 
 TRIED_SCENE, TRIED_RESOLUTION = "csf", 64
@@ -37,7 +37,8 @@ def imports(*modules: str) -> Iterator[Line]:
     for name in modules:
         yield {"importing": name}
         try:
-            import_module(name)
+            with without_driver():
+                import_module(name)
         except Exception as error:  # a broken package may raise anything
             text = " ".join(str(error).split())
             yield {"module": name, "error": f"{type(error).__name__}: {text}"}

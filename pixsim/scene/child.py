@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 import pixsim
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.scene.graphics import CUDA
 from pixsim.scene.tracer import Job, Tracer
 
 GRACE_S = 10.0  # after the time limit of a render
@@ -46,8 +47,8 @@ def child_tracer(job: Job, ends_at_s: float | None) -> Tracer:
 class _Child:
     """The process, with its pipes and the file of its pictures."""
 
-    def __init__(self) -> None:
-        self.owner = os.getpid()
+    def __init__(self, on_card: bool) -> None:
+        self.owner, self.on_card = os.getpid(), on_card
         self.process: subprocess.Popen[bytes] | None = None
         self.lock = threading.Lock()
         self.loaded: Job | None = None
@@ -108,10 +109,10 @@ class _Child:
             self.kill()
             if isinstance(error, PixsimError) or not isinstance(error, OSError | EOFError | ValueError | RecursionError):
                 raise
-            raise _crashed(code) from None
+            raise _crashed(code, self.on_card) from None
         if not isinstance(reply, dict):
             self.kill()
-            raise _crashed(None)
+            raise _crashed(None, self.on_card)
         if "error" in reply:
             raise PixsimError(str(reply["error"]))
         return reply
@@ -148,11 +149,13 @@ class _Child:
                 raise invalid("scene", got, "a scene that Mitsuba can finish", "Simplify it, or raise --max-seconds.")
 
 
-def _crashed(code: int | None) -> PixsimError:
+def _crashed(code: int | None, on_card: bool) -> PixsimError:
     how = "" if code is None else f" (exit code {code})"
     if code is not None and code < 0:
         with suppress(ValueError):
             how = f" ({signal.Signals(-code).name})"
+    if on_card:
+        return PixsimError(f"the graphics card or its driver ended Mitsuba's process{how}; it may lack memory for the scene.")
     hint = "Remove parts of the scene to find the one, or use less memory: a coarser film, smaller meshes and pictures."
     return invalid("scene", f"one that ends Mitsuba's process{how}", "a scene that Mitsuba can build and render", hint)
 
@@ -168,11 +171,12 @@ def _memory_file() -> int:
 _child: _Child | None = None
 
 
-def _usable_child() -> _Child:
+def _usable_child(on_card: bool) -> _Child:
+    """Return the child, a new one if it crashed, or if a graphics card is to trace and it started without, or the reverse."""
     global _child
-    if _child is None or not _child.usable:
+    if _child is None or not _child.usable or _child.on_card != on_card:
         end_child()
-        _child = _Child()
+        _child = _Child(on_card)
     return _child
 
 
@@ -196,7 +200,7 @@ class _ChildTracer:
 
     def _ask(self, request: dict[str, Any], picture: tuple[int, int] | None = None) -> Any:
         with _starting:
-            child = _usable_child()
+            child = _usable_child(self.job.variant == CUDA)
         with child.lock:
             if child.loaded is not self.job:
                 child.loaded = None
@@ -209,13 +213,13 @@ class _ChildTracer:
                 case [int(rows), int(columns), int(channels)] if (rows, columns) == picture and 1 <= channels <= MAX_CHANNELS:
                     shape = rows, columns, channels
                 case _:
-                    raise _crashed(None)
+                    raise _crashed(None, child.on_card)
             values = np.empty(shape, np.float32)
             left, at = values.data.cast("B"), 0
             while at < len(left):
                 count = os.preadv(child.pictures, [left[at:]], at)
                 if count == 0:  # the child has cut its file
-                    raise _crashed(None)
+                    raise _crashed(None, child.on_card)
                 at += count
             return values
 

@@ -1,7 +1,7 @@
 """Whether Mitsuba can trace on an NVIDIA graphics card here: tried once in child processes, and remembered.
 
-A driver may abort or hang, so this process only looks whether there is one. Dr.Jit 1.5 says what it needs in its messages:
-a driver for CUDA 12.2 (R535) or newer, but not 12.7 (R565), a card of compute capability 7.5, libcuda, and OptiX to trace rays.
+A driver may abort or hang, so that only the child process that traces on the card starts it. Dr.Jit 1.5 says in its messages
+what it needs: a driver for CUDA 12.2 (R535) or newer, but not 12.7 (R565), with OptiX, and a card of compute capability 7.5.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,26 @@ def loaded_driver() -> ctypes.CDLL | None:
     return None
 
 
+@contextmanager
+def without_driver() -> Iterator[None]:
+    """Keep Dr.Jit from starting the driver while it is imported for the first time.
+
+    Else it takes memory of every card in each process, also for LLVM, and ends the process if that fails.
+    """
+    before = os.environ.get(DRIVER_VARIABLE)
+    if sys.platform != "linux" or "drjit" in sys.modules:
+        yield
+        return
+    os.environ[DRIVER_VARIABLE] = ""  # then it finds no functions of a driver, and says nothing
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[DRIVER_VARIABLE]
+        else:
+            os.environ[DRIVER_VARIABLE] = before
+
+
 def absent() -> str | None:
     """Return why there is nothing to try here; None if there is. It takes a few system calls, and no process."""
     if sys.platform != "linux":
@@ -108,7 +129,7 @@ def told(verdict: Verdict) -> str:
         return (
             f"the graphics card ({verdict.card}) passed its trial: scenes are traced on it from now on, unless --variant is given"
         )
-    return f"the graphics card is not used: {verdict.fault}; `pixsim doctor` tries it again"
+    return f"the graphics card is not used: {verdict.fault.removesuffix('.')}; `pixsim doctor` tries it again"
 
 
 def tried() -> Verdict:

@@ -6,7 +6,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,20 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import content_hash
 from pixsim.light.spectral import grid_nm
+from pixsim.scene import graphics
 from pixsim.scene.assets import mitsuba_folder
 from pixsim.scene.variant import UNUSABLE_HINT
 
 
 def import_mitsuba(variant: str) -> Any:
-    """Import Mitsuba and set its variant; call `pixsim.scene.variant.choose` first."""
-    import drjit as dr
+    """Import Mitsuba and set its variant; call `pixsim.scene.variant.choose` first.
+
+    A process whose first variant is not for graphics cards cannot take one later.
+    """
+    with nullcontext() if variant == graphics.CUDA else graphics.without_driver():
+        import drjit as dr
+
+        dr.has_backend(dr.JitBackend.CUDA)  # it is imported as soon as it can answer
     import mitsuba as mi
 
     if mi.variant() != variant:

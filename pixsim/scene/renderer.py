@@ -210,7 +210,7 @@ class Renderer:
         if processors is None or (self.ends_at_s is not None and time.monotonic() > self.ends_at_s):
             raise error
         if self.begun or self.source.choice.asked:
-            raise PixsimError(f"{error} On this graphics card; to render without it: --variant {processors.variant}.") from None
+            raise PixsimError(f"{error} To render without the graphics card: --variant {processors.variant}.") from None
         warn(f"rendering with {processors.variant}, since the graphics card failed: {error}")
         self.source = replace(self.source, choice=processors)
         self.job = replace(self.job, variant=processors.variant)

@@ -5,7 +5,9 @@ No card is needed here. `tests/judges/test_monte_carlo_judge.py` compares pictur
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -22,6 +24,7 @@ from helpers.processes import HANG_S
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.scene import checks, graphics, renderer, variant
+from pixsim.scene.child import child_tracer
 from pixsim.scene.convergence import render_until
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import make_render_plan
@@ -66,7 +69,11 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> str:
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
     path = tmp_path_factory.mktemp("driver") / "libcuda.so.1"
-    subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", path], input=FAKE_DRIVER, text=True, check=True)
+    (drjit,) = (str(file.locate()) for file in importlib.metadata.files("drjit") or () if file.name == "libdrjit-core.so")
+    names = {name.decode() for name in re.findall(rb"\0(cu[A-Z]\w+)(?=\0)", Path(drjit).read_bytes())}
+    others = (f"int {name}(void) {{ return 999; }}" for name in sorted(names) if f"int {name}(" not in FAKE_DRIVER)
+    source = "\n".join([FAKE_DRIVER, *others])  # or Dr.Jit would not start it
+    subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", path], input=source, text=True, check=True)
     return str(path)
 
 
@@ -182,6 +189,29 @@ def test_driver_that_dies_or_hangs_is_fault(how: str, fault: str, driver: pytest
     trial = attempt("driver", limit_s=1 if how == "FAKE_HANGS" else HANG_S)
     assert fault in str(graphics.driver_fault(trial))
     assert (trial.returncode is None) == (how == "FAKE_HANGS")
+
+
+START = {
+    "drjit": "import drjit",
+    "pixsim": "import os, pixsim; from pixsim.scene import graphics as g, mitsuba; before = os.environ[g.DRIVER_VARIABLE]; "
+    "mitsuba.import_mitsuba('scalar_spectral'); assert os.environ[g.DRIVER_VARIABLE] == before",
+}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the driver of the tests is for Linux")
+@pytest.mark.parametrize(("which", "code"), [("drjit", -11), ("pixsim", 0)])
+def test_processes_that_render_without_card_do_not_start_driver(which: str, code: int, driver: pytest.MonkeyPatch):
+    """Dr.Jit starts it when it is imported, in each process, and a driver that fails then ends the process."""
+    driver.setenv("FAKE_DIES", "1")
+    done = subprocess.run([sys.executable, "-c", START[which]], capture_output=True, text=True, timeout=HANG_S)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
+
+
+def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tmp_path: Path):
+    """All of Dr.Jit, with a driver that shows a card which then fails: the process that would trace dies, and no other."""
+    job = Job("cuda_ad_spectral", '<scene version="3.0.0"/>', (None,), 0, {}, None, ())
+    with pytest.raises(PixsimError, match=r"the graphics card or its driver ended Mitsuba's process \(SIGABRT\)"):
+        child_tracer(job, None).sample_count("independent", 4)
 
 
 # --- The verdict ---
@@ -368,7 +398,7 @@ def test_failing_card_leaves_to_processors(monkeypatch: pytest.MonkeyPatch):
     known = light(variant.choose(VARIANT))
     assert image.header == known.header
     np.testing.assert_array_equal(image.illuminance_lx(), known.illuminance_lx())
-    with pytest.raises(PixsimError, match=r"the card fails\. On this graphics card; .*--variant scalar_spectral"):
+    with pytest.raises(PixsimError, match=r"the card fails\. To render without .*--variant scalar_spectral"):
         light(replace(CHOSEN, asked=True))
 
 
@@ -378,7 +408,7 @@ def test_card_that_fails_later_ends_the_render(monkeypatch: pytest.MonkeyPatch):
     job = Renderer(scene, scene.camera(), make_render_plan(scene, scene.camera()), 0)
     job.tracer = Card(job.job, 1)
     job.run(0)
-    with pytest.raises(PixsimError, match=r"the card fails\. On this graphics card"):
+    with pytest.raises(PixsimError, match=r"the card fails\. To render without"):
         job.run(1)
 
 
