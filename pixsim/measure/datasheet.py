@@ -185,9 +185,9 @@ class DataSheet:
             )
         if self.transfer.limited:
             notes.append(
-                f"quantisation-limited: σ²_y.dark = {self.dark.variance_dn2:.3g} DN² is below 0.24 DN². σ_d is an upper bound, and "
-                "K and all values derived from it are wrong by some per cent, because the quantisation noise is no longer "
-                f"1/12 DN². Use more than {pixel.bits} bits (pixel.bits)."
+                f"quantisation-limited: σ²_y.dark = {self.dark.variance_dn2:.3g} DN² is below 0.24 DN². σ_d is an upper bound, "
+                "DR_ISO says nothing of the sensor, and K and all values derived from it are wrong by some per cent, because the "
+                f"quantisation noise is no longer 1/12 DN². Use more than {pixel.bits} bits (pixel.bits)."
             )
         p = self.experiment.physics
         if p.layout is not None:
@@ -523,7 +523,8 @@ def noise(sheet: DataSheet) -> list[Entry]:
         line(NOISE, "signal over total noise at 13 %", "Q", "dB", decibel(signal / total),
              20 * math.log10(k * signal_e / math.sqrt(temporal_dn2 + fixed_dn2)), "from the parameters and this device's maps"),
         line(NOISE, "dynamic range", "DR_ISO", "dB", decibel(full_dn / dark_noise),
-             20 * math.log10(k * largest_light_e(e) / math.sqrt(dark_dn2)), "full scale over temporal dark noise")
+             20 * math.log10(k * largest_light_e(e) / math.sqrt(dark_dn2)), "full scale over temporal dark noise",
+             "quantisation-limited: the codes hide the noise" if sheet.transfer.limited else "")
     ]  # fmt: skip
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from io import StringIO
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,7 +19,7 @@ from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, strai
 from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.sensor.technology import file_label, label_of
 from pixsim.show.figures import COLOURS, LOOKS, Look, new_figure, plain_powers
-from pixsim.show.pages import Plate, rows_csv, shown_value, write_figures, write_page
+from pixsim.show.pages import Plate, rounded, rows_csv, shown_value, write_figures, write_page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -289,7 +291,7 @@ def number(value: float, digits: int = 5) -> str:
     """A value in significant digits; a dash for NaN and infinity, 0 for roundings of 0."""
     if not math.isfinite(value):
         return "–"
-    return "0" if abs(value) < ROUNDING else f"{value:.{digits}g}"
+    return "0" if abs(value) < ROUNDING else rounded(value, digits)
 
 
 def off(entry: Entry) -> str:
@@ -343,8 +345,9 @@ def write_datasheet(sheet: DataSheet, out: Path) -> Path:
         shown = write_figures(folder, [plate.drawn() for plate in datasheet_plates(sheet)])
         rows_csv([entry.as_dict() for entry in entries(sheet)], folder / "datasheet.csv")
         write_json(folder / "summary.json", sheet_summary(sheet))
+        groups = [(standard, list(lines)) for standard, lines in groupby(entries(sheet), attrgetter("standard"))]
         page = {
-            "described": described(sheet), "sheet": sheet, "entries": entries(sheet), "number": number, "off": off,
+            "described": described(sheet), "sheet": sheet, "groups": groups, "number": number, "off": off,
             "pixel": {key: shown_value(value) for key, value in pixel.model_dump(exclude_none=True).items()},
             "plates": shown, "versions": versions(),
         }  # fmt: skip

@@ -24,7 +24,7 @@ from pixsim.report.settings import LightLevel, record_rows, scene_rows
 from pixsim.report.wording import map_words
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.technology import label_of
-from pixsim.show.pages import shown_value, write_page
+from pixsim.show.pages import rounded, shown_value, write_page
 from pixsim.show.pictures import (
     Picture,
     display_codes,
@@ -385,8 +385,8 @@ def _row(result: Comparison, number: int) -> dict[str, Any]:
         "pitch_um": f"{compared.sensor.pixel.pitch_um:g}",
         "lens": f"{compared.sensor.camera.focal_length_mm:.4g} mm f/{compared.sensor.camera.f_number:.3g}",
         "time_ms": f"{1e3 * statistics['integration_s']:.3g}",
-        "electrons": f"{statistics['mean_electrons_e']:.4g}",
-        "well": f"{statistics['full_well_e']:.4g}",
+        "electrons": rounded(statistics["mean_electrons_e"], 4),
+        "well": rounded(statistics["full_well_e"], 4),
         "saturated": f"{100 * statistics['saturated_fraction']:.2g} %",
         "film": "unknown" if compared.film_delta_e is None else f"{compared.film_delta_e:.1g}",
     }

@@ -14,6 +14,7 @@ from pixsim.report.wording import view_words
 from pixsim.sensor.integration import pixels_along, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, derive, physics_of
 from pixsim.sensor.technology import label_of
+from pixsim.show.pages import rounded
 from pixsim.studies.budget import FilmSampling, film_error
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.oversampling import TOLERATED_SHARE
@@ -30,7 +31,6 @@ from pixsim.studies.preparation import (
     window_within,
 )
 from pixsim.studies.study import light_hash
-from pixsim.viewer.score import rounded
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan

@@ -49,7 +49,7 @@ from pixsim.report.wording import (
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_along, pixels_on
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
-from pixsim.show.pages import compile_page, write_page
+from pixsim.show.pages import compile_page, rounded, write_page
 from pixsim.show.pictures import (
     Picture,
     display_codes,
@@ -116,7 +116,7 @@ def colour_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     rows = [
         ("channels of a frame: rows of the unit cell, or planes", facts["layout"]),
         ("light of white, for white balance, matrix and ideal image", facts["white_spectrum"]),
-        (f"electrons of white in {', '.join(letters)}", ", ".join(f"{value:.4g}" for value in facts["white_e"].values())),
+        (f"electrons of white in {', '.join(letters)}", ", ".join(rounded(value, 4) for value in facts["white_e"].values())),
         (f"matrix from balanced {', '.join(letters)} to the display's light, row of red", _row(facts, 0)),
         ("the same, row of green", _row(facts, 1)),
         ("the same, row of blue", _row(facts, 2)),
@@ -148,7 +148,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     statistics = {name: summary[name] for name in MEANINGS}
     if sheet and statistics["fill_factor"] > FILLED:
         del statistics["fill_factor"]  # the data sheet states none
-    numbers = [(MEANINGS[key], f"{value:.5g}") for key, value in statistics.items()]
+    numbers = [(MEANINGS[key], rounded(value, 5)) for key, value in statistics.items()]
     if "render_noise" in summary:
         numbers.append(("noise of the render relative to the sensor's noise", f"{summary['render_noise']['fraction']:.2g}"))
     others = {

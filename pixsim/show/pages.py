@@ -177,6 +177,15 @@ def html_cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], fi
     )
 
 
+def rounded(value: float, digits: int = 2) -> str:
+    """Return a value in significant digits, without an exponent if it is large.
+
+    >>> rounded(1.648e4, 3), rounded(0.0123), rounded(6.4e-6)
+    ('16500', '0.012', '6.4e-06')
+    """
+    return f"{float(f'{value:.{digits}g}'):.15g}"
+
+
 def set_words(settings: Mapping[str, Any]) -> str:
     """Return settings as one line; a curve by its size and range."""
     return ", ".join(f"{name} = {shown_value(value, name)}" for name, value in settings.items())

@@ -32,7 +32,7 @@ from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import check_pixel_count, pixels_on
-from pixsim.sensor.pixel import derive, implausible_numbers, warn_of_disagreements
+from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
 from pixsim.sensor.technology import file_label, labels_of
 from pixsim.show.pages import html_cell
 from pixsim.studies.budget import without_warnings
@@ -932,8 +932,7 @@ def chain_of(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> Im
     """Return the imaging chain of a sensor, which shows and scores the same part of the scene as those of the others."""
     with named(sensor.name):
         physics, border_um = derive(sensor.pixel), prepared.border_um(sensor.camera)
-        warn_of_disagreements(sensor.pixel)
-        for text in implausible_numbers(sensor.pixel):
+        for text in (*sheet_disagreements(sensor.pixel), *implausible_numbers(sensor.pixel)):
             warn(f"{sensor.name}: {text}")
         light = prepare_scene(image, sensor.camera, physics, prepared.settings.display, border_um=border_um)
         warn_of_clipping(light.beyond_white)

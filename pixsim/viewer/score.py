@@ -42,7 +42,7 @@ from pixsim.sensor.readout import (
     sample_sensor,
 )
 from pixsim.show.figures import new_figure
-from pixsim.show.pages import html_cell, rows_csv, set_words
+from pixsim.show.pages import html_cell, rounded, rows_csv, set_words
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
@@ -816,8 +816,3 @@ def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -
         f"are at 0 DN, which raises the dark mean by {rounded(dark['too_bright_e'])} e- "
         f"(ΔE {rounded(dark['lightness'])} on uniform black, less on grey); {hint}"
     )
-
-
-def rounded(value: float) -> str:
-    """Return a value to two digits, without an exponent."""
-    return f"{float(f'{value:.2g}'):.15g}"

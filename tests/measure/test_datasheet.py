@@ -230,6 +230,7 @@ def test_make_datasheet_noiseless_pixel_is_finite() -> None:
     sheet = make_datasheet(pixel, shape=(60, 60), stack_frames=8)
     lines = by_symbol(sheet)
     assert sheet.transfer.limited
+    assert all("quantisation-limited" in lines[symbol].note for symbol in ("σ_d", "μ_e.min", "DR", "DR_ISO"))
     assert lines["K"].measured == pytest.approx(lines["K"].true, rel=0.02)
     assert "ϑ_d" not in lines
     assert lines["η"].measured > MIN_FRACTION

@@ -340,18 +340,27 @@ def test_compare_page_matches_json(compared: tuple[Path, str, str]) -> None:
     assert all(item.startswith("data:") for item in re.findall(r'src="([^"]+)"', page))
     assert "<script" not in page
     assert str(folder.parent) not in page
+    assert "<td>10000</td>" in page, "the well, without an exponent"
 
 
 def test_compare_lines_state_notes_once(compared: tuple[Path, str, str], tmp_path: Path) -> None:
-    """A black level of 0 DN clips noise, which each sensor's note says, on the page and in the terminal."""
+    """A black level of 0 DN clips noise, which each sensor's note says, on the page and in the terminal.
+
+    A note on the numbers of one sheet names its sensor too.
+    """
     files = write_sheets(tmp_path)
+    files[0].write_text(files[0].read_text(encoding="utf-8") + "snr_max_db = 30\n", encoding="utf-8")  # the well gives 40 dB
     code, out, err = command(f"compare {SMALL} --pixel.black-level-dn 0 --out {tmp_path / 'out'}", *files)
     assert code == 0
     notes = [line for line in out.splitlines() if line.startswith("note: ")]
     assert [note.split()[1] for note in notes] == ["quiet:", "noisy_one:"]
     assert all("clips dark noise" in note for note in notes)
-    assert err == ""
-    assert json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["notes"] == [note[6:] for note in notes]
+    (warned,) = re.findall(r"^warning: (quiet: pixel: snr_max_db = 30, .*)\.$", err, re.MULTILINE)
+    assert err.count("warning: ") == 1
+    assert json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["notes"] == [
+        warned,
+        *(note[6:] for note in notes),
+    ]
 
 
 @needs_browser
