@@ -70,6 +70,7 @@ def imports(tree: ast.AST, at_top_only: bool = False) -> Iterator[str]:
         yield from imports(node, at_top_only)
 
 
+@cache
 def roots(tree: ast.AST, at_top_only: bool = False) -> set[str]:
     return {name.partition(".")[0] for name in imports(tree, at_top_only)}
 

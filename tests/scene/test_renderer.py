@@ -103,7 +103,7 @@ def csf_sample_means(n: int) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("variant", "size"),
-    [pytest.param("llvm_ad_spectral", {"resolution": 512}, marks=NEEDS_LLVM), ("scalar_spectral", {"resolution": 256})],
+    [pytest.param("llvm_ad_spectral", {"resolution": 256}, marks=NEEDS_LLVM), ("scalar_spectral", {"resolution": 256})],
 )
 def test_render_csf_matches_chart(variant, size):
     scene = pixsim.load_scene("csf", variant=variant, **size)

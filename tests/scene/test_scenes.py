@@ -274,9 +274,8 @@ def test_macbeth_board_is_dark():
         np.testing.assert_allclose(strip, covered * patches + (1 - covered) * 0.03, rtol=0.02)
 
 
-@pytest.mark.parametrize(
-    "lamp", [lamp if lamp in (SMOOTH, LINES) else pytest.param(lamp, marks=pytest.mark.slow) for lamp in LAMPS]
-)
+# test_macbeth_patches_match_tables has the smooth lamp, wavelength by wavelength.
+@pytest.mark.parametrize("lamp", [lamp if lamp == LINES else pytest.param(lamp, marks=pytest.mark.slow) for lamp in LAMPS])
 def test_macbeth_patch_luminances_match_tables(lamp):
     light_nm = (531, 533) if lamp == "laser_532nm" else (360, 830)
     picture = luminance(FOLDER / "macbeth.xml", spp=256, light_nm=light_nm, lamp=f"spectra/{lamp}.spd")
@@ -474,17 +473,18 @@ def test_step_another_reflectance(step):
 
 
 def test_step_another_object(step):
-    picture = step.radiance / (in_pulses("d65") * COS_45 / np.pi)
+    lit = step.radiance
+    picture = lit / (in_pulses("d65") * COS_45 / np.pi)
     ball = picture[22:42, 22:42].mean(axis=2)
     # A pixel at the brightest place, 45° down its side, spans 9° of the ball; nothing that is lit stands before it.
     assert ball.max() == pytest.approx(0.5 / COS_45, rel=0.015)
     row, column = np.unravel_index(ball.argmax(), ball.shape)
     assert row < 10 < ball.shape[0]  # the upper half
     assert abs(column - 9.5) < 2
-    shadow = step.radiance[43:48, 26:30] / shipped("macbeth")[43:48, 26:30]
+    shadow = lit[43:48, 26:30] / shipped("macbeth")[43:48, 26:30]
     assert shadow.max() < 0.2  # what the ball sends there
     for corner in (0, 5, 18, 23):  # what it sends to the corners
-        np.testing.assert_allclose(step.radiance[patch(corner)].mean(), shipped("macbeth")[patch(corner)].mean(), rtol=0.01)
+        np.testing.assert_allclose(lit[patch(corner)].mean(), shipped("macbeth")[patch(corner)].mean(), rtol=0.01)
 
 
 def test_step_another_instance(step):
@@ -503,9 +503,10 @@ def test_step_another_metal(step):
 
 
 def test_step_another_material(step):
-    assert spot(step.radiance, 0.53, 0.66).max() == 0
+    lit = step.radiance
+    assert spot(lit, 0.53, 0.66).max() == 0
     assert spot(shipped("still_life"), 0.53, 0.66).min() > 0
-    wall = spot(step.radiance, 0.10, 0.85, 0.08) / spot(shipped("still_life"), 0.10, 0.85, 0.08)
+    wall = spot(lit, 0.10, 0.85, 0.08) / spot(shipped("still_life"), 0.10, 0.85, 0.08)
     np.testing.assert_allclose(wall, 1, rtol=0.06)  # 121 pixels; noise of 1.5 %
 
 
