@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from helpers.edits import NEEDS_NO_CARD, VARIANT
 from helpers.processes import HANG_S
+from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -32,6 +33,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.tracer import Job, OwnTracer
 from pixsim.scene.tree import _to_json, tree_of
 from pixsim.scene.trial import Trial, attempt
+from pixsim.studies.evaluations import Fingerprints
 
 # Numbers that a real driver would report are read from the environment.
 FAKE_DRIVER = r"""
@@ -389,6 +391,18 @@ def test_packaged_scene_is_traced_in_child(monkeypatch: pytest.MonkeyPatch):
     image, known = light(CHOSEN), light(variant.choose(VARIANT))
     assert (image.header["variant"], known.header["variant"]) == ("cuda_ad_spectral", VARIANT)
     np.testing.assert_array_equal(image.illuminance_lx(), known.illuminance_lx())
+
+
+def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
+    """A study that goes on where another variant traces evaluates anew, though the pictures are equal here."""
+    monkeypatch.setattr(renderer, "child_tracer", lambda job, ends_at_s: Card(job, 99))
+
+    def keys(choice: variant.Choice) -> set[str]:
+        return set(Fingerprints(tiny(), small().camera(), light(choice)).keys("0.35um", 6.0, range(2)).values())
+
+    of_card, known = keys(CHOSEN), keys(variant.choose(VARIANT))
+    assert of_card.isdisjoint(known)
+    assert keys(CHOSEN) == of_card
 
 
 def test_failing_card_leaves_to_processors(monkeypatch: pytest.MonkeyPatch):
