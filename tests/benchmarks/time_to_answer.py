@@ -49,6 +49,7 @@ ROWS = (
     Row("study chen2000 --quick", (*STUDY, "--quick")),
     Row("study chen2000 --quick, again", (*STUDY, "--quick"), (*STUDY, "--quick"), same_folder=True),
     Row("study chen2000, film 1024", (*STUDY, *FILM)),
+    Row("study chen2000, film 1024, again", (*STUDY, *FILM), (*STUDY, *FILM), same_folder=True),
     Row("study chen2000, film 1024, other display", (*OTHER_DISPLAY, *FILM), (*STUDY, *FILM)),
     Row("study chen2000", STUDY),
     Row("study chen2000, other display", OTHER_DISPLAY, STUDY),
