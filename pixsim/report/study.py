@@ -20,7 +20,7 @@ from pixsim.report.parts import PARTS_FILE, parts_rows, parts_table
 from pixsim.report.pictures import csf_range_lp_per_mm
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import film_words, no_difference_words, study_unconverged_lines, study_view_line
+from pixsim.report.wording import film_words, no_difference_words, outside_words, study_unconverged_lines, study_view_line
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import file_label, labels_of, technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
@@ -294,6 +294,7 @@ def write_pages(
         "study": study,
         "interval": interval_words,
         "no_difference": no_difference_words,
+        "outside": outside_words,
         "shown": study_view_line(result),
         "within": within_words,
         "alike": alike_words,

@@ -15,6 +15,7 @@ from pixsim.viewer.light_error import NOT_CONVERGED, LightError
 from pixsim.viewer.score import clip_words, clips_dark
 
 SATURATED_SHOWN = 0.01
+SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
 
 def optimum_line(curve: Any) -> str:
@@ -33,6 +34,8 @@ def optimum_line(curve: Any) -> str:
         )
     within = within_words(best.within_1_percent_um, curve)
     if words := no_difference_words(curve):
+        if outside := outside_words(curve):
+            return f"{curve.label}: {words}; {outside}"
         size = "" if best.inside else ", the end of the range"
         least = f"least {curve.light.number(best.mean_delta_e)} at {best.pitch_um:.2f} µm{size} {interval}"
         unsure = "" if curve.light.converged else f", {NOT_CONVERGED}"
@@ -75,6 +78,21 @@ def no_difference_words(curve: Any) -> str:
     low, high = curve.no_difference_um
     whole = ", all sizes tried" if (low, high) == (curve.pitch_um[0], curve.pitch_um[-1]) else ""
     return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to {high:.3g} µm{whole}"
+
+
+def outside_words(curve: Any) -> str:
+    """Return where the fitted curve is least, if that is outside the sizes that look alike; empty otherwise.
+
+    The best size tried is among those. Beside a steep flank, a smooth curve may swing below all sizes tried.
+    """
+    low, high = curve.no_difference_um
+    best = curve.optimum
+    if low * (1 - SAME_SIZE) <= best.pitch_um <= high * (1 + SAME_SIZE):
+        return ""
+    mean = curve.mean()
+    least = f"{curve.light.shown(mean.min())} at {curve.pitch_um[mean.argmin()]:.2f} µm"
+    fitted = f"the fitted curve has its minimum outside them, at {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})"
+    return f"least mean ΔE of the sizes tried {least}; {fitted}, which more pixel sizes there would confirm or not"
 
 
 def score_line(result: dict[str, Any]) -> str:

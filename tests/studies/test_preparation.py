@@ -21,6 +21,7 @@ import pixsim
 from pixsim.base.parameters import PixelOptions, Run, Study
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.report.outline import run_outline, study_outline
+from pixsim.report.wording import optimum_line
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import packaged_scenes
@@ -316,6 +317,21 @@ def test_no_difference_um_is_widest_range_within_a_twentieth() -> None:
     assert curve_through(pitch_um, mean, 0.2).no_difference_um is None, "nothing is known to be alike"
 
 
+def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() -> None:
+    """The phone's lens in the light of a lamp: beside the steep flank, the fit swings below all sizes tried."""
+    pitch_um = np.array([0.4715, 0.7729, 1.267, 2.0771, 3.4049, 5.5818, 9.1502, 15.0])
+    steep = curve_through(pitch_um, np.array([8.031, 0.957, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4)
+    low, high = steep.no_difference_um
+    assert steep.optimum.pitch_um < 0.99 * low, "else this tests nothing"
+    line = optimum_line(steep)
+    least = f"least mean ΔE of the sizes tried {steep.light.shown(0.75)} at 3.40 µm"
+    assert f"from {low:.3g} to {high:.3g} µm; {least}; the fitted curve has its minimum outside them, at" in line
+    assert "within 1 %" not in line
+    even = curve_through(np.geomspace(1.0, 16.0, 9), 0.2 + np.array([0.5, 0.2, 0.03, 0.01, 0.0, 0.01, 0.02, 0.2, 0.5]), 1e-6)
+    assert "mean ΔE is least" in optimum_line(even)
+    assert "outside" not in optimum_line(even)
+
+
 def test_no_difference_um_narrow_range_is_not_named() -> None:
     pitch_um = np.geomspace(4.0, 8.0, 9)
     mean = 1.0 + 5 * np.log(pitch_um / 5.6) ** 2
@@ -328,8 +344,6 @@ def test_no_difference_um_narrow_range_is_not_named() -> None:
 
 
 def test_study_line_says_that_sizes_look_alike(tiny_result: pixsim.study) -> None:
-    from pixsim.report.wording import optimum_line
-
     pitch_um = np.geomspace(1.4, 10.0, 8)
     curve = curve_through(pitch_um, 0.18 + 0.002 * np.arange(8.0), 1e-5)
     assert optimum_line(curve).startswith(
