@@ -19,6 +19,7 @@ from pixsim.report.wording import (
     interval_text,
     no_difference_words,
     optimum_line,
+    study_light_lines,
     study_unconverged_lines,
     study_view_line,
 )
@@ -131,7 +132,7 @@ def axes_lines(result: StudyResult, compromises: Sequence[Compromise]) -> list[s
     if len(lines) > LINES_SHOWN:
         lines = [*lines[:LINES_SHOWN], f"and {len(lines) - LINES_SHOWN} more: optima.csv"]
     lines += alone_lines(result)
-    lines += [*study_unconverged_lines(result), *study_view_line(result), *film_lines(result)]
+    lines += [*study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result), *film_lines(result)]
     return lines
 
 
@@ -236,6 +237,7 @@ def write_axes_report(
                 "shown": study_view_line(result),
                 "films": film_lines(result),
                 "unconverged": study_unconverged_lines(result),
+                "lens": study_light_lines(result),
                 "error_parts": parts_rows(parts_of_error),
                 "notes": result.notes,
                 "counts": result.counts,

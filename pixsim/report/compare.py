@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import shlex
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, 
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import LightLevel, record_rows, scene_rows
-from pixsim.report.wording import map_words
+from pixsim.report.wording import field_words, map_words
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import rounded, shown_value, write_page
@@ -101,9 +100,7 @@ def _study_words(prepared: Prepared) -> list[str]:
 def _common_words(prepared: Prepared) -> list[str]:
     """Return what all sensors of a comparison have in common under one condition, in parts."""
     camera, display = prepared.sensors[0].camera, prepared.settings.display
-    first, v_mm = prepared.sensors[0].name, camera.image_distance_mm
-    across, down = (math.degrees(2 * math.atan(side / (2 * v_mm))) for side in (camera.die_mm, camera.height_mm))
-    field = f"the same field of {across:.3g}° × {down:.3g}°"
+    first, field = prepared.sensors[0].name, f"the same field of {field_words(camera)}"
     lens = {
         "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
         "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",

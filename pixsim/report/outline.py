@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.machine import processors
-from pixsim.base.parameters import Camera, Effort, Run, Study
+from pixsim.base.parameters import Camera, CameraOptions, Effort, Run, Study
 from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
-from pixsim.report.wording import view_words
+from pixsim.report.wording import field_words, focal_length_assumption, lens_words, view_words
 from pixsim.sensor.integration import pixels_along, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, derive, physics_of
 from pixsim.sensor.technology import label_of
@@ -54,7 +54,7 @@ def run_outline(
     """
     from pixsim.scene.plan import make_plan
 
-    pitch_um = settings.pixel.pitch_um
+    pitch_um, given = settings.pixel.pitch_um, settings.camera
     outline: dict[str, Any] = {}
     if Path(source).suffix.lower() in PICTURE_SUFFIXES:
         light = light_of_picture(source, settings, units)
@@ -81,7 +81,7 @@ def run_outline(
         }
     ]
     outline |= {"frames": frames} if frames > 1 else {}
-    return outline | common(source, header, settings, camera, view, sensors) | {"estimate": asdict(cost)}
+    return outline | common(source, header, settings, camera, given, view, sensors) | {"estimate": asdict(cost)}
 
 
 def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
@@ -114,7 +114,7 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
         more["window_within_a_minute_mm"] = window
     own = {} if study.own_um is None else {"own_um": study.own_um}
     header = {"parameters": scene.parameters}
-    return common(study.scene.file, header, study, camera, prepared.view.as_dict(), sensors) | more | own
+    return common(study.scene.file, header, study, camera, study.camera, prepared.view.as_dict(), sensors) | more | own
 
 
 def common(
@@ -122,10 +122,14 @@ def common(
     header: dict[str, Any],
     settings: Run | Study,
     camera: Camera,
+    given: CameraOptions,
     chosen: dict[str, Any],
     sensors: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """Return the entries that runs and studies share."""
+    """Return the entries that runs and studies share.
+
+    given : options of the camera, as the user gave them
+    """
     limits = settings.model_dump(include=set(Effort.model_fields), exclude_none=True)
     return {
         "scene": source,
@@ -137,6 +141,7 @@ def common(
         "sensors": sensors,
         "limits": limits,
         "seed": settings.seed,
+        "assumption": focal_length_assumption(camera, given),
     } | ({"window_mm": settings.window_mm} if settings.window_mm else {})
 
 
@@ -191,7 +196,9 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
     out : folder that would be written
     """
     camera, film, display, limits = (outline[name] for name in ("camera", "film", "display", "limits"))
-    height_um, width_um = Camera.model_validate(camera).die_um
+    seen = Camera.model_validate(camera)
+    height_um, width_um = seen.die_um
+    assumed = "".join(f"; {words}" for words in (lens_words(seen), outline["assumption"].partition(":")[0]) if words)
     parameters = ", ".join(f"{name} = {value}" for name, value in outline["irradiance"].get("parameters", {}).items())
     rays = ""
     if spp := film.get("spp"):
@@ -203,7 +210,7 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
         (
             "camera",
             f"{camera['focal_length_mm']:g} mm, f/{camera['f_number']:g}, focused at {camera['object_distance_m']:g} m; "
-            f"die of {1e-3 * width_um:.5g} × {1e-3 * height_um:.5g} mm",
+            f"die of {1e-3 * width_um:.5g} × {1e-3 * height_um:.5g} mm, a field of {field_words(seen)}" + assumed,
         ),
         ("film", f"{film['samples'][1]} × {film['samples'][0]} samples of {film['pitch_um']:.3g} µm{rays}"),
     ]

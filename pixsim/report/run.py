@@ -40,6 +40,8 @@ from pixsim.report.wording import (
     budget_lines,
     dark_notes,
     film_words,
+    focal_length_assumption,
+    lens_words,
     map_words,
     mean_words,
     score_line,
@@ -171,6 +173,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "label": label_of(physics.technology.name),
         "die_mm": (width_mm, height_mm),
         "camera": camera,
+        "lens": lens_words(camera),
         "well": float(score.frame.mean_e.max()) / physics.saturation_e,
         "limit": "the full well" if physics.full_well_e <= physics.adc_range_e else "the range of the ADC",
         "ideal": shown_picture(folder / "ideal.png", score.ideal, "ideal image"),
@@ -457,6 +460,8 @@ def _prepare(
         options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress("render")}
         made = render_and_measure(scene, camera, plan, settings, [settings.pixel], [derive(settings.pixel)], **options)
         more: dict[str, Any] = {"render_noise": asdict(made.noise), "plan": made.plan.as_dict(), "film": made.film.as_dict()}
+        assumed = settings.pixel.assumption, focal_length_assumption(camera, asked.camera)
+        more |= {"assumption": "; ".join(filter(None, assumed))}
         more |= {"chosen": view.as_dict()} | ({"window_mm": settings.window_mm} if settings.window_mm else {})
         repeated = without_clock(asked, settings, made.image)
         repeated = repeated.model_copy(update={"scene": scene_table(scene.path.parent, repeated.scene)})

@@ -20,7 +20,14 @@ from pixsim.report.parts import PARTS_FILE, parts_rows, parts_table
 from pixsim.report.pictures import csf_range_lp_per_mm
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import film_words, no_difference_words, outside_words, study_unconverged_lines, study_view_line
+from pixsim.report.wording import (
+    film_words,
+    no_difference_words,
+    outside_words,
+    study_light_lines,
+    study_unconverged_lines,
+    study_view_line,
+)
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import file_label, labels_of, technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
@@ -300,6 +307,7 @@ def write_pages(
         "alike": alike_words,
         "film": film_words(result.film.as_dict()) if result.film else "",
         "unconverged": study_unconverged_lines(result),
+        "lens": study_light_lines(result),
         "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
         "blurs": [(curve, blur_of(curve)) for curve in result.curves],
         "plates": shown,

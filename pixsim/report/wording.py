@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pixsim.base.notes import told_apart
-from pixsim.base.parameters import Correction, paths_of
+from pixsim.base.parameters import Camera, CameraOptions, Correction, paths_of
+from pixsim.report.settings import LightLevel
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.integration import pixels_along
@@ -107,7 +112,9 @@ def score_line(result: dict[str, Any]) -> str:
     pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}"
     pixels += "".join(f", {words}" for words in view_words(result["display"], result, columns))
     film = f"; {film_words(result['film'])}" if "film" in result else ""
-    assumed = f"; {result['assumption']}" if result["assumption"] else ""
+    assumed = "".join(
+        f"; {words}" for words in (lens_words(Camera.model_validate(result["camera"])), result["assumption"]) if words
+    )
     delta_e += "," * (NOT_CONVERGED in delta_e)
     return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}{film}{assumed}"
 
@@ -159,6 +166,33 @@ def study_unconverged_lines(result: Any) -> list[str]:
     return few(lines)
 
 
+def field_words(camera: Camera) -> str:
+    """Return the full angles that a camera sees, across and down.
+
+    >>> field_words(Camera(focal_length_mm=50.0, die_mm=36.0, die_height_mm=24.0, object_distance_m=1e6))
+    '39.6° × 27°'
+    """
+    across, down = (
+        math.degrees(2 * math.atan(side / (2 * camera.image_distance_mm))) for side in (camera.die_mm, camera.height_mm)
+    )
+    return f"{across:.3g}° × {down:.3g}°"
+
+
+def lens_words(camera: Camera) -> str:
+    """Return the real lens of a camera, the focal length to which it is scaled, and its field; empty for a thin lens."""
+    if camera.lens is None:
+        return ""
+    lens, name = camera.lens, Path(camera.lens.file).stem
+    return f"lens {name} scaled to {lens.focal_length_mm:.4g} mm, f/{lens.f_number:.3g}, a field of {field_words(camera)}"
+
+
+def focal_length_assumption(camera: Camera, given: CameraOptions) -> str:
+    """Return that the focal length of a given die is not given, with the field that follows; empty if it is, or for a real lens."""
+    if camera.lens or given.focal_length_mm is not None or given.die_mm is None:
+        return ""
+    return f"focal length {camera.focal_length_mm:.3g} mm assumed, that of the scene: a field of {field_words(camera)}"
+
+
 def film_words(film: dict[str, Any]) -> str:
     """Return the film of a result, the largest error of mean ΔE that it may cause, and why it is not finer if that is too large."""
     height, width = film["shape"]
@@ -188,7 +222,7 @@ def view_words(display: dict[str, Any], result: dict[str, Any], columns: float |
         limit = f", {chosen['limited_by']}" if "limited_by" in chosen else ""
         words.append(f"chart to {float(parameters[MAX_LP_PER_MM]):.3g} lp/mm{limit}")
     if result.get("window_mm"):
-        words.append(f"in a central window of {result['window_mm']:g} mm")
+        words.append(f"only the central {result['window_mm']:g} mm of the die are shown and scored")
     return words
 
 
@@ -205,6 +239,24 @@ def study_view_line(result: Any) -> list[str]:
         words += f", except where an axis or a condition sets {' or '.join(others)}"
     own = "" if study.own_um is None else f" (pixels of {study.own_um:g} µm, as on the data sheet)"
     return [f"{words}{own}"] if words else []
+
+
+def study_light_lines(result: Any) -> list[str]:
+    """Return a line on the lens of a study, its field, what is display white, and the exposure; in cases, as far as all have it."""
+    parts = result.parts or (result,)
+    lenses, whites = [], []
+    for part in parts:
+        camera = part.camera
+        words = (
+            lens_words(camera)
+            or f"lens of {camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}, a field of {field_words(camera)}"
+        )
+        lenses.append("; ".join(filter(None, (words, focal_length_assumption(camera, part.study.camera).partition(":")[0]))))
+        times_s = np.concatenate([curve.mean("integration_s") for curve in part.curves])
+        whites.append(LightLevel.of(part.irradiance, part.study.display, times_s))
+    light = whites[0]._replace(shortest_s=min(w.shortest_s for w in whites), longest_s=max(w.longest_s for w in whites))
+    shown = str(light) if len({each.white_cd_per_m2 for each in whites}) == 1 else f"exposed for {light.exposure}"
+    return ["; ".join([*(lenses[:1] if len(set(lenses)) == 1 else []), shown])]
 
 
 def dark_notes(result: dict[str, Any]) -> list[str]:

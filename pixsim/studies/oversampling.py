@@ -399,6 +399,8 @@ def render_and_measure(
             return film_for_tolerance(image, measured, calibrated, settled.tolerance_delta_e)
         options: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": settings.tolerance_delta_e, "keep": True}
         options |= {"correction": settings.correction, "develop": settings.develop, "larger": larger}
+        if progress:  # behind a real lens it takes as long as the render
+            progress(0.0, ", done; the error of its film")
         return measure_film(image, camera, measured, settings.exposure, settings.display, **options)
 
     fixed = "set by --resolution" if settings.resolution else ""

@@ -17,11 +17,12 @@ from helpers.commands import assert_refused, command
 from helpers.looks import text_of
 
 import pixsim
-from pixsim.base.parameters import CameraOptions, Run
+from pixsim.base.parameters import CameraOptions, LensOptions, Run
 from pixsim.light.exr import read_channels, write_channels
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.outline import outline_lines, run_outline
 from pixsim.report.run import FILES, colour_rows, shown_picture
+from pixsim.report.wording import focal_length_assumption, lens_words
 from pixsim.scene.film import PATH_SAMPLES
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import frame_variance_dn2
@@ -363,6 +364,28 @@ def test_dry_run_says_what_limits_the_render_noise(more, rays, words):
     line = next(line for line in outline_lines(outline, Path("out")) if line.startswith("errors"))
     assert words in line
     assert ("film: at least" in line) == ("tolerance_delta_e" not in more), "where a calibration does not choose another film"
+
+
+@pytest.mark.parametrize(
+    ("given", "assumed"),
+    [({"die_mm": 8.4}, True), ({"die_mm": 8.4, "focal_length_mm": 3.86}, False), ({}, False), ({"focal_length_mm": 6.0}, False)],
+)
+def test_focal_length_of_a_given_die_is_assumed(given, assumed):
+    """3.86 mm was chosen for the small die of the scene: on a large one it is a wide-angle lens, 2 atan(8.4/(2·3.875))."""
+    run = Run.model_validate({"camera": given, "pixel": {"pitch_um": 20.0}, "resolution": 32})
+    camera = pixsim.load_scene("csf").camera(run.camera)
+    words = focal_length_assumption(camera, run.camera)
+    assert words == ("focal length 3.86 mm assumed, that of the scene: a field of 94.6° × 94.6°" if assumed else "")
+    line = outline_lines(run_outline("csf", run), Path("out"))[1]
+    assert line.startswith("camera")
+    assert ("assumed" in line) == assumed
+
+
+def test_lens_is_named_with_its_scale():
+    camera = pixsim.load_scene("csf").camera(CameraOptions(die_mm=4.0), LensOptions(file="phone", focal_length_mm=5.0))
+    assert lens_words(camera).startswith("lens phone scaled to 5 mm, f/")
+    assert not lens_words(pixsim.Camera())
+    assert not focal_length_assumption(camera, CameraOptions(die_mm=4.0)), "the lens has its own"
 
 
 def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:

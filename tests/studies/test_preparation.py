@@ -291,7 +291,7 @@ def test_run_window_is_named(tmp_path: Path) -> None:
     # 202 pixels on as many dots.
     assert "with 202 × 202 pixels of 3.45 µm" in out
     assert "shown on 202 dots (from the sensor's pixels), 1 pixel a dot, chart to 144 lp/mm" in out
-    assert "in a central window of 0.7 mm" in out
+    assert "only the central 0.7 mm of the die are shown and scored" in out
     score = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))
     assert (score["window_mm"], score["camera"]["die_mm"], score["chosen"]["dots"]) == (0.7, 0.7, 202)
     assert score["irradiance"]["parameters"]["max_lp_per_mm"] == repr(score["chosen"]["max_lp_per_mm"])

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.report.wording import mean_words, optimum_line, score_line, study_unconverged_lines, unconverged_lines
+from pixsim.report.wording import (
+    mean_words,
+    optimum_line,
+    score_line,
+    study_light_lines,
+    study_unconverged_lines,
+    unconverged_lines,
+)
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.light_error import LightError, with_error
@@ -44,7 +51,7 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
     assert len(lines) == bool(reasons)
     assert all(reason in line for line in lines for reason in reasons)
     frame = {"pixels": [8, 8], "border_um": [0, 0], "display": {"raster": "one_to_one"}, "integration_s": 0.01, "pitch_um": 5.0}
-    frame |= {"exposure": {"integration_s": 0.01}, "saturated_fraction": 0.0, "assumption": ""}
+    frame |= {"exposure": {"integration_s": 0.01}, "camera": {}, "saturated_fraction": 0.0, "assumption": ""}
     assert score_line(result | frame).startswith(f"mean ΔE {shown}{',' * bool(reasons)} with 8 × 8 pixels")
 
 
@@ -117,6 +124,14 @@ def test_study_shows_the_errors_of_its_light(tiny_result: StudyResult):
         assert all((of_error or "not converged") in words for words in found) == bool(of_error)
     noisy = replace(shown, irradiance=quiet.with_planes(quiet.planes, header=header))
     assert all("not converged" in words for words in (repr(noisy), optimum_line(noisy.curves[0]), *study_unconverged_lines(noisy)))
+
+
+def test_study_states_its_field_and_exposure(tiny_result: StudyResult):
+    (line,) = study_light_lines(tiny_result)
+    times_ms = 1e3 * np.concatenate([curve.mean("integration_s") for curve in tiny_result.curves])
+    ends = dict.fromkeys(f"{time_ms:.3g}" for time_ms in (times_ms.min(), times_ms.max()))
+    assert line.endswith(f"exposed for {' to '.join(ends)} ms")
+    assert f"a field of {tiny_result.camera.fov_deg:.3g}°" in line
 
 
 @pytest.mark.parametrize(
