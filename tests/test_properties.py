@@ -250,7 +250,7 @@ MESSAGE = re.compile(
     r"state the same quantity|Give full_well_e|exceeds \w+ = |keeps a charge: "
 )
 # Of numbers that are possible, but more likely in another unit.
-UNITS = "electrons\\. .* is |prnu = .* % is |um = .* nm is |of the full well"
+UNITS = "electrons\\. .* is |prnu = .* % is |um = .* nm is |of the full well|of the ADC's "
 EXPECTED_WARNING = f".*(brighter than display white|Usual causes|pixel\\.stack at |{UNITS})"
 
 
