@@ -20,7 +20,6 @@ from pixsim.viewer.light_error import NOT_CONVERGED, LightError
 from pixsim.viewer.score import clip_words, clips_dark
 
 SATURATED_SHOWN = 0.01
-SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
 
 def optimum_line(curve: Any) -> str:
@@ -88,15 +87,13 @@ def no_difference_words(curve: Any) -> str:
 def outside_words(curve: Any) -> str:
     """Return where the fitted curve is least, if that is outside the sizes that look alike; empty otherwise.
 
-    The best size tried is among those. Beside a steep flank, a smooth curve may swing below all sizes tried.
+    The best size tried is among those.
     """
-    low, high = curve.no_difference_um
-    best = curve.optimum
-    if low * (1 - SAME_SIZE) <= best.pitch_um <= high * (1 + SAME_SIZE):
+    if not curve.fit_swings:
         return ""
-    mean = curve.mean()
+    best, mean = curve.optimum, curve.mean()
     least = f"{curve.light.shown(mean.min())} at {curve.pitch_um[mean.argmin()]:.2f} µm"
-    fitted = f"the fitted curve has its minimum outside them, at {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})"
+    fitted = f"the fitted curve has its minimum outside them, at {best.pitch_um:.2f} µm"
     return f"least mean ΔE of the sizes tried {least}; {fitted}, which more pixel sizes there would confirm or not"
 
 

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
+SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
 
 @checks_fields
@@ -142,6 +143,17 @@ class Curve:
                 if differ.max() < NO_VISIBLE_DELTA_E and ratio >= WIDE_RATIO and (widest is None or ratio > widest[1] / widest[0]):
                     widest = float(self.pitch_um[first]), float(self.pitch_um[last])
         return widest
+
+    @property
+    def fit_swings(self) -> bool:
+        """Whether the fitted curve is least outside the sizes that look alike, where the best size tried is not.
+
+        Beside a steep flank, a smooth curve may swing below all sizes tried. Its interval is then too narrow.
+        """
+        if self.no_difference_um is None:
+            return False
+        low, high = self.no_difference_um
+        return not low * (1 - SAME_SIZE) <= self.optimum.pitch_um <= high * (1 + SAME_SIZE)
 
     @property
     def doubtful(self) -> Array:
@@ -456,6 +468,7 @@ class StudyResult:
             if curve.no_difference_um is not None and not curve.alike_um:
                 low, high = curve.no_difference_um
                 sizes = f"sizes from {low:.3g} to {high:.3g} µm"
+                shown = curve.light.shown(curve.mean().min()) if curve.fit_swings else shown
                 words.append(f"{curve.label}: no visible difference between {sizes}, ΔE {shown}")
                 continue
             text = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {shown}"
@@ -514,6 +527,7 @@ def best_words(curves: Sequence[Any]) -> str:
     words = []
     for curve in curves:
         end = "" if curve.optimum.inside else ", the end of the sizes tried"
+        end += ", by the fitted curve alone" if curve.fit_swings else ""
         interval = f"; 95 %: {interval_words(curve)}" if len(curves) == 1 else ""
         size = "an unknown size" if curve.alike_um else f"{curve.optimum.pitch_um:.2f} µm"
         words.append(f"{size} ({curve.label}{'; ' + alike_words(curve) if curve.alike_um else end + interval})")
@@ -521,7 +535,9 @@ def best_words(curves: Sequence[Any]) -> str:
 
 
 def interval_words(curve: Any) -> str:
-    """Return the 95 % interval of a curve's optimum as text, naming an open end."""
+    """Return the 95 % interval of a curve's optimum as text, naming an open end; none where the fit swings."""
+    if curve.fit_swings:
+        return "unknown beside the steep flank"
     low, high = curve.optimum.interval_um
     first, last = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
     if low is None and high is None:

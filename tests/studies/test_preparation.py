@@ -38,7 +38,7 @@ from pixsim.studies.preparation import (
     study_cost,
     window_within,
 )
-from pixsim.studies.result import NO_VISIBLE_DELTA_E, WIDE_RATIO, Curve
+from pixsim.studies.result import NO_VISIBLE_DELTA_E, WIDE_RATIO, Curve, best_words
 from pixsim.studies.study import load_study, prepare, render_for
 from pixsim.viewer.score import SCENE_CACHE_BYTES
 
@@ -325,11 +325,19 @@ def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() 
     assert steep.optimum.pitch_um < 0.99 * low, "else this tests nothing"
     line = optimum_line(steep)
     least = f"least mean ΔE of the sizes tried {steep.light.shown(0.75)} at 3.40 µm"
-    assert f"from {low:.3g} to {high:.3g} µm; {least}; the fitted curve has its minimum outside them, at" in line
+    assert (
+        f"from {low:.3g} to {high:.3g} µm; {least}; the fitted curve has its minimum outside them, at {steep.optimum.pitch_um:.2f} µm, which more"
+        in line
+    )
     assert "within 1 %" not in line
+    assert (
+        f"{steep.optimum.pitch_um:.2f} µm (data sheet, by the fitted curve alone; 95 %: unknown beside the steep flank)"
+        in best_words([steep])
+    )
     even = curve_through(np.geomspace(1.0, 16.0, 9), 0.2 + np.array([0.5, 0.2, 0.03, 0.01, 0.0, 0.01, 0.02, 0.2, 0.5]), 1e-6)
     assert "mean ΔE is least" in optimum_line(even)
     assert "outside" not in optimum_line(even)
+    assert "fitted curve" not in best_words([even])
 
 
 def test_no_difference_um_narrow_range_is_not_named() -> None:
