@@ -325,10 +325,8 @@ def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() 
     assert steep.optimum.pitch_um < 0.99 * low, "else this tests nothing"
     line = optimum_line(steep)
     least = f"least mean ΔE of the sizes tried {steep.light.shown(0.75)} at 3.40 µm"
-    assert (
-        f"from {low:.3g} to {high:.3g} µm; {least}; the fitted curve has its minimum outside them, at {steep.optimum.pitch_um:.2f} µm, which more"
-        in line
-    )
+    fitted = f"the fitted curve has its minimum outside them, at {steep.optimum.pitch_um:.2f} µm, which more"
+    assert f"from {low:.3g} to {high:.3g} µm; {least}; {fitted}" in line
     assert "within 1 %" not in line
     assert (
         f"{steep.optimum.pitch_um:.2f} µm (data sheet, by the fitted curve alone; 95 %: unknown beside the steep flank)"
