@@ -247,7 +247,8 @@ def test_run_command_incomplete_data_sheet_states_assumed_technology(missing: st
         assert (code, words in out) == (0, True), err
         code, out, err = command(small, sheet, "--json")
         score = json.loads(out)
-        assert (score["assumption"], score["pixel"]["technology"]) == (words, "0.35um")
+        lens = "focal length 3.86 mm assumed, that of the scene: a field of 28.9° × 28.9°"  # of a sheet's pixels, without a lens
+        assert (score["assumption"], score["pixel"]["technology"]) == (f"{words}; {lens}", "0.35um")
 
 
 @pytest.mark.parametrize("missing", ["full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
