@@ -75,9 +75,11 @@ def told_apart(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
 
     >>> told_apart(0.2013, 0.2), told_apart(0.31, 0.2), told_apart(0.2, 0.2)
     (('0.201', '0.2'), ('0.31', '0.2'), ('0.2', '0.2'))
+    >>> told_apart(13.2, 0.2, 1)
+    ('10', '0.2')
     """
     for count in range(digits, MOST_DIGITS + 1):
-        texts = f"{value:.{count}g}", f"{limit:.{count}g}"
+        texts = f"{float(f'{value:.{count}g}'):.15g}", f"{float(f'{limit:.{count}g}'):.15g}"  # large ones without an exponent
         if value == limit or float(texts[0]) != float(texts[1]):
             return texts
     return texts

@@ -153,6 +153,8 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
     meant = names_meant(title, above, name)
     if tables or (meant and all(path[:-1] == above for path in meant)):
         hint = f"Write {' or '.join(tables or [path[-1] for path in meant])}."
+    elif meant and _names(title, meant[0]):
+        hint = f"Write it as a table of its own: [{'.'.join(meant[0])}]."
     elif meant:
         places = dict.fromkeys(f"in [{'.'.join(path[:-1])}]" if path[:-1] else "above all tables" for path in meant)
         words = list(dict.fromkeys(path[-1] for path in meant))
@@ -160,7 +162,7 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
         hint = f"It belongs {' or '.join(places)}{named}."
     else:
         hint = did_you_mean(name, _names(title, above))
-    return PIXELS_OR_FILM if above and name == "resolution" and meant[0][-1] != "dots" else hint
+    return PIXELS_OR_FILM if above and meant and name == "resolution" and meant[0][-1] != "dots" else hint
 
 
 def _hint(path: Sequence[str], value: Any) -> str:
@@ -1631,7 +1633,8 @@ class Effort(Record):
         "samples limits it, which does not depend on the machine)",
     )
     window_mm: DieWidth | None = Field(
-        None, description="width of a central part of the die: the same lens and pixels on a smaller die (absent: the whole die)"
+        None,
+        description="width of a central part of the die in mm: the same lens and pixels on a smaller die (absent: the whole die)",
     )
 
 

@@ -72,6 +72,7 @@ def hint_of_option(name: str, options: set[str]) -> str:
     """Return the options of a command that an unknown one, such as --camera.resolution, means; empty if there are none."""
     *above, last = name.lstrip("-").replace("-", "_").split(".")
     meant = ["--" + ".".join(path).replace("_", "-") for path in names_meant(Run.__name__, above, last)]
+    meant += ["--out"] * (name == "-o")
     known = [option for option in meant if option in options]
     return f"Did you mean {' or '.join(known)}?" if known else ""
 

@@ -214,9 +214,14 @@ def further_words(second: Path, frames: int) -> str:
 
 
 def frames_lines(summary: dict[str, Any]) -> list[str]:
-    """Return a line on the frames of a run with several; none for one."""
+    """Return a line on the frames of a run with several; none for one.
+
+    >>> frames_lines({"frames": 3})
+    ['3 frames of this sensor: raw.exr, raw_002.exr and raw_003.exr; the first is scored']
+    """
     frames = summary.get("frames", 1)
-    names = f"raw.exr{' and' if frames == 2 else f', {raw_stem(2)}.exr to'} {raw_stem(frames)}.exr"
+    between = {2: "", 3: f", {raw_stem(2)}.exr"}.get(frames, f", {raw_stem(2)}.exr, …")
+    names = f"raw.exr{between} and {raw_stem(frames)}.exr"
     return [f"{frames} frames of this sensor: {names}; the first is scored"] if frames > 1 else []
 
 
@@ -464,7 +469,9 @@ def _prepare(
         more |= {"assumption": "; ".join(filter(None, assumed))}
         more |= {"chosen": view.as_dict()} | ({"window_mm": settings.window_mm} if settings.window_mm else {})
         repeated = without_clock(asked, settings, made.image)
-        repeated = repeated.model_copy(update={"scene": scene_table(scene.path.parent, repeated.scene)})
+        # Display and chart, too, may have been chosen; defaults in their place would count as given.
+        of_view = {"display": settings.display, "scene": scene_table(scene.path.parent, settings.scene)}
+        repeated = repeated.model_copy(update=of_view)
         if settled:
             bound_e = made.plan.bound_e if made.plan.bounded else None
             more["error_budget"] = settled.budget(made.noise, bound_e, settled.choice.sensors)

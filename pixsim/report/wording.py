@@ -108,7 +108,8 @@ def score_line(result: dict[str, Any]) -> str:
     full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
     pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}"
     pixels += "".join(f", {words}" for words in view_words(result["display"], result, columns))
-    film = f"; {film_words(result['film'])}" if "film" in result else ""
+    unmeasured = LightError.of(result["irradiance"], None).unmeasured
+    film = f"; {film_words(result['film'])}" if "film" in result else unmeasured and f"; {unmeasured}"
     assumed = "".join(
         f"; {words}" for words in (lens_words(Camera.model_validate(result["camera"])), result["assumption"]) if words
     )
@@ -138,7 +139,12 @@ def unconverged_lines(
     light = LightError.of(header, film)
     if light.converged or (budget and budget["met"]):
         return []
-    means, limit = [], (film or {}).get("limit", "")
+    found = f"{NOT_CONVERGED}: {'; '.join(light.reasons)}"
+    if film is None:
+        return [f"{found}. To be surer: a render of its own, with more samples"]
+    means, limit = [], film.get("limit", "")
+    if not light.film_is_met and "--resolution" in limit:
+        means.append("leaving out --resolution")
     if light.noise is not None and not light.noise_is_met:
         times, seconds = what_reaches(light.noise, light.noise_target)
         by_clock = header["render_noise"].get("ended_by") == "max_seconds"
@@ -148,10 +154,8 @@ def unconverged_lines(
         means.append("a lower --render-noise")
     elif not light.film_is_met and "--max-seconds" in limit:
         means.append("a longer --max-seconds")
-    if not light.film_is_met and "--resolution" in limit:
-        means.append("leaving out --resolution")
-    means.append("a part of the die (--window)")
-    return [f"{NOT_CONVERGED}: {'; '.join(light.reasons)}. To be surer: {', or '.join(means)}"]
+    surer = [" and ".join(means)] * bool(means)
+    return [f"{found}. To be surer: {', or '.join([*surer, 'a smaller part of the die (--window, in mm)'])}"]
 
 
 def study_unconverged_lines(result: Any) -> list[str]:

@@ -26,7 +26,14 @@ NODES = ("/dev/nvidiactl", "/dev/dxg")  # devices of the NVIDIA driver, and of a
 DRIVER_VARIABLE, OPTIX_VARIABLE = "DRJIT_LIBCUDA_PATH", "DRJIT_LIBOPTIX_PATH"
 DRIVERS, OPTIX = ("libcuda.so.1", "libcuda.so"), "libnvoptix.so.1"
 DRIVER_PATTERNS = ("*-linux-gnu/libcuda.so.*", "wsl/lib/libcuda.so.*")  # below /usr/lib, where Dr.Jit looks too
-OF_DRIVER = ("CUDA_VISIBLE_DEVICES", "NVIDIA_DRIVER_CAPABILITIES", "LD_LIBRARY_PATH", DRIVER_VARIABLE, OPTIX_VARIABLE)
+OF_DRIVER = (
+    "CUDA_VISIBLE_DEVICES",
+    "CUDA_DEVICE_ORDER",
+    "NVIDIA_DRIVER_CAPABILITIES",
+    "LD_LIBRARY_PATH",
+    DRIVER_VARIABLE,
+    OPTIX_VARIABLE,
+)
 OLDEST_CUDA, FAULTY_CUDA, LOWEST_CAPABILITY = (12, 2), (12, 7), (7, 5)
 # A kernel takes 0.4 GiB: 48 bytes a cell, by Dr.Jit's count with LLVM, of `renderer.CELLS_PER_KERNEL`; the driver takes some too.
 LEAST_BYTES = 2 << 30
@@ -95,7 +102,10 @@ def absent() -> str | None:
         return NOT_LINUX
     if not any(os.path.exists(node) for node in NODES):
         return NO_CARD
-    return NO_DRIVER if loaded_driver() is None else None
+    if loaded_driver() is None:
+        given = os.environ.get(DRIVER_VARIABLE)
+        return f"{DRIVER_VARIABLE} is '{given}', which cannot be loaded" if given else NO_DRIVER
+    return None
 
 
 def judge(again: bool = False) -> Verdict:

@@ -139,6 +139,7 @@ def test_with_each_format_leaves_other_words() -> None:
         ("run csf --camera.resolution 640x480", "Did you mean --camera.pixels?"),
         ("run csf --bits=8", "Unknown option: --bits. Did you mean --pixel.bits or --display.bits?"),
         ("run csf --pixel-size 3", "Did you mean --pixel.pitch-um?"),
+        ("run csf -o there", "Unknown option: -o. Did you mean --out?"),
         ("run csf --linaer", "Did you mean --linear?"),  # by Cyclopts
         ("lens phone --spp 4", "Unknown option: --spp.\nTry 'pixsim lens --help'"),
         ("run csf --resolution 640x480", "The sensor's columns and rows are pixels in [camera]"),

@@ -89,6 +89,19 @@ def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path
     assert "qe.csv" not in (desk / "out/settings.toml").read_text(encoding="utf-8"), "values, not files"
 
 
+@pytest.mark.parametrize("scene", ["csf", "flat"])
+def test_run_settings_state_the_display_and_chart_that_were_chosen(
+    scene: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done(f"run {scene} --config sheet.toml --resolution 64 --render-noise 10 --irradiance none --out out")
+    first, line = json.loads((desk / "out/score.json").read_text(encoding="utf-8")), command_in(desk / "out")
+    assert first["display"]["dots"] == 125  # the sheet's pixels across: 1.5 mm / 12 µm
+    monkeypatch.chdir(desk / "out")
+    done(f"{line} --irradiance none --out {tmp_path / 'again'}")
+    for name in ("raw.exr", "delta_e.exr", "settings.toml"):
+        assert (tmp_path / "again" / name).read_bytes() == (desk / "out" / name).read_bytes(), name
+
+
 def test_run_settings_of_picture_make_same_numbers(desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done("run csf --config sheet.toml --resolution 64 --irradiance full --out out")
     done("run out/irradiance.exr --config sheet.toml --seed 2 --out foreign")

@@ -136,6 +136,10 @@ def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_pa
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
     fresh.setenv(graphics.DRIVER_VARIABLE, str(tmp_path / "nowhere.so"))
     fresh.setattr(graphics, "attempt", lambda *_, **__: pytest.fail("started a process"))
+    assert graphics.judge().fault == f"{graphics.DRIVER_VARIABLE} is '{tmp_path / 'nowhere.so'}', which cannot be loaded"
+    fresh.delenv(graphics.DRIVER_VARIABLE)
+    fresh.setattr(graphics, "DRIVERS", ())
+    fresh.setattr(graphics, "DRIVER_PATTERNS", ())
     assert graphics.judge().fault == graphics.NO_DRIVER
     fresh.setattr(sys, "platform", "darwin")
     assert graphics.judge().fault == graphics.NOT_LINUX

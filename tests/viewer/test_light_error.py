@@ -64,14 +64,22 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
         (QUIET, "set by --resolution", ["leaving out --resolution"], ["--max-seconds"]),
         (QUIET, "as --max-seconds allows", ["a longer --max-seconds"], ["--resolution", "times"]),
         (QUIET | {"fraction": 2.4, "target": 3.0}, "", ["a lower --render-noise, or"], ["--max-seconds"]),
-        (QUIET, "the limit of 64 samples across", ["To be surer: a part of the die"], ["--resolution", "--max-seconds"]),
+        # the film's error does not fall with noise alone, nor the noise with the film
+        (NOISY, "set by --resolution", ["leaving out --resolution and --max-seconds 8000 (about 140 times", "), or a"], []),
+        (QUIET, "the limit of 64 samples across", ["To be surer: a smaller part of the die"], ["--resolution", "--max-seconds"]),
     ],
 )
 def test_unconverged_result_says_what_makes_it_surer(noise, limit, means, others):
     result = of_run(noise, replace(COARSE, limit=limit))
     (line,) = unconverged_lines(result["irradiance"], result["film"])
-    assert all(words in line for words in [*means, "(--window)"])
+    assert all(words in line for words in [*means, "(--window, in mm)"])
     assert not any(words in line for words in others)
+
+
+def test_picture_of_a_render_is_not_made_surer_by_options():
+    """A run of an irradiance.exr: neither the time limit nor the window changes what was rendered."""
+    (line,) = unconverged_lines({"render_noise": NOISY}, None)
+    assert line.endswith("To be surer: a render of its own, with more samples")
 
 
 @pytest.mark.parametrize("met", [True, False])
