@@ -1629,8 +1629,8 @@ class Effort(Record):
     )
     max_seconds: Seconds | None = Field(
         None,
-        description="longest render time; a render that reaches it stops with a warning that states its noise (absent: a number of "
-        "samples limits it, which does not depend on the machine)",
+        description="time after which no further step of a render starts, with a warning that states its noise; its first step, of "
+        "a packaged scene, always ends (absent: a number of samples limits it, which does not depend on the machine)",
     )
     window_mm: DieWidth | None = Field(
         None,
