@@ -70,6 +70,11 @@ def collected_notes() -> Iterator[list[str]]:
             _outer.reset(token)
 
 
+def _without_exponent(text: str) -> str:
+    """Write a number such as 1e+01 as 10, up to 1e15."""
+    return f"{float(text):.0f}" if "e+" in text and abs(float(text)) < 1e15 else text
+
+
 def told_apart(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
     """Two numbers as text, with as many significant digits as it takes to tell them apart, at least `digits`.
 
@@ -79,7 +84,7 @@ def told_apart(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
     ('10', '0.2')
     """
     for count in range(digits, MOST_DIGITS + 1):
-        texts = f"{float(f'{value:.{count}g}'):.15g}", f"{float(f'{limit:.{count}g}'):.15g}"  # large ones without an exponent
+        texts = _without_exponent(f"{value:.{count}g}"), _without_exponent(f"{limit:.{count}g}")
         if value == limit or float(texts[0]) != float(texts[1]):
             return texts
     return texts
