@@ -307,14 +307,7 @@ def study(
     from pixsim.report.outline import long_lines, outline_lines, study_outline
     from pixsim.report.study import report_files, write_report
     from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
-    from pixsim.report.wording import (
-        budget_lines,
-        film_words,
-        optimum_line,
-        study_light_lines,
-        study_unconverged_lines,
-        study_view_line,
-    )
+    from pixsim.report.wording import budget_lines, film_words, optimum_line, study_lines
     from pixsim.studies import study as sweep
     from pixsim.studies.cases import check_number
     from pixsim.studies.conditions import compromises_of
@@ -373,12 +366,7 @@ def study(
                 common.verbosity.note(str(result.counts))
             else:
                 summary = result.as_dict()
-                lines = [
-                    *map(optimum_line, result.curves),
-                    *study_unconverged_lines(result),
-                    *study_light_lines(result),
-                    *study_view_line(result),
-                ]
+                lines = [*map(optimum_line, result.curves), *study_lines(result)]
                 lines += [film_words(summary["film"])] if "film" in summary else []
             lines += uncertainty_lines(result.uncertainty)
             summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}

@@ -20,6 +20,7 @@ from pixsim.report.wording import (
     no_difference_words,
     optimum_line,
     study_light_lines,
+    study_lines,
     study_unconverged_lines,
     study_view_line,
 )
@@ -132,7 +133,7 @@ def axes_lines(result: StudyResult, compromises: Sequence[Compromise]) -> list[s
     if len(lines) > LINES_SHOWN:
         lines = [*lines[:LINES_SHOWN], f"and {len(lines) - LINES_SHOWN} more: optima.csv"]
     lines += alone_lines(result)
-    lines += [*study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result), *film_lines(result)]
+    lines += [*study_lines(result), *film_lines(result)]
     return lines
 
 

@@ -260,6 +260,11 @@ def study_light_lines(result: Any) -> list[str]:
     return ["; ".join([*(lenses[:1] if len(set(lenses)) == 1 else []), shown])]
 
 
+def study_lines(result: Any) -> list[str]:
+    """Return what follows the optima of a study: errors of its light, what it depends on, and how its sensors are shown."""
+    return [*study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result)]
+
+
 def dark_notes(result: dict[str, Any]) -> list[str]:
     """Return a note on the clipping of dark pixels at 0 DN; none if its effect is not visible, or a correction removes its mean."""
     if Correction.model_validate(result["correction"]).removes_dark_level:
