@@ -11,8 +11,9 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Pixel
+from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.photodiode import collected_charge_e, stored_signal_e
-from pixsim.sensor.pixel import E_PER_FC, Diode, derive
+from pixsim.sensor.pixel import Diode, derive
 from pixsim.show.figures import LEGEND_LINE, LOOKS, new_figure
 from pixsim.show.pages import Column, Plate
 

@@ -51,8 +51,8 @@ def processors(root: Path = Path("/")) -> Processors:
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
     granted = []
     for folder in _groups("cpu", root):
-        quota, _, period = _text(folder / "cpu.max").partition(" ")  # control groups v2
-        quota, period = quota or _text(folder / "cpu.cfs_quota_us"), period or _text(folder / "cpu.cfs_period_us")
+        quota, _, period = text_of(folder / "cpu.max").partition(" ")  # control groups v2
+        quota, period = quota or text_of(folder / "cpu.cfs_quota_us"), period or text_of(folder / "cpu.cfs_period_us")
         if quota.isdigit() and period.isdigit() and int(period) > 0:  # else "max" or -1
             granted.append(int(quota) / int(period))
     return Processors(os.cpu_count(), allowed, min(granted, default=None))
@@ -70,16 +70,16 @@ def threads() -> int:
 
 def memory(root: Path = Path("/")) -> Memory:
     """Memory of this machine; tests set `root`."""
-    pairs = [line.split() for line in _text(root / "proc/meminfo").splitlines()]
+    pairs = [line.split() for line in text_of(root / "proc/meminfo").splitlines()]
     kib = {pair[0].rstrip(":"): int(pair[1]) for pair in pairs if len(pair) > 1 and pair[1].isdigit()}
     total, available = (kib[name] * 1024 if name in kib else None for name in ("MemTotal", "MemAvailable"))
-    limits = [_text(folder / name) for folder in _groups("memory", root) for name in ("memory.max", "memory.limit_in_bytes")]
+    limits = [text_of(folder / name) for folder in _groups("memory", root) for name in ("memory.max", "memory.limit_in_bytes")]
     return Memory(total, available, min((int(n) for n in limits if n.isdigit() and int(n) < NO_LIMIT_BYTES), default=None))
 
 
 def _groups(controller: str, root: Path) -> Iterator[Path]:
     """Folders of the control group of this process and of its parents: the smallest limit applies."""
-    for line in _text(root / "proc/self/cgroup").splitlines():
+    for line in text_of(root / "proc/self/cgroup").splitlines():
         _, names, path = line.split(":", 2)
         if names and controller not in names.split(","):
             continue
@@ -88,11 +88,18 @@ def _groups(controller: str, root: Path) -> Iterator[Path]:
             yield from (root / "sys/fs/cgroup" / base / folder for folder in (group, *group.parents))
 
 
-def _text(path: Path) -> str:
+def text_of(path: Path) -> str:
+    """Return the text of a file of the system without spaces at its ends; empty if it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError):
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
         return ""
+
+
+def mapped_files(name: str) -> list[str]:
+    """Return the files with this in their path that this process has mapped, such as libraries; none without /proc."""
+    lines = text_of(Path("/proc/self/maps")).splitlines()
+    return sorted({"/" + line.partition("/")[2] for line in lines if name in line})
 
 
 def check_folder(path: Path) -> tuple[str | None, int | None]:

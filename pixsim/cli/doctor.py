@@ -189,7 +189,7 @@ def _llvm(libraries: Trial, taken: str | None) -> Iterator[Finding]:
         if (sys.platform, platform.machine()) == ("linux", "x86_64"):
             fix = pip(variant.LLVM_WHEEL)
         yield Finding("LLVM", "libraries", NOTE, text, fix)
-    if mapped := variant.mapped():
+    if mapped := machine.mapped_files("libLLVM"):
         yield Finding("LLVM", "this process", OK, f"has loaded {', '.join(mapped)}", facts={"mapped": mapped})
 
 

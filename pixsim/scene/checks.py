@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import Any
 
 from pixsim.base.errors import PixsimError
+from pixsim.base.machine import mapped_files
 from pixsim.scene import variant as variants
 from pixsim.scene.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver, without_driver
 from pixsim.scene.trial import Line
@@ -117,7 +118,7 @@ def render(variant: str = "") -> Iterator[Line]:
         "mean_error": float(illuminance_lx.mean() / expected.mean() - 1),
         "rms_error": float(np.sqrt(np.mean((illuminance_lx / expected - 1) ** 2))),
         "threads": int(import_module("drjit").thread_count()),
-        "compiled_in": list(mitsuba.variants()), "mapped_llvm": variants.mapped(),
+        "compiled_in": list(mitsuba.variants()), "mapped_llvm": mapped_files("libLLVM"),
     }  # fmt: skip
 
 

@@ -194,19 +194,12 @@ def _version(numbers: tuple[int, ...]) -> str:
 def _key() -> str:
     """Return a hash of what decides on a verdict and can be read without the driver: its version, the cards, the libraries."""
     proc = Path("/proc/driver/nvidia")
-    seen = [_content(proc / "version"), *(_content(path) for path in sorted(proc.glob("gpus/*/information")))]
-    maps = {line[line.index("/") :] for line in _content(Path("/proc/self/maps")).splitlines() if "libcuda" in line}
-    libraries = [(path, os.stat(path).st_size, os.stat(path).st_mtime_ns) for path in sorted(maps) if os.path.exists(path)]
+    seen = [machine.text_of(proc / "version"), *(machine.text_of(path) for path in sorted(proc.glob("gpus/*/information")))]
+    maps = machine.mapped_files("libcuda")
+    libraries = [(path, os.stat(path).st_size, os.stat(path).st_mtime_ns) for path in maps if os.path.exists(path)]
     given = [os.environ.get(name) for name in OF_DRIVER]
     content = repr((seen, libraries, given, cache.version_fingerprint("mitsuba", "drjit")))
     return hashlib.blake2b(content.encode(), digest_size=16).hexdigest()
-
-
-def _content(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
 
 
 def _from_json(content: dict[str, Any]) -> Verdict:

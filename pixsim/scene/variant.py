@@ -122,15 +122,6 @@ def found_by_hand() -> list[str]:
     return [path for path in _newest_first(file for home in homes for file in home.glob("libLLVM*.so*")) if path not in taken]
 
 
-def mapped() -> list[str]:
-    """Return the libLLVM files that this process has mapped, for example by Dr.Jit; none without /proc."""
-    try:
-        lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        return []
-    return sorted({"/" + line.partition("/")[2] for line in lines if "libLLVM" in line})
-
-
 def _newest_first(paths: Iterable[Path]) -> list[str]:
     """Resolve links and sort by the numbers in the names, so that 21 comes before 9."""
     files = {str(path.resolve()) for path in paths}

@@ -39,7 +39,14 @@ from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.optics.stack import LOWEST_LENS, Stack
 from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.colour import Layout, channel_efficiency
-from pixsim.sensor.mismatch import ELECTRON_C, DarkSpread, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
+from pixsim.sensor.mismatch import (
+    E_PER_FC,
+    ELECTRON_C,
+    DarkSpread,
+    dark_current_of_geometry_e_per_s,
+    follower_offset_e,
+    prnu_of_area,
+)
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
 
@@ -52,7 +59,6 @@ __all__ = [
 
 BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
 C_PER_FF_V = 1e-15
-E_PER_FC = C_PER_FF_V / ELECTRON_C
 USUAL_F_NUMBER = 8.0  # of the light that measures a quantum efficiency, as in EMVA 1288
 FORWARD_COEFFICIENT = 0.5  # SPICE's FC, its default
 INVERSION_STEPS = 100  # of Newton, at most; 2 to 7 are needed, since Q(V) is nearly linear

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pixsim.base.errors import PixsimError
-from pixsim.sensor.mismatch import DarkSpread, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
-from pixsim.sensor.pixel import ELECTRON_C
+from pixsim.sensor.mismatch import ELECTRON_C, DarkSpread, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
 
 
 def test_prnu_falls_with_the_side():
