@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixsim.studies.optimum import FittedCurve, Posterior
+from pixsim.studies.optimum import FittedCurve, Posterior, noise_scale
 
 ROUND = 4  # additions chosen together from one fitted curve
 SENSORS_PER_ADDITION = 2  # so that a new pitch shows its own scatter; an existing pitch gets the same number more
@@ -59,7 +59,7 @@ def rise_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     mean = np.interp(u, fit.places, fit.delta_e) / fit.scale
     counts = np.array([sensors[um] for um in pitches_um.tolist()])
     best = fit.likeliest
-    design = replace(best.design, u=u, noise=fit.noise * mean**2, sensors=counts)
+    design = replace(best.design, u=u, noise=fit.noise * noise_scale(mean, fit.logarithmic), sensors=counts)
     low, high = fit.optimum.interval_um
     ends = np.array([pitches_um[0] if low is None else low, fit.optimum.pitch_um, pitches_um[-1] if high is None else high])
     covariance = Posterior(design, best.stiffness, best.residual, np.zeros(u.size)).covariance(fit.places_of(ends))

@@ -16,11 +16,11 @@ from pixsim.base.arrays import Array
 from pixsim.base.parameters import Study
 from pixsim.sensor.pixel import photodiode_widths_um
 from pixsim.studies.optimum import (
-    CREDIBILITY,
     FINE_PLACES,
     PLACES,
     FittedCurve,
     Optimum,
+    credibility,
     drawn_curves,
     fit_curve,
     measured,
@@ -160,7 +160,7 @@ def least_worst_regret(curves: Sequence[Curve]) -> Regret:
         own = _drawn(curve, begin + places - ends_u[0], number)
         drawn = np.maximum(drawn, own - own.min(axis=1, keepdims=True))
     minima_um = np.exp(minima(np.log(places_um), drawn))
-    tail = (1 - CREDIBILITY) / 2
+    tail = (1 - max(credibility(curve.fit.logarithmic) for curve in curves)) / 2
     low, high = np.clip(np.quantile(minima_um, (tail, 1 - tail)), low_um, high_um)
     # The fitted curve is taken at more places than the drawn ones, whose least can miss its own by part of a step.
     ends: list[float | None] = [min(float(low), float(fine_um[best])), max(float(high), float(fine_um[best]))]
@@ -175,9 +175,7 @@ def least_worst_regret(curves: Sequence[Curve]) -> Regret:
 def _drawn(curve: Curve, places: Array, number: int) -> Array:
     """Return curves of mean ΔE drawn from the posterior of a condition, (draws, places)."""
     fit = curve.fit
-    u = fit.places_of(curve.pitch_um)
-    mean, scale, design, degrees = measured(u, curve.delta_e)
-    fits, weights = posteriors(design, mean / scale, degrees)
-    drawn = scale * drawn_curves(fits, weights, np.maximum(places, 0.0), seed=number * SHUFFLED)
+    data = measured(fit.places_of(curve.pitch_um), curve.delta_e)
+    drawn = data.delta_e_of(drawn_curves(*posteriors(data), np.maximum(places, 0.0), seed=number * SHUFFLED))
     # Sorted by likeliness of their stiffness: without another order the conditions' likeliest curves would go together.
     return np.random.default_rng([number, 1]).permutation(drawn, axis=0)

@@ -2,12 +2,14 @@
 
 A curve is a smooth fit to a dense sweep (tests/data/dense_sweeps): the posterior mean of a quadratic plus a twice integrated
 Wiener process in the logarithm of the photodiode width, at the maximum likelihood of stiffness and residual. A simulated
-study draws its pitches, a residual that the sensors of a pitch share, and the noise of each sensor.
+study draws its pitches, a residual that the sensors of a pitch share, and the noise of each sensor. Curves with a steep flank are
+formulas.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -28,6 +30,14 @@ TECHNOLOGIES = {"chen2000_0.35um": "0.35um", "near_an_end": "0.5um", "at_the_end
 SENSORS = 8  # at each pitch of a sweep
 STIFFNESSES = np.geomspace(0.1, 10.0, 21)  # relative to the least mean ΔE
 RESIDUALS = np.arange(0.0, 2.1, 0.25)  # relative to the standard error at a pitch of a sweep
+# Curves with a steep flank below the minimum: the pitches tried, and the mean ΔE of pitches.
+STEEP: dict[str, tuple[float, float, Callable[[Array], Array]]] = {
+    "steep_power": (1.0, 10.0, lambda um: 0.5 + 0.075 * np.log(um / 3) ** 2 + 6 * um**-6.0),
+    "steep_exponential": (1.0, 10.0, lambda um: 0.5 + 0.075 * np.log(um / 3) ** 2 + 8 * np.exp((1 - um) / 0.12)),
+    "steep_flat": (0.55, 10.0, lambda um: 0.5 + 0.01 * np.log(um / 3) ** 2 + 5 * np.exp((0.55 - um) / 0.1)),
+    "steep_corner": (1.0, 10.0, lambda um: 0.5 + 0.05 * np.log(um / 1.6) ** 2 + 10 * np.exp((1 - um) / 0.08)),
+}
+STEEP_NOISE, STEEP_RESIDUAL = 0.02, 0.005
 PLACES = 20001  # samples of a curve: steps of 0.01 % of a pitch
 Widths = Callable[[Array], Array]
 Sensors = dict[float, int]  # pitch in µm -> number of sensors
@@ -38,7 +48,7 @@ class Truth:
     """A curve of mean ΔE against pitch, and the scatter of sensors about it.
 
     width_um : photodiode width of pixel pitches; None if it is proportional to the pitch
-    stiffness : most likely stiffness, relative to the least mean ΔE
+    stiffness : most likely stiffness, relative to the least mean ΔE; NaN of a formula
     noise : relative standard deviation of one sensor's mean ΔE
     residual : most likely relative standard deviation that the sensors of a pitch share
     """
@@ -68,7 +78,11 @@ class Truth:
 
 @cache
 def truth_of(name: str) -> Truth:
-    """The curve of a dense sweep."""
+    """The curve of a dense sweep, or one of `STEEP`."""
+    if name in STEEP:
+        low_um, high_um, curve_of = STEEP[name]
+        log_pitch = np.linspace(np.log(low_um), np.log(high_um), PLACES)
+        return Truth(name, None, math.nan, STEEP_NOISE, STEEP_RESIDUAL, log_pitch, curve_of(np.exp(log_pitch)))
     pitch_um, mean, spread = np.loadtxt(DATA / f"{name}.csv", delimiter=",", skiprows=1).T
     technology = TECHNOLOGIES.get(name)
     width_um = partial(photodiode_widths_um, load_study("chen2000"), technology) if technology else None
@@ -158,10 +172,14 @@ def covers(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
     return above and below
 
 
-def simulation_options(studies: int, out: Path | None) -> argparse.Namespace:
-    """Command-line options of a benchmark of simulated studies."""
+def simulation_options(studies: int, out: Path | None, out_steep: Path | None = None) -> argparse.Namespace:
+    """Command-line options of a benchmark of simulated studies; with `out_steep`, those of steep curves are a choice."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--studies", type=int, default=studies)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=out)
-    return parser.parse_args()
+    parser.add_argument("--out", type=Path)
+    if out_steep:
+        parser.add_argument("--steep", action="store_true", help="of curves with a steep flank")
+    options = parser.parse_args()
+    options.out = options.out or (out_steep if out_steep and options.steep else out)
+    return options

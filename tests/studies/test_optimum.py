@@ -16,8 +16,10 @@ from helpers.processes import HANG_S
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
+from pixsim.base.arrays import Array
 from pixsim.studies.optimum import (
     DRAWS,
+    STEEP,
     Design,
     FittedCurve,
     Posterior,
@@ -53,7 +55,7 @@ def fitted(mean: np.ndarray, repeats: int = 3, noise: float = 0.0, seed: int = 0
 
 
 @pytest.mark.parametrize("pitches", [5, 6, 16])
-@pytest.mark.parametrize("bend", [0.3, 3.0])
+@pytest.mark.parametrize("bend", [0.3, 2.0])  # up to 2.4 times the least
 def test_fit_curve_of_parabola(pitches: int, bend: float) -> None:
     """The process around the quadratic has nothing to explain: without noise little is left open."""
     pitch = np.geomspace(5.3, 15, pitches)
@@ -71,7 +73,7 @@ def test_fit_curve_of_exact_rough_data() -> None:
     pitch = np.geomspace(5.3, 80, 60)
     mean = parabola(pitch, 0.3, 30.0) * (1 + 0.03 * np.random.default_rng(0).standard_normal(pitch.size))
     fit = fitted(mean, pitch_um=pitch)
-    np.testing.assert_allclose(fit.scale * fit.likeliest.mean(fit.likeliest.u), mean, rtol=1e-4)
+    np.testing.assert_allclose(fit.scale * np.exp(fit.likeliest.mean(fit.likeliest.u)), mean, rtol=1e-4)  # of 3.7 times the least
     least = int(np.argmin(mean))
     assert pitch[least - 1] < fit.optimum.pitch_um < pitch[least + 1]
 
@@ -93,9 +95,17 @@ def test_close_to_least_open_end_is_none() -> None:
     assert close_to_least(pitch, curve, 0.001) == (3.0, 3.0)
 
 
+def of_any_kind(steep: bool) -> Array:
+    """A curve that is fitted itself, or one whose logarithm is."""
+    mean = parabola(PITCH, 9.0 if steep else 1.0)
+    assert (mean.max() > STEEP * mean.min()) == steep
+    return mean
+
+
+@pytest.mark.parametrize("steep", [False, True])
 @pytest.mark.parametrize("factor", [0.25, 3.0, 1e3])
-def test_fit_curve_scales_with_delta_e(factor: float) -> None:
-    delta_e = sensors_of(parabola(PITCH), 3, 0.01)
+def test_fit_curve_scales_with_delta_e(factor: float, steep: bool) -> None:
+    delta_e = sensors_of(of_any_kind(steep), 3, 0.01)
     one, other = fit_curve(PITCH, delta_e), fit_curve(PITCH, factor * delta_e)
     np.testing.assert_allclose(other.delta_e, factor * one.delta_e, rtol=1e-9)
     np.testing.assert_allclose(other.high - other.low, factor * (one.high - one.low), rtol=1e-6)
@@ -103,10 +113,10 @@ def test_fit_curve_scales_with_delta_e(factor: float) -> None:
         assert getattr(other.optimum, name) == pytest.approx(getattr(one.optimum, name), rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_fit_curve_mirrored_pitches(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "steep"), [(0, False), (1, False), (2, False), (0, True), (1, True)])
+def test_fit_curve_mirrored_pitches(seed: int, steep: bool) -> None:
     """A Wiener process integrated twice, with a free quadratic, is the same from either end."""
-    delta_e = sensors_of(parabola(PITCH), 3, 0.01, seed)
+    delta_e = sensors_of(of_any_kind(steep), 3, 0.01, seed)
     one, other = fit_curve(PITCH, delta_e), fit_curve(100 / PITCH[::-1], delta_e[::-1])
     np.testing.assert_allclose(other.delta_e[::-1], one.delta_e, rtol=1e-9)
     assert 100 / other.optimum.pitch_um == pytest.approx(one.optimum.pitch_um, rel=1e-9)
@@ -182,13 +192,51 @@ def test_fit_curve_ignores_missing_sensors() -> None:
 
 def test_measured_pools_scatter() -> None:
     """Two pitches by hand: squares about the means 2 and 4 are 2 · 1² and 2 · 1², of 1 · 2² + 1 · 4² expected at 100 %."""
-    mean, scale, design, degrees = measured(np.array([0.0, 1.0]), np.array([[1.0, 3.0, np.nan], [3.0, 5.0, np.nan]]))
-    np.testing.assert_allclose(mean, [2, 4])
-    assert (scale, degrees) == (2.0, 2)
-    np.testing.assert_allclose(design.noise, 4 / 20 * np.array([1.0, 4.0]))
+    data = measured(np.array([0.0, 1.0]), np.array([[1.0, 3.0, np.nan], [3.0, 5.0, np.nan]]))
+    np.testing.assert_allclose(data.mean, [2, 4])
+    assert (data.scale, data.degrees, data.logarithmic) == (2.0, 2, False)
+    np.testing.assert_allclose(data.design.noise, 4 / 20 * np.array([1.0, 4.0]))
     # And of many sensors it is theirs: 5 standard errors of a standard deviation from 8000 values, 1/√16000.
-    _, _, many, _ = measured(np.log(PITCH), sensors_of(parabola(PITCH), 500, 0.01))
-    assert np.sqrt(many.noise[parabola(PITCH).argmin()]) == pytest.approx(0.01, rel=5 / np.sqrt(16000))
+    many = measured(np.log(PITCH), sensors_of(parabola(PITCH), 500, 0.01))
+    assert np.sqrt(many.design.noise[parabola(PITCH).argmin()]) == pytest.approx(0.01, rel=5 / np.sqrt(16000))
+
+
+def test_measured_of_steep_curve_is_logarithmic() -> None:
+    """Two pitches by hand: squares about the means 1 and 7 are 2 · 0.5² and 2 · 2², of 1 · 1² + 1 · 7² expected at 100 %."""
+    data = measured(np.array([0.0, 1.0]), np.array([[0.5, 1.5], [5.0, 9.0]]))
+    assert data.logarithmic
+    np.testing.assert_allclose(data.values, [0, np.log(7)])
+    np.testing.assert_allclose(data.design.noise, 8.5 / 50)  # of a logarithm: the relative variance
+    np.testing.assert_allclose(data.delta_e_of(data.values), [1, 7])
+
+
+@pytest.mark.parametrize("bend", [4.0, 8.0])
+def test_fit_curve_of_a_power_of_e(bend: float) -> None:
+    """The logarithm of 0.5 exp(bend x²) is a parabola, which the regression has as a term: it is found between the sizes, too."""
+    x = np.log(PITCH / BEST_UM)
+    assert np.exp(bend * x**2).max() > STEEP
+    fit = fitted(MIN_VERSIONS * np.exp(bend * x**2))
+    assert fit.logarithmic
+    np.testing.assert_allclose(fit.delta_e, MIN_VERSIONS * np.exp(bend * np.log(fit.pitch_um / BEST_UM) ** 2), rtol=1e-5)
+    assert fit.optimum.pitch_um == pytest.approx(BEST_UM, rel=1e-4)
+    reach = np.sqrt(np.log(1.01) / bend)  # of 1 % more, read on steps of 0.13 %
+    np.testing.assert_allclose(np.log(np.array(fit.optimum.within_1_percent_um) / BEST_UM), [-reach, reach], atol=1.4e-3)
+
+
+@pytest.mark.parametrize("curve", ["steep_power", "steep_exponential", "steep_flat"])
+def test_fit_curve_does_not_swing_beside_a_steep_flank(curve: str) -> None:
+    """The sizes that 30 studies name have a mean ΔE at most 1 % above the least, on average, and no fit is 10 % off at its least.
+
+    It is 0.2 to 0.5 % by the logarithm, where a fit is at most 3.1 % off; without, up to 2.3 % and 27 %.
+    """
+    losses = []
+    for number in range(30):
+        study, sensors = simulated(curve, number, 11, 3)
+        best = study.fit(sensors).optimum
+        least = study.truth.curve.min()
+        losses.append(study.truth.delta_e(np.array([best.pitch_um]))[0] / least - 1)
+        assert best.mean_delta_e == pytest.approx(least, rel=0.1)
+    assert 0 < np.mean(losses) < 0.01
 
 
 # --- The regression ----------------------------------------------------------------------------------------------------
@@ -299,7 +347,7 @@ STUDIES = 200
 
 
 COVERED = [pytest.param("chen2000_0.35um", 2, marks=pytest.mark.slow), ("evening", 3)]
-COVERED += [pytest.param("near_an_end", 3, marks=pytest.mark.slow)]
+COVERED += [pytest.param("near_an_end", 3, marks=pytest.mark.slow), ("steep_power", 3), ("steep_exponential", 3)]
 
 
 @pytest.mark.slow

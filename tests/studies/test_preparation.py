@@ -317,10 +317,23 @@ def test_no_difference_um_is_widest_range_within_a_twentieth() -> None:
     assert curve_through(pitch_um, mean, 0.2).no_difference_um is None, "nothing is known to be alike"
 
 
+OF_A_LENS_UM = np.array([0.4715, 0.7729, 1.267, 2.0771, 3.4049, 5.5818, 9.1502, 15.0])
+
+
+def test_fit_beside_a_steep_flank() -> None:
+    """The phone's lens in the light of a lamp: the fit is least among the sizes that look alike, which its interval contains."""
+    steep = curve_through(OF_A_LENS_UM, np.array([8.031, 0.957, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4)
+    assert steep.no_difference_um == (1.267, 5.5818)
+    assert not steep.fit_swings
+    low, high = steep.optimum.interval_um
+    assert 0.7729 < low < 2.0771 < 3.4049 < high < 5.5818
+    assert steep.optimum.mean_delta_e == pytest.approx(0.745, abs=0.01)  # 0.75 and 0.751 at the two best sizes
+
+
 def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() -> None:
-    """The phone's lens in the light of a lamp: beside the steep flank, the fit swings below all sizes tried."""
-    pitch_um = np.array([0.4715, 0.7729, 1.267, 2.0771, 3.4049, 5.5818, 9.1502, 15.0])
-    steep = curve_through(pitch_um, np.array([8.031, 0.957, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4)
+    """Beside a corner, the fit swings below all sizes tried."""
+    pitch_um = OF_A_LENS_UM
+    steep = curve_through(pitch_um, np.array([1.87, 0.80, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4)
     low, high = steep.no_difference_um
     assert steep.optimum.pitch_um < 0.99 * low, "else this tests nothing"
     line = optimum_line(steep)
