@@ -428,14 +428,16 @@ def render_on_film(
     plan_of : returns the plan of the scene on another film
     measure : returns the film's error
     fixed : what sets the film, if it is not free
-    max_seconds : of the renders; a film that would take longer is not tried. None means a limit of the samples,
-        `Plan.most_samples`.
+    max_seconds : of the renders together; a film that would take longer than what is left is not tried. None means a limit of
+        the samples, `Plan.most_samples`.
     """
     chosen = scene.with_resolution(plan.resolution) if plan.resolution else scene
+    rendered_s = 0.0
     while True:
         start = time.perf_counter()
         image, noise = render(chosen, plan)
-        seconds, film = time.perf_counter() - start, measure(image, plan)
+        seconds = time.perf_counter() - start
+        rendered_s, film = rendered_s + seconds, measure(image, plan)
         width, ratio = image.shape[1], camera.height_mm / camera.die_mm
         in_time = plan.cells_in_time if max_seconds is None else math.inf
         most = largest_film(ratio, plan.planes, in_time)
@@ -446,7 +448,7 @@ def render_on_film(
             limit = fixed
         elif wider < WORTH_WIDENING * width:
             limit = f"the limit of {most} samples across for {plan.planes} picture{'s' * (plan.planes > 1)}"
-        elif max_seconds is not None and seconds * (wider / width) ** 2 > max_seconds:
+        elif max_seconds is not None and rendered_s + seconds * (wider / width) ** 2 > max_seconds:
             limit = "as --max-seconds allows"
         else:
             chosen = chosen.with_resolution(wider)

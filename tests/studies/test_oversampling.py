@@ -6,6 +6,8 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from itertools import accumulate
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -310,6 +312,16 @@ def test_render_on_film_fixed_or_out_of_time_keeps_film(options, words):
     film, tried = rendered(lambda width: 1.0, **options)
     assert (tried, film.met) == ([256], False)
     assert words in film.limit
+
+
+@pytest.mark.parametrize(("limit_s", "films"), [(6.0, 1), (6.5, 2), (26.0, 2), (26.5, 3)])
+def test_render_on_film_shares_its_time(limit_s: float, films: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each film takes 1.25 s for 256² samples, so that the next one takes four times as long: 1.25 + 5 and 1.25 + 5 + 20 s."""
+    clock = iter(accumulate(1.25 * 4 ** (read // 2) * (read % 2) for read in range(100)))
+    monkeypatch.setattr("pixsim.studies.oversampling.time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    film, tried = rendered(lambda width: 1.0, max_seconds=limit_s)
+    assert tried == [256, 512, 1024][:films]
+    assert "--max-seconds" in film.limit
 
 
 def test_run_command_resolution_is_judged_and_default_is_finer(tmp_path):
