@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from pixsim.base import cache
-from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts
+from pixsim.base.arrays import MEASURED, PARTS, Array, in_threads, spread_parts
 from pixsim.base.parameters import (
     DEVELOP,
     NO_CORRECTION,
@@ -183,7 +183,13 @@ def measure_film(
                         raise
             raise AssertionError("unreachable")
 
-        pitches, measured = zip(*(steps_of(physics) for physics in pixels), strict=True)
+        found = dict.fromkeys(range(len(pixels)), (math.nan, (math.nan, math.nan)))
+
+        def measure_pixel(number: int) -> None:
+            found[number] = steps_of(pixels[number])
+
+        in_threads(measure_pixel, found, len(pixels) * cells_at_once(image))
+        pitches, measured = zip(*found.values(), strict=True)
         if tolerance_delta_e is None:
             tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
         else:
@@ -270,14 +276,27 @@ def film_steps(
         return FilmSteps(np.empty((0, 0)), sampling)
     # The blur of a real lens depends on the place: a part has it from the whole picture.
     places = measured_places(image, size_um, display) if tiling_of(image, camera) is not None else []
-    whole, delta_e = whole_blocks(image) if places else image, []
-    for step in range(1 + int(math.log2(BLOCK))):
-        if step:
-            parts = [(coarser(part, 2), shown) for part, shown in parts]
-            whole = coarser(whole, 2) if places else whole
+    whole = whole_blocks(image) if places else image
+    films = [(parts, whole)]
+    for _ in range(int(math.log2(BLOCK))):
+        parts = [(coarser(part, 2), shown) for part, shown in parts]
+        whole = coarser(whole, 2) if places else whole
+        films.append((parts, whole))
+    delta_e = np.empty((len(films), len(parts)))
+
+    def measure(step: int) -> None:
+        parts, whole = films[step]
         lights = _cut_lights(lights_of(whole, camera, physics), places, 2**step) if places else [None] * len(parts)
-        delta_e.append(_mean_delta_e(parts, lights, camera, physics, exposure, correction, develop))
-    return FilmSteps(np.array(delta_e), sampling)
+        delta_e[step] = _mean_delta_e(parts, lights, camera, physics, exposure, correction, develop)
+
+    in_threads(measure, range(len(films)), len(films) * cells_at_once(image))
+    return FilmSteps(delta_e, sampling)
+
+
+def cells_at_once(image: SpectralImage) -> int:
+    """Return the cells of a picture of which several evaluations fit into memory at once; 0 of a larger one."""
+    cells = math.prod(image.shape)
+    return cells if cells <= MEASURED else 0
 
 
 def _cut_lights(
