@@ -169,6 +169,10 @@ def test_blocks_of_parses_comments() -> None:
         ("size 2.35 µm (95 %: 1.82 to 2.56 µm)", "size 2.60 µm (95 %: 1.82 to 2.56 µm)", True),
         ("640 × 640", "641 × 640", False),
         ("x 1.0e-04", "x 1.2e-04", False),
+        ("seeds 1.0e-04 ΔE, 1.0e-02 µm of the optimum", "seeds 1.9e-04 ΔE, 1.9e-02 µm of the optimum", True),
+        ("seeds 1.0e-04 ΔE, 1.0e-02 µm of the optimum", "seeds 1.9e-04 ΔE, 2.1e-02 µm of the optimum", False),
+        ("render_noise 0.121, sensors 1", "render_noise 0.07, sensors 1", True),
+        ("render_noise 0.121, sensors 1", "render_noise 0.05, sensors 1", False),
     ],
 )
 def test_difference_compares_output(expected: str, printed: str, same: bool) -> None:
@@ -220,8 +224,12 @@ def test_alike_pictures_detects_changes(tmp_path: Path) -> None:
 
     grey = np.full((20, 30), 100, np.uint8)
     halves = np.where(np.arange(30) < 15, grey, 130).astype(np.uint8)
-    for name, picture in zip("abcd", (grey, grey + 1, halves, grey[:10]), strict=True):
-        Image.fromarray(picture).save(tmp_path / f"{name}.png")
+    noise, stripes = (grey + size * (-1) ** np.arange(30) for size in (10, 14))
+    pictures = {"a": grey, "b": grey + 1, "c": halves, "d": grey[:10], "noise": noise, "stripes": stripes}
+    for name, picture in pictures.items():
+        Image.fromarray(picture.astype(np.uint8)).save(tmp_path / f"{name}.png")
+    assert alike_pictures(tmp_path / "a.png", tmp_path / "noise.png")
+    assert not alike_pictures(tmp_path / "a.png", tmp_path / "stripes.png")
     for name, start in {"a": "path d", "b": "path d", "c": "path d", "d": "g d"}.items():
         x = {"b": 1.001, "c": 9.0}.get(name, 1.0)
         (tmp_path / f"{name}.svg").write_text(f'<{start}="M {x} 2.0"/>', encoding="utf-8")

@@ -45,6 +45,9 @@ PACKAGES = ("mitsuba", "drjit", "karellen-llvm-core", "numpy", "scipy", "OpenEXR
 # uncertain for few sensors. Integers are counts.
 NUMBER_WITHIN = 0.02
 UNCERTAINTY_WITHIN = 2.0
+# Estimated errors, and what a calibration chose by them.
+ERROR_AFTER = ("±", "± ", "render_noise ", "tolerance_e ")
+ERROR = re.compile(r"e-\d+(?: ΔE| µm of the optimum)")  # of a budget
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)")
 INTERVAL = re.compile(r"95 %: (\d+\.\d+) to (\d+\.\d+) µm")  # of an optimum, which may move within it
 PLUS_MINUS = re.compile(r"^\s*±\s*(\d+(?:\.\d+)?(?:e[-+]?\d+)?)")
@@ -53,7 +56,8 @@ OF_THE_CLOCK = "time limit of"  # in a warning: the result depends on the speed 
 SVG_NUMBER = re.compile(r"(-?\d+\.\d+)")
 SVG_NAMES = re.compile(r'<metadata>.*?</metadata>|(?:id="|url\(#|href="#)[^")]*', re.DOTALL)  # a date, and random ids
 SVG_WITHIN = 3.0  # points, 1/50 of the side of a small figure
-CODES_WITHIN = 2.0  # of 255, in the mean of every block: rounding of other processors, not other details
+CODES_WITHIN = 2.0  # of 255, between the means of every block: rounding of other processors, not other details
+CODES_OF_NOISE = 12.0  # of 255, in the mean difference of every block: of other noise, or of another last digit in a caption
 BLOCK_PX = 28  # half a block's side
 
 
@@ -222,7 +226,7 @@ def alike(expected: str, printed: str) -> bool:
 
     def within(one: re.Match[str], other: re.Match[str]) -> bool:
         wanted, got = float(one[0]), float(other[0])
-        if expected[: one.start()].rstrip().endswith("±"):
+        if expected[: one.start()].endswith(ERROR_AFTER) or ERROR.match(expected, one.end() - len("e-00")):
             return wanted / UNCERTAINTY_WITHIN <= got <= wanted * UNCERTAINTY_WITHIN
         allowed = max(NUMBER_WITHIN * abs(wanted), 1.01 * last_digit(one[0])) if "." in one[0] else 0.0
         if allowed and (error := PLUS_MINUS.match(expected[one.end() :])):
@@ -257,10 +261,10 @@ def alike_pictures(shown: Path, created: Path, exact: bool = False) -> bool:
         return False
     if exact:
         return bool(np.array_equal(first, second))
-    off = np.abs(first - second).mean(axis=2)
+    off = (first - second).mean(axis=2)
     starts = (range(0, max(1, size - BLOCK_PX + 1), BLOCK_PX) for size in off.shape)
     blocks = (off[y : y + 2 * BLOCK_PX, x : x + 2 * BLOCK_PX] for y, x in itertools.product(*starts))
-    return max(float(part.mean()) for part in blocks) < CODES_WITHIN
+    return all(abs(part.mean()) < CODES_WITHIN and np.abs(part).mean() < CODES_OF_NOISE for part in blocks)
 
 
 def updated(path: Path, outputs: list[tuple[Block, str]]) -> str:
