@@ -83,7 +83,8 @@ def test_aplanatic_sphere_has_no_wavefront_error_and_meets_the_sine_condition() 
     curvature, focus = 1 / 36.0, 72.0
     sag = curvature * height**2 / (1 + np.sqrt(1 + (n**2 - 1) * (curvature * height) ** 2))
     converging = height / np.hypot(height, focus + sag)
-    assert np.abs(-waves.cosines[0, :, 0] - n * converging).max() < 1e-14, "sin u' = n sin u"
+    # Rounding: 1.7e-14 on a processor with AVX-512, less on others.
+    assert np.abs(-waves.cosines[0, :, 0] - n * converging).max() < 1e-13, "sin u' = n sin u"
     assert converging[-1] * n > 0.15
 
 
