@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,6 +32,7 @@ def warn(text: str, category: type[Warning] = UserWarning) -> None:
 
 
 _outer: ContextVar[list[str] | None] = ContextVar("notes", default=None)
+_showing = threading.RLock()
 
 
 @contextmanager
@@ -54,7 +56,7 @@ def collected_notes() -> Iterator[list[str]]:
             if text in texts:
                 return
             texts.append(text)
-        with warnings.catch_warnings():
+        with _showing, warnings.catch_warnings():  # the filters are those of all threads
             warnings.resetwarnings()
             warnings.filters[:] = filters  # type: ignore[index]  # a list, though typed as a sequence
             warnings.showwarning = show

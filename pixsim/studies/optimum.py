@@ -61,8 +61,9 @@ class Optimum:
     """The pitch of minimum mean ΔE, with its uncertainty.
 
     pitch_um : minimum of the fitted curve
-    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 90 % of the posterior (95 % beside a
-        steep flank), which contain it in at least 95 % of simulated studies. None for an open end: the minimum may lie at or
+    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 90 % of the posterior, which
+        contain it in at least 95 % of simulated studies (95 % beside a steep flank, where fewer than 11 sizes contain it less
+        often: docs/studies.md). None for an open end: the minimum may lie at or
         beyond the smallest or largest pitch tried
     mean_delta_e : of the fitted curve at `pitch_um`
     mean_delta_e_interval : its 95 % interval
@@ -98,7 +99,7 @@ class FittedCurve:
     """Mean ΔE against pitch as a smooth curve, from the smallest to the largest pitch tried.
 
     pitch_um : (places,) increasing
-    delta_e : (places,) mean of the posterior
+    delta_e : (places,) mean of the posterior; of a steep curve its geometric mean
     low, high : (places,) ends of its pointwise 95 % interval
     optimum : its minimum
     likeliest : posterior at the most likely stiffness, residual and noise
@@ -326,7 +327,7 @@ class Measured:
 
 
 def credibility(logarithmic: bool) -> float:
-    """Return the part of the posterior that contains the minimum in 95 % of simulated studies."""
+    """Return the middle part of the posterior that is taken for the 95 % interval of the minimum."""
     return STEEP_CREDIBILITY if logarithmic else CREDIBILITY
 
 
@@ -373,7 +374,7 @@ def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
 
 
 def drawn_curves(fits: list[Posterior], weights: list[float], places: Array, seed: int = 0) -> Array:
-    """Return curves drawn from the posterior, (`DRAWS`, places), in units of the scale; the same for the same data and seed."""
+    """Return curves drawn from the posterior, (`DRAWS`, places), in units of the design; the same for the same data and seed."""
     ends = np.rint(np.cumsum(weights) * DRAWS).astype(int)
     normal = _normal((DRAWS, places.size), seed)
     curves = np.empty_like(normal)

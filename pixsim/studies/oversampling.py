@@ -183,13 +183,7 @@ def measure_film(
                         raise
             raise AssertionError("unreachable")
 
-        found = dict.fromkeys(range(len(pixels)), (math.nan, (math.nan, math.nan)))
-
-        def measure_pixel(number: int) -> None:
-            found[number] = steps_of(pixels[number])
-
-        in_threads(measure_pixel, found, len(pixels) * cells_at_once(image))
-        pitches, measured = zip(*found.values(), strict=True)
+        pitches, measured = zip(*(steps_of(physics) for physics in pixels), strict=True)
         if tolerance_delta_e is None:
             tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
         else:
@@ -447,8 +441,8 @@ def render_on_film(
     plan_of : returns the plan of the scene on another film
     measure : returns the film's error
     fixed : what sets the film, if it is not free
-    max_seconds : of the renders together; a film that would take longer than what is left is not tried. None means a limit of
-        the samples, `Plan.most_samples`.
+    max_seconds : of each render; a film that would take longer than what the earlier ones left of it is not tried. None means a
+        limit of the samples, `Plan.most_samples`.
     """
     chosen = scene.with_resolution(plan.resolution) if plan.resolution else scene
     rendered_s = 0.0

@@ -171,8 +171,9 @@ def test_blocks_of_parses_comments() -> None:
         ("x 1.0e-04", "x 1.2e-04", False),
         ("seeds 1.0e-04 ΔE, 1.0e-02 µm of the optimum", "seeds 1.9e-04 ΔE, 1.9e-02 µm of the optimum", True),
         ("seeds 1.0e-04 ΔE, 1.0e-02 µm of the optimum", "seeds 1.9e-04 ΔE, 2.1e-02 µm of the optimum", False),
-        ("render_noise 0.121, sensors 1", "render_noise 0.07, sensors 1", True),
-        ("render_noise 0.121, sensors 1", "render_noise 0.05, sensors 1", False),
+        ("error budget, with render_noise 0.121, sensors 1", "error budget, with render_noise 0.07, sensors 1", True),
+        ("error budget, with render_noise 0.121, sensors 1", "error budget, with render_noise 0.05, sensors 1", False),
+        ("render_noise 0.121", "render_noise 0.07", False),
     ],
 )
 def test_difference_compares_output(expected: str, printed: str, same: bool) -> None:
@@ -228,6 +229,8 @@ def test_alike_pictures_detects_changes(tmp_path: Path) -> None:
     pictures = {"a": grey, "b": grey + 1, "c": halves, "d": grey[:10], "noise": noise, "stripes": stripes}
     for name, picture in pictures.items():
         Image.fromarray(picture.astype(np.uint8)).save(tmp_path / f"{name}.png")
+    Image.fromarray(np.stack([grey + 9, grey - 9, grey], axis=2)).save(tmp_path / "hue.png")
+    assert not alike_pictures(tmp_path / "a.png", tmp_path / "hue.png")
     assert alike_pictures(tmp_path / "a.png", tmp_path / "noise.png")
     assert not alike_pictures(tmp_path / "a.png", tmp_path / "stripes.png")
     for name, start in {"a": "path d", "b": "path d", "c": "path d", "d": "g d"}.items():

@@ -335,6 +335,7 @@ def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() 
     pitch_um = OF_A_LENS_UM
     steep = curve_through(pitch_um, np.array([1.87, 0.80, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4)
     low, high = steep.no_difference_um
+    assert not steep.fit.logarithmic, "a steeper curve does not swing"
     assert steep.optimum.pitch_um < 0.99 * low, "else this tests nothing"
     line = optimum_line(steep)
     least = f"least mean ΔE of the sizes tried {steep.light.shown(0.75)} at 3.40 µm"

@@ -19,7 +19,7 @@ import pixsim
 from pixsim.base.notes import told_apart
 from pixsim.sensor.readout import Frame
 from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_PER_ADDITION, additions, next_sensors, rise_variance
-from pixsim.studies.optimum import FittedCurve, Posterior, fit_curve
+from pixsim.studies.optimum import STEEP, FittedCurve, Posterior, fit_curve
 from pixsim.studies.result import Curve, StudyResult, curve_of, target_notes
 from pixsim.studies.rows import Row
 from pixsim.studies.study import next_round
@@ -118,6 +118,17 @@ def test_rise_variance_falls_with_additions(fit: FittedCurve) -> None:
     now = rise_variance(fit, START)
     for pitch_um, count in additions(fit, START, 32).items():
         assert 0 < rise_variance(fit, START | {pitch_um: count}) < now
+
+
+def test_rise_variance_of_a_steep_curve() -> None:
+    """The logarithm has the same noise at all pitches: its covariance is that of the fit itself."""
+    mean = 0.5 * np.exp(6 * np.log(PITCH / 8) ** 2)
+    assert mean.max() > STEEP * mean.min()
+    fit = fit_curve(PITCH, mean[:, None] * (1 + 0.01 * np.random.default_rng(2).standard_normal((PITCH.size, 2))))
+    low, high = fit.optimum.interval_um
+    covariance = fit.likeliest.covariance(fit.places_of(np.array([low, fit.optimum.pitch_um, high])))
+    rises = sum(covariance[end, end] + covariance[1, 1] - 2 * covariance[end, 1] for end in (0, 2))
+    assert rise_variance(fit, dict.fromkeys(PITCH.tolist(), 2)) == pytest.approx(rises, rel=1e-9)
 
 
 def test_rise_variance_matches_covariance(fit: FittedCurve) -> None:
