@@ -174,6 +174,48 @@ def test_command_closed_terminal_or_nohup(tmp_path: Path) -> None:
     assert ignoring.returncode == 0
 
 
+STARTING = """import os, signal
+from joblib.externals.loky.{module} import {owner} as owner
+from pixsim.cli.process import interruption
+from pixsim.studies.engine import Workers, results_of
+
+def task(number, shared):
+    return number
+
+def interrupted(*args, **others):
+    made = original(*args, **others) if "{when}" == "after" else None
+    signal.raise_signal(signal.SIGTERM)
+    return made if "{when}" == "after" else original(*args, **others)
+
+if __name__ == "__main__":
+    original = owner.{name}
+    owner.{name} = interrupted
+    interruption.guard()
+    interruption.begin()
+    try:
+        list(results_of(task, [(number, dict) for number in range(4)], Workers(2)))
+    except KeyboardInterrupt:
+        interruption.finish()
+        print("interrupted")
+"""
+
+
+@proc
+@pytest.mark.parametrize(
+    ("module", "owner", "name", "when"),
+    [
+        ("backend", "fork_exec", "fork_exec", "after"),  # a worker runs that has not got its data
+        ("process_executor", "ProcessPoolExecutor", "_start_executor_manager_thread", "before"),  # nobody would end the workers
+    ],
+)
+def test_signal_while_workers_start_ends_them(module: str, owner: str, name: str, when: str, tmp_path: Path) -> None:
+    """A worker that joblib does not know printed a traceback, or stayed."""
+    process = started(STARTING.format(module=module, owner=owner, name=name, when=when), tmp_path)
+    assert (*process.communicate(timeout=HANG_S), process.returncode) == ("interrupted\n", "", 0)
+    wait_for(lambda: not processes_of(process.pid), GONE_S)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
 COMMAND_THAT_TURNS_SIGNALS = """
 import signal, sys, time
 from pixsim import cli

@@ -24,6 +24,7 @@ WAIT_S = 0.02  # before another try to raise
 LONGEST_WAIT_S = 3.0
 IMPORTING = "<frozen importlib._bootstrap>"  # file name of Python's import, in its frames
 ENTERING = ("__enter__", "__exit__")
+STARTING = ("_adjust_process_count", "_ensure_executor_running")  # joblib's: of workers, and of the thread that ends them
 
 
 class Interruption:
@@ -32,7 +33,7 @@ class Interruption:
     Before the command begins, the process ends at once: nothing is written, nothing else runs. Afterwards a KeyboardInterrupt
     is raised, so that everything opened is closed. It is not raised while Python imports a module, since libraries in C++ turn
     it into other errors, nor while a context manager is entered or left: what is opened is then always closed, and the files
-    of a command are moved into place all together.
+    of a command are moved into place all together. Nor is it while workers start: joblib ends only those that it has registered.
     """
 
     received: int | None = None  # number of the signal
@@ -108,10 +109,14 @@ class Interruption:
 
 
 def must_wait(frame: FrameType | None) -> bool:
-    """Whether a module is being imported, or a context manager entered or left, in a frame or those that called it."""
+    """Whether a module is imported, a context manager entered or left, or workers started, in a frame or those that called it."""
     while frame is not None:
         code = frame.f_code
-        if code.co_filename == IMPORTING or (code.co_name in ENTERING and code.co_filename.endswith("contextlib.py")):
+        if (
+            code.co_filename == IMPORTING
+            or (code.co_name in STARTING and code.co_filename.endswith("process_executor.py"))
+            or (code.co_name in ENTERING and code.co_filename.endswith("contextlib.py"))
+        ):
             return True
         frame = frame.f_back
     return False
