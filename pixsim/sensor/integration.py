@@ -439,7 +439,7 @@ def pixel_signal(
     collection = collection_of(physics, light, pixels_on(size_um or picture_um, physics.pitch_um))
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
     signal = integrate_pixels(rate, sample_pitch_um, physics.pitch_um, side_um, running, size_um)
-    np.maximum(signal, 0.0, out=signal)
+    signal = np.maximum(signal, 0.0, order="C")  # frames are made row by row
     if collection is not None:
         signal *= (physics.pitch_um / side_um) ** 2
         signal = share_with_neighbours(signal, collection.shares)
