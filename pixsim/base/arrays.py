@@ -79,10 +79,14 @@ def spread_parts(count: int, size: int) -> list[slice]:
 
 
 def mixed(matrix: Array, planes: Sequence[Array], out: Array | None = None) -> Array:
-    """Return a matrix (n, C) times C planes (H, W): (n, H, W); not by BLAS, whose rounding depends on the number of threads."""
-    result = np.empty((len(matrix), *planes[0].shape)) if out is None else out
-    for rows, spare in strips_of(planes[0].shape):
-        for place, weights in zip(result, matrix, strict=True):
+    """Return a matrix (n, C) times C planes (H, W): (n, H, W); not by BLAS, whose rounding depends on the number of threads.
+
+    Planes of float32 give float32.
+    """
+    dtype = planes[0].dtype if out is None and planes[0].dtype == np.float32 else np.dtype(float)
+    result = np.empty((len(matrix), *planes[0].shape), dtype) if out is None else out
+    for rows, spare in strips_of(planes[0].shape, dtype):
+        for place, weights in zip(result, matrix.tolist(), strict=True):
             total = place[rows]
             np.multiply(planes[0][rows], weights[0], out=total)
             for weight, plane in zip(weights[1:], planes[1:], strict=True):

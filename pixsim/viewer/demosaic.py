@@ -47,6 +47,8 @@ MALVAR_CROSS = np.array([[0, 0, -1.5, 0, 0], [0, 2, 0, 2, 0], [-1.5, 0, 6, 0, -1
 def demosaic(mosaic: Array, pattern: str | Sequence[str], method: Method = "bilinear") -> Array:
     """Return all channels at each pixel of a mosaic, (H, W, C), in the unit of the mosaic (H, W); nothing is clipped.
 
+    Bilinear and malvar2004 of float32 are float32, all else is float64.
+
     The channels are R, G and B, as far as the pattern has them, then the others in the order in which its rows name them.
 
     pattern : "rggb", "grbg", "gbrg" or "bggr", the 2 × 2 pixels at the top left, row by row; or the rows of any unit cell, a
@@ -61,16 +63,17 @@ def demosaic(mosaic: Array, pattern: str | Sequence[str], method: Method = "bili
     """
     cell = unit_cell(pattern)
     check_method(cell, method)
-    values = np.asarray(mosaic, float)
+    is_linear = method != "menon2007" and cell in BAYER.values()
+    values = np.asarray(mosaic, mosaic.dtype if is_linear and mosaic.dtype == np.float32 else float)
     if min(values.shape[0] - len(cell), values.shape[1] - len(cell[0])) < 0:
         got = f"{values.shape[0]} × {values.shape[1]} pixels"
         raise invalid("mosaic", got, f"at least the unit cell of {len(cell)} × {len(cell[0])} pixels")
-    if not max(values.max(), -values.min()) <= MAX_VALUE:  # nor NaN, which both would be
+    if not max(float(values.max()), -float(values.min())) <= MAX_VALUE:  # nor NaN, which both would be
         wrong = np.count_nonzero(~(np.abs(values) <= MAX_VALUE))
         raise invalid("mosaic", f"{wrong} values that are not finite or too large", f"finite numbers up to {MAX_VALUE:g}")
     if method == "menon2007":
         planes = _menon(np.pad(values, MENON_REACH, mode="reflect"), cell)[:, MENON_REACH:-MENON_REACH, MENON_REACH:-MENON_REACH]
-    elif cell in BAYER.values():
+    elif is_linear:
         planes = _filtered(values, _weights(cell, method))
     else:
         planes = _interpolated(values, cell)
@@ -216,12 +219,12 @@ def _filtered(mosaic: Array, weights: Array) -> Array:
     reach = weights.shape[-1] // 2
     padded = np.pad(mosaic, reach, mode="reflect")
     phase = {(y, x): np.ascontiguousarray(padded[y::2, x::2]) for y in (0, 1) for x in (0, 1)}
-    planes = empty_planes(weights.shape[2], height, width)  # which are transposed for the means over dots
+    planes = empty_planes(weights.shape[2], height, width, dtype=mosaic.dtype)  # which are transposed for the means over dots
     for y, x, c in np.ndindex(weights.shape[:3]):
         taps, into = weights[y, x, c], planes[c, y::2, x::2]
-        total = np.zeros(into.shape) if len(groups := np.unique(taps[taps != 0])) > 1 else None
-        part = np.empty(into.shape)
-        for weight in groups:  # samples of equal weight are summed first
+        total = np.zeros_like(into) if len(groups := np.unique(taps[taps != 0])) > 1 else None
+        part = np.empty(into.shape, into.dtype)
+        for weight in groups.tolist():  # samples of equal weight are summed first
             summed: Array | None = None
             for dy, dx in np.argwhere(taps == weight):
                 (row, odd_row), (column, odd_column) = divmod(y + dy, 2), divmod(x + dx, 2)

@@ -207,13 +207,14 @@ def demosaic_method(develop: Develop, layout: Layout) -> Any:
 
 @checks_arguments
 def balanced_planes(
-    frame: Frame, develop: Develop, white_e: Array, saturation_e: float, shading: Array | None = None
+    frame: Frame, develop: Develop, white_e: Array, saturation_e: float, shading: Array | None = None, *, single: bool = False
 ) -> list[Array]:
     """Return the channels of a frame at each of its pixels, [(rows, columns)] each, 1 for the scene's white in every one.
 
     white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure
     saturation_e : electrons at which a pixel saturates
     shading : by which each value of the frame is divided
+    single : return them in float32, except by menon2007
 
     Where a channel is saturated, or interpolated from a saturated pixel, nothing is known of the colour: it is shown as white.
 
@@ -232,10 +233,13 @@ def balanced_planes(
         height = layout.period[0]
         for row, divisors in enumerate(of_channels(by_channel, layout, (height, picture.shape[1]))):
             picture[row::height] /= divisors
-    if layout.is_stacked:
+    method = None if layout.is_stacked else demosaic_method(develop, layout)
+    if single and method != "menon2007":  # which compares sums: rounding would decide where they are nearly equal
+        picture = picture.astype(np.float32)
+    if method is None:
         planes = np.split(picture, layout.planes)
     else:
-        channels = demosaic(picture, layout.cell, demosaic_method(develop, layout))
+        channels = demosaic(picture, layout.cell, method)
         planes = [channels[:, :, channel] for channel in range(channels.shape[2])]
     if full.any():
         _whiten(planes, full, layout)

@@ -33,7 +33,7 @@ PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
 _PRIMARIES_XYZ = np.array([[x / y, 1.0, (1 - x - y) / y] for x, y in PRIMARIES_XY]).T
 XYZ_FROM_RGB = _PRIMARIES_XYZ * np.linalg.solve(_PRIMARIES_XYZ, WHITE_XYZ)
 RGB_FROM_XYZ = np.linalg.inv(XYZ_FROM_RGB)
-GAMUT_TOLERANCE = 1e-9  # of a primary's largest light, for rounding
+GAMUT_TOLERANCE, SINGLE_GAMUT_TOLERANCE = 1e-9, 1e-6  # of a primary's largest light, for rounding; of float32
 WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # pictures divided by white stay within float64 for any sensor and exposure
 SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # quintic is only the reference for cubic displays
 B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
@@ -174,7 +174,7 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
 
     The cells start at `low_um`; beyond the outermost centres the interpolation is constant.
 
-    values : (n, ...) or (..., n), any unit; n becomes the number of intervals
+    values : (n, ...) or (..., n), any unit; n becomes the number of intervals. Means of float32 are float32 up to degree 1
     pitch_um : of the cells
     edges_um : (intervals + 1,) increasing
     degree : of the interpolating spline: 0 (piecewise constant), 1, 3 or 5
@@ -191,7 +191,7 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
     lines = np.moveaxis(values, axis, 0)
     degree = min(degree, len(lines) - 1)
     if degree < 2:
-        weights = _mean_weights(len(lines), edges.tobytes(), degree)
+        weights = _mean_weights(len(lines), edges.tobytes(), degree, values.dtype == np.float32)
         if axis == 1 and values.ndim == 2:
             return transposed(weights @ transposed(values))
         means = weights @ np.ascontiguousarray(lines)
@@ -206,10 +206,11 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
 
 
 @lru_cache(maxsize=4)  # the frames of a pitch share them
-def _mean_weights(n: int, edges_bytes: bytes, degree: int) -> csr_array:
+def _mean_weights(n: int, edges_bytes: bytes, degree: int, single: bool) -> csr_array:
     """Return the weights of n values at 0 … n - 1 in the means between neighbouring edges, sparse (edges - 1, n).
 
     edges_bytes : of the array of edges, float64
+    single : return them in float32
 
     The basis function of a value is a box (degree 0) or a hat (degree 1) around its position; the outermost ones extend to
     infinity. Their integral up to an edge has a closed form, and few of them overlap an interval.
@@ -228,7 +229,7 @@ def _mean_weights(n: int, edges_bytes: bytes, degree: int) -> csr_array:
     weight = (part_below(edges[1:]) - part_below(edges[:-1])) / np.diff(edges)[:, None]
     used = (value <= last[:, None]) & (weight != 0)
     rows = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
-    return csr_array((weight[used], value[used], rows), shape=(edges.size - 1, n))
+    return csr_array((weight[used].astype(np.float32 if single else float), value[used], rows), shape=(edges.size - 1, n))
 
 
 @checks_arguments
@@ -304,6 +305,8 @@ def frame_luminance(
     display: Display,
     edges_um: tuple[Array, Array],
     shading: Array | None = None,
+    *,
+    single: bool = False,
 ) -> Array:
     """Return the relative luminance of a frame on the display's dots, (H, W), mapped by position on the die.
 
@@ -314,6 +317,7 @@ def frame_luminance(
     white_e : mean electrons on axis of the scene's white, in this frame's exposure
     edges_um : of the dots' rows and columns, from `dot_edges_um`
     shading : (rows, columns) by which the frame is divided: mean collection of the pixels relative to one on axis; None for none
+    single : compute the means in float32
 
     Raises PixsimError if the edges do not increase, or if the shading is not one of positive numbers for the frame's pixels.
     """
@@ -324,7 +328,7 @@ def frame_luminance(
             got = f"an array {shading.shape}" + (" with values that are not above 0" if shading.shape == picture.shape else "")
             raise invalid("shading", got, f"positive values for each of the {picture.shape} pixels")
         picture /= shading
-    return on_dots(picture, frame.pitch_um, size_um, display, edges_um)
+    return on_dots(picture.astype(np.float32) if single else picture, frame.pitch_um, size_um, display, edges_um)
 
 
 @checks_arguments
@@ -333,7 +337,7 @@ def on_dots(
 ) -> Array:
     """Return the means of a picture over the display's dots, (H, W), in its unit, as `frame_luminance` takes them.
 
-    picture : (rows, columns) of pixels, in any unit
+    picture : (rows, columns) of pixels, in any unit; float32 stays float32, as of `average_axis`
     pitch_um : of the pixels, which are centred on the whole picture
     size_um : (height, width) of the whole picture on the sensor
     edges_um : of the dots' rows and columns, from `dot_edges_um`
@@ -354,14 +358,15 @@ def on_dots(
 def shown_luminance(relative_luminance: Array, display: Display) -> Array:
     """Return `relative_luminance` (...) as a display of finite bits and range shows it, in the same shape, 1 for white.
 
-    Encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1.
+    That of float32 is float32. Encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1.
 
     >>> shown_luminance(np.array([-0.1, 0.5, 2.0]), Display(gamma=1.0, bits=1)).tolist()
     [0.0, 0.0, 1.0]
     """
     top = 2**display.bits - 1
-    table, borders = _light_of_bins(display.gamma, top), _code_borders(display.gamma, top)
-    shown = np.empty(relative_luminance.shape)
+    single = relative_luminance.dtype == np.float32
+    table, borders = _light_of_bins(display.gamma, top, single), _code_borders(display.gamma, top)
+    shown = np.empty(relative_luminance.shape, table.dtype)
     values, out = relative_luminance.reshape(-1), shown.reshape(-1)
     for part in strips(values.size, 1):
         luminance, result = np.clip(values[part], 0.0, 1.0), out[part]
@@ -396,12 +401,16 @@ def _code_borders(gamma: float, top: int) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _light_of_bins(gamma: float, top: int) -> Array:
-    """Return the light shown for all luminances of each of n equal bins from 0 to 1, and for 1, (n + 1,); NaN for several codes."""
+def _light_of_bins(gamma: float, top: int, single: bool) -> Array:
+    """Return the light shown for all luminances of each of n equal bins from 0 to 1, and for 1, (n + 1,); NaN for several codes.
+
+    single : return it in float32
+    """
     count = min(BINS_OF_CODE * (top + 1), MAX_BINS)
     edges, borders = np.arange(count + 1) / count, _code_borders(gamma, top)
     first, last = np.searchsorted(borders, edges[:-1], "right"), np.searchsorted(borders, edges[1:], "left")
-    return np.append(np.where(first == last, _light_of_codes(gamma, top)[first], np.nan), 1.0)
+    light = np.append(np.where(first == last, _light_of_codes(gamma, top)[first], np.nan), 1.0)
+    return light.astype(np.float32) if single else light
 
 
 @checks_arguments
@@ -452,11 +461,12 @@ def out_of_gamut_share(rgb: Array) -> float:
     rgb : light of the primaries, relative
     """
     planes = np.moveaxis(_of_three("rgb", rgb), -1, 0)
-    relative, outside = XYZ_FROM_RGB[1] / WHITE_XYZ[1], 0
+    tolerance = SINGLE_GAMUT_TOLERANCE if rgb.dtype == np.float32 else GAMUT_TOLERANCE
+    relative, outside = (XYZ_FROM_RGB[1] / WHITE_XYZ[1]).tolist(), 0
     for rows in strips(planes.shape[1], math.prod(planes.shape[2:])) if planes.ndim > 1 else [...]:
         low, high = planes[:, rows].min(axis=0), planes[:, rows].max(axis=0)
-        negative = low < -GAMUT_TOLERANCE
-        bright = (high > 1 + GAMUT_TOLERANCE) & ~negative
+        negative = low < -tolerance
+        bright = (high > 1 + tolerance) & ~negative
         red, green, blue = planes[:, rows][:, bright]
         luminance = relative[0] * red + relative[1] * green + relative[2] * blue
         outside += int(np.count_nonzero(negative)) + int(np.count_nonzero(luminance <= 1))

@@ -369,7 +369,8 @@ def _opponent_spectrum(xyz: Planes, view: ViewingConditions, single: bool) -> Pl
 
 def _grey_spectrum(luminance: npt.ArrayLike, view: ViewingConditions, single: bool) -> Planes:
     """Return the DCT-II of the filtered X/Xn, Y/Yn and Z/Zn of a grey picture, (3, H, W)."""
-    grey = np.asarray(luminance, np.float64)
+    grey = np.asarray(luminance)
+    grey = grey if single and grey.dtype == np.float32 else grey.astype(np.float64, copy=False)
     allowed = "(H, W), not empty, all values finite"
     if grey.ndim != 2 or grey.size == 0:
         raise invalid("luminance", f"shape {grey.shape}", allowed)

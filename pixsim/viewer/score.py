@@ -65,6 +65,7 @@ if TYPE_CHECKING:
 CLIPPED_WARNING = 0.01
 ROUNDING = 1e-6  # of white, in the luminance of a dot
 HISTOGRAM_BINS = 1 << 14
+COUNTED = 1 << 18  # values at a time, many more than bins
 PANEL_IN = 3.1  # width of each picture of a figure
 SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
 
@@ -158,7 +159,7 @@ def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
     """Return `np.percentile` of finite non-negative values, in a third of its time by way of a histogram."""
     scale = (HISTOGRAM_BINS - 1) / max(float(values.max()), float(np.finfo(values.dtype).tiny) * HISTOGRAM_BINS)
     values, bins, counts = values.ravel(), np.empty(values.size, np.uint16), np.zeros(HISTOGRAM_BINS, np.intp)
-    for part in strips(values.size, 1):
+    for part in strips(values.size, 1, COUNTED):
         np.multiply(values[part], scale, out=bins[part], casting="unsafe")
         counts += np.bincount(bins[part], minlength=HISTOGRAM_BINS)
     up_to = counts.cumsum()
@@ -188,7 +189,7 @@ def perceived_lab(shown: Array, display: Display, full: bool = False, single: bo
     """
     view = viewing_conditions(display) | {"single": single}
     if shown.ndim == 3:
-        return filtered_lab(displays.rgb_to_xyz(shown.astype(np.float32) if single else shown), **view)
+        return filtered_lab(displays.rgb_to_xyz(shown.astype(np.float32, copy=False) if single else shown), **view)
     return filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
 
 
@@ -205,7 +206,7 @@ class Screen:
     dot_edges_um : of the rows and columns of dots that are shown and scored
     ideal, ideal_lab : shown light on those dots, as of `Score`, and its CIELAB after the eye's blur
     full : use no shortcut for grey images
-    single : compute S-CIELAB in float32
+    single : compute the dots of frames and S-CIELAB in float32
     ideal_out_of_gamut : of `Score.out_of_gamut`
     """
 
@@ -225,7 +226,8 @@ class Screen:
 
     def luminance(self, frame: Frame, white_e: float, shading: Array | None = None) -> Array:
         """Return `displays.frame_luminance` on these dots."""
-        return displays.frame_luminance(frame, self.size_um, white_e, self.display, self.dot_edges_um, shading)
+        own = self.size_um, white_e, self.display, self.dot_edges_um, shading
+        return displays.frame_luminance(frame, *own, single=self.single)
 
     def delta_e_of(self, image: Array) -> Array:
         """Return the S-CIELAB difference between a shown picture and the ideal one, (H, W)."""
@@ -234,7 +236,9 @@ class Screen:
         view = viewing_conditions(self.display) | {"single": self.single}
         if image.ndim == 2:
             return grey_delta_e_map(self.ideal_lab, image, **view)
-        return colour_delta_e_map(self.ideal_lab, displays.rgb_to_xyz(image.astype(np.float32) if self.single else image), **view)
+        return colour_delta_e_map(
+            self.ideal_lab, displays.rgb_to_xyz(image.astype(np.float32, copy=False) if self.single else image), **view
+        )
 
 
 @dataclass(frozen=True)
@@ -362,7 +366,7 @@ class ImagingChain:
         if self.rendition is None:
             luminance = screen.luminance(frame, float(whites_e[0]), self.shading)
             return luminance if window is None else window(luminance)
-        planes = balanced_planes(frame, self.develop, whites_e, self.physics.saturation_e, self.shading)
+        planes = balanced_planes(frame, self.develop, whites_e, self.physics.saturation_e, self.shading, single=screen.single)
         own = screen.size_um, screen.display, screen.dot_edges_um
         light = frame_rgb(planes, frame, self.matrix, *own)
         return light if window is None else np.stack([window(plane) for plane in light])

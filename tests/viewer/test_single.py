@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.base.parameters import Display, Study
+from pixsim.base.parameters import DEVELOP, Develop, Display, Study
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import derive
 from pixsim.studies.evaluations import Fingerprints, scenes_of
 from pixsim.viewer import scielab
-from pixsim.viewer.display import WHITE_XYZ
-from pixsim.viewer.score import allows_single, make_imaging_chain, prepare_scene
+from pixsim.viewer.display import WHITE_XYZ, out_of_gamut_share, rgb_to_xyz, xyz_to_rgb
+from pixsim.viewer.score import allows_single, chain_at_pitch, make_imaging_chain, prepare_scene
 
 VIEW = {"white_xyz": WHITE_XYZ, "samples_per_deg": 23.0}
 SIDE = 127  # a prime number, which the transforms find hardest
@@ -117,3 +117,61 @@ def test_a_single_frame_takes_float64():
     screens = [prepare_scene(image(), pixsim.Camera(), physics, display, full, single=True).screen for full in (False, True)]
     assert [screen.single for screen in screens] == [True, False]
     assert [screen.ideal_lab.dtype == np.float32 for screen in screens] == [True, False]
+
+
+BAYER = {
+    "technology": "4t-bsi",
+    "stack": {"enabled": False},
+    "colour": {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65},
+}
+CHAINS = {
+    "grey": ({}, DEVELOP),
+    "quiet": ({"prnu": 0, "dsnu": 0}, DEVELOP),
+    "stack": ({"technology": "4t-fsi", "stack": {"height_um": 9.0, "index": 1.5, "microlens": "square"}}, DEVELOP),
+    **{name: (BAYER, Develop(demosaic=name)) for name in ("bilinear", "malvar2004", "menon2007")},
+}
+CODE = 0.6  # ΔE of a dot whose luminance lies on the border of two codes of 8 bits; the largest error seen is 0.5
+OTHER_CODE = 1e-3  # most dots that may do so. Of 256 borders, 6e-8 apart from either side, 3e-5 of even light
+
+
+def lit(kind: str) -> SpectralImage:
+    """A picture of 128² on the die, under light of one hue."""
+    at = (np.arange(128) + 0.5) / 128
+    picture = {"ramp": np.outer(at, at), "bars": np.where(np.add.outer(np.arange(128), np.arange(128)) // 8 % 2, 1.0, 0.0)}[kind]
+    nm = np.arange(400.0, 701.0, 50.0)
+    return SpectralImage(nm, 50.0, 21.2, factors=(1e-4 * (1 + nm / 700), picture.astype(np.float32)[None]), header={"white": 1.0})
+
+
+@pytest.mark.parametrize("name", CHAINS)
+@pytest.mark.parametrize("kind", ["ramp", "bars"])
+def test_single_precision_of_frame_to_score(kind, name):
+    display, (pixel, develop) = Display(white_cd_per_m2=1000, dots=128), CHAINS[name]
+    physics = derive(pixsim.Pixel(pitch_um=15.0, infrared_cut_nm=700, **pixel))
+    frames = []
+    for single in (False, True):
+        light = prepare_scene(lit(kind), pixsim.Camera(), physics, display, single=single)
+        chain = chain_at_pitch(light, physics, pixsim.Exposure(), develop=develop)
+        frame = chain.capture(5)
+        shown_light = chain.light(frame)
+        assert shown_light.dtype == (np.float32 if single and name != "menon2007" else np.float64)
+        frames.append((shown_light, chain.score_frame(frame)))
+    (exact_light, exact), (single_light, found) = frames
+    np.testing.assert_array_equal(found.frame.dn, exact.frame.dn)
+    np.testing.assert_allclose(single_light, exact_light, rtol=1e-5, atol=2e-6)  # a matrix has terms of both signs
+    assert abs(found.mean_delta_e - exact.mean_delta_e) < MEASURED
+    difference = np.abs(found.delta_e - exact.delta_e)
+    assert difference.max() < CODE
+    other = np.abs(found.image - exact.image) > 1e-6
+    assert np.count_nonzero(other) <= OTHER_CODE * other.size
+    if exact.out_of_gamut is not None:
+        np.testing.assert_allclose(found.out_of_gamut, exact.out_of_gamut, atol=OTHER_CODE)
+
+
+def test_grey_of_float32_is_within_the_gamut():
+    """Rounding puts the primaries of white and black beside 1 and 0."""
+    grey = np.linspace(0, 1, 4096)[:, None] * np.ones(3)
+    rgb = xyz_to_rgb(rgb_to_xyz(grey).astype(np.float32))
+    assert rgb.dtype == np.float32
+    assert rgb.min() < 0 or rgb.max() > 1
+    assert out_of_gamut_share(rgb) == 0
+    assert out_of_gamut_share(rgb + np.array([0, 0, -1e-5], np.float32)) > 0
