@@ -32,7 +32,8 @@ __all__ = ["colour_delta_e_map", "delta_e", "delta_e_map", "filtered_grey_lab", 
 
 Floats = npt.NDArray[np.float64]
 Planes = npt.NDArray[Any]  # float64, or float32 with `single`
-# Largest error of a mean ΔE with `single`. Measured: 1e-4 for bars of black and white, 3e-5 for other pictures; 3e-3 for a dot.
+# Largest error of a mean ΔE with `single`. Measured: 1e-4 for bars of black and white, 3e-5 for other pictures; 3e-3 for a dot that
+# shows the same code.
 SINGLE_DELTA_E = 1e-3
 
 

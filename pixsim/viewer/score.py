@@ -177,7 +177,7 @@ def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
 
 
 def allows_single(tolerance_delta_e: float | None) -> bool:
-    """Return whether a study may compute S-CIELAB in float32, whose error of a mean ΔE is below `SINGLE_DELTA_E`."""
+    """Return whether a study may compute dots and S-CIELAB in float32, whose error of a mean ΔE is below `SINGLE_DELTA_E`."""
     return tolerance_delta_e is None or tolerance_delta_e >= SINGLE_DELTA_E
 
 
@@ -507,7 +507,7 @@ def prepare_scene(
 ) -> PreparedScene:
     """Return the light behind the lens and the screen. They depend on the pitch only if the raster is one_to_one.
 
-    single : compute S-CIELAB in float32, as a study does for its many evaluations; not with `full`
+    single : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not with `full`
     border_um : largest pitch scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's pitch
     lights : behind the lens, of a part of a picture whose blur depends on its place; None computes them
 

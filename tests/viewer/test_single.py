@@ -130,7 +130,7 @@ CHAINS = {
     "stack": ({"technology": "4t-fsi", "stack": {"height_um": 9.0, "index": 1.5, "microlens": "square"}}, DEVELOP),
     **{name: (BAYER, Develop(demosaic=name)) for name in ("bilinear", "malvar2004", "menon2007")},
 }
-CODE = 0.6  # ΔE of a dot whose luminance lies on the border of two codes of 8 bits; the largest error seen is 0.5
+CODE = 1.0  # ΔE of a dot whose luminance lies on the border of two codes of 8 bits; the largest error seen is 0.8
 OTHER_CODE = 1e-3  # most dots that may do so. Of 256 borders, 6e-8 apart from either side, 3e-5 of even light
 
 
