@@ -32,7 +32,7 @@ from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.colour_matrix import RANK_TOLERANCE, Fit, check_noise_gains, colour_errors, fit_matrix
 from pixsim.viewer.demosaic import demosaic, demosaic_column_covariance, demosaic_covariance
-from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, means_on_dots, on_dots, white_light, white_lx
+from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, fits_single, means_on_dots, on_dots, white_light, white_lx
 
 SATURATED = 0.99  # of the saturation level
 
@@ -214,7 +214,7 @@ def balanced_planes(
     white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure
     saturation_e : electrons at which a pixel saturates
     shading : by which each value of the frame is divided
-    single : return them in float32, except by menon2007
+    single : return them in float32, except by menon2007, if `fits_single`
 
     Where a channel is saturated, or interpolated from a saturated pixel, nothing is known of the colour: it is shown as white.
 
@@ -234,7 +234,8 @@ def balanced_planes(
         for row, divisors in enumerate(of_channels(by_channel, layout, (height, picture.shape[1]))):
             picture[row::height] /= divisors
     method = None if layout.is_stacked else demosaic_method(develop, layout)
-    if single and method != "menon2007":  # which compares sums: rounding would decide where they are nearly equal
+    # menon2007 compares sums: rounding would decide where they are nearly equal.
+    if single and method != "menon2007" and fits_single(frame, float(by_channel.min())):
         picture = picture.astype(np.float32)
     if method is None:
         planes = np.split(picture, layout.planes)

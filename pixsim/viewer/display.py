@@ -35,6 +35,7 @@ XYZ_FROM_RGB = _PRIMARIES_XYZ * np.linalg.solve(_PRIMARIES_XYZ, WHITE_XYZ)
 RGB_FROM_XYZ = np.linalg.inv(XYZ_FROM_RGB)
 GAMUT_TOLERANCE, SINGLE_GAMUT_TOLERANCE = 1e-9, 1e-6  # of a primary's largest light, for rounding; of float32
 WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # pictures divided by white stay within float64 for any sensor and exposure
+MAX_SINGLE = 1e30  # of white, in float32: shading, corrections and matrices leave it within its range
 SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # quintic is only the reference for cubic displays
 B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
 BINS_OF_CODE, MAX_BINS = 128, 1 << 18  # of luminance; powers of two, as the number of codes, so that a product with bins is exact
@@ -317,7 +318,7 @@ def frame_luminance(
     white_e : mean electrons on axis of the scene's white, in this frame's exposure
     edges_um : of the dots' rows and columns, from `dot_edges_um`
     shading : (rows, columns) by which the frame is divided: mean collection of the pixels relative to one on axis; None for none
-    single : compute the means in float32
+    single : compute the means in float32, if `fits_single`
 
     Raises PixsimError if the edges do not increase, or if the shading is not one of positive numbers for the frame's pixels.
     """
@@ -328,7 +329,14 @@ def frame_luminance(
             got = f"an array {shading.shape}" + (" with values that are not above 0" if shading.shape == picture.shape else "")
             raise invalid("shading", got, f"positive values for each of the {picture.shape} pixels")
         picture /= shading
-    return on_dots(picture.astype(np.float32) if single else picture, frame.pitch_um, size_um, display, edges_um)
+    if single and fits_single(frame, white_e):
+        picture = picture.astype(np.float32)
+    return on_dots(picture, frame.pitch_um, size_um, display, edges_um)
+
+
+def fits_single(frame: Frame, white_e: float) -> bool:
+    """Return whether all codes of a frame, in units of white (electrons), are far within the range of float32."""
+    return 2.0**frame.bits / frame.dn_per_e + frame.mean_dark_e < MAX_SINGLE * white_e
 
 
 @checks_arguments

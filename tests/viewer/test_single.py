@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -175,3 +177,21 @@ def test_grey_of_float32_is_within_the_gamut():
     assert rgb.min() < 0 or rgb.max() > 1
     assert out_of_gamut_share(rgb) == 0
     assert out_of_gamut_share(rgb + np.array([0, 0, -1e-5], np.float32)) > 0
+
+
+@pytest.mark.parametrize("name", ["grey", "bilinear"])
+def test_light_beyond_float32_takes_float64(name):
+    """The noise of a picture whose white has 1e-60 electrons is 1e60 times white: as float32, infinite beside minus infinite."""
+    display, (pixel, develop) = Display(white_cd_per_m2=1000, dots=128), CHAINS[name]
+    physics = derive(pixsim.Pixel(pitch_um=15.0, infrared_cut_nm=700, **pixel))
+    shown_light = []
+    for single in (False, True):
+        light = prepare_scene(lit("ramp"), pixsim.Camera(), physics, display, single=single)
+        chain = chain_at_pitch(light, physics, pixsim.Exposure(), develop=develop)
+        whites = tuple(1e-60 * white for white in chain.whites_e_per_s)
+        dark = replace(chain, whites_e_per_s=whites)
+        frame = chain.capture(5)
+        shown_light.append(dark.light(frame))
+        assert np.isfinite(dark.score_frame(frame).mean_delta_e)
+    np.testing.assert_array_equal(*shown_light)
+    assert np.abs(shown_light[0]).max() > np.finfo(np.float32).max
