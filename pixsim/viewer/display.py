@@ -334,6 +334,7 @@ def frame_luminance(
     return on_dots(picture, frame.pitch_um, size_um, display, edges_um)
 
 
+@checks_arguments
 def fits_single(frame: Frame, white_e: float) -> bool:
     """Return whether all codes of a frame, in units of white (electrons), are far within the range of float32."""
     return 2.0**frame.bits / frame.dn_per_e + frame.mean_dark_e < MAX_SINGLE * white_e
