@@ -306,7 +306,8 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
                     path = files.path(make)
                 yield delayed(_numbered_from)(function, index, task, path)
 
-        watched: dict[str, Any] = {"initializer": begin_worker, "initargs": (os.getpid(),)}
+        # Workers of other arguments are not used again: those of another current folder would take a relative path from there.
+        watched: dict[str, Any] = {"initializer": begin_worker, "initargs": (os.getpid(), current_folder())}
         with parallel_config("loky", inner_max_num_threads=1, **watched):
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
             with ctrl_c_blocked() as taken:
@@ -379,8 +380,16 @@ class SharedFiles:
 WATCH_S = 1.0  # between two looks at the parent
 
 
-def begin_worker(parent: int) -> None:
-    """Prepare this process, which the one of this number has started."""
+def current_folder() -> str:
+    """Return the current folder, or nothing if it is gone."""
+    try:
+        return os.getcwd()
+    except OSError:
+        return ""
+
+
+def begin_worker(parent: int, _: str) -> None:
+    """Prepare this process, which the one of this number has started in a folder."""
     gc.disable()  # a sixth of the time of the imports; the first call enables it
     import_less()
     watch_parent(parent)

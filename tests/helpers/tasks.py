@@ -56,3 +56,7 @@ def die_once_at_7_um(task: evaluations.Task, light: evaluations.SharedLight, mar
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return evaluations.evaluate_task(task, light)
+
+
+def folder_of(task: int, shared: object) -> str:
+    return os.getcwd()

@@ -23,7 +23,7 @@ import joblib
 import numpy as np
 import pytest
 from helpers.processes import HANG_S, signalled
-from helpers.tasks import collects_garbage, die_always, die_once, die_once_at_7_um, double, fail, nothing, warn
+from helpers.tasks import collects_garbage, die_always, die_once, die_once_at_7_um, double, fail, folder_of, nothing, warn
 from helpers.tiny import tiny_toml, toml_of
 
 import pixsim
@@ -148,6 +148,16 @@ def library_threads(_: int, __: object) -> int:
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
 @pytest.mark.filterwarnings("ignore:.*brighter than display white")
+def test_results_of_are_computed_in_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers stay for the next calls, and kept the folder of the first ones, even one that was gone."""
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        if name == "second":
+            (tmp_path / "first").rmdir()
+        assert set(results_of(folder_of, [(task, dict) for task in range(8)], Workers(2))) == {str(tmp_path / name)}
+
+
 def test_results_of_worker_uses_one_core() -> None:
     """The libraries keep the threads that they start: without any, a worker runs in its own thread alone."""
     assert list(results_of(library_threads, [(task, nothing) for task in range(4)], Workers(2))) == [0] * 4
