@@ -146,8 +146,6 @@ def library_threads(_: int, __: object) -> int:
     return len(all_threads - {thread.native_id for thread in threading.enumerate()})
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
-@pytest.mark.filterwarnings("ignore:.*brighter than display white")
 def test_results_of_are_computed_in_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Workers stay for the next calls, and kept the folder of the first ones, even one that was gone."""
     for name in ("first", "second"):
@@ -158,6 +156,8 @@ def test_results_of_are_computed_in_the_current_folder(tmp_path: Path, monkeypat
         assert set(results_of(folder_of, [(task, dict) for task in range(8)], Workers(2))) == {str(tmp_path / name)}
 
 
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
+@pytest.mark.filterwarnings("ignore:.*brighter than display white")
 def test_results_of_worker_uses_one_core() -> None:
     """The libraries keep the threads that they start: without any, a worker runs in its own thread alone."""
     assert list(results_of(library_threads, [(task, nothing) for task in range(4)], Workers(2))) == [0] * 4
