@@ -265,6 +265,50 @@ def test_interruption_is_not_turned_into_another_error(way: str, number: signal.
     assert (process.returncode, err) == (128 + number, f"pixsim: {WORDS[number]}\n")
 
 
+COMMAND_WITH_A_SIGNAL = """
+import os, pathlib, signal, sys
+from pixsim import cli
+from pixsim.base import files
+from pixsim.cli import commands
+
+def interrupted(*args, **others):
+    if "{name}" != "replace" or str(args[1]) in ("out/report.html", "out/sensor.toml"):  # no unfinished file
+        signal.raise_signal(signal.SIGTERM)
+    return original(*args, **others)
+
+original = getattr({owner}, "{name}")
+setattr({owner}, "{name}", interrupted)
+sys.argv = ["pixsim", *"{line}".split()]
+cli.command()
+"""
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "is_whole"),
+    [
+        ("files", "digest_of", False),  # of the finished files, before the first is moved
+        ("pathlib.Path", "replace", True),  # that moves a file
+        ("commands", "show", True),  # prints the result
+    ],
+)
+@pytest.mark.parametrize("line", ["lens singlet --out out", "template sensor -o out/sensor.toml"])
+def test_signal_beside_finished_files_ends_or_not(owner: str, name: str, is_whole: bool, line: str, tmp_path: Path) -> None:
+    """A command had moved all its files, and gave the exit code of an interruption."""
+    if line.startswith("template"):
+        if name == "digest_of":
+            owner, name = "pathlib.Path", "write_text"
+        (tmp_path / "out").mkdir()
+    process = started(COMMAND_WITH_A_SIGNAL.format(owner=owner, name=name, line=line), tmp_path)
+    out, err = process.communicate(timeout=HANG_S)
+    assert process.returncode == (0 if is_whole else 128 + signal.SIGTERM)
+    assert bool(out) is is_whole
+    assert ("pixsim: terminated" in notes_of(err)) is not is_whole
+    written = {path.name for path in (tmp_path / "out").rglob("*")} if (tmp_path / "out").exists() else set()
+    assert bool(written) is is_whole
+    assert not is_whole or written >= {"report.html", "provenance.json"} or written == {"sensor.toml"}
+    assert not list((tmp_path / "tmp").iterdir())
+
+
 # --- Killed --------------------------------------------------------------------------------------------------------------
 
 

@@ -235,6 +235,19 @@ def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> N
         raise invalid("output folder", got, "a folder without them", "Choose another with --out, or move these files away.")
 
 
+_told: list[Callable[[], object]] = []
+
+
+@contextmanager
+def told_before_publishing(call: Callable[[], object]) -> Iterator[None]:
+    """Call a function, within the block, when finished files are about to be moved into place; if it raises, none is moved."""
+    _told.append(call)
+    try:
+        yield
+    finally:
+        _told.remove(call)
+
+
 @contextmanager
 def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = None, keep: Iterable[Path] = ()) -> Iterator[Path]:
     """A temporary folder, whose files are moved to `folder` when all of them are written.
@@ -263,6 +276,8 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
         both: Listed = {name: {**entry, "digests": list(entry["digests"])} for name, entry in now.items()}
         for name in both.keys() & before.keys():
             both[name]["digests"] += before[name]["digests"]
+        for call in _told:
+            call()
         write_provenance(before | both)
         kept.append("Some files of the folder are new, others are still those before; pixsim knows both.")
         for name in made:
@@ -308,6 +323,8 @@ def write_new(path: Path, text: str) -> None:
     try:
         with replacing(path) as partial:
             partial.write_text(text, encoding="utf-8")
+            for call in _told:
+                call()
     except OSError as error:
         raise PixsimError(f"output file: '{path}' cannot be written ({error.strerror}). Choose another name.") from None
 

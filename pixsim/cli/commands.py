@@ -19,7 +19,7 @@ from cyclopts import Parameter
 
 from pixsim.base.config import read_toml, study_layers
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
-from pixsim.base.files import MIB, check_replaceable, output_folder
+from pixsim.base.files import MIB, check_replaceable, output_folder, told_before_publishing
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Run
@@ -52,7 +52,8 @@ def run_command(tokens: Sequence[str]) -> None:
     warnings.showwarning = lambda message, *_, **__: common.verbosity.note(f"warning: {message}")
     interruption.begin()
     try:
-        with collected_notes():  # also of the settings, before a result collects its own
+        # Notes also of the settings, before a result collects its own.
+        with collected_notes(), told_before_publishing(interruption.decide):
             app(with_lens_file(with_each_format(arguments)), exit_on_error=False, print_error=False)
     except Exception as error:
         if interruption.received:  # a library has turned it into another exception

@@ -51,12 +51,28 @@ class Interruption:
 
     def begin(self) -> None:
         """The command begins: from now on a signal raises KeyboardInterrupt."""
-        self._begun = True
+        self._begun, self._done = True, False
+
+    def decide(self) -> None:
+        """The command is about to move its finished files into place. From now on it counts as ended, and signals wait for it.
+
+        Otherwise a signal between the files and the end of the process would give the exit code of an interruption beside all
+        files of the command.
+
+        Raises KeyboardInterrupt if a signal has come before.
+        """
+        if self.received is None:
+            self.finish()
+        if self.received is not None:
+            self._done = False
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            raise KeyboardInterrupt
 
     def finish(self) -> None:
         """The command has ended: signals do not disturb the clean-up of the process, unless that takes long."""
         self._done, self._at_s = True, time.monotonic()
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        if self.received is not None:
+            signal.setitimer(signal.ITIMER_REAL, 0)
 
     @property
     def words(self) -> str:
