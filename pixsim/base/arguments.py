@@ -12,6 +12,7 @@ import math
 import numbers
 import os
 import reprlib
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
@@ -24,6 +25,7 @@ from pixsim.base.errors import PixsimError, invalid
 P = ParamSpec("P")
 R = TypeVar("R")
 C = TypeVar("C", bound=type)
+T = TypeVar("T")
 Check = Callable[[str, Any], Any]  # of the name and the value of an argument; returns the value to use
 MAX_SHOWN = 80  # characters of a value in a message
 
@@ -176,6 +178,13 @@ def checks_fields(kind: C) -> C:
     return kind
 
 
+def made(kind: type[T], *fields: Any, **named: Any) -> T:
+    """Return a dataclass of `checks_fields` without its checks, for fields that have just been computed from checked ones."""
+    instance = object.__new__(kind)
+    kind.__init__.__wrapped__(instance, *fields, **named)  # type: ignore[attr-defined]
+    return instance
+
+
 def check_of(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> Check:
     """The check of an annotation.
 
@@ -208,13 +217,11 @@ def check_of(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -
     if hint is bool:
         return _kind("True or False", lambda value: type(value).__name__ in ("bool", "bool_"))  # of NumPy, too
     if hint is str:
-        return _kind("a text", lambda value: isinstance(value, str))
+        return _instance(str, "a text")
     kind = origin or hint
     if kind is os.PathLike:
         return _path
-    if kind is Path:
-        return _kind("a pathlib.Path", lambda value: isinstance(value, Path))
-    return _kind(f"a {kind.__name__}", lambda value: isinstance(value, kind))
+    return _instance(kind, "a pathlib.Path" if kind is Path else f"a {kind.__name__}")
 
 
 def brief(value: object) -> str:
@@ -237,6 +244,15 @@ def _kind(expected: str, holds: Callable[[Any], bool]) -> Check:
     return check
 
 
+def _instance(kind: type, expected: str) -> Check:
+    def check(name: str, value: Any) -> Any:
+        if not isinstance(value, kind):
+            raise invalid(name, brief(value), expected)
+        return value
+
+    return check
+
+
 def _path(name: str, value: Any) -> Any:
     if not isinstance(value, str | os.PathLike) or not os.fspath(value) or "\0" in str(value):
         raise invalid(name, brief(value), "the path of a file")
@@ -246,10 +262,14 @@ def _path(name: str, value: Any) -> Any:
 def _number(kind: type, bounds: Bounds | None) -> Check:
     bounds = bounds or FINITE
     expected = f"a {bounds.of('whole number' if kind is int else 'number')}"
+    low, high = bounds.low, min(bounds.high, sys.float_info.max)
 
     def check(name: str, value: Any) -> Any:
-        number = value
-        if type(value) is not kind:  # what most are, and quickly seen to be
+        number, own = value, type(value)
+        if own is kind:
+            if low < value < high:  # what most are, and quickly seen to be
+                return value
+        else:
             number = value.item() if getattr(value, "ndim", None) == 0 else value  # a number of NumPy
             if isinstance(number, bool) or not isinstance(number, numbers.Integral if kind is int else numbers.Real):
                 raise invalid(name, brief(value), expected)
@@ -272,10 +292,14 @@ def _array_check(hint: Any, bounds: Bounds | None, axes: int | None = None) -> C
     dtype = get_args(get_args(hint)[1])[0] if is_array and get_args(get_args(hint)[1]) else None
     expected = f"{'an array of ' if is_array else ''}{bounds.of('numbers') if bounds else 'real numbers'}"
     wanted = dtype if dtype in (np.float64, np.float32) else None
+    is_free = bounds is None and axes is None
+    is_open = bounds is not None and bounds.infinite and bounds.high == math.inf
 
     def check(name: str, value: Any) -> Any:
         try:
             array = np.asarray(value)
+            if is_free and array.dtype.kind == "f":  # what most are, and quickly seen to be
+                return array
             if array.dtype.kind == "O" and all(isinstance(part, numbers.Real) for part in array.flat):
                 array = array.astype(float)  # integers beyond 64 bits
         except (TypeError, ValueError, OverflowError):
@@ -286,7 +310,7 @@ def _array_check(hint: Any, bounds: Bounds | None, axes: int | None = None) -> C
             raise invalid(
                 name, f"an array of shape {array.shape}", f"{expected}, not empty, with {axes} {'axis' if axes == 1 else 'axes'}"
             )
-        if bounds and array.size and not bounds.hold(array.min(), array.max()):
+        if bounds and array.size and not bounds.hold(low := array.min(), low if is_open else array.max()):  # min propagates NaN
             at = np.unravel_index(np.argmin(_within(array, bounds)), array.shape)
             where = f" at {[int(i) for i in at]}" if array.ndim else ""
             raise invalid(name, f"{array[at]}{where}", expected)

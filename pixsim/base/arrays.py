@@ -30,6 +30,7 @@ Item = TypeVar("Item")
 MAX_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
 CACHE_LINE_BYTES = 64
 STRIP_SAMPLES = 1 << 15  # float64, 256 KiB: three strips and the arrays computed from them fit into the L2 cache of a core
+STRIP_DOTS = 1 << 17  # of a display, which has fewer dots than a film has cells: shorter strips take 3 % longer, in calls
 
 
 def empty_planes(*shape: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
@@ -56,13 +57,17 @@ def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice
     return (slice(first, min(first + lines, count)) for first in range(0, count, lines))
 
 
-def strips_of(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> Iterator[tuple[slice, NDArray[Any]]]:
+def strips_of(
+    shape: tuple[int, ...], dtype: DTypeLike = np.float64, samples: int | None = None
+) -> Iterator[tuple[slice, NDArray[Any]]]:
     """Slice of rows and an uninitialised work array (…, rows, W) for each strip of planes (…, H, W), as large as those of float64.
 
     All strips share one work array: allocating the pages of a new one costs more than the arithmetic.
+
+    samples : float64 numbers of a strip, as of `strips`
     """
     scratch, (height, width) = None, shape[-2:]
-    for rows in strips(height, width, STRIP_SAMPLES * 8 // np.dtype(dtype).itemsize):
+    for rows in strips(height, width, (samples or STRIP_SAMPLES) * 8 // np.dtype(dtype).itemsize):
         if scratch is None:
             scratch = np.empty((*shape[:-2], rows.stop, shape[-1]), dtype)
         yield rows, scratch[..., : rows.stop - rows.start, :]
@@ -135,11 +140,17 @@ def in_threads(function: Callable[[Item], None], items: Iterable[Item], size: in
             pool.shutdown(cancel_futures=True)
 
 
-def dct(planes: NDArray[Any]) -> NDArray[Any]:
-    """DCT-II over the last two axes of (…, H, W), in place, in float32 or float64; any number of threads gives the same."""
+def dct(planes: NDArray[Any], in_place: bool = True) -> NDArray[Any]:
+    """DCT-II over the last two axes of (…, H, W), in float32 or float64; any number of threads gives the same.
+
+    in_place : overwrite the planes, which then are those of `empty_planes`
+    """
     from scipy.fft import dctn  # imported here: it takes 0.1 s
 
-    return np.asarray(dctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=threads()))
+    if not in_place and _strides_clash(planes.shape[-1] * planes.itemsize):
+        planes, own = empty_planes(*planes.shape, dtype=planes.dtype), planes
+        planes[...], in_place = own, True
+    return np.asarray(dctn(planes, type=2, axes=(-2, -1), overwrite_x=in_place, workers=threads()))
 
 
 def inverse_dct(planes: NDArray[Any]) -> NDArray[Any]:
@@ -237,8 +248,10 @@ def _npy_header(file: IO[bytes], size_bytes: int, path: Path, name: str, expecte
     return ArrayHeader(shape, dtype)
 
 
+_key_text = json.JSONEncoder(default=operator.index).encode  # `operator.index` treats NumPy integers as Python integers
+
+
 def stream(*key: object) -> np.random.Generator:
     """Random generator that depends only on its key, not on the order or the number of workers."""
-    # `operator.index` treats NumPy integers as Python integers.
-    digest = hashlib.blake2b(json.dumps(key, default=operator.index).encode(), digest_size=16).digest()
+    digest = hashlib.blake2b(_key_text(key).encode(), digest_size=16).digest()
     return np.random.default_rng(np.random.SeedSequence(int.from_bytes(digest, "little")))

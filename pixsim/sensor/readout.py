@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments, checks_fields
+from pixsim.base.arguments import checks_arguments, checks_fields, made
 from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Exposure, Pixel
@@ -98,7 +98,7 @@ def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.
     column_offset_e = np.empty((1, shape[1])) if p.column_fpn_e else None
     if column_offset_e is not None:
         _draw_gaussian(p.column_fpn_e, column_offset_e, rng)
-    return Sensor(p, shape, gain, dark_gain, offset_e, column_offset_e)
+    return made(Sensor, p, shape, gain, dark_gain, offset_e, column_offset_e)
 
 
 def _rows_of(picture: Array) -> Iterator[Array]:
@@ -383,7 +383,8 @@ def make_frame(
 def _frame(
     dn: NDArray[np.int32], saturated_fraction: float, mean_e: Array, time_s: float, physics: PixelPhysics, exposure: Exposure
 ) -> Frame:
-    return Frame(
+    return made(
+        Frame,
         dn=dn,
         mean_e=mean_e,
         integration_s=time_s,

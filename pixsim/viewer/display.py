@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array, strips, transposed
+from pixsim.base.arrays import STRIP_DOTS, Array, strips, transposed
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display
@@ -185,38 +185,51 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
     """
     if axis >= values.ndim or not values.size:
         raise invalid("values", f"an array of shape {values.shape}", f"one with an axis {axis}, not empty")
-    edges = (edges_um - low_um) / pitch_um - 0.5
-    if not np.all(np.diff(edges) > 0):
-        got = f"intervals that do not increase in cells of pitch_um = {pitch_um:g} from low_um = {low_um:g}"
-        raise invalid("edges_um", got, "increasing edges")
-    lines = np.moveaxis(values, axis, 0)
+    return _average_axis(values, pitch_um, low_um, edges_um, degree, axis)
+
+
+def _average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array, degree: int, axis: int) -> Array:
+    """Return `average_axis` of checked arguments."""
+    lines = values.swapaxes(0, axis)
     degree = min(degree, len(lines) - 1)
     if degree < 2:
-        weights = _mean_weights(len(lines), edges.tobytes(), degree, values.dtype == np.float32)
+        edges_bytes = np.asarray(edges_um, float).tobytes()
+        weights = _mean_weights(len(lines), pitch_um, low_um, edges_bytes, degree, values.dtype == np.float32)
         if axis == 1 and values.ndim == 2:
             return transposed(weights @ transposed(values))
         means = weights @ np.ascontiguousarray(lines)
     else:
         from scipy.interpolate import make_interp_spline  # takes 0.3 s, needed for cubic displays only
 
+        edges = _edges_in_cells(edges_um, pitch_um, low_um)
         running = make_interp_spline(np.arange(float(len(lines))), lines, k=degree).antiderivative()
         column = edges.reshape(-1, *[1] * (lines.ndim - 1))
         beyond = np.minimum(column, 0.0) * lines[0] + np.maximum(column - (len(lines) - 1), 0.0) * lines[-1]
         means = np.diff(running(np.clip(edges, 0, len(lines) - 1)) + beyond, axis=0) / np.diff(column, axis=0)
-    return np.ascontiguousarray(np.moveaxis(means, 0, axis))
+    return np.ascontiguousarray(means.swapaxes(0, axis))
+
+
+def _edges_in_cells(edges_um: Array, pitch_um: float, low_um: float) -> Array:
+    """Return edges in units of cells, 0 in the centre of the first one. Raises PixsimError if they do not increase."""
+    edges = (edges_um - low_um) / pitch_um - 0.5
+    if not np.all(np.diff(edges) > 0):
+        got = f"intervals that do not increase in cells of pitch_um = {pitch_um:g} from low_um = {low_um:g}"
+        raise invalid("edges_um", got, "increasing edges")
+    return edges
 
 
 @lru_cache(maxsize=4)  # the frames of a pitch share them
-def _mean_weights(n: int, edges_bytes: bytes, degree: int, single: bool) -> csr_array:
-    """Return the weights of n values at 0 … n - 1 in the means between neighbouring edges, sparse (edges - 1, n).
+def _mean_weights(n: int, pitch_um: float, low_um: float, edges_bytes: bytes, degree: int, single: bool) -> csr_array:
+    """Return the weights of n cells in the means between neighbouring edges, sparse (edges - 1, n).
 
-    edges_bytes : of the array of edges, float64
+    pitch_um, low_um : as of `average_axis`
+    edges_bytes : of the array of edges (µm), float64
     single : return them in float32
 
     The basis function of a value is a box (degree 0) or a hat (degree 1) around its position; the outermost ones extend to
     infinity. Their integral up to an edge has a closed form, and few of them overlap an interval.
     """
-    edges, reach = np.frombuffer(edges_bytes), 0.5 if degree == 0 else 1.0
+    edges, reach = _edges_in_cells(np.frombuffer(edges_bytes), pitch_um, low_um), 0.5 if degree == 0 else 1.0
     first = np.clip(np.floor(edges[:-1] - reach), 0, n - 1).astype(int)
     last = np.clip(np.ceil(edges[1:] + reach), 0, n - 1).astype(int)
     value = first[:, None] + np.arange((last - first).max() + 1)
@@ -359,15 +372,17 @@ def on_dots(
     for axis in (0, 1) if picture.shape[1] > display.dots else (1, 0):
         low_um = size_um[axis] / 2 - picture.shape[axis] / 2 * pitch_um
         degree = SPLINE_DEGREE[display.interpolation]
-        picture = average_axis(picture, pitch_um, low_um, edges_um[axis], degree, axis)
+        picture = _average_axis(picture, pitch_um, low_um, edges_um[axis], degree, axis)
     return picture
 
 
 @checks_arguments
-def shown_luminance(relative_luminance: Array, display: Display) -> Array:
+def shown_luminance(relative_luminance: Array, display: Display, *, in_place: bool = False) -> Array:
     """Return `relative_luminance` (...) as a display of finite bits and range shows it, in the same shape, 1 for white.
 
     That of float32 is float32. Encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1.
+
+    in_place : overwrite `relative_luminance` if its values lie one behind the other
 
     >>> shown_luminance(np.array([-0.1, 0.5, 2.0]), Display(gamma=1.0, bits=1)).tolist()
     [0.0, 0.0, 1.0]
@@ -375,9 +390,10 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
     top = 2**display.bits - 1
     single = relative_luminance.dtype == np.float32
     table, borders = _light_of_bins(display.gamma, top, single), _code_borders(display.gamma, top)
-    shown = np.empty(relative_luminance.shape, table.dtype)
+    in_place = in_place and relative_luminance.flags.c_contiguous and relative_luminance.dtype == table.dtype
+    shown = relative_luminance if in_place else np.empty(relative_luminance.shape, table.dtype)
     values, out = relative_luminance.reshape(-1), shown.reshape(-1)
-    for part in strips(values.size, 1):
+    for part in strips(values.size, 1, STRIP_DOTS):
         luminance, result = np.clip(values[part], 0.0, 1.0), out[part]
         bins = (luminance * (table.size - 1)).astype(np.int32)
         np.take(table, bins, out=result, mode="clip")  # checks of indices take as long again

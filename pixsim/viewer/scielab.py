@@ -24,7 +24,7 @@ import numpy.typing as npt
 import scipy.fft
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import dct, empty_planes, first_where, inverse_dct, strips_of
+from pixsim.base.arrays import STRIP_DOTS, dct, empty_planes, first_where, inverse_dct, strips, strips_of
 from pixsim.base.errors import invalid
 
 # The public interface, as docs/reference lists it.
@@ -69,7 +69,7 @@ def checked_pair(dimensions: int | None = None, **arrays: npt.ArrayLike) -> tupl
 
 def checked_white(white_xyz: npt.ArrayLike) -> Floats:
     white = np.asarray(white_xyz, np.float64)
-    if white.shape != (3,) or not (np.isfinite(white).all() and (white > 0).all()):
+    if white.shape != (3,) or not all(0 < part < math.inf for part in white.tolist()):
         hint = "Give X, Y, Z in the image's unit; D65 is (95.047, 100, 108.883) times its luminance over 100."
         raise invalid("white_xyz", white.tolist(), "three finite numbers above 0", hint)
     return white
@@ -200,7 +200,8 @@ def _centred_positions(samples_per_deg: float) -> Floats:
 
 
 Formula = Literal["1976", "1994", "2000"]
-Strips = Iterator[tuple[slice, Planes]]  # rows, and planes (3, rows, W)
+Lab = tuple[Planes, Planes, Planes]  # L*, a*, b*, each (…)
+Strips = Iterator[tuple[slice, Lab]]  # rows, and planes (rows, W)
 # Luminance, red-green, blue-yellow from XYZ: [ZW] and [1996].
 OPPONENT_FROM_XYZ = np.array(
     [[0.2787336, 0.7218031, -0.1065520], [-0.4487736, 0.2898056, 0.0771569], [0.0859513, -0.5899859, 0.5011089]]
@@ -338,14 +339,14 @@ def colour_delta_e_map(
     return _differences(reference_lab, _iter_lab_strips(spectrum, view), spectrum)
 
 
-def _differences(reference_lab: npt.ArrayLike, strips: Strips, spectrum: Planes) -> Floats:
+def _differences(reference_lab: npt.ArrayLike, parts: Strips, spectrum: Planes) -> Floats:
     """Return the distances (H, W) of a reference (H, W, 3) from strips of CIELAB, in the precision of `spectrum` (3, H, W)."""
     reference, shape = np.asarray(reference_lab, spectrum.dtype), (*spectrum.shape[1:], 3)
     if reference.shape != shape:
         raise invalid("reference_lab, shape", reference.shape, str(shape), "Resample one image to the raster of the other.")
-    reference = np.moveaxis(reference, -1, 0)
+    reference = reference.transpose(2, 0, 1)
     difference, largest = np.empty(spectrum.shape[1:], spectrum.dtype), []
-    for rows, lab in strips:
+    for rows, lab in parts:
         largest.append(_distance(reference[:, rows], lab, difference[rows]))
     if not math.isfinite(sum(largest)):
         checked_triples("reference_lab", reference_lab)
@@ -360,7 +361,7 @@ def _opponent_spectrum(xyz: Planes, view: ViewingConditions, single: bool) -> Pl
     scaled, scale = (
         (np.multiply, math.ldexp(1.0, -view.exponent)) if abs(view.exponent) < MAX_EXPONENT else (np.ldexp, -view.exponent)
     )
-    for rows, strip in strips_of(planes.shape, opponent.dtype):
+    for rows, strip in strips_of(planes.shape, opponent.dtype, STRIP_DOTS):
         scaled(planes[:, rows], scale, out=strip, casting="same_kind")
         _apply_matrix(OPPONENT_FROM_XYZ, strip, opponent[:, rows])
     spectrum = dct(opponent)
@@ -375,12 +376,14 @@ def _grey_spectrum(luminance: npt.ArrayLike, view: ViewingConditions, single: bo
     allowed = "(H, W), not empty, all values finite"
     if grey.ndim != 2 or grey.size == 0:
         raise invalid("luminance", f"shape {grey.shape}", allowed)
-    picture, spectrum = (empty_planes(*shape, dtype=_precision(single)) for shape in (grey.shape, (3, *grey.shape)))
-    picture[...] = grey
-    coefficients = dct(picture)
+    coefficients = dct(grey.astype(_precision(single), copy=False), in_place=False)
     if not math.isfinite(coefficients[0, 0]) and not is_finite(grey):  # the first one is the sum over the picture
         raise invalid("luminance", f"shape {grey.shape}", allowed)
-    return np.asarray(np.multiply(filter_transfer(view, *grey.shape, grey=True, single=single), coefficients, out=spectrum))
+    transfer = filter_transfer(view, *grey.shape, grey=True, single=single)
+    spectrum = empty_planes(3, *grey.shape, dtype=coefficients.dtype)
+    for rows in strips(len(grey), grey.shape[1], STRIP_DOTS):
+        np.multiply(transfer[:, rows], coefficients[rows], out=spectrum[:, rows])
+    return spectrum
 
 
 def _iter_lab_strips(spectrum: Planes, view: ViewingConditions, grey: bool = False) -> Strips:
@@ -389,20 +392,20 @@ def _iter_lab_strips(spectrum: Planes, view: ViewingConditions, grey: bool = Fal
     grey : the spectrum is that of X/Xn, Y/Yn, Z/Zn instead of the opponent channels
     """
     planes = inverse_dct(spectrum)
-    work, result = (strips_of(planes.shape, planes.dtype) for _ in range(2))
-    for (rows, strip), (_, lab) in zip(work, result, strict=True):
-        relative = planes[:, rows] if grey else strip
-        if not grey:
-            _apply_matrix(view.relative_from_opponent, planes[:, rows], strip)
-        _lab_planes(relative, *view.constants, out=lab)
-        yield rows, lab
+    for rows, strip in strips_of(planes.shape, planes.dtype, STRIP_DOTS):
+        if grey:
+            yield rows, _lab_planes(planes[:, rows], *view.constants)
+            continue
+        _apply_matrix(view.relative_from_opponent, planes[:, rows], strip)
+        yield rows, _lab_planes(strip, *view.constants)
 
 
-def _assemble_strips(strips: Strips, spectrum: Planes) -> Planes:
+def _assemble_strips(parts: Strips, spectrum: Planes) -> Planes:
     """Return an image (H, W, 3) from strips of its planes, of the shape (3, H, W) and in the precision of `spectrum`."""
     planes = np.empty(spectrum.shape, spectrum.dtype)
-    for rows, strip in strips:
-        planes[:, rows] = strip
+    for rows, lab in parts:
+        for plane, part in zip(planes, lab, strict=True):
+            plane[rows] = part
     return np.moveaxis(planes, 0, -1)
 
 
@@ -422,9 +425,10 @@ def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Form
     check_choice("formula", formula, get_args(Formula))
     reference, test = checked_pair(lab_reference=lab_reference, lab_test=lab_test)
     if formula == "1976":
-        distance = np.empty(reference.shape[:-1])
-        _distance(np.moveaxis(reference, -1, 0), np.moveaxis(test, -1, 0).copy(), distance)
-        return distance[()]
+        distance = np.empty(reference.size // 3)
+        x, y, z = test.reshape(-1, 3).T.copy()
+        _distance(reference.reshape(-1, 3).T, (x, y, z), distance)
+        return distance.reshape(reference.shape[:-1])[()]
     import colour  # takes 2.6 s, needed for these formulas only
 
     compare = colour.difference.delta_E_CIE1994 if formula == "1994" else colour.difference.delta_E_CIE2000
@@ -432,13 +436,14 @@ def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Form
         return np.asarray(compare(reference, test), np.float64)
 
 
-def _distance(first: Planes, second: Planes, out: Floats) -> float:
-    """Write the Euclidean distance of planes (3, ...) to `out`; overwrites `second`. Return the square of the largest, or NaN."""
-    np.square(np.subtract(first, second, out=second), out=second)
-    squared = second[:1]
-    squared += second[1:2]
-    squared += second[2:]
-    np.sqrt(squared[0], out=out)
+def _distance(first: Planes, second: Lab, out: Floats) -> float:
+    """Write the Euclidean distance of planes to `out`; overwrites `second`. Return the square of the largest, or NaN."""
+    for plane, other in zip(first, second, strict=True):
+        np.square(np.subtract(plane, other, out=other), out=other)
+    squared = second[0]
+    squared += second[1]
+    squared += second[2]
+    np.sqrt(squared, out=out)
     return float(squared.max())
 
 
@@ -455,38 +460,39 @@ def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
 
 def _lab(relative: Floats, threshold: float, slope: float, dark_slope: float) -> Floats:
     """Return the CIELAB (..., 3) of planes (3, ...) of X/Xn, Y/Yn, Z/Zn."""
-    planes = np.array(relative).reshape(3, -1)
-    lab = np.empty_like(planes)
-    _lab_planes(planes, threshold, slope, dark_slope, out=lab)
-    return np.moveaxis(lab.reshape(relative.shape), 0, -1)
+    lab = _lab_planes(np.array(relative).reshape(3, -1), threshold, slope, dark_slope)
+    return np.stack(lab, axis=-1).reshape(*relative.shape[1:], 3)
 
 
-def _lab_planes(relative: Planes, threshold: float, slope: float, dark_slope: float, out: Planes) -> None:
-    """Write L*, a*, b* planes to `out`; overwrites the planes of X/Xn, Y/Yn, Z/Zn (3, ...).
+def _lab_planes(relative: Planes, threshold: float, slope: float, dark_slope: float) -> Lab:
+    """Return L*, a* and b*, which overwrite the planes of X/Xn, Y/Yn, Z/Zn (3, ...).
 
     The linear branch is evaluated only if a sample lies at or below the threshold.
     """
     if relative.dtype == np.float32:
         for plane in relative:
             _single_f(plane, threshold, slope, out=plane)
-        _write_lab(relative, out)  # 116 f - 16 continues the dark branch of L*, to 1e-6
-        return
+        return _lab_of_f(relative)  # 116 f - 16 continues the dark branch of L*, to 1e-6
     linear = relative.copy() if relative.min() <= threshold else None
     f = np.cbrt(relative, out=relative)
     if linear is not None:
         np.copyto(f, slope * linear + 16 / 116, where=linear <= threshold)
-    _write_lab(f, out)
+    lab = _lab_of_f(f)
     if linear is not None:
-        np.copyto(out[0], dark_slope * linear[1], where=linear[1] <= threshold)
+        np.copyto(lab[0], dark_slope * linear[1], where=linear[1] <= threshold)
+    return lab
 
 
-def _write_lab(f: Planes, out: Planes) -> None:
-    """Write 116 f(Y) - 16, 500 (f(X) - f(Y)) and 200 (f(Y) - f(Z)) to `out`."""
-    np.multiply(f[1], 116, out=out[0])
-    out[0] -= 16
-    np.subtract(f[:2], f[1:], out=out[1:])
-    out[1] *= 500
-    out[2] *= 200
+def _lab_of_f(f: Planes) -> Lab:
+    """Return 116 f(Y) - 16, 500 (f(X) - f(Y)) and 200 (f(Y) - f(Z)), which overwrite f (3, ...)."""
+    x, y, z = f
+    x -= y
+    x *= 500
+    np.subtract(y, z, out=z)
+    z *= 200
+    y *= 116
+    y -= 16
+    return y, x, z
 
 
 F_BIN_BITS = 13  # of the 23 of a float32's fraction: 1024 bins an octave, whose chords are within 3e-8 of a cube root

@@ -6,13 +6,13 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
-from pixsim.base.arguments import checks_arguments, checks_fields
+from pixsim.base.arguments import checks_arguments, checks_fields, made
 from pixsim.base.arrays import Array, mixed, stream, strips
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
@@ -101,7 +101,8 @@ class Score:
     def statistics(self) -> dict[str, float]:
         """Return the numbers of score.json and of a study's rows, with the unit in each name."""
         p, frame = self.physics, self.frame
-        median, p90, p99 = percentiles(self.delta_e, (50, 90, 99))
+        largest = float(self.delta_e.max())
+        median, p90, p99 = percentiles(self.delta_e, (50, 90, 99), largest)
         names = "ideal_out_of_gamut_fraction", "out_of_gamut_fraction"
         gamut = {} if self.out_of_gamut is None else dict(zip(names, self.out_of_gamut, strict=True))
         return {
@@ -115,7 +116,7 @@ class Score:
             "median_delta_e": median,
             "p90_delta_e": p90,
             "p99_delta_e": p99,
-            "max_delta_e": float(self.delta_e.max()),
+            "max_delta_e": largest,
             **gamut,
         }
 
@@ -155,9 +156,13 @@ class Score:
         return f"<Score mean ΔE {self.light.shown(self.mean_delta_e)}, {'; '.join(filter(None, words))}>"
 
 
-def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
-    """Return `np.percentile` of finite non-negative values, in a third of its time by way of a histogram."""
-    scale = (HISTOGRAM_BINS - 1) / max(float(values.max()), float(np.finfo(values.dtype).tiny) * HISTOGRAM_BINS)
+def percentiles(values: Array, percent: tuple[float, ...], largest: float | None = None) -> list[float]:
+    """Return `np.percentile` of finite non-negative values, in a third of its time by way of a histogram.
+
+    largest : of the values, if it is known
+    """
+    largest = float(values.max()) if largest is None else largest
+    scale = (HISTOGRAM_BINS - 1) / max(largest, float(np.finfo(values.dtype).tiny) * HISTOGRAM_BINS)
     values, bins, counts = values.ravel(), np.empty(values.size, np.uint16), np.zeros(HISTOGRAM_BINS, np.intp)
     for part in strips(values.size, 1, COUNTED):
         np.multiply(values[part], scale, out=bins[part], casting="unsafe")
@@ -166,7 +171,7 @@ def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
     at = [percentage / 100 * (values.size - 1) for percentage in percent]
     ranks = np.array([[int(place), min(int(place) + 1, values.size - 1)] for place in at])  # 0 for the smallest value
     own = np.searchsorted(up_to, ranks, "right")
-    wanted = np.unique(own)
+    wanted = np.array(sorted(set(own.ravel().tolist())))
     chosen = np.zeros(bins.shape, bool)
     for one in wanted.tolist():  # a number of Python does not widen the bins
         chosen |= bins == one
@@ -283,22 +288,29 @@ class ImagingChain:
 
     def capture(self, *key: object) -> Frame:
         """Return the frame that `simulate` scores."""
-        return self.capture_by(self.sensor(*key), stream(*key, "frame"), stream(*key, "correction"))
+        frame_rng = stream(*key, "frame")  # beside the sensor's: a generator takes three times as long after other work
+        return self.capture_by(self.sensor(*key), frame_rng, partial(stream, *key, "correction"))
 
     def capture_with(
         self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator, correction_rng: np.random.Generator
     ) -> Frame:
         """Return a frame whose fixed pattern, temporal noise and frames for its correction come from three generators."""
-        return self.capture_by(sample_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng), frame_rng, correction_rng)
+        sensor = sample_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
+        return self.capture_by(sensor, frame_rng, lambda: correction_rng)
 
-    def capture_by(self, sensor: Sensor, frame_rng: np.random.Generator, correction_rng: np.random.Generator) -> Frame:
-        """Return a frame of a sensor, whose temporal noise and frames for its correction come from two generators."""
+    def capture_by(
+        self, sensor: Sensor, frame_rng: np.random.Generator, correction_rng: Callable[[], np.random.Generator]
+    ) -> Frame:
+        """Return a frame of a sensor, whose temporal noise and frames for its correction come from two generators.
+
+        correction_rng : returns the second one, if the camera corrects its frames
+        """
         frame = capture_from_rates(self.signal_e_per_s, sensor, self.exposure, frame_rng)
         if not self.correction.is_on:
             return frame
         layout, whites = self.physics.layout, np.array(self.whites_e_per_s)
         levels = None if layout is None else of_channels(whites / whites.max(), layout, self.signal_e_per_s.shape)
-        return correct(frame, sensor, self.correction, correction_rng, self.even, levels)
+        return correct(frame, sensor, self.correction, correction_rng(), self.even, levels)
 
     def further_frames(self, count: int, *key: object) -> Iterator[Frame]:
         """Yield frames 2, 3, … of the sensor of `capture`, whose frame is the first of `count`; they are not corrected.
@@ -374,18 +386,21 @@ class ImagingChain:
     def score_frame(self, frame: Frame) -> Score:
         """Return the score of a frame as shown on the screen."""
         screen = self.screen
-        light = self.light(frame)
-        image, gamut = shown(light, screen.display), None
+        light, gamut = self.light(frame), None
         if light.ndim == 3:
             gamut = screen.ideal_out_of_gamut, displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
+        image = shown(light, screen.display, in_place=True)
         # Pixels that fill the picture exactly may begin at -1e-18 µm.
         border_um = max(0.0, float(screen.dot_edges_um[0][0])), max(0.0, float(screen.dot_edges_um[1][0]))
-        return Score(screen.delta_e_of(image), screen.ideal, image, frame, self.physics, border_um, gamut)
+        return made(Score, screen.delta_e_of(image), screen.ideal, image, frame, self.physics, border_um, gamut)
 
 
-def shown(light: Array, display: Display) -> Array:
-    """Return light as a display shows it: (H, W) of a luminance (H, W); (H, W, 3) of the light of primaries (3, H, W)."""
-    codes = displays.shown_luminance(light, display)  # each primary has the codes of a luminance
+def shown(light: Array, display: Display, *, in_place: bool = False) -> Array:
+    """Return light as a display shows it: (H, W) of a luminance (H, W); (H, W, 3) of the light of primaries (3, H, W).
+
+    in_place : as of `displays.shown_luminance`
+    """
+    codes = displays.shown_luminance(light, display, in_place=in_place)  # each primary has the codes of a luminance
     return codes if codes.ndim == 2 else np.moveaxis(codes, 0, -1)
 
 

@@ -23,7 +23,7 @@ from helpers.timing import median_s, seconds_of
 
 import pixsim
 from pixsim import optics
-from pixsim.base.arrays import dct, empty_planes, inverse_dct, stream, strips_of
+from pixsim.base.arrays import STRIP_DOTS, dct, empty_planes, inverse_dct, stream, strips_of
 from pixsim.base.parameters import Camera, Display, Exposure, LensOptions, Pixel
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.scene.charts import csf_value
@@ -107,7 +107,7 @@ def unavoidable(chain: ImagingChain) -> dict[str, Work]:
     relative = np.full((3, *dots), 0.5, number)
 
     def roots() -> None:
-        for rows, work in strips_of(relative.shape, number):
+        for rows, work in strips_of(relative.shape, number, STRIP_DOTS):
             for plane, out in zip(relative[:, rows], work, strict=True):
                 scielab._single_f(plane, *scielab.CIE_LAB[:2], out) if screen.single else np.cbrt(plane, out=out)
 
@@ -129,7 +129,7 @@ def stages(chain: ImagingChain) -> dict[str, Work]:
     sensor = chain.sensor(1)
     return {
         "fixed pattern (normals, gamma)": lambda: chain.sensor(1),
-        "frame (Poisson, normals)": lambda: chain.capture_by(sensor, stream(1, "frame"), stream(1, "correction")),
+        "frame (Poisson, normals)": lambda: chain.capture_by(sensor, stream(1, "frame"), partial(stream, 1, "correction")),
         "light of the dots": lambda: chain.light(frame),
         "codes of the dots": lambda: shown(light, display),
         "S-CIELAB (DCTs, cube roots)": lambda: chain.screen.delta_e_of(score.image),

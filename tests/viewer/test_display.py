@@ -502,6 +502,17 @@ def test_shown_luminance_is_the_nearest_code_beside_every_border(gamma, bits):
     np.testing.assert_array_equal(displays.shown_luminance(luminance, Display(gamma=gamma, bits=bits)), expected)
 
 
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_shown_luminance_in_place_overwrites_whole_arrays_only(dtype):
+    luminance = np.random.default_rng(3).uniform(-0.1, 1.1, (600, 500)).astype(dtype)  # more than a strip
+    expected = displays.shown_luminance(luminance, Display())
+    for own, is_overwritten in ((luminance.copy(), True), (np.asfortranarray(luminance), False)):
+        shown = displays.shown_luminance(own, Display(), in_place=True)
+        np.testing.assert_array_equal(shown, expected)
+        assert np.shares_memory(shown, own) is is_overwritten
+        assert np.array_equal(own, luminance) is not is_overwritten
+
+
 @pytest.mark.parametrize("gamma", [0.01, 0.1, 1.0, 10.0, 100.0])
 @pytest.mark.parametrize("bits", [1, 8, 16])
 def test_shown_luminance_keeps_black_and_white(gamma, bits):

@@ -200,7 +200,7 @@ def test_grey_delta_e_map_strips_match_whole(monkeypatch, filters):
     reference = scielab.filtered_lab(first[..., None] * D65, **view)
     seen = scielab.filtered_lab(second[..., None] * D65, **view)
     expected = np.sqrt(((reference - seen) ** 2).sum(axis=-1))
-    monkeypatch.setattr("pixsim.base.arrays.STRIP_SAMPLES", 13)
+    monkeypatch.setattr(scielab, "STRIP_DOTS", 13)
     np.testing.assert_array_equal(scielab.filtered_lab(first[..., None] * D65, **view), reference)
     actual = scielab.grey_delta_e_map(reference, second, **view)
     assert (seen[..., 0] < 8).any()  # on CIELAB's straight line

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pixsim import optics
 from pixsim.base import arrays
+from pixsim.base.arguments import made
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.scene.charts import csf_value
@@ -20,6 +22,7 @@ from pixsim.viewer.scielab import delta_e, filtered_lab
 
 NM = np.arange(400.0, 721.0, 10)
 CAMERA = Camera(die_mm=2.7136)
+COLOUR = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
 
 
 def chart(n: int, header: bool = True) -> SpectralImage:
@@ -47,7 +50,9 @@ def chart(n: int, header: bool = True) -> SpectralImage:
 )
 def test_percentiles_match_numpy(values):
     percent = (0, 1.7, 50, 90, 99, 100)
-    np.testing.assert_allclose(score.percentiles(values, percent), np.percentile(values, percent), rtol=1e-14)
+    found = score.percentiles(values, percent)
+    np.testing.assert_allclose(found, np.percentile(values, percent), rtol=1e-14)
+    assert score.percentiles(values, percent, largest=float(values.max())) == found
     if values.max() < 1e30:
         single = values.astype(np.float32)
         np.testing.assert_allclose(score.percentiles(single, percent), np.percentile(single.astype(float), percent), rtol=1e-14)
@@ -64,6 +69,21 @@ def test_evaluate_matches_filtered_colour_images():
     ideal, image = (filtered_lab(displays.to_xyz(item), **view) for item in (actual.ideal, actual.image))
     np.testing.assert_allclose(actual.delta_e, np.sqrt(((ideal - image) ** 2).sum(axis=2)), rtol=0, atol=1e-10)
     np.testing.assert_allclose(actual.delta_e, delta_e(ideal, image), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "pixel", [{"pitch_um": 15.0}, {"technology": "4t-bsi", "pitch_um": 15.0, "stack": {"enabled": False}, "colour": COLOUR}]
+)
+def test_records_of_an_evaluation_pass_the_checks_that_it_leaves_out(pixel):
+    physics, display = derive(Pixel(**pixel)), Display(dots=128)
+    chain = score.chain_at_pitch(score.prepare_scene(chart(256), CAMERA, physics, display), physics, Exposure())
+    sensor, seen = chain.sensor(1), chain.simulate(1)
+    for record in (sensor, seen.frame, seen):
+        checked = replace(record)
+        assert vars(checked).keys() == vars(record).keys()
+        assert all(vars(checked)[name] is value or vars(checked)[name] == value for name, value in vars(record).items())
+    with pytest.raises(TypeError, match="missing"):
+        made(type(sensor), physics)
 
 
 def test_prepare_scene_without_running_integral_is_equal(monkeypatch):
