@@ -53,7 +53,7 @@ def run_command(tokens: Sequence[str]) -> None:
     interruption.begin()
     try:
         # Notes also of the settings, before a result collects its own.
-        with collected_notes(), told_before_publishing(interruption.decide):
+        with collected_notes(), told_before_publishing(interruption.end_or_raise):
             app(with_lens_file(with_each_format(arguments)), exit_on_error=False, print_error=False)
     except Exception as error:
         if interruption.received:  # a library has turned it into another exception

@@ -53,7 +53,7 @@ class Interruption:
         """The command begins: from now on a signal raises KeyboardInterrupt."""
         self._begun, self._done = True, False
 
-    def decide(self) -> None:
+    def end_or_raise(self) -> None:
         """The command is about to move its finished files into place. From now on it counts as ended, and signals wait for it.
 
         Otherwise a signal between the files and the end of the process would give the exit code of an interruption beside all
