@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from helpers.commands import COMMAND, assert_refused, command
@@ -26,6 +27,7 @@ from helpers.tiny import tiny_toml
 from pixsim.base.errors import PixsimError, UnwritableError
 from pixsim.base.files import FOLDER_VARIABLE, output_folder, publishing, replacing
 from pixsim.base.locks import LOCK, PARTIAL_FILE, PARTIAL_FOLDER, TEMPORARY, locked_folder, temporary_folder, unfinished
+from pixsim.cli import process as cli_process
 from pixsim.cli.commands import said_what_is_kept
 from pixsim.studies.evaluations import COLUMNS, ResultsFile
 
@@ -270,9 +272,10 @@ import os, pathlib, signal, sys
 from pixsim import cli
 from pixsim.base import files
 from pixsim.cli import commands
+from pixsim.light import exr
 
 def interrupted(*args, **others):
-    if "{name}" != "replace" or str(args[1]) in ("out/report.html", "out/sensor.toml"):  # no unfinished file
+    if "{name}" != "replace" or pathlib.Path(args[1]).parent.name == "out":  # no unfinished file
         signal.raise_signal(signal.SIGTERM)
     return original(*args, **others)
 
@@ -281,32 +284,58 @@ setattr({owner}, "{name}", interrupted)
 sys.argv = ["pixsim", *"{line}".split()]
 cli.command()
 """
+# A command, what it calls before the first file is moved, and its files.
+FILES_OF = {
+    "lens singlet --out out": ("files.digest_of", {"report.html", "summary.json", "provenance.json"}),
+    "template sensor -o out/sensor.toml": ("pathlib.Path.write_text", {"sensor.toml"}),
+    "chart siemens_star --width 16 --height 16 -o out/star.exr": ("exr.writing", {"star.exr"}),
+    "chart csf --colour-axis red-green --width 16 --height 16 -o out/rg.xml": (
+        "pathlib.Path.write_bytes",
+        {"rg.xml", "rg_red.exr", "rg_green.exr", "rg_blue.exr"},
+    ),
+}
 
 
-@pytest.mark.parametrize(
-    ("owner", "name", "is_whole"),
-    [
-        ("files", "digest_of", False),  # of the finished files, before the first is moved
-        ("pathlib.Path", "replace", True),  # that moves a file
-        ("commands", "show", True),  # prints the result
-    ],
-)
-@pytest.mark.parametrize("line", ["lens singlet --out out", "template sensor -o out/sensor.toml"])
-def test_signal_beside_finished_files_ends_or_not(owner: str, name: str, is_whole: bool, line: str, tmp_path: Path) -> None:
-    """A command had moved all its files, and gave the exit code of an interruption."""
-    if line.startswith("template"):
-        if name == "digest_of":
-            owner, name = "pathlib.Path", "write_text"
-        (tmp_path / "out").mkdir()
+@pytest.mark.parametrize("when", ["before the first file is moved", "while files are moved", "when the result is printed"])
+@pytest.mark.parametrize("line", FILES_OF)
+def test_signal_beside_finished_files_ends_or_not(line: str, when: str, tmp_path: Path) -> None:
+    """A command had moved all its files, or the first of them, and gave the exit code of an interruption."""
+    before, files = FILES_OF[line]
+    place = {"before the first file is moved": before, "while files are moved": "pathlib.Path.replace"}.get(when, "commands.show")
+    owner, _, name = place.rpartition(".")
+    (tmp_path / "out").mkdir()
     process = started(COMMAND_WITH_A_SIGNAL.format(owner=owner, name=name, line=line), tmp_path)
     out, err = process.communicate(timeout=HANG_S)
+    is_whole = place != before
     assert process.returncode == (0 if is_whole else 128 + signal.SIGTERM)
     assert bool(out) is is_whole
     assert ("pixsim: terminated" in notes_of(err)) is not is_whole
-    written = {path.name for path in (tmp_path / "out").rglob("*")} if (tmp_path / "out").exists() else set()
-    assert bool(written) is is_whole
-    assert not is_whole or written >= {"report.html", "provenance.json"} or written == {"sensor.toml"}
+    written = {path.name for path in (tmp_path / "out").rglob("*")}
+    assert written >= files if is_whole else not written
     assert not list((tmp_path / "tmp").iterdir())
+
+
+@pytest.mark.parametrize("line", [LINES["run"], LINES["study"]])
+def test_signal_beside_files_that_are_kept_changes_no_exit_code(line: str, tmp_path: Path) -> None:
+    (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+    for _ in ("written", "kept"):
+        script = COMMAND_WITH_A_SIGNAL.format(owner="commands", name="show", line=line)  # which prints the result
+        process = started(script, tmp_path)
+        out, err = process.communicate(timeout=HANG_S)
+        assert (process.returncode, "report.html" in out) == (0, True), err
+
+
+def test_patience_after_the_files_begins_with_a_signal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Moving them to a slow disk may take long: the first Ctrl-C does not end the process in its middle."""
+    now_s, left = [0.0], []
+    monkeypatch.setattr(cli_process, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    monkeypatch.setattr(cli_process.Interruption, "_leave", lambda self: left.append(now_s[0]))
+    one = cli_process.Interruption()
+    one.begin()
+    one.end_or_raise()
+    for now_s[0] in (100.0, 104.0, 106.0):
+        one._receive(signal.SIGINT, None)
+    assert left == [106.0]
 
 
 # --- Killed --------------------------------------------------------------------------------------------------------------

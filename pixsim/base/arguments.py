@@ -179,7 +179,7 @@ def checks_fields(kind: C) -> C:
 
 
 def made(kind: type[T], *fields: Any, **named: Any) -> T:
-    """Return a dataclass of `checks_fields` without its checks, for fields that have just been computed from checked ones."""
+    """Return a dataclass of `checks_fields` without its checks; the caller vouches for the kinds and bounds of the fields."""
     instance = object.__new__(kind)
     kind.__init__.__wrapped__(instance, *fields, **named)  # type: ignore[attr-defined]
     return instance

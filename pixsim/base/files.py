@@ -239,13 +239,22 @@ _told: list[Callable[[], object]] = []
 
 
 @contextmanager
-def told_before_publishing(call: Callable[[], object]) -> Iterator[None]:
-    """Call a function, within the block, when finished files are about to be moved into place; if it raises, none is moved."""
+def told_of_finished_files(call: Callable[[], object]) -> Iterator[None]:
+    """Within the block, call a function where `files_are_finished`."""
     _told.append(call)
     try:
         yield
     finally:
         _told.remove(call)
+
+
+def files_are_finished() -> None:
+    """Say that all files of a command are finished, and now move into place, or are there already.
+
+    None is moved if a function that is told so raises, such as for an interruption.
+    """
+    for call in _told:
+        call()
 
 
 @contextmanager
@@ -259,7 +268,8 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
     provenance : more content of provenance.json; its value at the end of the block counts
     keep : files that are not removed
 
-    Raises PixsimError, before any file is moved, if one would replace a file that pixsim did not write.
+    Raises PixsimError, before any file is moved, if one would replace a file that pixsim did not write; and as those do who
+    are told that `files_are_finished`.
     """
     kept = ["The files that the folder held before are unchanged."]
     with unfinished(folder, PARTIAL_FOLDER, is_folder=True) as partial, disk_faults_named(partial, folder, lambda: kept[-1]):
@@ -276,8 +286,7 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
         both: Listed = {name: {**entry, "digests": list(entry["digests"])} for name, entry in now.items()}
         for name in both.keys() & before.keys():
             both[name]["digests"] += before[name]["digests"]
-        for call in _told:
-            call()
+        files_are_finished()
         write_provenance(before | both)
         kept.append("Some files of the folder are new, others are still those before; pixsim knows both.")
         for name in made:
@@ -323,8 +332,7 @@ def write_new(path: Path, text: str) -> None:
     try:
         with replacing(path) as partial:
             partial.write_text(text, encoding="utf-8")
-            for call in _told:
-                call()
+            files_are_finished()
     except OSError as error:
         raise PixsimError(f"output file: '{path}' cannot be written ({error.strerror}). Choose another name.") from None
 

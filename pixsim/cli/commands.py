@@ -19,7 +19,7 @@ from cyclopts import Parameter
 
 from pixsim.base.config import read_toml, study_layers
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
-from pixsim.base.files import MIB, check_replaceable, output_folder, told_before_publishing
+from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Run
@@ -53,7 +53,7 @@ def run_command(tokens: Sequence[str]) -> None:
     interruption.begin()
     try:
         # Notes also of the settings, before a result collects its own.
-        with collected_notes(), told_before_publishing(interruption.end_or_raise):
+        with collected_notes(), told_of_finished_files(interruption.end_or_raise):
             app(with_lens_file(with_each_format(arguments)), exit_on_error=False, print_error=False)
     except Exception as error:
         if interruption.received:  # a library has turned it into another exception

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 ENDING = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "the terminal was closed"}
 SIGNAL_EXIT = 128  # the exit code of a shell for a process that a signal ended, less the signal's number
 PATIENCE_S = 5.0  # for the clean-up after a signal; another one after that ends the process at once
+NEVER_S = float("inf")
 WAIT_S = 0.02  # before another try to raise
 LONGEST_WAIT_S = 3.0
 IMPORTING = "<frozen importlib._bootstrap>"  # file name of Python's import, in its frames
@@ -32,12 +33,13 @@ class Interruption:
 
     Before the command begins, the process ends at once: nothing is written, nothing else runs. Afterwards a KeyboardInterrupt
     is raised, so that everything opened is closed. It is not raised while Python imports a module, since libraries in C++ turn
-    it into other errors, nor while a context manager is entered or left: what is opened is then always closed, and the files
-    of a command are moved into place all together. Nor is it while workers start: joblib ends only those that it has registered.
+    it into other errors, nor while a context manager is entered or left: what is opened is then always closed. Nor is it while
+    workers start: joblib ends only those that it has registered. From `end_or_raise` on it is not raised: the files of a command
+    are all moved into place, or none is.
     """
 
     received: int | None = None  # number of the signal
-    _at_s = 0.0
+    _at_s = 0.0  # from when on patience is counted: from a signal, or from the end of the command
     _begun = _done = False
 
     def guard(self) -> None:
@@ -54,7 +56,7 @@ class Interruption:
         self._begun, self._done = True, False
 
     def end_or_raise(self) -> None:
-        """The command is about to move its finished files into place. From now on it counts as ended, and signals wait for it.
+        """All files of the command are finished, and are about to move into place. From now on it counts as ended.
 
         Otherwise a signal between the files and the end of the process would give the exit code of an interruption beside all
         files of the command.
@@ -62,9 +64,9 @@ class Interruption:
         Raises KeyboardInterrupt if a signal has come before.
         """
         if self.received is None:
-            self.finish()
-        if self.received is not None:
-            self._done = False
+            self._done, self._at_s = True, NEVER_S
+        if self.received is not None:  # also one that came in the line above
+            self._done, self._at_s = False, min(self._at_s, time.monotonic())
             signal.setitimer(signal.ITIMER_REAL, 0)
             raise KeyboardInterrupt
 
@@ -90,6 +92,8 @@ class Interruption:
                 self._raise(number, frame)
             else:
                 self._leave()
+        elif self._at_s == NEVER_S:
+            self._at_s = time.monotonic()
         elif time.monotonic() - self._at_s > PATIENCE_S:
             self.received = number
             self._leave()

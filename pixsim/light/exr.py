@@ -148,12 +148,18 @@ BLOCK_BYTES = 1 << 22  # a block and its sources fit into a processor's cache
 
 def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], header: dict[str, Any]) -> None:
     """Write float32 channels to a losslessly compressed EXR, which is moved into place when complete."""
+    with writing(path) as unfinished:
+        fill_channels(unfinished, channels, header)
+
+
+def fill_channels(unfinished: Path, channels: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
+    """Write the EXR of `write_channels` to the path that `writing` gives."""
     import OpenEXR
 
     # OpenEXR writes wrong values, without an error, from arrays that are not contiguous.
     planes = {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
     top = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
-    with writing(path) as unfinished, OpenEXR.File(top, planes) as file:
+    with OpenEXR.File(top, planes) as file:
         file.write(str(unfinished))
 
 

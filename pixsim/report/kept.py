@@ -16,7 +16,7 @@ from pydantic import BaseModel
 
 from pixsim.base import cache
 from pixsim.base.arrays import strips
-from pixsim.base.files import DEPENDENCIES, are_kept, digest_of, output_folder, versions, write_made_from
+from pixsim.base.files import DEPENDENCIES, are_kept, digest_of, files_are_finished, output_folder, versions, write_made_from
 from pixsim.base.mapped import release
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.technology import technology_of
@@ -37,6 +37,7 @@ def keep_or_write(result: StudyResult, folder: Path, write: Callable[[], Path]) 
     with output_folder(folder):
         made_from = digest_of_report(result)
         if are_kept(folder, "study", made_from):
+            files_are_finished()
             return folder / "report.html"
         report = write()
         write_made_from(folder, "study", made_from)

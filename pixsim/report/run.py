@@ -22,6 +22,7 @@ from pixsim.base.files import (
     are_kept,
     check_replaceable,
     digest_of,
+    files_are_finished,
     output_folder,
     publishing,
     write_json,
@@ -313,6 +314,7 @@ def run_and_write(
             of_files = full, formats, frames, irradiance, sensor, variant, units
             made_from = digest_of_content(of_files, light, physics.technology)
             if are_kept(folder, "run", made_from):
+                files_are_finished()
                 return kept_summary(folder, notes)
             given = {"sensor": sensor, "variant": variant, "units": units, "frames": str(frames) if frames > 1 else None}
             command = ["pixsim", "run", light.source, "--config", SETTINGS_FILE, *["--full"] * full]

@@ -19,9 +19,10 @@ from pixsim.base import cache
 from pixsim.base.arguments import brief, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import files_are_finished
 from pixsim.base.locks import temporary_folder_of_process
 from pixsim.base.parameters import content_hash
-from pixsim.light.exr import write_channels
+from pixsim.light.exr import fill_channels, write_channels, writing
 
 # Chen, Catrysse, El Gamal and Wandell (2000), sections 3 and 4.
 LUMINANCE_CD_PER_M2 = (25.0, 1000.0)
@@ -195,7 +196,9 @@ def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> No
     """
     if Path(path).suffix.lower() != ".exr":
         raise invalid("chart file", f"'{path}'", "a name that ends in .exr")
-    write_channels(path, {"Y": texels}, {})
+    with writing(path) as unfinished:
+        fill_channels(unfinished, {"Y": texels}, {})
+        files_are_finished()
 
 
 @checks_arguments
@@ -224,10 +227,10 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     else:
         texels = make()
         try:
-            write_chart(path, texels)
+            write_channels(path, {"Y": texels}, {})
         except PixsimError:  # the disk of the cache is full
             path = temporary_folder_of_process() / name
-            write_chart(path, texels)
+            write_channels(path, {"Y": texels}, {})
     return path
 
 

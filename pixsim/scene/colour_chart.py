@@ -11,6 +11,7 @@ import math
 import os
 import re
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -23,9 +24,10 @@ from numpy.typing import ArrayLike, NDArray
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.files import replacing
+from pixsim.base.files import files_are_finished, replacing
+from pixsim.light.exr import fill_channels, writing
 from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W, colour_matching, d65, grid_nm
-from pixsim.scene.charts import LUMINANCE_CD_PER_M2, csf_contrast, make_chart, write_chart
+from pixsim.scene.charts import LUMINANCE_CD_PER_M2, csf_contrast, make_chart
 
 PRIMARIES = ("red", "green", "blue")
 MEAN = sum(LUMINANCE_CD_PER_M2) / (2 * LUMINANCE_CD_PER_M2[1])  # of each slide, as of the grey chart
@@ -207,10 +209,11 @@ def write_colour_chart(
     comment = re.sub("--+", "-", title)  # two hyphens would end it
     text = SCENE.format(title=comment, **white, projectors="\n".join(projectors))
     try:
-        with replacing(path) as partial:
+        with ExitStack() as files:  # all are finished before the first one moves; the scene, the first one here, moves last
+            files.enter_context(replacing(path)).write_bytes(text.encode("ascii", "xmlcharrefreplace"))
             for share, file in zip(change.shares.tolist(), slides, strict=True):
-                write_chart(file, slide(share, grey))
-            partial.write_bytes(text.encode("ascii", "xmlcharrefreplace"))
+                fill_channels(files.enter_context(writing(file)), {"Y": slide(share, grey)}, {})
+            files_are_finished()
     except OSError as error:
         raise invalid("output file", f"'{path}' ({error.strerror or error})", "a path that can be written") from None
     return slides

@@ -354,14 +354,15 @@ def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
 def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
     """Return a frame from mean photo-electron rates (rows, columns), at the gain of the exposure, with temporal noise from `rng`.
 
-    Raises PixsimError if the shape is not that of the sensor.
+    Raises PixsimError if the shape is not that of the sensor, or if the electrons are beyond float64.
     """
     p = sensor.physics.at_gain(exposure.gain_db)
     if signal_e_per_s.shape != sensor.shape:
         hint = "Make the sensor with the camera and aspect of the irradiance: make_sensor(pixel, camera, aspect=…)."
         raise invalid("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", hint)
-    time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
-    mean_e = signal_e_per_s * time_s
+    brightest_e_per_s = float(signal_e_per_s.max())
+    time_s = integration_time_s(exposure, p, brightest_e_per_s)
+    mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, p)
     dn, saturated_fraction = _expose(mean_e, time_s, sensor if p is sensor.physics else replace(sensor, physics=p), rng)
     return _frame(dn, saturated_fraction, mean_e, time_s, p, exposure)
 
@@ -375,9 +376,20 @@ def make_frame(
     exposure : with which the numbers were read out
 
     saturated_fraction : as `Frame` defines it; it cannot be counted from the digital numbers
+
+    Raises PixsimError if the electrons are beyond float64.
     """
-    time_s = integration_time_s(exposure, physics, float(signal_e_per_s.max()))
-    return _frame(dn, saturated_fraction, signal_e_per_s * time_s, time_s, physics, exposure)
+    brightest_e_per_s = float(signal_e_per_s.max())
+    time_s = integration_time_s(exposure, physics, brightest_e_per_s)
+    return _frame(dn, saturated_fraction, _mean_e(signal_e_per_s, brightest_e_per_s, time_s, physics), time_s, physics, exposure)
+
+
+def _mean_e(signal_e_per_s: Array, brightest_e_per_s: float, time_s: float, physics: PixelPhysics) -> Array:
+    """Return the mean photo-electrons of an exposure. Raises PixsimError if they, or the dark charge, are beyond float64."""
+    most_e = (brightest_e_per_s + physics.dark_current_e_per_s) * time_s
+    if not most_e < math.inf:
+        raise invalid("mean_e", f"{brightest_e_per_s:.3g} e-/s for {time_s:.3g} s", "a finite number of electrons")
+    return signal_e_per_s * time_s
 
 
 def _frame(

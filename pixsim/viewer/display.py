@@ -189,7 +189,9 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
 
 
 def _average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array, degree: int, axis: int) -> Array:
-    """Return `average_axis` of checked arguments."""
+    """Return `average_axis` of an array that has the axis."""
+    if edges_um.ndim != 1 or edges_um.size < 2:
+        raise invalid("edges_um", f"an array of shape {edges_um.shape}", "two edges or more along one axis")
     lines = values.swapaxes(0, axis)
     degree = min(degree, len(lines) - 1)
     if degree < 2:
@@ -382,7 +384,7 @@ def shown_luminance(relative_luminance: Array, display: Display, *, in_place: bo
 
     That of float32 is float32. Encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1.
 
-    in_place : overwrite `relative_luminance` if its values lie one behind the other
+    in_place : overwrite `relative_luminance`, if it is a contiguous, writeable array of float64 or float32
 
     >>> shown_luminance(np.array([-0.1, 0.5, 2.0]), Display(gamma=1.0, bits=1)).tolist()
     [0.0, 0.0, 1.0]
@@ -390,7 +392,7 @@ def shown_luminance(relative_luminance: Array, display: Display, *, in_place: bo
     top = 2**display.bits - 1
     single = relative_luminance.dtype == np.float32
     table, borders = _light_of_bins(display.gamma, top, single), _code_borders(display.gamma, top)
-    in_place = in_place and relative_luminance.flags.c_contiguous and relative_luminance.dtype == table.dtype
+    in_place = in_place and relative_luminance.flags.carray and relative_luminance.dtype == table.dtype
     shown = relative_luminance if in_place else np.empty(relative_luminance.shape, table.dtype)
     values, out = relative_luminance.reshape(-1), shown.reshape(-1)
     for part in strips(values.size, 1, STRIP_DOTS):

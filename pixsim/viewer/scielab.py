@@ -387,7 +387,7 @@ def _grey_spectrum(luminance: npt.ArrayLike, view: ViewingConditions, single: bo
 
 
 def _iter_lab_strips(spectrum: Planes, view: ViewingConditions, grey: bool = False) -> Strips:
-    """Yield strips of CIELAB planes, in a reused buffer, from the filtered DCT-II (3, H, W).
+    """Yield strips of CIELAB planes, each valid until the next one, from the filtered DCT-II (3, H, W), which is overwritten.
 
     grey : the spectrum is that of X/Xn, Y/Yn, Z/Zn instead of the opponent channels
     """

@@ -288,7 +288,7 @@ class ImagingChain:
 
     def capture(self, *key: object) -> Frame:
         """Return the frame that `simulate` scores."""
-        frame_rng = stream(*key, "frame")  # beside the sensor's: a generator takes three times as long after other work
+        frame_rng = stream(*key, "frame")  # before the sensor is drawn: later it would take three times as long
         return self.capture_by(self.sensor(*key), frame_rng, partial(stream, *key, "correction"))
 
     def capture_with(
@@ -299,18 +299,18 @@ class ImagingChain:
         return self.capture_by(sensor, frame_rng, lambda: correction_rng)
 
     def capture_by(
-        self, sensor: Sensor, frame_rng: np.random.Generator, correction_rng: Callable[[], np.random.Generator]
+        self, sensor: Sensor, frame_rng: np.random.Generator, make_correction_rng: Callable[[], np.random.Generator]
     ) -> Frame:
         """Return a frame of a sensor, whose temporal noise and frames for its correction come from two generators.
 
-        correction_rng : returns the second one, if the camera corrects its frames
+        make_correction_rng : makes the second one; it is called only if the camera corrects its frames
         """
         frame = capture_from_rates(self.signal_e_per_s, sensor, self.exposure, frame_rng)
         if not self.correction.is_on:
             return frame
         layout, whites = self.physics.layout, np.array(self.whites_e_per_s)
         levels = None if layout is None else of_channels(whites / whites.max(), layout, self.signal_e_per_s.shape)
-        return correct(frame, sensor, self.correction, correction_rng(), self.even, levels)
+        return correct(frame, sensor, self.correction, make_correction_rng(), self.even, levels)
 
     def further_frames(self, count: int, *key: object) -> Iterator[Frame]:
         """Yield frames 2, 3, … of the sensor of `capture`, whose frame is the first of `count`; they are not corrected.

@@ -206,14 +206,14 @@ def test_csf_file_below_its_lowest_frequency_raises():
 def test_texture_file_on_full_disk_is_temporary(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """The disk of the cache is full, that of temporary files is not; where both are, the error names the file."""
     monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
-    write, full = charts.write_chart, [tmp_path]
+    write, full = charts.write_channels, [tmp_path]
 
-    def write_if_room(path: Path, texels: np.ndarray) -> None:
+    def write_if_room(path: Path, *content: dict[str, object]) -> None:
         if any(path.is_relative_to(folder) for folder in full):
             raise PixsimError(f"output file: got '{path}' (No space left on device)")
-        write(path, texels)
+        write(path, *content)
 
-    monkeypatch.setattr(charts, "write_chart", write_if_room)
+    monkeypatch.setattr(charts, "write_channels", write_if_room)
     path = charts.texture_file(["full"], lambda: np.ones((2, 2), np.float32))
     assert path.is_file()
     assert not path.is_relative_to(tmp_path)

@@ -495,6 +495,16 @@ def test_pixel_large_prnu_raises():
     assert gain.mean() == pytest.approx(1 + 3.4e-5, abs=5 * 0.3 / 1e3)
 
 
+@pytest.mark.filterwarnings("error")
+def test_electrons_beyond_float64_raise():
+    signal_e_per_s, exposure, physics = np.full((2, 3), 1e308), Exposure(integration_s=100.0), derive(Pixel())
+    sensor, dn = sensors.sample_sensor(physics, (2, 3), np.random.default_rng(0)), np.zeros((2, 3), np.int32)
+    with pytest.raises(PixsimError, match="mean_e: got 1e\\+308 e-/s for 100 s; allowed: a finite number"):
+        sensors.capture_from_rates(signal_e_per_s, sensor, exposure, np.random.default_rng(0))
+    with pytest.raises(PixsimError, match="mean_e: got 1e\\+308 e-/s for 100 s; allowed: a finite number"):
+        sensors.make_frame(dn, 0.0, signal_e_per_s, physics, exposure)
+
+
 @pytest.mark.parametrize(
     ("pixel", "camera", "options", "message"),
     [

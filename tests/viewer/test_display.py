@@ -506,11 +506,19 @@ def test_shown_luminance_is_the_nearest_code_beside_every_border(gamma, bits):
 def test_shown_luminance_in_place_overwrites_whole_arrays_only(dtype):
     luminance = np.random.default_rng(3).uniform(-0.1, 1.1, (600, 500)).astype(dtype)  # more than a strip
     expected = displays.shown_luminance(luminance, Display())
-    for own, is_overwritten in ((luminance.copy(), True), (np.asfortranarray(luminance), False)):
+    kept = luminance.copy()
+    kept.flags.writeable = False
+    for own, is_overwritten in ((luminance.copy(), True), (np.asfortranarray(luminance), False), (kept, False)):
         shown = displays.shown_luminance(own, Display(), in_place=True)
         np.testing.assert_array_equal(shown, expected)
         assert np.shares_memory(shown, own) is is_overwritten
         assert np.array_equal(own, luminance) is not is_overwritten
+
+
+@pytest.mark.parametrize("edges_um", [np.ones((2, 3)), np.zeros(0), np.array(1.0), np.array([1.0]), np.array([0.0, 2.0, 1.0])])
+def test_on_dots_invalid_edges_raise(edges_um):
+    with pytest.raises(PixsimError, match="edges_um: got"):
+        displays.on_dots(np.ones((4, 4)), 1.0, (4.0, 4.0), Display(), (np.arange(5.0), edges_um))
 
 
 @pytest.mark.parametrize("gamma", [0.01, 0.1, 1.0, 10.0, 100.0])
