@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import errno
+import fcntl
+import json
 import os
 import random
 import re
 import resource
 import shlex
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
+import termios
 import threading
 import time
 from collections.abc import Iterator
@@ -19,16 +23,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from helpers.commands import COMMAND, assert_refused, command
 from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
 from pixsim.base.errors import PixsimError, UnwritableError
-from pixsim.base.files import FOLDER_VARIABLE, output_folder, publishing, replacing
+from pixsim.base.files import FOLDER_VARIABLE, output_folder, publishing, replacing, told_of_finished_files
 from pixsim.base.locks import LOCK, PARTIAL_FILE, PARTIAL_FOLDER, TEMPORARY, locked_folder, temporary_folder, unfinished
 from pixsim.cli import process as cli_process
 from pixsim.cli.commands import said_what_is_kept
+from pixsim.scene.charts import write_chart
 from pixsim.studies.evaluations import COLUMNS, ResultsFile
 
 SMALL = "--resolution 64 --display.dots 64"
@@ -338,6 +344,99 @@ def test_patience_after_the_files_begins_with_a_signal(monkeypatch: pytest.Monke
     assert left == [106.0]
 
 
+HELD_UP = """
+import sys
+from pixsim import cli
+from pixsim.cli import process
+process.PATIENCE_S = {patience_s}
+sys.argv = ["pixsim", "lens", "singlet", "--json", "--out", "out"]
+cli.command()
+"""
+
+
+def unread_bytes(pipe: object) -> int:
+    (count,) = struct.unpack("i", fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)))
+    return count
+
+
+@proc
+@pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="pipes of one page are Linux's")
+@pytest.mark.parametrize("reads", [True, False])
+def test_signal_while_a_reader_holds_up_the_result(reads: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The text was cut, with exit code 0, or the process waited for ever."""
+    monkeypatch.setenv("PYTHONUNBUFFERED", "1")
+    process = started(HELD_UP.format(patience_s=60.0 if reads else 0.2), tmp_path)
+    size = fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, 4096)
+    wait_for(lambda: unread_bytes(process.stdout) == size or process.poll() is not None)
+    process.send_signal(signal.SIGTERM)
+    if reads:
+        time.sleep(0.1)
+        out, err = process.communicate(timeout=HANG_S)
+        assert (process.returncode, "schema" in json.loads(out)) == (0, True), err
+    else:
+        assert process.wait(HANG_S) == 128 + signal.SIGTERM
+        process.communicate()
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_command_whose_terminal_is_closed_beside_its_files_has_ended(tmp_path: Path) -> None:
+    script = COMMAND_WITH_A_SIGNAL.format(owner="pathlib.Path", name="replace", line="template sensor -o out/sensor.toml")
+    script = script.replace("signal.SIGTERM)", "signal.SIGHUP); os.close(terminal)").replace(
+        "original =", "terminal, own = os.openpty(); [os.dup2(own, number) for number in (1, 2)]\noriginal =", 1
+    )
+    (tmp_path / "out").mkdir()
+    process = started(script, tmp_path)
+    process.communicate(timeout=HANG_S)
+    assert process.returncode == 0
+    assert (tmp_path / "out" / "sensor.toml").is_file()
+
+
+ENTERED = """
+import contextlib, json, os, pathlib, signal
+from pixsim.base.files import replacing
+from pixsim.cli.process import interruption
+
+def pushed(self, *args):
+    signal.raise_signal(signal.SIGTERM)
+    return original(self, *args)
+
+original = contextlib.ExitStack._push_cm_exit
+contextlib.ExitStack._push_cm_exit = pushed
+interruption.guard()
+interruption.begin()
+try:
+    with contextlib.ExitStack() as files:
+        files.enter_context(replacing(pathlib.Path("out.txt")))
+        while True:
+            pass
+except KeyboardInterrupt:
+    print(json.dumps(os.listdir()))
+"""
+
+
+def test_signal_while_a_stack_enters_a_file_leaves_none(tmp_path: Path) -> None:
+    process = started(ENTERED, tmp_path)
+    out, err = process.communicate(timeout=HANG_S)
+    assert (sorted(json.loads(out)), err) == (["script.py", "tmp"], "")
+
+
+def test_files_of_another_thread_do_not_end_a_command(tmp_path: Path) -> None:
+    called: list[int] = []
+
+    def write() -> None:
+        write_chart(tmp_path / "chart.exr", np.ones((2, 2), np.float32))
+
+    with told_of_finished_files(lambda: called.append(1)):
+        thread = threading.Thread(target=write)
+        thread.start()
+        thread.join()
+        assert not called
+        write()
+    write()
+    assert called == [1]
+
+
 # --- Killed --------------------------------------------------------------------------------------------------------------
 
 
@@ -434,8 +533,6 @@ def in_use(folder: Path) -> Iterator[None]:
 
 @pytest.mark.parametrize("line", [*LINES.values(), "sfr edge.npy --out out"])
 def test_command_refuses_folder_in_use(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import numpy as np
-
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
     np.save("edge.npy", 1 / (1 + np.exp(60 + np.arange(128)[:, None] * 0.1 - np.arange(128))))

@@ -17,6 +17,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
@@ -235,17 +236,17 @@ def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> N
         raise invalid("output folder", got, "a folder without them", "Choose another with --out, or move these files away.")
 
 
-_told: list[Callable[[], object]] = []
+_told: ContextVar[tuple[Callable[[], object], ...]] = ContextVar("_told", default=())  # of a thread: another is no command
 
 
 @contextmanager
 def told_of_finished_files(call: Callable[[], object]) -> Iterator[None]:
     """Within the block, call a function where `files_are_finished`."""
-    _told.append(call)
+    before = _told.set((*_told.get(), call))
     try:
         yield
     finally:
-        _told.remove(call)
+        _told.reset(before)
 
 
 def files_are_finished() -> None:
@@ -253,7 +254,7 @@ def files_are_finished() -> None:
 
     None is moved if a function that is told so raises, such as for an interruption.
     """
-    for call in _told:
+    for call in _told.get():
         call()
 
 

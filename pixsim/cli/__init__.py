@@ -59,10 +59,10 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
         from pixsim.cli.mistakes import refusal
 
         end(refusal(error), INVALID_INPUT)
-    except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
-        discard_output()
     except OSError as error:
-        end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
+        if not isinstance(error, BrokenPipeError) and not interruption.terminal_closed:
+            end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
+        discard_output()  # the reader, such as `head`, has closed the pipe
     except MemoryError:
         end("the system is out of memory; use a coarser film (--resolution 512), larger pixels or fewer --jobs", UNEXPECTED)
     except ImportError as error:
@@ -71,6 +71,7 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
         end("; ".join([interruption.words, *map(str, raised.args)]), interruption.exit_code)
     except Exception as error:
         end(f"unexpected {type(error).__name__}: {error}\nThis is a bug in pixsim. --verbose shows where it occurred.", UNEXPECTED)
+    interruption.finish()
     sys.exit(OK)
 
 
@@ -81,6 +82,7 @@ def broken(error: ImportError) -> str:
 def end(message: str, code: int) -> NoReturn:
     from pixsim.base.errors import printable
 
+    interruption.finish()
     options = sys.modules.get("pixsim.cli.options")  # whose import may have failed
     try:
         if options and options.verbosity.verbose:

@@ -43,6 +43,8 @@ def run_command(tokens: Sequence[str]) -> None:
 
     tokens : its name and arguments
     """
+    if isinstance(getattr(sys.stdout, "buffer", None), io.FileIO):  # by PYTHONUNBUFFERED: a signal would cut what a pipe delays
+        sys.stdout = open(1, "w", encoding=sys.stdout.encoding, closefd=False)  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # file names may not be UTF-8
             stream.reconfigure(errors="backslashreplace")
@@ -60,8 +62,7 @@ def run_command(tokens: Sequence[str]) -> None:
             raise KeyboardInterrupt from error
         raise
     say("")
-    if interruption.received:  # or has dropped it
-        raise KeyboardInterrupt
+    interruption.end_or_raise()  # a library may have dropped an interruption
 
 
 def with_each_format(arguments: Sequence[str]) -> list[str]:

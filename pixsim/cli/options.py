@@ -38,6 +38,7 @@ from pixsim.base.parameters import (
 from pixsim.base.progress import Stage
 from pixsim.base.schema import with_schema
 from pixsim.base.version import VERSION
+from pixsim.cli.process import interruption
 
 DEFAULT_OUT = Path("pixsim-out")
 QUIET, VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
@@ -405,10 +406,11 @@ def show(result: dict[str, Any], as_json: bool, text: str) -> None:
 
 
 def say(text: str, as_json: bool = False) -> None:
-    """Print to stdout, and flush it. Raises PixsimError if that fails, but for a pipe whose reader is gone."""
+    """Print to stdout, and flush it. Raises PixsimError if that fails, but for a pipe or a terminal that is closed."""
+    interruption.begin_output()
     try:
         print(printable(text, as_json), end="", flush=True)
-    except BrokenPipeError:
-        raise
     except OSError as error:
+        if isinstance(error, BrokenPipeError) or interruption.terminal_closed:
+            raise
         raise PixsimError(f"standard output: it cannot be written ({error.strerror}); the files of the command are.") from None

@@ -24,7 +24,7 @@ NEVER_S = float("inf")
 WAIT_S = 0.02  # before another try to raise
 LONGEST_WAIT_S = 3.0
 IMPORTING = "<frozen importlib._bootstrap>"  # file name of Python's import, in its frames
-ENTERING = ("__enter__", "__exit__")
+ENTERING = ("__enter__", "__exit__", "enter_context")
 STARTING = ("_adjust_process_count", "_ensure_executor_running")  # joblib's: of workers, and of the thread that ends them
 
 
@@ -35,12 +35,13 @@ class Interruption:
     is raised, so that everything opened is closed. It is not raised while Python imports a module, since libraries in C++ turn
     it into other errors, nor while a context manager is entered or left: what is opened is then always closed. Nor is it while
     workers start: joblib ends only those that it has registered. From `end_or_raise` on it is not raised: the files of a command
-    are all moved into place, or none is.
+    are all moved into place, or none is. Then a result is printed, which a reader may hold up.
     """
 
     received: int | None = None  # number of the signal
+    late: int | None = None  # number of the first one after `end_or_raise`, which does not end the command
     _at_s = 0.0  # from when on patience is counted: from a signal, or from the end of the command
-    _begun = _done = False
+    _begun = _done = _prints = False
 
     def guard(self) -> None:
         """Take the signals, except those that whoever started this process has set to be ignored (nohup, background jobs)."""
@@ -53,7 +54,7 @@ class Interruption:
 
     def begin(self) -> None:
         """The command begins: from now on a signal raises KeyboardInterrupt."""
-        self._begun, self._done = True, False
+        self._begun, self._done, self._prints, self.late = True, False, False, None
 
     def end_or_raise(self) -> None:
         """All files of the command are finished, and are about to move into place. From now on it counts as ended.
@@ -63,18 +64,35 @@ class Interruption:
 
         Raises KeyboardInterrupt if a signal has come before.
         """
+        if self._done:  # of several files, not the first one
+            return
         if self.received is None:
-            self._done, self._at_s = True, NEVER_S
+            self._at_s, self._done = NEVER_S, True
         if self.received is not None:  # also one that came in the line above
             self._done, self._at_s = False, min(self._at_s, time.monotonic())
             signal.setitimer(signal.ITIMER_REAL, 0)
             raise KeyboardInterrupt
 
+    def begin_output(self) -> None:
+        """A result is printed. If the files are in place and a signal has come, a reader that takes nothing holds it up
+        for `PATIENCE_S` at most.
+        """
+        self._prints = self._done
+        if self.late is not None:
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+
     def finish(self) -> None:
         """The command has ended: signals do not disturb the clean-up of the process, unless that takes long."""
-        self._done, self._at_s = True, time.monotonic()
-        if self.received is not None:
+        self._done, self._prints = True, False
+        if self._at_s in (0.0, NEVER_S):
+            self._at_s = time.monotonic()
+        if self.received is not None or self.late is not None:
             signal.setitimer(signal.ITIMER_REAL, 0)
+
+    @property
+    def terminal_closed(self) -> bool:
+        """Whether the terminal was closed after the command had ended, so that what is still to be printed is lost."""
+        return self.late == signal.SIGHUP
 
     @property
     def words(self) -> str:
@@ -93,13 +111,18 @@ class Interruption:
             else:
                 self._leave()
         elif self._at_s == NEVER_S:
-            self._at_s = time.monotonic()
+            self.late, self._at_s = number, time.monotonic()
+            if self._prints:
+                signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
         elif time.monotonic() - self._at_s > PATIENCE_S:
             self.received = number
             self._leave()
 
     def _raise(self, _: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt, or try again soon."""
+        """Raise KeyboardInterrupt, or try again soon. Leave if a result cannot be printed."""
+        if self._prints:
+            self.received = self.late
+            self._leave()
         if self._done:
             return
         if time.monotonic() - self._at_s < LONGEST_WAIT_S and must_wait(frame):

@@ -354,7 +354,7 @@ def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
 def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
     """Return a frame from mean photo-electron rates (rows, columns), at the gain of the exposure, with temporal noise from `rng`.
 
-    Raises PixsimError if the shape is not that of the sensor, or if the electrons are beyond float64.
+    Raises PixsimError if the shape is not that of the sensor, or if the electrons are too many for the numbers of the rates.
     """
     p = sensor.physics.at_gain(exposure.gain_db)
     if signal_e_per_s.shape != sensor.shape:
@@ -377,7 +377,7 @@ def make_frame(
 
     saturated_fraction : as `Frame` defines it; it cannot be counted from the digital numbers
 
-    Raises PixsimError if the electrons are beyond float64.
+    Raises PixsimError if the electrons are too many for the numbers of the rates.
     """
     brightest_e_per_s = float(signal_e_per_s.max())
     time_s = integration_time_s(exposure, physics, brightest_e_per_s)
@@ -385,9 +385,9 @@ def make_frame(
 
 
 def _mean_e(signal_e_per_s: Array, brightest_e_per_s: float, time_s: float, physics: PixelPhysics) -> Array:
-    """Return the mean photo-electrons of an exposure. Raises PixsimError if they, or the dark charge, are beyond float64."""
+    """Return the mean photo-electrons of an exposure. Raises PixsimError if they, or the dark charge, would be infinite."""
     most_e = (brightest_e_per_s + physics.dark_current_e_per_s) * time_s
-    if not most_e < math.inf:
+    if not most_e <= float(np.finfo(np.result_type(signal_e_per_s, 1.0)).max):  # single precision stays that
         raise invalid("mean_e", f"{brightest_e_per_s:.3g} e-/s for {time_s:.3g} s", "a finite number of electrons")
     return signal_e_per_s * time_s
 
@@ -395,12 +395,15 @@ def _mean_e(signal_e_per_s: Array, brightest_e_per_s: float, time_s: float, phys
 def _frame(
     dn: NDArray[np.int32], saturated_fraction: float, mean_e: Array, time_s: float, physics: PixelPhysics, exposure: Exposure
 ) -> Frame:
+    dn_per_e = physics.at_gain(exposure.gain_db).dn_per_e
+    if not dn_per_e < math.inf:
+        raise invalid("dn_per_e", f"{dn_per_e}", "a finite number", "Take a larger full well, or more electrons per DN.")
     return made(
         Frame,
         dn=dn,
         mean_e=mean_e,
         integration_s=time_s,
-        dn_per_e=physics.at_gain(exposure.gain_db).dn_per_e,
+        dn_per_e=dn_per_e,
         black_level_dn=physics.pixel.black_level_dn,
         mean_dark_e=physics.dark_current_e_per_s * time_s,
         pitch_um=physics.read_pitch_um,

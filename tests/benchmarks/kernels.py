@@ -125,13 +125,13 @@ def unavoidable(chain: ImagingChain) -> dict[str, Work]:
 def stages(chain: ImagingChain) -> dict[str, Work]:
     """What an evaluation does, in its order: with the unavoidable operations, and with all else."""
     frame, display = chain.capture(1), chain.screen.display
-    light, score = chain.light(frame), chain.score_frame(frame)
+    score, scratch = chain.score_frame(frame), chain.light(frame)
     sensor = chain.sensor(1)
     return {
         "fixed pattern (normals, gamma)": lambda: chain.sensor(1),
         "frame (Poisson, normals)": lambda: chain.capture_by(sensor, stream(1, "frame"), partial(stream, 1, "correction")),
         "light of the dots": lambda: chain.light(frame),
-        "codes of the dots": lambda: shown(light, display),
+        "codes of the dots": lambda: shown(scratch, display, in_place=True),  # of any light: their time does not depend on it
         "S-CIELAB (DCTs, cube roots)": lambda: chain.screen.delta_e_of(score.image),
         "statistics": score.statistics,
     }

@@ -6,6 +6,7 @@ Statistical tests use fixed seeds, 250 000 columns of 4 pixels and gates of 5σ:
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from dataclasses import replace
 
@@ -496,13 +497,21 @@ def test_pixel_large_prnu_raises():
 
 
 @pytest.mark.filterwarnings("error")
-def test_electrons_beyond_float64_raise():
-    signal_e_per_s, exposure, physics = np.full((2, 3), 1e308), Exposure(integration_s=100.0), derive(Pixel())
+@pytest.mark.parametrize(("rate", "dtype"), [(1e308, np.float64), (1e38, np.float32), (6e4, np.float16)])
+def test_electrons_beyond_their_precision_raise(rate, dtype):
+    signal_e_per_s, exposure, physics = np.full((2, 3), rate, dtype), Exposure(integration_s=100.0), derive(Pixel())
     sensor, dn = sensors.sample_sensor(physics, (2, 3), np.random.default_rng(0)), np.zeros((2, 3), np.int32)
-    with pytest.raises(PixsimError, match="mean_e: got 1e\\+308 e-/s for 100 s; allowed: a finite number"):
+    message = f"mean_e: got {re.escape(f'{float(signal_e_per_s[0, 0]):.3g}')} e-/s for 100 s; allowed: a finite number"
+    with pytest.raises(PixsimError, match=message):
         sensors.capture_from_rates(signal_e_per_s, sensor, exposure, np.random.default_rng(0))
-    with pytest.raises(PixsimError, match="mean_e: got 1e\\+308 e-/s for 100 s; allowed: a finite number"):
+    with pytest.raises(PixsimError, match=message):
         sensors.make_frame(dn, 0.0, signal_e_per_s, physics, exposure)
+
+
+def test_full_well_below_the_smallest_numbers_raises():
+    physics, dn = replace(derive(Pixel()), full_well_e=1e-320), np.zeros((2, 3), np.int32)
+    with pytest.raises(PixsimError, match="dn_per_e: got inf; allowed: a finite number"):
+        sensors.make_frame(dn, 0.0, np.ones((2, 3)), physics, Exposure())
 
 
 @pytest.mark.parametrize(
