@@ -12,6 +12,10 @@ Where the mean ΔE of the sizes spans more than a factor `STEEP`, all this is sa
 noise s: of a curve that is steep at one end and flat at the minimum, one stiffness k fits the logarithm, but not the curve, whose
 fit would swing below all sizes tried.
 
+A flank may end more sharply than any smooth curve through few sizes. The sizes tried show that where the curve rises by more than
+a factor `FLANK` to a size next to the best one, where the fit dips by more than `DIP` below it, or where the fit is least where no
+convex curve through the sizes is. The interval then contains all places where such a curve could be least (`convex_range`).
+
 k, t and the uncertainty of s are integrated over, weighted by the likelihood of the data. The result is the distribution
 of the minimum's position over curves drawn from the posterior. It covers the noise, the residual, and the uncertainty of
 the curve between the pitches.
@@ -48,9 +52,11 @@ DRAWS = 2000
 PLACES = 61  # at which curves are drawn; their minima are interpolated between them
 FINE_PLACES = 801  # of the fitted curve: steps of less than 0.4 % of a pitch
 STEEP = 2.5  # largest mean ΔE over the least, above which the logarithm is fitted
-# Of a steep curve: its logarithm is rougher beside the flank, and the posterior's curves are not too rough. In simulated studies
-# of such curves its middle 95 % contain the minimum in 94 % or more, from 11 sizes, or in 89 % where the flank ends in a corner at
-# the minimum (tests/data/interval_coverage_steep.csv).
+# Beyond these the curve between the sizes is not taken for smooth. Smaller ones widen intervals of smooth curves with few sizes.
+FLANK = 1.4  # mean ΔE of a size next to the best one, over its own
+DIP = 0.03  # of the best one's mean ΔE, by which the fit is lower at its minimum
+# Of a steep curve: its logarithm is rougher beside the flank, and the posterior's curves are not too rough. Simulated studies of
+# such curves are in tests/data/interval_coverage_steep.csv.
 STEEP_STIFFNESS_SPREAD, STEEP_CREDIBILITY = 1.0, 0.95
 ROUNDING = 1e-6  # of the mean ΔE: the smallest noise of a pitch, so that the covariance of exact data can be factored
 
@@ -62,11 +68,11 @@ class Optimum:
 
     pitch_um : minimum of the fitted curve
     interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 90 % of the posterior, which
-        contain it in at least 95 % of simulated studies (95 % beside a steep flank, where fewer than 11 sizes contain it less
-        often: docs/studies.md). None for an open end: the minimum may lie at or
-        beyond the smallest or largest pitch tried
+        contain it in at least 95 % of simulated studies (95 % of a steep curve; and all places where a convex curve could be
+        least, where that may not be smooth). None for an open end: the minimum may lie at or beyond the smallest or largest
+        pitch tried
     mean_delta_e : of the fitted curve at `pitch_um`
-    mean_delta_e_interval : its 95 % interval
+    mean_delta_e_interval : 95 % interval of the least expected ΔE
     inside : whether the minimum lies between the smallest and the largest pitch tried, not at one of them
     within_1_percent_um, within_2_percent_um : range of pitches whose fitted mean ΔE is that close to the minimum; None for
         an end at the smallest or the largest pitch tried
@@ -272,6 +278,17 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     low, high = (data.delta_e_of(centre + np.interp(fine, places, offset)) for offset in offsets)
     tail = (1 - credibility(data.logarithmic)) / 2
     within_range = np.clip(np.quantile(minima_um, (tail, 1 - tail)), pitch_um[0], pitch_um[-1])
+    least_low, least_high = float(low[best]), float(high[best])
+    if data.logarithmic:
+        # The fit is least below the true curve's least value, by as much as a drawn curve's least value lies below that of the fit.
+        least_high += max(0.0, float(curve[best]) - float(np.median(curves.min(axis=1))))
+    tried = int(np.argmin(mean))
+    error = data.ci95 / (mean if data.logarithmic else scale)
+    sharpest = np.exp(np.interp(convex_range(u, data.values, error), fine, np.log(fine_um)))
+    has_flank = mean[max(0, tried - 1) : tried + 2].max() > FLANK * mean[tried]
+    if slopes and (has_flank or curve[best] < (1 - DIP) * mean[tried] or not sharpest[0] <= fine_um[best] <= sharpest[1]):
+        within_range = np.array([min(within_range[0], sharpest[0]), max(within_range[1], sharpest[1])])
+        least_high = max(least_high, float(mean[tried] + data.ci95[tried]))  # no least value is above that of a size tried
     ends: list[float | None] = within_range.tolist()
     for end, lowest in ((0, curves[:, 0]), (1, curves[:, -1])):
         if not slopes or np.mean(lowest <= curves.min(axis=1)) > tail:
@@ -281,7 +298,7 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
         pitch_um=float(np.exp(minima(np.log(fine_um), curve[None])[0])) if inside else float(fine_um[best]),
         interval_um=(ends[0], ends[1]),
         mean_delta_e=float(curve[best]),
-        mean_delta_e_interval=(float(low[best]), float(high[best])),
+        mean_delta_e_interval=(least_low, least_high),
         inside=inside,
         within_1_percent_um=within[0],
         within_2_percent_um=within[1],
@@ -315,6 +332,12 @@ class Measured:
     def values(self) -> Array:
         """What is fitted, (P,)."""
         return np.asarray(np.log(self.mean / self.scale)) if self.logarithmic else self.mean / self.scale
+
+    @property
+    def ci95(self) -> Array:
+        """Half the width of the 95 % interval of each pitch's own mean ΔE, (P,)."""
+        of_mean = self.mean * np.sqrt(self.relative / self.design.sensors)
+        return np.asarray(float(stdtrit(self.degrees, (1 + CONFIDENCE) / 2)) * of_mean)
 
     @property
     def noise_scale(self) -> Array:
@@ -404,6 +427,32 @@ def minima(places: Array, curves: Array) -> Array:
     return np.where(inner == least, between, places[least])
 
 
+def convex_range(x: Array, y: Array, error: Array) -> tuple[float, float]:
+    """Return the range of places that contains every place where a convex curve through points may be least.
+
+    Outside two points, a convex curve lies above the line through them. So it cannot fall below the lowest point until the lines
+    through the two points on either side of it have come down to that: the range ends there. A curve of straight lines is
+    least at an end of the range. With one point on a side, the range ends at that point.
+
+    x : (P,) increasing
+    y : (P,) values there
+    error : (P,) of the values; all points that are as low as the lowest one within both errors count as lowest
+    """
+    lowest = np.flatnonzero(y - error <= (y + error)[np.argmin(y)])
+
+    def end(first: int, step: int) -> float:
+        """Where the line through the next two points has come down to the first one; `step` leads away from the lowest."""
+        near, far = first + step, first + 2 * step
+        if not 0 <= near < x.size:
+            return float(x[first])
+        if not 0 <= far < x.size or y[far] <= y[near]:  # one point, or no convex curve
+            return float(x[near])
+        share = (y[near] - y[first]) / (y[far] - y[near])
+        return float(np.clip(x[near] + (x[near] - x[far]) * share, *sorted((x[near], x[first]))))
+
+    return end(int(lowest[0]), -1), end(int(lowest[-1]), 1)
+
+
 def close_to_least(pitch_um: Array, curve: Array, share: float) -> tuple[float | None, float | None]:
     """Return the range of pitches with mean ΔE within a relative share of the minimum; None for an end of the curve."""
     least = float(curve.min())
@@ -418,5 +467,4 @@ def mean_and_ci95(delta_e: Array) -> tuple[Array, Array]:
     The scatter of sensors, relative to the mean ΔE, is pooled over pitches: two sensors of one pitch alone say little.
     """
     data = measured(np.arange(float(len(delta_e))), delta_e)
-    of_mean = data.mean * np.sqrt(data.relative / data.design.sensors)
-    return data.mean, float(stdtrit(data.degrees, (1 + CONFIDENCE) / 2)) * of_mean
+    return data.mean, data.ci95

@@ -148,7 +148,7 @@ class Curve:
     def fit_swings(self) -> bool:
         """Whether the fitted curve is least outside the sizes that look alike, where the best size tried is not.
 
-        Beside a steep flank, a smooth curve may swing below all sizes tried. Its interval is then too narrow.
+        Beside a steep flank, a smooth curve may swing below all sizes tried. Its minimum is then doubtful.
         """
         if self.no_difference_um is None:
             return False

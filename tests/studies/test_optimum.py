@@ -19,11 +19,13 @@ from scipy.stats import multivariate_normal
 from pixsim.base.arrays import Array
 from pixsim.studies.optimum import (
     DRAWS,
+    FLANK,
     STEEP,
     Design,
     FittedCurve,
     Posterior,
     close_to_least,
+    convex_range,
     drawn_curves,
     fit_curve,
     measured,
@@ -54,8 +56,7 @@ def fitted(mean: np.ndarray, repeats: int = 3, noise: float = 0.0, seed: int = 0
 # --- Curves that are known ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("pitches", [5, 6, 16])
-@pytest.mark.parametrize("bend", [0.3, 2.0])  # up to 2.4 times the least
+@pytest.mark.parametrize(("pitches", "bend"), [(5, 0.3), (5, 1.0), (6, 0.3), (6, 2.0), (16, 0.3), (16, 2.0)])  # to 2.4 × the least
 def test_fit_curve_of_parabola(pitches: int, bend: float) -> None:
     """The process around the quadratic has nothing to explain: without noise little is left open."""
     pitch = np.geomspace(5.3, 15, pitches)
@@ -66,6 +67,50 @@ def test_fit_curve_of_parabola(pitches: int, bend: float) -> None:
     assert optimum.inside
     low, high = optimum.interval_um
     assert low < BEST_UM < high < 1.02 * low
+
+
+def test_fit_curve_with_a_flank_beside_the_best_size_leaves_a_corner_open() -> None:
+    """Five sizes of a parabola, of which one next to the best one is 1.5 times as high: a corner may lie between them."""
+    pitch = np.geomspace(5.3, 15, 5)
+    mean = parabola(pitch, 2.0)
+    best = int(np.argmin(mean))
+    assert max(mean[best - 1], mean[best + 1]) / mean[best] > FLANK
+    fit = fitted(mean, pitch_um=pitch)
+    assert not fit.logarithmic
+    assert fit.optimum.pitch_um == pytest.approx(BEST_UM, rel=1e-4)
+    expected = np.exp(convex_range(np.log(pitch), mean, np.zeros(5)))
+    np.testing.assert_allclose(fit.optimum.interval_um, expected, rtol=1e-5)  # read on steps of 0.26 %, linear in the logarithm
+    # No least value is above that of the best size: without noise its own.
+    assert fit.optimum.mean_delta_e_interval[1] == pytest.approx(mean.min(), rel=1e-9)
+
+
+def test_convex_range_by_hand() -> None:
+    """A parabola on steps of 1: the lines through its points at ±2 and ±1 reach 0 at ±2/3. A corner lies at the end of a line."""
+    x, exact = np.arange(-3.0, 4.0), np.zeros(7)
+    np.testing.assert_allclose(convex_range(x, x**2, exact), [-2 / 3, 2 / 3])
+    corner = np.maximum(-10.0 * (x + 0.5), 0.2 * (x + 0.5))  # least at -0.5, of which the points at -2, -1 and 0, 1, 2 are known
+    np.testing.assert_allclose(convex_range(x, corner, exact), [-0.51, 0.0])
+    assert convex_range(x, -x, exact) == (3.0, 3.0)
+    np.testing.assert_allclose(convex_range(np.arange(3.0), np.array([3.0, 1.0, 2.0]), exact[:3]), [0, 2])  # one point on each side
+    # Within 0.5 each, the points at -1, 0 and 1 may all be lowest: the lines through those at ±3 and ±2 reach 1 at ±1.4.
+    np.testing.assert_allclose(convex_range(x, x**2, np.full(7, 0.5)), [-1.4, 1.4])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_convex_range_contains_the_minimum_of_convex_curves(seed: int) -> None:
+    """Of lines, exponentials and parabolas, through points that are anywhere."""
+    rng = np.random.default_rng(seed)
+    places = np.sort(rng.uniform(0, 1, 12))
+    slopes, at, bend, steep = rng.normal(0, 30, 6), rng.uniform(-1, 1, 6), rng.exponential(5), rng.exponential(20)
+
+    def curve(x: Array) -> Array:
+        lines = (slopes * (x[:, None] - at)).max(axis=1)
+        return np.asarray(lines + bend * (x - 0.5) ** 2 + steep * np.exp(-x / 0.05))
+
+    fine = np.linspace(places[0], places[-1], 100_001)
+    least = fine[curve(fine).argmin()]
+    low, high = convex_range(places, curve(places), np.zeros(12))
+    assert low - 1e-5 <= least <= high + 1e-5  # of the steps
 
 
 def test_fit_curve_of_exact_rough_data() -> None:
@@ -347,7 +392,12 @@ STUDIES = 200
 
 
 COVERED = [pytest.param("chen2000_0.35um", 2, marks=pytest.mark.slow), ("evening", 3)]
-COVERED += [pytest.param("near_an_end", 3, marks=pytest.mark.slow), ("steep_power", 3), ("steep_exponential", 3)]
+COVERED += [
+    pytest.param("near_an_end", 3, marks=pytest.mark.slow),
+    ("steep_power", 3),
+    ("steep_exponential", 3),
+    ("steep_corner", 3),
+]
 
 
 @pytest.mark.slow
