@@ -20,7 +20,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from pixsim.base import cache
-from pixsim.base.errors import invalid
+from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.notes import MachineWarning, warn
 from pixsim.scene import graphics
 
@@ -182,7 +182,7 @@ def choose(asked: str | None = None) -> Choice:
     PixsimError for an unknown variant, for an LLVM variant without a usable LLVM, and for a CUDA variant without a driver.
     """
     if asked is not None and asked not in VARIANTS:
-        raise invalid("variant", f"'{asked}'", ", ".join(VARIANTS))
+        raise invalid("variant", f"'{asked}'", ", ".join(VARIANTS), did_you_mean(asked, VARIANTS))
     if asked == SCALAR:
         return Choice(SCALAR, None, "requested")
     if asked == CUDA and (fault := graphics.absent()):

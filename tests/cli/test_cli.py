@@ -137,6 +137,13 @@ INVALID = {
     "run": ["SCENE"],
     "run cfs": ["Did you mean 'csf'?"],
     "run csf --pixel.technology 0.35": ["Did you mean '0.35um'?"],
+    "run csf --camera.f-number 3,75": ["camera.f_number: got '3,75'; allowed: a valid number. Write 3.75, with a decimal point."],
+    "run csf --camera.f-number f/2.8": ["camera.f_number: got 'f/2.8'; allowed: a valid number. Write 2.8, the number alone."],
+    "run csf --pixel.pitch-um 6.5um": ["Write 6.5, the number alone."],
+    "run csf --pixel.pitch-um 3,750": ["got '3,750'; allowed: a valid number.\n"],  # which may be 3750
+    "run csf --pixel.bits 10bit": ["got '10bit'; allowed: a valid integer. Write 10, the number alone."],
+    "run csf --display.dots 5,5": ["got '5,5'; allowed: a valid integer.\n"],
+    "run csf --variant cuda_spectral": ["Did you mean 'cuda_ad_spectral'?"],
     "look": ["look", "run, plan, study, compare, accuracy, datasheet, lens, sfr"],
     "study nowhere": ["nowhere", "chen2000"],
     "study chen200": ["Did you mean 'chen2000'?"],
