@@ -129,7 +129,7 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
         message = f"a table of {', '.join(_names(title, path))}" if _names(title, path) else "a table"
     value = repr(problem["input"])
     value = value if len(value) <= MAX_VALUE else value[:MAX_VALUE] + "…"
-    hint = _hint(path, problem["input"], problem["type"] == "int_parsing")
+    hint = _hint(path, problem["input"], problem["type"])
     return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
 
 
@@ -169,10 +169,10 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
 LONE_NUMBER = re.compile(r"[^\d.,+-]*([-+]?\d+(?:\.\d+|,(?!\d{3}\b)\d+)?)[^\d.,]*")
 
 
-def _hint(path: Sequence[str], value: Any, is_whole: bool) -> str:
+def _hint(path: Sequence[str], value: Any, fault: str) -> str:
     """How to write a value that was meant well: in per cent, with a unit, with a decimal comma, or as a range; empty for others.
 
-    is_whole : whether a whole number is asked for
+    fault : Pydantic's name of the problem
     """
     name = path[-1] if path else ""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -184,8 +184,9 @@ def _hint(path: Sequence[str], value: Any, is_whole: bool) -> str:
         return PIXELS_OR_FILM
     if path[:1] == ["pixel"] and isinstance(value, list | tuple) and len(value) == 2:
         return f"A range of what is not known: [pixel.uncertainty] {name} = {{ range = {list(value)} }}; several values: --axis."
-    if isinstance(value, str) and (number := LONE_NUMBER.fullmatch(value)) and not (is_whole and re.search("[.,]", number[1])):
-        return f"Write {number[1].replace(',', '.')}, {'with a decimal point' if ',' in value else 'the number alone'}."
+    lone = LONE_NUMBER.fullmatch(value) if fault in ("float_parsing", "int_parsing") else None
+    if lone and not (fault == "int_parsing" and re.search("[.,]", lone[1])):
+        return f"Write {lone[1].replace(',', '.')}, {'with a decimal point' if ',' in value else 'the number alone'}."
     return ""
 
 

@@ -54,7 +54,7 @@ class Lines:
     def end(self) -> None:
         """End the stage."""
         with self._lock:
-            self._line(f"{self._name}: done in {self._clock() - self._began:.2g} s")
+            self._line(f"{self._name}: done in {float(f'{self._clock() - self._began:.2g}'):g} s")
 
     @contextmanager
     def ticking(self) -> Iterator[None]:

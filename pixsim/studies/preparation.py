@@ -218,6 +218,7 @@ def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]
 RENDER_S_PER_SAMPLE = 1.6e-7  # of a film cell's samples, both of the two renders that show the noise
 PATH_S_PER_SAMPLE = 2.0e-6  # with any number of bounces
 FILM_S_PER_CELL = 1.0e-6  # its noise, diffraction and ideal image
+FRAME_S = 6e-4  # of an evaluation of few pixels and dots
 FRAME_S_PER_PIXEL = 2.6e-7  # integration, noise and ADC
 SCORE_S_PER_DOT = 2.2e-7  # shown picture and S-CIELAB
 START_S, PAGE_S = 4.0, 6.0  # scene, compiling of the renderer; figures and page
@@ -268,7 +269,7 @@ def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
     if display.raster == "fixed_size":
         height_um, width_um = camera.die_um
         dots = display.dots * max(1, round(display.dots * height_um / width_um))
-    seconds = pixels * FRAME_S_PER_PIXEL + dots * SCORE_S_PER_DOT
+    seconds = FRAME_S + pixels * FRAME_S_PER_PIXEL + dots * SCORE_S_PER_DOT
     return Cost(seconds, pixels * BYTES_PER_PIXEL + dots * DOT_BYTES, 1)
 
 
