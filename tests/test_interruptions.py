@@ -386,10 +386,45 @@ def test_command_whose_terminal_is_closed_beside_its_files_has_ended(tmp_path: P
         "original =", "terminal, own = os.openpty(); [os.dup2(own, number) for number in (1, 2)]\noriginal =", 1
     )
     (tmp_path / "out").mkdir()
-    process = started(script, tmp_path)
+    # Whoever runs the tests may ignore SIGHUP.
+    process = started(script, tmp_path, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL))
     process.communicate(timeout=HANG_S)
     assert process.returncode == 0
     assert (tmp_path / "out" / "sensor.toml").is_file()
+
+
+STUCK = """
+import os
+from pixsim.cli import process
+from pixsim.cli.options import say
+process.PATIENCE_S = 0.2
+process.interruption.guard()
+process.interruption.begin()
+process.interruption.end_or_raise()
+say("x" * 400_000)
+"""
+
+
+@pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="pipes of one page are Linux's")
+def test_signal_while_both_streams_are_held_up_ends_the_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message of its end would wait for the same reader."""
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
+    process = started(STUCK, tmp_path, stderr=subprocess.STDOUT)
+    size = fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, 4096)
+    wait_for(lambda: unread_bytes(process.stdout) == size or process.poll() is not None)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(HANG_S) == 128 + signal.SIGTERM
+    process.communicate()
+
+
+def test_other_faults_after_the_terminal_is_closed_are_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: object) -> None:
+        cli_process.interruption.terminal_closed = True
+        raise PermissionError(errno.EACCES, "Permission denied", "out/report.html")
+
+    monkeypatch.setattr("pixsim.cli.commands.run_command", fail)
+    code, _, err = command("cache")
+    assert (code, "out/report.html: Permission denied" in err) == (2, True)
 
 
 ENTERED = """

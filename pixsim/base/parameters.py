@@ -165,8 +165,9 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
     return PIXELS_OR_FILM if above and meant and name == "resolution" and meant[0][-1] != "dots" else hint
 
 
-# Such as f/2.8, 6.5um and 3,75; with three digits after a comma they may be thousands.
-LONE_NUMBER = re.compile(r"[^\d.,+-]*([-+]?\d+(?:\.\d+|,(?!\d{3}\b)\d+)?)[^\d.,]*")
+# A number that follows f/ or precedes a unit; with a decimal comma, unless three digits after it make it thousands.
+NUMBER_WITH = re.compile(r"(f/?)?\s*([-+]?[0-9]+(?:\.[0-9]+|,(?![0-9]{3}(?![0-9]))[0-9]+)?)\s*([a-zµμ]*)", re.IGNORECASE)
+UNITS = {"um": ("um", "µm", "μm"), "bits": ("bit", "bits")}  # of names that end so; others are written as they are
 
 
 def _hint(path: Sequence[str], value: Any, fault: str) -> str:
@@ -184,9 +185,12 @@ def _hint(path: Sequence[str], value: Any, fault: str) -> str:
         return PIXELS_OR_FILM
     if path[:1] == ["pixel"] and isinstance(value, list | tuple) and len(value) == 2:
         return f"A range of what is not known: [pixel.uncertainty] {name} = {{ range = {list(value)} }}; several values: --axis."
-    lone = LONE_NUMBER.fullmatch(value) if fault in ("float_parsing", "int_parsing") else None
-    if lone and not (fault == "int_parsing" and re.search("[.,]", lone[1])):
-        return f"Write {lone[1].replace(',', '.')}, {'with a decimal point' if ',' in value else 'the number alone'}."
+    if fault in ("float_parsing", "int_parsing") and isinstance(value, str) and (found := NUMBER_WITH.fullmatch(value.strip())):
+        before, number, unit = found[1], found[2], (found[3] or "").lower()
+        own = unit in ("", *UNITS.get(name.rpartition("_")[2], (name.rpartition("_")[2],)))
+        whole = fault == "float_parsing" or number.lstrip("+-").isdecimal()
+        if own and whole and (not before or name == "f_number"):
+            return f"Write {number.replace(',', '.')}, {'with a decimal point' if ',' in number else 'the number alone'}."
     return ""
 
 

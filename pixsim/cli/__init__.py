@@ -8,6 +8,7 @@ Little is imported here, so that `command` takes Ctrl-C before `main` imports th
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import sys
@@ -60,7 +61,8 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
 
         end(refusal(error), INVALID_INPUT)
     except OSError as error:
-        if not isinstance(error, BrokenPipeError) and not interruption.terminal_closed:
+        is_of_terminal = interruption.terminal_closed and error.errno == errno.EIO and error.filename is None
+        if not isinstance(error, BrokenPipeError) and not is_of_terminal:
             end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
         discard_output()  # the reader, such as `head`, has closed the pipe
     except MemoryError:

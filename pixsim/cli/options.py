@@ -69,7 +69,9 @@ class Verbosity:
 
     def note(self, text: str) -> None:
         if not self.quiet:
+            interruption.begin_output()
             progress.writer_to(sys.stderr)(text)
+            interruption.end_output()
 
 
 verbosity = Verbosity()
@@ -414,3 +416,5 @@ def say(text: str, as_json: bool = False) -> None:
         if isinstance(error, BrokenPipeError) or interruption.terminal_closed:
             raise
         raise PixsimError(f"standard output: it cannot be written ({error.strerror}); the files of the command are.") from None
+    finally:
+        interruption.end_output()

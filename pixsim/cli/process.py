@@ -40,6 +40,7 @@ class Interruption:
 
     received: int | None = None  # number of the signal
     late: int | None = None  # number of the first one after `end_or_raise`, which does not end the command
+    terminal_closed = False  # after `end_or_raise`: what is still to be printed is lost
     _at_s = 0.0  # from when on patience is counted: from a signal, or from the end of the command
     _begun = _done = _prints = False
 
@@ -54,7 +55,7 @@ class Interruption:
 
     def begin(self) -> None:
         """The command begins: from now on a signal raises KeyboardInterrupt."""
-        self._begun, self._done, self._prints, self.late = True, False, False, None
+        self._begun, self._done, self._prints, self.late, self.terminal_closed = True, False, False, None, False
 
     def end_or_raise(self) -> None:
         """All files of the command are finished, and are about to move into place. From now on it counts as ended.
@@ -74,12 +75,16 @@ class Interruption:
             raise KeyboardInterrupt
 
     def begin_output(self) -> None:
-        """A result is printed. If the files are in place and a signal has come, a reader that takes nothing holds it up
-        for `PATIENCE_S` at most.
-        """
+        """Something is printed. If the files are in place and a signal has come, a reader may take `PATIENCE_S` for it."""
         self._prints = self._done
         if self.late is not None:
             signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+
+    def end_output(self) -> None:
+        """It has been printed."""
+        self._prints = False
+        if self.late is not None:
+            signal.setitimer(signal.ITIMER_REAL, 0)
 
     def finish(self) -> None:
         """The command has ended: signals do not disturb the clean-up of the process, unless that takes long."""
@@ -88,11 +93,6 @@ class Interruption:
             self._at_s = time.monotonic()
         if self.received is not None or self.late is not None:
             signal.setitimer(signal.ITIMER_REAL, 0)
-
-    @property
-    def terminal_closed(self) -> bool:
-        """Whether the terminal was closed after the command had ended, so that what is still to be printed is lost."""
-        return self.late == signal.SIGHUP
 
     @property
     def words(self) -> str:
@@ -104,6 +104,7 @@ class Interruption:
         return SIGNAL_EXIT + (self.received or signal.SIGINT)
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
+        self.terminal_closed |= self._done and number == signal.SIGHUP
         if self.received is None and not self._done:
             self.received, self._at_s = number, time.monotonic()
             if self._begun:
@@ -147,6 +148,7 @@ class Interruption:
 
     def _leave(self) -> NoReturn:
         with suppress(OSError):
+            os.set_blocking(2, False)  # it may be the pipe that holds up the result
             os.write(2, f"pixsim: {self.words}\n".encode())
         os._exit(self.exit_code)
 

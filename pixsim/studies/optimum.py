@@ -14,7 +14,8 @@ fit would swing below all sizes tried.
 
 A flank may end more sharply than any smooth curve through few sizes. The sizes tried show that where the curve rises by more than
 a factor `FLANK` to a size next to the best one, where the fit dips by more than `DIP` below it, or where the fit is least where no
-convex curve through the sizes is. The interval then contains all places where such a curve could be least (`convex_range`).
+convex curve through the sizes is. The interval then contains all places where such a curve, of ΔE against u, could be least
+(`convex_range`).
 
 k, t and the uncertainty of s are integrated over, weighted by the likelihood of the data. The result is the distribution
 of the minimum's position over curves drawn from the posterior. It covers the noise, the residual, and the uncertainty of
@@ -67,10 +68,10 @@ class Optimum:
     """The pitch of minimum mean ΔE, with its uncertainty.
 
     pitch_um : minimum of the fitted curve
-    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 90 % of the posterior, which
-        contain it in at least 95 % of simulated studies (95 % of a steep curve; and all places where a convex curve could be
-        least, where that may not be smooth). None for an open end: the minimum may lie at or beyond the smallest or largest
-        pitch tried
+    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 90 % of the posterior (95 % of a steep
+        curve), which contain it in 96 % of simulated studies. Where the curve may not be smooth it holds also all places where a
+        convex curve could be least; at a sharp corner, fewer than 11 sizes contain the minimum less often (docs/studies.md). None
+        for an open end: the minimum may lie at or beyond the smallest or largest pitch tried
     mean_delta_e : of the fitted curve at `pitch_um`
     mean_delta_e_interval : 95 % interval of the least expected ΔE
     inside : whether the minimum lies between the smallest and the largest pitch tried, not at one of them
@@ -280,18 +281,22 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     within_range = np.clip(np.quantile(minima_um, (tail, 1 - tail)), pitch_um[0], pitch_um[-1])
     least_low, least_high = float(low[best]), float(high[best])
     if data.logarithmic:
-        # The fit is least below the true curve's least value, by as much as a drawn curve's least value lies below that of the fit.
+        # The least value of a fit is too low: about as much as the least value of a curve drawn from it is below its own.
         least_high += max(0.0, float(curve[best]) - float(np.median(curves.min(axis=1))))
     tried = int(np.argmin(mean))
-    error = data.ci95 / (mean if data.logarithmic else scale)
-    sharpest = np.exp(np.interp(convex_range(u, data.values, error), fine, np.log(fine_um)))
+    # Of ΔE itself: the logarithm of a convex curve need not be convex.
+    places_low, places_high = convex_range(u, mean, data.ci95)
+    may_be_beyond = places_low is None, places_high is None
+    sharpest = np.exp(np.interp([places_low or 0.0, u[-1] if places_high is None else places_high], fine, np.log(fine_um)))
     has_flank = mean[max(0, tried - 1) : tried + 2].max() > FLANK * mean[tried]
-    if slopes and (has_flank or curve[best] < (1 - DIP) * mean[tried] or not sharpest[0] <= fine_um[best] <= sharpest[1]):
-        within_range = np.array([min(within_range[0], sharpest[0]), max(within_range[1], sharpest[1])])
+    is_sharp = slopes and (has_flank or curve[best] < (1 - DIP) * mean[tried] or not sharpest[0] <= fine_um[best] <= sharpest[1])
+    if is_sharp:
+        ends_um = min(within_range[0], sharpest[0]), max(within_range[1], sharpest[1])
+        within_range = np.clip(ends_um, pitch_um[0], pitch_um[-1])  # without rounding errors
         least_high = max(least_high, float(mean[tried] + data.ci95[tried]))  # no least value is above that of a size tried
     ends: list[float | None] = within_range.tolist()
     for end, lowest in ((0, curves[:, 0]), (1, curves[:, -1])):
-        if not slopes or np.mean(lowest <= curves.min(axis=1)) > tail:
+        if not slopes or np.mean(lowest <= curves.min(axis=1)) > tail or (is_sharp and may_be_beyond[end]):
             ends[end] = None
     within = [close_to_least(fine_um, curve, percent / 100) for percent in (1, 2)]
     optimum = Optimum(
@@ -427,12 +432,12 @@ def minima(places: Array, curves: Array) -> Array:
     return np.where(inner == least, between, places[least])
 
 
-def convex_range(x: Array, y: Array, error: Array) -> tuple[float, float]:
+def convex_range(x: Array, y: Array, error: Array) -> tuple[float | None, float | None]:
     """Return the range of places that contains every place where a convex curve through points may be least.
 
     Outside two points, a convex curve lies above the line through them. So it cannot fall below the lowest point until the lines
     through the two points on either side of it have come down to that: the range ends there. A curve of straight lines is
-    least at an end of the range. With one point on a side, the range ends at that point.
+    least at an end of the range. With one point on a side, the range ends at that point; with none, it has no end: None.
 
     x : (P,) increasing
     y : (P,) values there
@@ -440,11 +445,11 @@ def convex_range(x: Array, y: Array, error: Array) -> tuple[float, float]:
     """
     lowest = np.flatnonzero(y - error <= (y + error)[np.argmin(y)])
 
-    def end(first: int, step: int) -> float:
+    def end(first: int, step: int) -> float | None:
         """Where the line through the next two points has come down to the first one; `step` leads away from the lowest."""
         near, far = first + step, first + 2 * step
         if not 0 <= near < x.size:
-            return float(x[first])
+            return None
         if not 0 <= far < x.size or y[far] <= y[near]:  # one point, or no convex curve
             return float(x[near])
         share = (y[near] - y[first]) / (y[far] - y[near])

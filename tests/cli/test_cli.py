@@ -141,6 +141,12 @@ INVALID = {
     "run csf --camera.f-number f/2.8": ["camera.f_number: got 'f/2.8'; allowed: a valid number. Write 2.8, the number alone."],
     "run csf --pixel.pitch-um 6.5um": ["Write 6.5, the number alone."],
     "run csf --pixel.pitch-um 3,750": ["got '3,750'; allowed: a valid number.\n"],  # which may be 3750
+    "run csf --pixel.pitch-um 6500nm": ["got '6500nm'; allowed: a valid number.\n"],
+    "run csf --camera.focal-length-mm 4mm": ["Write 4, the number alone."],
+    "run csf --camera.focal-length-mm f/4": ["got 'f/4'; allowed: a valid number.\n"],
+    "run csf --exposure.gain-db 6dB": ["Write 6, the number alone."],
+    "run csf --pixel.pitch-um 0,5": ["Write 0.5, with a decimal point."],
+    "run csf --exposure.integration-s 20ms": ["got '20ms'; allowed: a valid number.\n"],
     "run csf --pixel.bits 10bit": ["got '10bit'; allowed: a valid integer. Write 10, the number alone."],
     "run csf --display.dots 5,5": ["got '5,5'; allowed: a valid integer.\n"],
     "run csf --variant cuda_spectral": ["Did you mean 'cuda_ad_spectral'?"],

@@ -90,7 +90,7 @@ def test_convex_range_by_hand() -> None:
     np.testing.assert_allclose(convex_range(x, x**2, exact), [-2 / 3, 2 / 3])
     corner = np.maximum(-10.0 * (x + 0.5), 0.2 * (x + 0.5))  # least at -0.5, of which the points at -2, -1 and 0, 1, 2 are known
     np.testing.assert_allclose(convex_range(x, corner, exact), [-0.51, 0.0])
-    assert convex_range(x, -x, exact) == (3.0, 3.0)
+    assert convex_range(x, -x, exact) == (3.0, None)
     np.testing.assert_allclose(convex_range(np.arange(3.0), np.array([3.0, 1.0, 2.0]), exact[:3]), [0, 2])  # one point on each side
     # Within 0.5 each, the points at -1, 0 and 1 may all be lowest: the lines through those at ±3 and ±2 reach 1 at ±1.4.
     np.testing.assert_allclose(convex_range(x, x**2, np.full(7, 0.5)), [-1.4, 1.4])
@@ -110,7 +110,26 @@ def test_convex_range_contains_the_minimum_of_convex_curves(seed: int) -> None:
     fine = np.linspace(places[0], places[-1], 100_001)
     least = fine[curve(fine).argmin()]
     low, high = convex_range(places, curve(places), np.zeros(12))
-    assert low - 1e-5 <= least <= high + 1e-5  # of the steps
+    assert low is None or low - 1e-5 <= least  # of the steps
+    assert high is None or least <= high + 1e-5
+
+
+def test_fit_curve_of_a_convex_corner_contains_it() -> None:
+    """Two straight lines, whose logarithms are not convex."""
+    pitch = np.geomspace(2, 10, 7)
+    mean = np.array([11, 5, 1, 5 / 3, 7 / 3, 3, 11 / 3])  # of max(5 - 6 (i - 1), 0.8 + 2/3 (i - 1.7)), least 0.8 at i = 1.7
+    fit = fitted(mean, pitch_um=pitch)
+    assert fit.logarithmic
+    low, high = fit.optimum.interval_um
+    assert low <= 2 * 5 ** (1.7 / 6) <= high
+    assert pitch[0] <= low < fit.optimum.pitch_um < high <= pitch[-1]
+
+
+def test_fit_curve_with_a_flank_beside_the_smallest_size_is_open() -> None:
+    """The two smallest sizes are equally good, within their errors: the minimum may lie below them."""
+    pitch = np.geomspace(2, 10, 7)
+    optimum = fitted(np.array([1.06, 1.0, 1.5, 2.0, 2.3, 2.4, 2.45]), noise=0.05, pitch_um=pitch).optimum
+    assert optimum.interval_um[0] is None
 
 
 def test_fit_curve_of_exact_rough_data() -> None:
