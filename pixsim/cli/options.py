@@ -69,9 +69,8 @@ class Verbosity:
 
     def note(self, text: str) -> None:
         if not self.quiet:
-            interruption.begin_output()
-            progress.writer_to(sys.stderr)(text)
-            interruption.end_output()
+            with interruption.printing():
+                progress.writer_to(sys.stderr)(text)
 
 
 verbosity = Verbosity()
@@ -409,12 +408,10 @@ def show(result: dict[str, Any], as_json: bool, text: str) -> None:
 
 def say(text: str, as_json: bool = False) -> None:
     """Print to stdout, and flush it. Raises PixsimError if that fails, but for a pipe or a terminal that is closed."""
-    interruption.begin_output()
     try:
-        print(printable(text, as_json), end="", flush=True)
+        with interruption.printing():
+            print(printable(text, as_json), end="", flush=True)
     except OSError as error:
         if isinstance(error, BrokenPipeError) or interruption.terminal_closed:
             raise
         raise PixsimError(f"standard output: it cannot be written ({error.strerror}); the files of the command are.") from None
-    finally:
-        interruption.end_output()

@@ -10,10 +10,11 @@ import os
 import signal
 import sys
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from types import FrameType
     from typing import Any, NoReturn
 
@@ -74,17 +75,18 @@ class Interruption:
             signal.setitimer(signal.ITIMER_REAL, 0)
             raise KeyboardInterrupt
 
-    def begin_output(self) -> None:
-        """Something is printed. If the files are in place and a signal has come, a reader may take `PATIENCE_S` for it."""
+    @contextmanager
+    def printing(self) -> Iterator[None]:
+        """Within the block, something is printed. If the files are in place, a reader may take `PATIENCE_S` after a signal."""
         self._prints = self._done
         if self.late is not None:
             signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
-
-    def end_output(self) -> None:
-        """It has been printed."""
-        self._prints = False
-        if self.late is not None:
-            signal.setitimer(signal.ITIMER_REAL, 0)
+        try:
+            yield
+        finally:
+            self._prints = False
+            if self.late is not None:
+                signal.setitimer(signal.ITIMER_REAL, 0)
 
     def finish(self) -> None:
         """The command has ended: signals do not disturb the clean-up of the process, unless that takes long."""
