@@ -36,14 +36,13 @@ from pixsim.studies.evaluations import (
     light_of,
     scenes_of,
     scores_of,
-    shown_chain,
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.rows import Row
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
-from pixsim.viewer.score import ImagingChain, SceneCache, Score, clip_words, clips_dark, dark_clip
+from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -385,15 +384,12 @@ class StudyResult:
         light = light_of(self.study, self.scenes, technology)
         count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
         frames = self.fingerprints.frames_of_pitch(technology, pitch_um)
-        whole: ImagingChain | None = None
+        chain_of = partial(chain_at, self.study, light, self.camera, technology, pitch_um)
         scores: list[Score] = []
         for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
             own, key = list(range(first, min(count, first + REPEATS_PER_TASK))), block_key(frames, block)
-            known = kept_frames(key)
-            chain = shown_chain(self.study, light, technology, pitch_um, own, known) if shown else None
-            if chain is None:
-                chain = whole = whole or chain_at(self.study, light, self.camera, technology, pitch_um)
-            scores += [score for _, score, _ in scores_of(chain, self.study, own, key, known)]
+            of_block = own, key, kept_frames(key), chain_of
+            scores += [score for _, score, _ in scores_of(self.study, light, technology, pitch_um, *of_block, shown=shown)]
         # Figures sum over the maps, for which float32 has too few digits.
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 

@@ -462,7 +462,7 @@ def _prepare(study: Study, variant: str | None, view: View | None = None, scenes
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
-        dot_edges_um(camera.die_um, largest_um, study.display, study.pitch.largest_um)
+        dot_edges_um(camera.die_um, largest_um, study.display, study.border_um)
     return Prepared(study, scene, camera, view, variant)
 
 

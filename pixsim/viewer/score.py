@@ -465,12 +465,13 @@ def ideal_on_dots(
 
     That is `displays.ideal_luminance`, (H, W), or `ideal_rgb`, (3, H, W).
 
-    border_um : largest pitch scored on the same dots
+    border_um : of all that is scored on the same dots, as for `displays.dot_edges_um`
     rendition : of a colour sensor
     """
     irradiance = ideal_light(irradiance, camera)
     size_um, array_um = displays.picture_size_um(irradiance), array_size_um(irradiance, camera)
-    edges_um = displays.dot_edges_um(size_um, physics.as_read.read_pitch_um, display, border_um, array_um)
+    own = physics.as_read.read_pitch_um, display, border_um, array_um, physics.registration
+    edges_um = displays.dot_edges_um(size_um, *own)
     if rendition is None:
         return edges_um, displays.ideal_luminance(irradiance, camera, physics, display, edges_um)
     return edges_um, ideal_rgb(irradiance, camera, display, rendition.to_display, edges_um)
@@ -523,13 +524,13 @@ def prepare_scene(
     """Return the light behind the lens and the screen. They depend on the pitch only if the raster is one_to_one.
 
     single : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not with `full`
-    border_um : largest pitch scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's pitch
+    border_um : of all that is scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's
     lights : behind the lens, of a part of a picture whose blur depends on its place; None computes them
 
     Raises PixsimError if the irradiance is negative or not finite.
     """
     irradiance.validate()
-    border_um = physics.as_read.read_pitch_um if border_um is None else border_um
+    border_um = physics.as_read.border_um if border_um is None else border_um
     channels = physics.channels
     rendition = None if physics.layout is None else rendition_of(irradiance, channels, display)
     edges_um, light = ideal_on_dots(irradiance, camera, physics, display, border_um, rendition)
@@ -610,7 +611,7 @@ def chain_at_pitch(
     correction: Correction = NO_CORRECTION,
     develop: Develop = DEVELOP,
 ) -> ImagingChain:
-    """Return the imaging chain of a pixel of any pitch, from light prepared for its spectral response."""
+    """Return the imaging chain of a pixel of any pitch and registration, from light prepared for its spectral response."""
     signal, collections = array_signal(light.lights, light.sample_pitch_um, physics, light.array_um)
     return _chain(light, physics, exposure, correction, develop, signal, collections)
 
