@@ -1697,7 +1697,9 @@ NOT_SETTINGS = {
     PITCH_TABLE: "pixel sizes are an axis of every study, set by [pitch]",
     "technologies": "name technologies in the study, or vary pixel.technology by an axis",
     "seed": "all cases have the same seeds, so that they differ by their settings alone",
-    **dict.fromkeys(("repeats", "target_ci_um", "max_repeats", "max_evaluations"), "the sensors of all cases are counted alike"),
+    **dict.fromkeys(
+        ("repeats", "target_ci_um", "refine", "max_repeats", "max_evaluations"), "the sensors of all cases are counted alike"
+    ),
     **dict.fromkeys(("tolerance_delta_e", "max_seconds"), "vary resolution or render_noise to see their errors"),
     **dict.fromkeys(("iso_delta_e", "detail"), "it changes the report, not its numbers"),
 }
@@ -2024,6 +2026,11 @@ class Study(Effort):
     target_ci_um: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
         None,
         description="target for the half-length of the 95 % interval of every optimum; sizes and sensors are added to reach it",
+    )
+    refine: bool = Field(
+        True,
+        description="without target_ci_um, add a few sizes and sensors where the interval of the optimum has an open end (not to "
+        "pitch.values_um, nor beyond the range, nor in studies of more than 64 cases)",
     )
     max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(
         32, description="largest number of sensors at one pixel size, for target_ci_um"

@@ -258,7 +258,7 @@ def test_measured_pools_scatter() -> None:
     """Two pitches by hand: squares about the means 2 and 4 are 2 · 1² and 2 · 1², of 1 · 2² + 1 · 4² expected at 100 %."""
     data = measured(np.array([0.0, 1.0]), np.array([[1.0, 3.0, np.nan], [3.0, 5.0, np.nan]]))
     np.testing.assert_allclose(data.mean, [2, 4])
-    assert (data.scale, data.degrees, data.logarithmic) == (2.0, 2, False)
+    assert (data.scale, data.degrees.tolist(), data.logarithmic) == (2.0, [2, 2], False)
     np.testing.assert_allclose(data.design.noise, 4 / 20 * np.array([1.0, 4.0]))
     # And of many sensors it is theirs: 5 standard errors of a standard deviation from 8000 values, 1/√16000.
     many = measured(np.log(PITCH), sensors_of(parabola(PITCH), 500, 0.01))
