@@ -394,9 +394,7 @@ def pixels_along(length_um: float, pitch_um: float, registration: float | None =
     if count < 1:
         allowed = f"at most the die, {length_um:g} µm"
         if registration is not None:
-            allowed = (
-                f"pixels of which one fits on the die, {length_um:g} µm, with a border {registration:g} pixels from its centre"
-            )
+            allowed = f"small enough for one whole pixel on a die of {length_um:g} µm at the registration {registration:g}"
         raise invalid("pixel.pitch_um", f"{pitch_um:g}", allowed, other_unit_of_pitch(pitch_um))
     return count
 
