@@ -38,6 +38,20 @@ def next_sensors(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) 
     return dict(sorted(chosen.items()))
 
 
+def next_where_open(fit: FittedCurve, sensors: dict[float, int], started: int, max_sensors: int) -> dict[float, int]:
+    """Return `next_sensors` for a curve whose interval has an open end; unchanged for others, and at the limit of `MAX_OPEN`.
+
+    A curve that is least at an end of the range has a third of that limit: it may well go on beyond.
+
+    started : evaluations before any was added
+    """
+    if None not in fit.optimum.interval_um:
+        return sensors
+    more = next_sensors(fit, sensors, max_sensors)
+    limit = started + (MAX_OPEN if fit.optimum.inside else MAX_OPEN // 3)
+    return more if sum(more.values()) <= limit else sensors
+
+
 def additions(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
     """Return the candidate additions, {µm: new number of sensors}: pitches up to `BEYOND` outside the interval, and midpoints."""
     pitches_um = np.array(sorted(sensors))

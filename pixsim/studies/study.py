@@ -38,7 +38,7 @@ from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import PixelPhysics, physics_of, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.technology import label_of, technology_of
-from pixsim.studies.allocation import MAX_OPEN, next_sensors
+from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import (
@@ -277,25 +277,26 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
     """Return the sampling after a round of additions to each curve; unchanged at a limit.
 
     A curve whose interval misses `target_ci_um` gets sizes and sensors where they narrow it most. Without a target, so does one
-    whose interval has an open end, up to `MAX_OPEN` evaluations, unless the sizes are a list of the user's.
+    whose interval has an open end (`next_where_open`), unless the sizes are a list of the user's.
+
+    refine : whether curves without a target may have additions
 
     The choice depends on the curves alone, so it is the same on any workers and in a resumed study.
     """
     chosen = dict(sampling)
     for curve in curves:
         sensors = sampling[curve.technology]
-        started = len(study_pitches_um(study, curve.technology)) * study.repeats
-        most = max(study.repeats, study.max_repeats)
-        limit = started // study.repeats * most
+        sizes, most = len(study_pitches_um(study, curve.technology)), max(study.repeats, study.max_repeats)
         if study.target_ci_um is None:
-            if not (refine and study.refine) or study.pitch.values_um is not None or None not in curve.optimum.interval_um:
+            if not (refine and study.refine) or study.pitch.values_um is not None:
                 continue
-            limit = min(limit, started + (MAX_OPEN if curve.optimum.inside else MAX_OPEN // 3))
+            more = next_where_open(curve.fit, sensors, sizes * study.repeats, most)
         elif curve.optimum.half_width_um <= study.target_ci_um:
             continue
-        more = next_sensors(curve.fit, sensors, most)
+        else:
+            more = next_sensors(curve.fit, sensors, most)
         if study.max_evaluations is None:
-            within = sum(more.values()) <= limit
+            within = sum(more.values()) <= sizes * most
         else:
             evaluations = sum(sum(counts.values()) for counts in (chosen | {curve.technology: more}).values())
             within = evaluations <= study.max_evaluations
