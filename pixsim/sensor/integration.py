@@ -541,6 +541,12 @@ def collecting_area_um2(irradiance: SpectralImage, camera: Camera, physics: Pixe
     return collected_area_um2(physics, illumination_of(irradiance, camera, physics))
 
 
+def centred_pixels(size_um: Iterable[float], physics: PixelPhysics) -> tuple[int, int]:
+    """Return the rows and columns of the centred array, whose collection all registrations take: they are a pixel away at most."""
+    rows, columns = (count * physics.as_read.bin_side for count in pixels_on(size_um, physics.as_read.read_pitch_um))
+    return rows, columns
+
+
 def array_on(
     picture_um: Sequence[float], size_um: tuple[float, float] | None, physics: PixelPhysics
 ) -> tuple[tuple[int, int], tuple[float, float], tuple[float, float] | None]:
@@ -577,8 +583,9 @@ def pixel_signal(
 
     rate, running, size_um : as for `integrate_pixels`
     """
-    pixels, pixels_um, first_um = array_on([n * sample_pitch_um for n in rate.shape], size_um, physics)
-    collection = collection_of(physics, light, pixels)
+    picture_um = [n * sample_pitch_um for n in rate.shape]
+    _, pixels_um, first_um = array_on(picture_um, size_um, physics)
+    collection = collection_of(physics, light, centred_pixels(size_um or picture_um, physics))
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
     signal = integrate_pixels(rate, sample_pitch_um, physics.pitch_um, side_um, running, pixels_um, first_um=first_um)
     signal = np.maximum(signal, 0.0, order="C")  # frames are made row by row
@@ -634,7 +641,8 @@ def array_signal(
         return signal, () if collection is None else (collection,)
     picture_um = [count * sample_pitch_um for count in lights[0].rate_e_per_s_um2.shape]
     (rows, columns), pixels_um, first_um = array_on(picture_um, size_um, physics)
-    collections = collections_of(physics, [light.illumination for light in lights], (rows, columns))
+    illuminations = [light.illumination for light in lights]
+    collections = collections_of(physics, illuminations, centred_pixels(size_um or picture_um, physics))
     side_um = collections[0].aperture_side_um if collections else physics.photodiode_side_um
     signal = np.empty((rows * layout.planes, columns))
     high, wide = layout.period

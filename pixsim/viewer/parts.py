@@ -23,7 +23,15 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.collection import Collection, ColourCollection, collection_of, read_as_one
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
-from pixsim.sensor.integration import M2_PER_UM2, array_on, diffracted, diffusion_of, illumination_of, integrate_pixels
+from pixsim.sensor.integration import (
+    M2_PER_UM2,
+    array_on,
+    centred_pixels,
+    diffracted,
+    diffusion_of,
+    illumination_of,
+    integrate_pixels,
+)
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, integration_time_s, make_frame
 from pixsim.viewer.develop import frame_rgb, white_y, xyz_weights
@@ -66,7 +74,7 @@ def delta_e_parts(
     steps = [whole, chain.score_frame(still).mean_delta_e]
     if light.rendition is not None:
         own = replace(chain, collection=None, rendition=light.rendition, whites_e_per_s=light.whites_e_per_s(physics))
-        pixels, _, _ = _array(light, physics)
+        pixels = centred_pixels(light.array_um, physics)
         planes = [
             _at_every_pixel(one.rate_e_per_s_um2, light, physics, collection_of(channel, one.illumination, pixels)) / white
             for one, channel, white in zip(light.lights, physics.channels, light.whites_e_per_s_um2, strict=True)

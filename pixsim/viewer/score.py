@@ -29,7 +29,7 @@ from pixsim.sensor.collection import (
 )
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
-from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, lights_of
+from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, centred_pixels, lights_of
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.readout import (
     MAX_BLACK,
@@ -428,6 +428,7 @@ class PreparedScene:
     array_um: tuple[float, float]
     beyond_white: float = 0.0
     rendition: Rendition | None = None
+    _collections: list[ColourCollection] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @property
     def rate_e_per_s_um2(self) -> Array:
@@ -444,8 +445,13 @@ class PreparedScene:
         """Return the collection of the pixels of a colour sensor with a stack."""
         layout = Layout.of_pixels(physics.pixel)
         assert layout is not None
-        side = physics.as_read.bin_side
-        return ColourCollection(layout, tuple(collections), self.whites_e_per_s_um2, physics.pitch_um, side)
+        own = tuple(collections)
+        last = self._collections[-1] if self._collections else None
+        if last is None or any(one is not other for one, other in zip(last.each, own, strict=True)):
+            side = physics.as_read.bin_side
+            # The registrations of a pitch, which follow one another, share what is expensive of it.
+            self._collections[:] = [ColourCollection(layout, own, self.whites_e_per_s_um2, physics.pitch_um, side)]
+        return self._collections[-1]
 
     def store_integrals(self) -> None:
         """Compute what all pitches share, for workers that would each compute it."""
@@ -628,8 +634,7 @@ def chain_of_frames(
 
     exposure : with the time of the frames
     """
-    side = physics.as_read.bin_side
-    pixels = shape[0] // physics.planes * side, shape[1] * side
+    pixels = centred_pixels(light.array_um, physics)
     collections = collections_of(physics, [one.illumination for one in light.lights], pixels)
     return _chain(light, physics, exposure, correction, develop, np.broadcast_to(0.0, shape), collections)
 

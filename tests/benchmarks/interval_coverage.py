@@ -4,8 +4,8 @@
 
 The known curves are fits to the data of dense_sweeps.py. Each simulated study samples them with other pitches (one from each
 equal part of the range in log pitch), residuals and noise. Blocks: `fixed`, a study without a target, which adds a few pitches and
-sensors where its interval has an open end; `loud`, the same where one of the sizes scatters four times as much as the others, as one
-that agrees with the dots; `fixed` for a curve that falls to the end of the range (`at_the_end`), whose interval must be open there;
+sensors where its interval has an open end; `loud`, the same where one of the sizes scatters four times as much as the others, as
+one that agrees with the dots; `fixed` for a curve that falls to the end of the range (`at_the_end`), whose interval must be open;
 and `rounds`, which add pitches and sensors, as a study with target_ci_um does, until the interval is short enough. With --steep
 `fixed` and `rounds` are run for curves with a steep flank, into a file of their own.
 """

@@ -162,7 +162,7 @@ def test_one_pixel_column_less_makes_no_step(light: PreparedScene) -> None:
 
 
 def test_mean_over_registrations_does_not_beat_with_the_dots(light: PreparedScene) -> None:
-    """Around the pitch of a dot, the mean ΔE of 16 registrations lies within .4 % of a parabola; that of centred pixels does not."""
+    """Around the pitch of a dot, the mean ΔE of 16 registrations lies within .4 % of a parabola; of centred pixels it does not."""
     display, dot_um = light.screen.display, 2713.6 / 128
     pitches_um = dot_um * np.array([0.97, 0.98, 0.99, 0.995, 1.0, 1.005, 1.01, 1.02, 1.03])
     spread = np.array([expected_delta_e(light, um, 16, display) for um in pitches_um.tolist()])
