@@ -43,7 +43,7 @@ from pixsim.studies.oversampling import FilmError
 from pixsim.studies.rows import Row
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
-from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip
+from pixsim.viewer.score import ImagingChain, SceneCache, Score, clip_words, clips_dark, dark_clip
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -389,7 +389,10 @@ class StudyResult:
         light = light_of(self.study, self.scenes, technology)
         count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
         frames = self.fingerprints.frames_of_pitch(technology, pitch_um)
-        chain_of = partial(chain_at, self.study, light, self.camera, technology, pitch_um)
+
+        def chain_of(repeat: int) -> ImagingChain:
+            return chain_at(self.study, light, self.camera, technology, pitch_um, repeat)
+
         scores: list[Score] = []
         for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
             own, key = list(range(first, min(count, first + REPEATS_PER_TASK))), block_key(frames, block)

@@ -18,7 +18,7 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import STRIP_DOTS, Array, strips, transposed
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Display
+from pixsim.base.parameters import CENTRED_BORDER, REGISTERED_BORDER, Camera, Display
 from pixsim.light.spectral import WHITE_LAMPS, SpectralImage, d65, white_words
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
@@ -165,8 +165,9 @@ def dot_edges_um(
         cut = math.ceil(border_um / length_um * count * (1 - 1e-9))
         if 2 * cut >= count:
             dot_um, hint = length_um / count, "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'."
-            got = f"{border_um:g} µm: a border this wide on each side leaves none of the {count} dots of {dot_um:.3g} µm"
-            raise invalid("pixel.pitch_um", got, f"below {(count - 1) // 2 * length_um / count:.4g} µm on this die", hint)
+            got = f"pixels whose border of {border_um:g} µm on each side leaves none of the {count} dots of {dot_um:.3g} µm"
+            most = f"{CENTRED_BORDER:g} pixel wide in a run, {REGISTERED_BORDER:g} of the largest in a study"
+            raise invalid("pixel.pitch_um", got, f"a border ({most}) below {(count - 1) // 2 * dot_um:.4g} µm on this die", hint)
         edges.append(np.linspace(0.0, length_um, count + 1)[cut : count + 1 - cut])
     return edges[0], edges[1]
 
