@@ -3,8 +3,8 @@
     python tests/benchmarks/paper_types.py [--draws 64] [--response literal] [--out DIR] [--jobs 2]
 
 Draws what is not known of all processes of `chen2000` together (the ranges of the technology files, as `--uncertainty` does), runs
-the study for each draw, and prints the share of draws in which each statement holds, the share in which all hold, and the numbers of
-the draw with most. Each draw has 8 pixel sizes with 4 sensors; statements on the optimum are those of its fitted curve.
+the study for each draw, and prints the share of draws in which each statement holds, that in which all hold, and the numbers of the
+draw with most. Each draw has 8 pixel sizes with 4 sensors; statements on the optimum are those of its fitted curve.
 """
 
 from __future__ import annotations
