@@ -247,7 +247,7 @@ def _moved(picture: Picture, pitch_um: float, source_mm: Callable[[Array], Array
         grown = source_mm(np.minimum(radius, most_mm)) / np.minimum(radius, most_mm) / (widening * pitch_um * 1e-3)
         at = [height * grown + (picture.shape[0] - 1) / 2, x * grown + (picture.shape[1] - 1) / 2]
         result[row] = map_coordinates(filtered, at, order=SPLINE, mode="reflect", prefilter=False)
-    return np.clip(result, picture.min(), picture.max())  # a spline overshoots at edges
+    return result
 
 
 @lru_cache(maxsize=16)
