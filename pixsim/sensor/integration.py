@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -40,7 +40,10 @@ from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import PixelPhysics, other_unit_of_pitch
 
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
-EDGE_CONTRAST = 100.0  # ratio of neighbouring samples; a step rings by 1 % of its bright side, one sample and more away from it
+EDGE_CONTRAST = 100.0  # ratio of neighbouring samples from which an edge is hard: its ring is ten times the light of its dark side
+RING, RING_DECAY = 0.1, 0.43  # light that the ring of a step moves within the cell beside it, of its height, and from cell to cell
+RING_SHOWN = 1e-3  # of the light of a cell
+RING_CELLS = 32  # after which a ring is 1e-12 of its step
 SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cubic spline has 0.55 %
 
 
@@ -49,7 +52,7 @@ class Columns:
     """A picture (H, W) whose columns are computed on request, so that it is never in memory as a whole.
 
     columns : returns columns first … last - 1, (H, last - first), of any real type. It is called in order, for
-        `STRIP_COLUMNS` at a time, once per strip; twice if the light would ring below zero at an edge.
+        `STRIP_COLUMNS` at a time, once per strip.
     """
 
     shape: tuple[int, int]
@@ -136,31 +139,90 @@ def running_integral(samples: Array) -> Array:
 
 
 def has_hard_edge(samples: Array) -> bool:
-    """Return whether neighbouring samples of a column differ by more than a factor of `EDGE_CONTRAST`."""
+    """Return whether neighbouring samples of a column may differ by more than a factor of `EDGE_CONTRAST`; so may all below zero.
+
+    It is what every picture pays for; `hard_edges` says where.
+    """
     first, second = samples[:-1], samples[1:]
     return bool(np.any(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)))
 
 
-def make_monotonic(running: Array, edges: Array) -> Array:
-    """Return a running integral that never falls from one edge to the next; the total is preserved."""
+def hard_edges(samples: Array) -> NDArray[np.bool_]:
+    """Return between which neighbours of a column the size differs by more than a factor of `EDGE_CONTRAST`, (n - 1, columns)."""
+    size = np.abs(samples)
+    first, second = size[:-1], size[1:]
+    return np.asarray(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second))
+
+
+def ringing_cells(samples: Array) -> NDArray[np.bool_]:
+    """Return in which cells (n, columns) the spline of a column rings by more than `RING_SHOWN` of the light there.
+
+    The ring of a hard edge goes with its height and falls by `RING_DECAY` from cell to cell, so what is far away, or in another
+    column, has no part in it. Light that is further below zero than it would ring is light that is meant, as of a difference.
+    """
+    ring, height = np.zeros(samples.shape), RING * np.where(hard_edges(samples), np.abs(np.diff(samples, axis=0)), 0.0)
+    ring[:-1] = height
+    np.maximum(ring[1:], height, out=ring[1:])
+    reach, decay = 1, RING_DECAY
+    while reach < min(len(samples), RING_CELLS):  # steps of 1, 2, 4, … together make every distance
+        onwards = decay * ring[:-reach]
+        np.maximum(ring[:-reach], decay * ring[reach:], out=ring[:-reach])
+        np.maximum(ring[reach:], onwards, out=ring[reach:])
+        reach, decay = 2 * reach, decay**2
+    return np.asarray((ring > RING_SHOWN * np.abs(samples)) & (lowest_beside(samples) >= -ring))
+
+
+def lowest_beside(samples: Array) -> Array:
+    """Return the lowest of each sample of a column and its neighbours, (n, columns)."""
+    return np.asarray(scipy.ndimage.minimum_filter1d(samples, 3, axis=0, mode="nearest"))
+
+
+def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
+    """Return the running integrals (2 m, columns) at the first and then the last `edges` of m intervals, limited where they ring.
+
+    That is in `ringing_cells`, and in cells, not beside negative light, in which an interval that would be negative begins or ends.
+    """
+    cell = np.minimum(edges.astype(int), len(samples) - 1)
+    limited = limit_overshoot(running, samples, edges)
+    rings, positive = ringing_cells(samples), lowest_beside(samples) >= 0
+    while True:
+        result = make_monotonic(np.where(rings[cell], limited, running), samples, edges, rings)
+        negative, column = np.nonzero(np.subtract(*np.split(result, 2)[::-1]) < 0)
+        more = rings.copy()
+        for ends in np.split(cell, 2):
+            more[ends[negative], column] |= positive[ends[negative], column]
+        if np.array_equal(more, rings):
+            return result
+        rings = more
+
+
+def make_monotonic(running: Array, samples: Array, edges: Array, rings: NDArray[np.bool_]) -> Array:
+    """Return a running integral that never falls within cells that ring, (n, columns), unless their light is negative.
+
+    What it has at the borders of cells, and so the total, is preserved.
+    """
+    cell = np.minimum(edges.astype(int), len(samples) - 1)
+    lit = np.maximum(samples, 0.0)
+    before = np.cumsum(lit, axis=0) - lit  # of the light that is not negative: it rises from cell to cell
+    shift = (before - (np.cumsum(samples, axis=0) - samples))[cell]  # to it
+    rising = (rings & (samples >= 0))[cell]
     order = np.argsort(edges, kind="stable")
-    return np.maximum.accumulate(running[order])[np.argsort(order, kind="stable")]
+    upwards = np.maximum.accumulate(np.where(rising, running + shift, before[cell])[order])[np.argsort(order, kind="stable")]
+    return np.where(rising, upwards - shift, running)
 
 
 def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
     """Return the running integral at `edges` (in samples), limited by the range of light that each cell may have.
 
     The light in a cell stays within the range of the cell and its neighbours, widened by half of that range on either side
-    so that resolved crests are unchanged, and at or above zero. Integrals at cell borders stay exact.
+    so that resolved crests are unchanged, and at or above zero unless the cell is below. Integrals at cell borders stay exact.
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
     part = (edges - cell)[:, None]
-    lowest, highest = (
-        extreme(samples, 3, axis=0, mode="nearest") for extreme in (scipy.ndimage.minimum_filter1d, scipy.ndimage.maximum_filter1d)
-    )
+    lowest, highest = lowest_beside(samples), -lowest_beside(-samples)
     slack = (highest - lowest) / 2
     before = np.cumsum(samples, axis=0) - samples
-    bounds = np.maximum(lowest - slack, 0.0), highest + slack
+    bounds = np.maximum(lowest - slack, np.minimum(samples, 0.0)), highest + slack
     start, cell_light, least, most = (values[cell] for values in (before, samples, *bounds))
     from_below = np.maximum(part * least, cell_light - (1 - part) * most)
     from_above = np.minimum(part * most, cell_light - (1 - part) * least)
@@ -332,28 +394,24 @@ def integrate_axis(
 ) -> Array:
     """Integrate cell means between pairs of positions along one axis, in (sample unit) · µm; the sum is conserved.
 
-    At a high-contrast edge the spline would ring into the dark side and below zero; a picture with such an edge is limited
-    everywhere (`limit_overshoot`). `running` is `running_integral` of the samples if available, for axis 0 only.
+    At a high-contrast edge the spline would ring into the dark side and below zero; it is limited there (`without_ringing`), and
+    nowhere else. `running` is `running_integral` of the samples if available, for axis 0 only.
     """
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
     spline = knots_of(samples.shape[axis])
     at_edges = design_matrix(edges, spline.knots, spline.degree)  # times the coefficients: running integrals at the edges
-    below_zero: list[bool] = []
-    ringing: list[bool] = []
 
-    def integrals(which: slice, strip: Array, limited: bool = False) -> Array:
+    def integrals(which: slice, strip: Array) -> Array:
         sums = at_edges @ (spline_coefficients(strip) if running is None else running[:, which])
-        low, high = np.split(make_monotonic(limit_overshoot(sums, strip, edges), edges) if limited else sums, 2)
+        low, high = np.split(sums, 2)
         integral = high - low
-        below_zero.append(bool(strip.min() < 0))
-        ringing.append(bool(integral.min() < 0) or has_hard_edge(strip))
+        if has_hard_edge(strip) or integral.min() < 0:
+            columns = np.flatnonzero(hard_edges(strip).any(axis=0) | (integral < 0).any(axis=0))
+            low, high = np.split(without_ringing(sums[:, columns], strip[:, columns], edges), 2)
+            integral[:, columns] = high - low
         return integral * sample_pitch_um
 
-    integral = map_columns(samples, axis, low_um.size, integrals)
-    if any(ringing) and not any(below_zero):
-        del integral
-        return map_columns(samples, axis, low_um.size, partial(integrals, limited=True))
-    return integral
+    return map_columns(samples, axis, low_um.size, integrals)
 
 
 def array_size_um(irradiance: SpectralImage, camera: Camera) -> tuple[float, float]:
