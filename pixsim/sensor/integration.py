@@ -202,13 +202,12 @@ def make_monotonic(running: Array, samples: Array, edges: Array, rings: NDArray[
     What it has at the borders of cells, and so the total, is preserved.
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
-    lit = np.maximum(samples, 0.0)
-    before = np.cumsum(lit, axis=0) - lit  # of the light that is not negative: it rises from cell to cell
-    shift = (before - (np.cumsum(samples, axis=0) - samples))[cell]  # to it
+    below = np.minimum(samples, 0.0)
+    fallen = (np.cumsum(below, axis=0) - below)[cell] if below.any() else 0.0  # up to each cell, by the negative light before it
     rising = (rings & (samples >= 0))[cell]
     order = np.argsort(edges, kind="stable")
-    upwards = np.maximum.accumulate(np.where(rising, running + shift, before[cell])[order])[np.argsort(order, kind="stable")]
-    return np.where(rising, upwards - shift, running)
+    highest = np.maximum.accumulate(np.where(rising, running - fallen, -np.inf)[order])
+    return np.where(rising, highest[np.argsort(order, kind="stable")] + fallen, running)
 
 
 def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
