@@ -41,7 +41,7 @@ from pixsim.sensor.pixel import PixelPhysics, other_unit_of_pitch
 
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
 EDGE_CONTRAST = 100.0  # ratio of neighbouring samples from which an edge is hard: its ring is ten times the light of its dark side
-RING, RING_DECAY = 0.1, 0.43  # light that the ring of a step moves within the cell beside it, of its height, and from cell to cell
+RING, RING_DECAY = 0.1, 0.43  # of a step, the light that it moves within the cell beside it; of that, in the next cell, and so on
 RING_SHOWN = 1e-5  # of the light of a cell; a photodiode on a small part of it sees up to ten times of that
 RING_CELLS = 64  # after which a ring is 1e-24 of its step
 SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cubic spline has 0.55 %
@@ -139,9 +139,9 @@ def running_integral(samples: Array) -> Array:
 
 
 def has_hard_edge(samples: Array) -> bool:
-    """Return whether neighbouring samples of a column may differ by more than a factor of `EDGE_CONTRAST`; so may all below zero.
+    """Return whether neighbouring samples of a column differ by more than a factor of `EDGE_CONTRAST`, or one is below zero.
 
-    It is what every picture pays for; `hard_edges` says where.
+    All pictures pay for this; `hard_edges` says where.
     """
     first, second = samples[:-1], samples[1:]
     return bool(np.any(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)))
