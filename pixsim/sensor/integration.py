@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -40,7 +40,10 @@ from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, other_unit_of_pitch
 
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
-EDGE_CONTRAST = 100.0  # ratio of neighbouring samples; a step rings by 1 % of its bright side, one sample and more away from it
+EDGE_CONTRAST = 100.0  # ratio of neighbouring samples from which an edge is hard: its ring is ten times the light of its dark side
+RING, RING_DECAY = 0.1, 0.43  # of a step, the light that it moves within the cell beside it; of that, in the next cell, and so on
+RING_SHOWN = 1e-5  # of the light of a cell; a photodiode on a small part of it sees up to ten times of that
+RING_CELLS = 64  # after which a ring is 1e-24 of its step
 SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cubic spline has 0.55 %
 
 
@@ -49,7 +52,7 @@ class Columns:
     """A picture (H, W) whose columns are computed on request, so that it is never in memory as a whole.
 
     columns : returns columns first … last - 1, (H, last - first), of any real type. It is called in order, for
-        `STRIP_COLUMNS` at a time, once per strip; twice if the light would ring below zero at an edge.
+        `STRIP_COLUMNS` at a time, once per strip.
     """
 
     shape: tuple[int, int]
@@ -138,23 +141,20 @@ class RunningIntegral:
         coefficients, down and across, of the spline in both directions: as small as the light nearby, so that sums of them are
         exact also beside light that is much brighter
     both_ways : whether they are those
-    has_negative : whether the picture has values below 0
     """
 
     coefficients: Array = field(repr=False)
     both_ways: bool
-    has_negative: bool
 
 
 def running_integral(samples: Array) -> RunningIntegral:
     """Return the running integral of a picture (H, W), strip by strip."""
-    has_negative = bool(samples.min() < 0)
     if any_hard_edge(samples) or any_hard_edge(samples.T):
         down = map_columns(samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip))
-        return RunningIntegral(down, False, has_negative)
+        return RunningIntegral(down, False)
     down = map_columns(samples, 0, len(samples), lambda _, strip: np.diff(spline_coefficients(strip), axis=0))
     both = map_columns(down, 1, samples.shape[1], lambda _, strip: np.diff(spline_coefficients(strip), axis=0))
-    return RunningIntegral(np.ascontiguousarray(both), True, has_negative)
+    return RunningIntegral(np.ascontiguousarray(both), True)
 
 
 def any_hard_edge(samples: Array) -> bool:
@@ -198,31 +198,95 @@ def _spline_sums(positions: Array, knots: Knots) -> tuple[NDArray[np.intp], Arra
 
 
 def has_hard_edge(samples: Array) -> bool:
-    """Return whether neighbouring samples of a column differ by more than a factor of `EDGE_CONTRAST`."""
+    """Return whether neighbouring samples of a column differ by more than a factor of `EDGE_CONTRAST`, or one is below zero.
+
+    All pictures pay for this; `hard_edges` says where.
+    """
     first, second = samples[:-1], samples[1:]
     return bool(np.any(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)))
 
 
-def make_monotonic(running: Array, edges: Array) -> Array:
-    """Return a running integral that never falls from one edge to the next; the total is preserved."""
+def hard_edges(samples: Array) -> NDArray[np.bool_]:
+    """Return between which neighbours of a column the size differs by more than a factor of `EDGE_CONTRAST`, (n - 1, columns)."""
+    size = np.abs(samples)
+    first, second = size[:-1], size[1:]
+    return np.asarray(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second))
+
+
+def ringing_cells(samples: Array) -> NDArray[np.bool_]:
+    """Return in which cells (n, columns) the spline of a column rings by more than `RING_SHOWN` of the light there.
+
+    The ring of a hard edge goes with its height and falls by `RING_DECAY` from cell to cell, so what is far away, or in another
+    column, has no part in it. Light that is further below zero than it would ring is light that is meant, as of a difference.
+    """
+    hard = hard_edges(samples)
+    if not hard.any():
+        return np.zeros(samples.shape, bool)
+    ring, height = np.zeros(samples.shape), RING * np.where(hard, np.abs(np.diff(samples, axis=0)), 0.0)
+    ring[:-1] = height
+    np.maximum(ring[1:], height, out=ring[1:])
+    reach, decay = 1, RING_DECAY
+    while reach < min(len(samples), RING_CELLS):  # steps of 1, 2, 4, … together make every distance
+        onwards = decay * ring[:-reach]
+        np.maximum(ring[:-reach], decay * ring[reach:], out=ring[:-reach])
+        np.maximum(ring[reach:], onwards, out=ring[reach:])
+        reach, decay = 2 * reach, decay**2
+    return np.asarray((ring > RING_SHOWN * np.abs(samples)) & (lowest_beside(samples) >= -ring))
+
+
+def lowest_beside(samples: Array) -> Array:
+    """Return the lowest of each sample of a column and its neighbours, (n, columns)."""
+    lowest = samples.copy("K")  # in the order of memory, which may be that of columns
+    np.minimum(lowest[1:], samples[:-1], out=lowest[1:])
+    np.minimum(lowest[:-1], samples[1:], out=lowest[:-1])
+    return lowest
+
+
+def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
+    """Return the running integrals (2 m, columns) at the first and then the last `edges` of m intervals, limited where they ring.
+
+    That is in `ringing_cells`, and in cells, not beside negative light, in which an interval that would be negative begins or ends.
+    """
+    cell = np.minimum(edges.astype(int), len(samples) - 1)
+    limited, result = limit_overshoot(running, samples, edges), running
+    rings, positive = ringing_cells(samples), lowest_beside(samples) >= 0
+    while True:
+        low, high = np.split(result, 2)
+        negative, column = np.nonzero(high < low)
+        before, rings = rings, rings.copy()
+        for ends in np.split(cell, 2):
+            rings[ends[negative], column] |= positive[ends[negative], column]
+        if result is not running and np.array_equal(rings, before):
+            return result
+        result = make_monotonic(np.where(rings[cell], limited, running), samples, edges, rings)
+
+
+def make_monotonic(running: Array, samples: Array, edges: Array, rings: NDArray[np.bool_]) -> Array:
+    """Return a running integral that never falls within cells that ring, (n, columns), unless their light is negative.
+
+    What it has at the borders of cells, and so the total, is preserved.
+    """
+    cell = np.minimum(edges.astype(int), len(samples) - 1)
+    below = np.minimum(samples, 0.0)
+    fallen = (np.cumsum(below, axis=0) - below)[cell] if below.any() else 0.0  # up to each cell, by the negative light before it
+    rising = (rings & (samples >= 0))[cell]
     order = np.argsort(edges, kind="stable")
-    return np.maximum.accumulate(running[order])[np.argsort(order, kind="stable")]
+    highest = np.maximum.accumulate(np.where(rising, running - fallen, -np.inf)[order])
+    return np.where(rising, highest[np.argsort(order, kind="stable")] + fallen, running)
 
 
 def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
     """Return the running integral at `edges` (in samples), limited by the range of light that each cell may have.
 
     The light in a cell stays within the range of the cell and its neighbours, widened by half of that range on either side
-    so that resolved crests are unchanged, and at or above zero. Integrals at cell borders stay exact.
+    so that resolved crests are unchanged, and at or above zero unless the cell is below. Integrals at cell borders stay exact.
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
     part = (edges - cell)[:, None]
-    lowest, highest = (
-        extreme(samples, 3, axis=0, mode="nearest") for extreme in (scipy.ndimage.minimum_filter1d, scipy.ndimage.maximum_filter1d)
-    )
+    lowest, highest = lowest_beside(samples), -lowest_beside(-samples)
     slack = (highest - lowest) / 2
     before = np.cumsum(samples, axis=0) - samples
-    bounds = np.maximum(lowest - slack, 0.0), highest + slack
+    bounds = np.maximum(lowest - slack, np.minimum(samples, 0.0)), highest + slack
     start, cell_light, least, most = (values[cell] for values in (before, samples, *bounds))
     from_below = np.maximum(part * least, cell_light - (1 - part) * most)
     from_above = np.minimum(part * most, cell_light - (1 - part) * least)
@@ -424,29 +488,25 @@ def integrate_axis(
 ) -> Array:
     """Integrate cell means between pairs of positions along one axis, in (sample unit) · µm; the sum is conserved.
 
-    At a high-contrast edge the spline would ring into the dark side and below zero; a picture with such an edge is limited
-    everywhere (`limit_overshoot`). `running` is `running_integral` of the samples if available, for axis 0 only.
+    At a high-contrast edge the spline would ring into the dark side and below zero; it is limited there (`without_ringing`), and
+    nowhere else. `running` is `running_integral` of the samples if available, for axis 0 only.
     """
     known = None if running is None or running.both_ways else running.coefficients
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
     spline = knots_of(samples.shape[axis])
     at_edges = design_matrix(edges, spline.knots, spline.degree)  # times the coefficients: running integrals at the edges
-    below_zero: list[bool] = []
-    ringing: list[bool] = []
 
-    def integrals(which: slice, strip: Array, limited: bool = False) -> Array:
+    def integrals(which: slice, strip: Array) -> Array:
         sums = at_edges @ (spline_coefficients(strip) if known is None else known[:, which])
-        low, high = np.split(make_monotonic(limit_overshoot(sums, strip, edges), edges) if limited else sums, 2)
+        low, high = np.split(sums, 2)
         integral = high - low
-        below_zero.append(bool(strip.min() < 0))
-        ringing.append(bool(integral.min() < 0) or has_hard_edge(strip))
+        if has_hard_edge(strip) or integral.min() < 0:
+            columns = np.flatnonzero(hard_edges(strip).any(axis=0) | (integral < 0).any(axis=0))
+            low, high = np.split(without_ringing(sums[:, columns], strip[:, columns], edges), 2)
+            integral[:, columns] = high - low
         return integral * sample_pitch_um
 
-    integral = map_columns(samples, axis, low_um.size, integrals)
-    if any(ringing) and not any(below_zero):
-        del integral
-        return map_columns(samples, axis, low_um.size, partial(integrals, limited=True))
-    return integral
+    return map_columns(samples, axis, low_um.size, integrals)
 
 
 def array_size_um(irradiance: SpectralImage, camera: Camera) -> tuple[float, float]:
@@ -493,9 +553,9 @@ def integrate_pixels(
         y_um, x_um = ((low[which], high[which]) for (low, high), which in zip((y_um, x_um), only, strict=True))
     if running is not None and running.both_ways:
         integral = _integrate_both_ways(running, sample_pitch_um, y_um, x_um)
-        if running.has_negative or integral.min() >= 0:
+        if integral.min() >= 0:
             return integral
-        running = None  # light that rings below zero is limited
+        running = None  # what rings below zero is limited where it does
     down = integrate_axis(rate, sample_pitch_um, *y_um, 0, running)
     return integrate_axis(down, sample_pitch_um, *x_um, 1)
 
