@@ -894,7 +894,9 @@ class ColourOptions(Record):
             raise ValueError("pattern and matrix state the same quantity; give one of them")
         given = [name for name in RESPONSES if getattr(self, name) is not None]
         if not given:
-            raise ValueError(f"no response of the channels; allowed: one of {', '.join(RESPONSES)}")
+            others = [name for name in ColourOptions.model_fields if name in self.model_fields_set]
+            beside = f" beside {', '.join(others)}" if others else ""
+            raise ValueError(f"no response of the channels{beside}; allowed: one of {', '.join(RESPONSES)}")
         if len(given) > 1:
             raise ValueError(f"{' and '.join(given)} state the same quantity; give one of them")
         if self.sensitivities is not None and self.peak_quantum_efficiency is None:
