@@ -919,7 +919,8 @@ class ColourOptions(Record):
                 raise ValueError(f"matrix with {unknown!r}; allowed: capital letters, as R, G, B, C (clear) or W (white)")
         if self.binning and not binned_cell(self.unit_cell):
             hint = "allowed: binning of 2 x 2 pixels of the same letter, as quad_rggb has them"
-            raise ValueError(f"binning = true with the unit cell {', '.join(self.unit_cell)}; {hint}")
+            name = "matrix" if self.matrix else "pattern"
+            raise ValueError(f"binning = true with {name} of the unit cell {', '.join(self.unit_cell)}; {hint}")
         curves = self.curves
         if curves is not None:
             letters = channels_of(self.unit_cell)

@@ -1,7 +1,7 @@
 """Settings that nothing uses in this configuration: one table of rules for every command, and the notes that follow from it.
 
 A setting that decides nothing says so, since its user may rely on it. The rules stand here, not beside the code that takes other
-values in their place. Only values other than the defaults count: a default is what holds anyway. A limit that is not reached, such
+values in their place. Only values other than the defaults count: those hold anyway. A limit that is not reached, such
 as a longest exposure time, is met and not unused. What contradicts another setting is an error of the records.
 """
 
@@ -89,9 +89,11 @@ class Configuration:
 
     @property
     def changed(self) -> list[str]:
-        """Dotted names of the settings that were set to another value than their default."""
+        """Dotted names of the settings that were set to another value than their default, or than that of the technology."""
         above = changed_of(self.command, "", but=TABLES) if self.command else ()
-        return [*above, *(name for table in TABLES for name in changed_of(getattr(self, table), f"{table}."))]
+        same = [f"pixel.{name}" for name, value in self.pixel if value == getattr(self.physics.technology, name, None)]
+        found = [*above, *(name for table in TABLES for name in changed_of(getattr(self, table), f"{table}."))]
+        return [name for name in found if name not in same]
 
 
 TABLES = "camera", "lens", "pixel", "pitch", "exposure", "correction", "develop", "display"
