@@ -1,8 +1,8 @@
 """Settings that nothing uses in this configuration: one table of rules for every command, and the notes that follow from it.
 
 A setting that decides nothing says so, since its user may rely on it. The rules stand here, not beside the code that takes other
-values in their place. Only values other than the defaults count: those hold anyway. A limit that is not reached, such
-as a longest exposure time, is met and not unused. What contradicts another setting is an error of the records.
+values in their place. Only values that could tell count: a default holds anyway, and 0 of what is not there is right. A limit that
+is not reached, such as a longest exposure time, is met and not unused. What contradicts another setting is an error of the records.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Configuration:
 
     @property
     def changed(self) -> list[str]:
-        """Dotted names of the settings that were set to another value than their default, or than that of the technology."""
+        """Dotted names of the settings that were set to another value than 0, their default, and that of the technology."""
         above = changed_of(self.command, "", but=TABLES) if self.command else ()
         same = [f"pixel.{name}" for name, value in self.pixel if value == getattr(self.physics.technology, name, None)]
         found = [*above, *(name for table in TABLES for name in changed_of(getattr(self, table), f"{table}."))]
@@ -100,10 +100,12 @@ TABLES = "camera", "lens", "pixel", "pitch", "exposure", "correction", "develop"
 
 
 def changed_of(record: Record, prefix: str, but: Sequence[str] = ()) -> Iterator[str]:
-    """Yield the names, after a prefix, of fields that were set to another value than their default, also in records inside."""
+    """Yield the names, after a prefix, of fields set to another value than 0 and their default, also in records inside."""
     for name, info in type(record).model_fields.items():
         value = getattr(record, name)
-        if name in record.model_fields_set and name not in but and value != info.get_default(call_default_factory=True):
+        if name not in record.model_fields_set or name in but or (value == 0 and value is not False):
+            continue
+        if value != info.get_default(call_default_factory=True):
             yield prefix + name
             if isinstance(value, Record):
                 yield from changed_of(value, f"{prefix}{name}.")

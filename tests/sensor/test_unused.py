@@ -234,7 +234,7 @@ def test_every_setting_of_a_frame_is_moved() -> None:
     assert MOVES.keys() == fields - {"camera.lens"}
 
 
-def said(command: Run | Study, technology: str = "", **more: Any) -> set[str]:
+def said(command: Run | Study, technology: str = "") -> set[str]:
     """Names of the unused settings of a run, or of a technology of a study."""
     if isinstance(command, Study):
         technology = technology or command.technologies[0]
@@ -285,7 +285,9 @@ def test_settings_of_a_study_that_nothing_uses(settings: dict[str, Any], unused:
 
 
 def test_a_value_that_holds_anyway_is_no_unused_setting() -> None:
-    """A default, that of the technology, and what settings.toml states of both; with what the user set, the notes come again."""
+    """A default, that of the technology, 0 of what is not there, and what settings.toml states of them; true notes come again."""
+    assert not said(Run(pixel=Pixel(dark_current_e_per_s=0.0, dsnu=0.0, hot_pixel_fraction=0.0)))
+    assert said(Run(pixel=Pixel(dark_current_e_per_s=0.0, dsnu=0.2))) == {"pixel.dsnu"}
     assert not said(Run(pixel=Pixel(**SHEET, reset_noise_factor=0.0, response="scaled"), display=Display(adaptation="bradford")))
     for run in (Run(pixel=Pixel(**SHEET)), Run(pixel=Pixel(**SHEET, response="literal"), display=Display(adaptation="none"))):
         repeated = Run.model_validate(run.model_dump(mode="json", exclude_none=True))
