@@ -210,8 +210,8 @@ def of_chief_rays(c: Configuration) -> str:
 def of_die(c: Configuration, axis: int) -> str:
     """Of the height (axis 0) or the width of the die: a picture has its own, of which a die may show a part."""
     given_mm = (c.camera.die_height_mm, c.camera.die_mm)[axis]
-    if c.light is None or "camera" in c.light.header or given_mm is None:
-        return ""
+    if c.light is None or "camera" in c.light.header or given_mm is None or getattr(c.camera, "lens", None):
+        return ""  # a real lens is scaled and focused for the die
     picture_mm = 1e-3 * c.light.shape[axis] * c.light.pitch_um
     is_part = given_mm < picture_mm and c.camera.die_height_mm is not None
     return "" if is_part or abs(given_mm / picture_mm - 1) < WITHIN else f"the picture is {picture_mm:.6g} mm {DIRECTIONS[axis]}"
