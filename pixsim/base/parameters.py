@@ -894,7 +894,9 @@ class ColourOptions(Record):
             raise ValueError("pattern and matrix state the same quantity; give one of them")
         given = [name for name in RESPONSES if getattr(self, name) is not None]
         if not given:
-            raise ValueError(f"no response of the channels; allowed: one of {', '.join(RESPONSES)}")
+            others = [name for name in ColourOptions.model_fields if name in self.model_fields_set]
+            beside = f" beside {', '.join(others)}" if others else ""
+            raise ValueError(f"no response of the channels{beside}; allowed: one of {', '.join(RESPONSES)}")
         if len(given) > 1:
             raise ValueError(f"{' and '.join(given)} state the same quantity; give one of them")
         if self.sensitivities is not None and self.peak_quantum_efficiency is None:
@@ -917,7 +919,8 @@ class ColourOptions(Record):
                 raise ValueError(f"matrix with {unknown!r}; allowed: capital letters, as R, G, B, C (clear) or W (white)")
         if self.binning and not binned_cell(self.unit_cell):
             hint = "allowed: binning of 2 x 2 pixels of the same letter, as quad_rggb has them"
-            raise ValueError(f"binning = true with the unit cell {', '.join(self.unit_cell)}; {hint}")
+            name = "matrix" if self.matrix else "pattern"
+            raise ValueError(f"binning = true with {name} of the unit cell {', '.join(self.unit_cell)}; {hint}")
         curves = self.curves
         if curves is not None:
             letters = channels_of(self.unit_cell)

@@ -7,7 +7,7 @@ import shlex
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -52,6 +52,7 @@ from pixsim.report.wording import (
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_along, pixels_on
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
+from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.pages import compile_page, rounded, write_page
 from pixsim.show.pictures import (
     Picture,
@@ -417,8 +418,10 @@ def prepared_run(
     Raises PixsimError for invalid input.
     """
     from pixsim.scene.scene import load_scene
+    from pixsim.sensor.pixel import derive
     from pixsim.studies.preparation import View, choose_view
 
+    warn_of_unused_settings({"": [Configuration.of(settings, derive(settings.pixel))]})
     scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
     whole = scene.camera(settings.camera, settings.lens)
     camera, pitch_um = whole.window(settings.window_mm), settings.pixel.pitch_um
@@ -485,9 +488,11 @@ def _prepare(
 def light_of_picture(source: str, settings: Run, units: str | None) -> Light:
     """Return a picture of another program as the light of a run."""
     from pixsim.optics.exchange import read_with_camera
+    from pixsim.sensor.pixel import derive
     from pixsim.studies.preparation import View, choose_view
 
     image, camera = read_with_camera(source, settings.camera, units, settings.lens)
+    warn_of_unused_settings({"": [replace(Configuration.of(settings, derive(settings.pixel)), light=image)]})
     pixels_along(camera.die_um[1], settings.pixel.pitch_um)
     sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(settings.pixel.pitch_um, camera, settings.display, None) if sheet else View()

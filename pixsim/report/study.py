@@ -66,10 +66,10 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     low, high = (end(at_um, key=at_um.__getitem__) for end in (min, max))
     words = [f"{at_um[name]:.2f} µm ({name.removesuffix('_delta_e')})" for name in (low, high)]
     same = at_um[low] == at_um[high]
-    best = f"{at_um[low]:.2f} µm by every statistic" if same else f"from {words[0]} to {words[1]}, by the statistic"
+    best = f"at {at_um[low]:.2f} µm by every statistic" if same else f"from {words[0]} to {words[1]}, by the statistic"
     caption = (
-        f"The best of the sizes tried is {best}. Statistics of ΔE of the same pictures ({curve.label}), each divided by its "
-        "minimum."
+        f"Of the sizes tried, the least error is {best}. Statistics of ΔE of the same pictures ({curve.label}), each divided by "
+        "its minimum."
     )
     if csf_range_lp_per_mm(result.irradiance):
         caption += (

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 MARGINS = {"left": 0.095, "right": 0.985, "bottom": 0.06, "top": 0.965, "wspace": 0.05, "hspace": 0.22}
 WIDTHS = (1, 0.05, 0.36, 1)
 SENSORS_SHOWN = 8  # in mean maps
+LEAST = "least error tried"  # "best" is the optimum, which may lie between the sizes tried
 
 
 def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Array], name: str) -> Plate:
@@ -128,7 +129,7 @@ def map_end(result: StudyResult) -> float:
 
 
 def is_best(curve: Curve, place: int) -> bool:
-    """Return whether a pitch is labelled as the best; a pitch at an end of the range is not, unless the optimum lies inside."""
+    """Return whether a pitch is labelled as the least tried; one at an end of the range is not, unless the optimum lies inside."""
     return place == best_place(curve) and (curve.optimum.inside or 0 < place < curve.pitch_um.size - 1)
 
 
@@ -151,7 +152,8 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     for place in range(last + 1):
         part = window.of(scores[place].image) if place in scores else detail_at(result, curve, place, window)
         tiles.append(Picture(display_codes(part), *labels(curve, place), is_best(curve, place)))
-    framed = "; framed: the best of these" if is_best(curve, at) else ""
+    optimum = f"; the optimum is {curve.optimum.pitch_um:.2f} µm" if curve.optimum.inside else ""
+    framed = f"; framed: the {LEAST}{optimum}" if is_best(curve, at) else ""
     return Views(
         label=curve.label,
         file_label=curve.file_label,
@@ -174,8 +176,8 @@ def labels(curve: Curve, place: int) -> tuple[str, str]:
 
 
 def rank(curve: Curve, place: int) -> str:
-    """Return whether a pitch is the smallest, largest or best, as text."""
-    parts = {"smallest": place == 0, "largest": place == curve.pitch_um.size - 1, "best of these": is_best(curve, place)}
+    """Return whether a pitch is the smallest, the largest or that of the least error tried, as text."""
+    parts = {"smallest": place == 0, "largest": place == curve.pitch_um.size - 1, LEAST: is_best(curve, place)}
     return ", ".join(part for part, is_so in parts.items() if is_so)
 
 

@@ -844,12 +844,13 @@ def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions |
     values = technology.stack.model_dump(exclude_none=True, exclude={"enabled"})
     if not (values if pixel.stack is None else pixel.stack.enabled):
         return None
-    own = pixel.stack.model_dump(exclude_none=True) if pixel.stack else {}
+    own = pixel.stack.model_dump(exclude_none=True, exclude={"enabled"}) if pixel.stack else {}
     restated = stack_excluded_by(own)
     options = StackOptions(**{name: value for name, value in values.items() if name not in restated} | own)
     if missing := [name for name in ("height_um", "index") if getattr(options, name) is None]:
         hint = "Give them in [pixel.stack], or stack_… in the technology's file."
-        raise invalid("pixel.stack", f"no {' and no '.join(missing)}", "a height and an index of refraction", hint)
+        got = f"no {' and no '.join(missing)}" + (f" beside {', '.join(own)}" if own else "")
+        raise invalid("pixel.stack", got, "a height and an index of refraction", hint)
     if (options.depletion_um is None) != (options.diffusion_length_um is None):
         got = "depletion_um" if options.diffusion_length_um is None else "diffusion_length_um"
         raise invalid("pixel.stack", f"{got} alone", "depletion_um and diffusion_length_um together, or neither of them")

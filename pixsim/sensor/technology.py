@@ -272,8 +272,8 @@ OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.0
 
 
 def with_fill_factor_law(technology: Technology, law: str) -> Technology:
-    """Return the technology with another fill-factor law (`Pixel.fill_factor_law`)."""
-    if law not in OTHER_FILL_FACTOR_LAWS:
+    """Return the technology with another fill-factor law (`Pixel.fill_factor_law`); a data sheet, which has none, as it is."""
+    if law not in OTHER_FILL_FACTOR_LAWS or technology.name == NO_TECHNOLOGY:
         return technology
     names = "fill_factor_limit", "fill_factor_zero_pitch_features", "fill_factor_inset_features"
     return technology.model_copy(update=dict(zip(names, OTHER_FILL_FACTOR_LAWS[law], strict=True)))

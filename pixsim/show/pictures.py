@@ -242,7 +242,7 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
         if tile.best:
             draw.rectangle((x - SHEET_FRAME, y - SHEET_FRAME, x + width - 1 + SHEET_FRAME, y + height - 1 + SHEET_FRAME), fill=ink)
         canvas.paste(Image.fromarray(tile.codes), (x, y))
-        draw.text((x, y + height + 5), f"best: {tile.name}" if tile.best else tile.name, ink, font(14), anchor="lt")
+        draw.text((x, y + height + 5), f"least: {tile.name}" if tile.best else tile.name, ink, font(14), anchor="lt")
         draw.text((x, y + height + 5 + LINE), tile.note, ink, font(14), anchor="lt")
     return png_bytes(np.asarray(canvas))
 

@@ -24,7 +24,7 @@ from pixsim.base.config import checked, packaged, settings_layer, sheet_uncertai
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Exposure, Layer, Pixel, Run, Study
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Exposure, Layer, Pixel, Record, Run, Study
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import lens_on_die
@@ -34,6 +34,7 @@ from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
 from pixsim.sensor.technology import file_label, labels_of
+from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.pages import html_cell
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.circumstances import Circumstances, circumstances_of
@@ -367,25 +368,58 @@ def prepare(
     found: dict[str, Any] = {"match": match, "repeats": repeats, "sensor": sensor, "variant": variant}
     if study is None:
         runs = read_sensors(sources, Layer({}), layers, options)
-        return _prepare(sources, runs, "csf" if scene is None else scene, None, **found)
+        made = _prepare(sources, runs, "csf" if scene is None else scene, None, **found)
+        warn_of_unused(sources, [runs], match)
+        return made
     of_study = circumstances_of(study, scene)
     of_study.warn_of_unused(options)
     layers = [of_study.shared, *layers]
     base = read_sensors(sources, of_study.lens, layers, options)
     if not of_study.conditions:
-        return replace(_prepare(sources, base, of_study.scene, None, **found), circumstances=of_study)
+        made = replace(_prepare(sources, base, of_study.scene, None, **found), circumstances=of_study)
+        warn_of_unused(sources, [base], match)
+        return made
     total = sum(condition.weight for condition in of_study.conditions)
     shown = next(place for place, condition in enumerate(of_study.conditions) if condition.weight)
     parts: dict[int, Prepared] = {}
+    every: list[Sequence[Run]] = []
     for place in (shown, *(other for other in range(len(of_study.conditions)) if other != shown)):
         condition = of_study.conditions[place]
         runs = read_sensors(sources, of_study.lens, layers, options, of_study.layer_of(condition))
+        every.append(runs)
         with named(f"condition {condition.name}"):
             view = parts[shown].view if parts else None
             part = _prepare(sources, runs, of_study.scene_of(condition), view, **found)
         weight = condition.weight / total
         parts[place] = replace(part, circumstances=of_study, condition=condition.name, weight=weight, base=tuple(base))
+    warn_of_unused(sources, every, match)
     return replace(parts[shown], conditions=tuple(part for _, part in sorted(parts.items())))
+
+
+def warn_of_unused(sources: Sequence[str], conditions: Sequence[Sequence[Run]], match: Match) -> None:
+    """Warn of the settings that a comparison uses in none of its conditions, with the sensors that set them.
+
+    conditions : settings of each sensor under each condition
+
+    The display, the correction and the development are those of the first sensor; so is the lens, unless each has its own.
+    """
+    names = labels_of([file_label(source) for source in sources])
+    found: dict[str, list[Configuration]] = {name: [] for name in names}
+    for runs in conditions:
+        for name, run in zip(names, runs, strict=True):
+            shared = {table: getattr(runs[0], table) for table in ("correction", "develop", "display")}
+            lens_of = names[0] if match != "own" and run is not runs[0] else ""
+            if lens_of:  # what is the first one's too is used
+                shared |= {table: differing(getattr(run, table), getattr(runs[0], table)) for table in ("camera", "lens")}
+            given = Configuration.of(run.model_copy(update=shared), derive(run.pixel))
+            found[name].append(replace(given, lens_of=lens_of))
+    warn_of_unused_settings(found)
+
+
+def differing(record: Record, other: Record) -> Record:
+    """Return the fields of a record that another one of its kind has with another value, as one that sets no others."""
+    fields = {name: value for name, value in record if value != getattr(other, name)}
+    return type(record).model_construct(set(fields), **fields)
 
 
 def _prepare(

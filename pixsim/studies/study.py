@@ -37,7 +37,8 @@ from pixsim.light.stored import PictureFile
 from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import PixelPhysics, physics_of, warn_of_disagreements, warn_of_implausible_numbers
-from pixsim.sensor.technology import label_of, technology_of
+from pixsim.sensor.technology import label_of, labels_of, technology_of
+from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
 from pixsim.studies.engine import Workers, results_of, workers_for
@@ -396,10 +397,15 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     """
     has_quick = study.quick or any(axis.quick for axis in study.axis)
     if quick and not has_quick:
-        warn(f"the study {study.name} has no [quick] table: running it in full")
+        if "quick" in study.model_fields_set:  # `study_layers` leaves out of it what files and options set
+            warn(f"the [quick] table of the study {study.name} changes nothing: what it sets was given otherwise")
+        else:
+            warn(f"the study {study.name} has no [quick] table: running it in full")
     study = with_range_ends(study.quickened if quick else study)
     if not (study.axis or study.condition):
-        return _prepare(study, variant)
+        made = _prepare(study, variant)
+        warn_of_unused([(study, made.study)])
+        return made
     # Display and chart are those of the study itself, so that all of its cases are comparable.
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
@@ -411,16 +417,31 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     scene, camera = scene_for(own, variant)
     view = _chosen_view(own, scene, camera)
     prepared: list[tuple[Case, Prepared]] = []
-    for case in cases_of(study):
+    cases = cases_of(study)
+    for case in cases:
         with _named(case):
             seen = (
                 view if _same_chart(case.study, own) or scene_for(case.study, variant, scenes)[0].shows_csf else view.without_chart
             )
             part = _prepare(_with_view(case.study, seen), variant, view, scenes)
         prepared.append((replace(case, study=part.study), part))
+    warn_of_unused([(case.study, part.study) for case, (_, part) in zip(cases, prepared, strict=True)])
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
     kept = view if all(_same_chart(case.study, own) for case, _ in prepared) else view.without_chart
     return Prepared(_with_view(study, kept), view.scene(scene), camera, view, variant, tuple(prepared))
+
+
+def warn_of_unused(cases: Sequence[tuple[Study, Study]]) -> None:
+    """Warn of the settings that no case of a study uses, and of those that none uses in one of its technologies.
+
+    cases : each as the user set it, and with what it left open
+    """
+    sensors: dict[str, list[Configuration]] = {}
+    for given, complete in cases:
+        for technology in given.technologies:
+            pixel = physics_of(complete, technology, float(study_pitches_um(complete, technology).max()))
+            sensors.setdefault(technology, []).append(Configuration.of(given, pixel, technology))
+    warn_of_unused_settings(dict(zip(labels_of(list(sensors)), sensors.values(), strict=True)))
 
 
 def _same_chart(first: Study, second: Study) -> bool:

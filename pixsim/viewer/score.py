@@ -41,6 +41,7 @@ from pixsim.sensor.readout import (
     least_black_level_dn,
     sample_sensor,
 )
+from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import html_cell, rounded, rows_csv, set_words
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
@@ -692,8 +693,9 @@ def make_imaging_chain(
     model of the pixel's stack is doubtful.
     """
     rendered = irradiance.header.get("camera")
-    if rendered is not None and not Camera.model_validate(rendered).lights_like(camera):
-        warn("the irradiance was rendered with another camera than the one given")
+    if rendered is not None and not (of_light := Camera.model_validate(rendered)).lights_like(camera):
+        other = [name for name, value in camera if value != getattr(of_light, name)]
+        warn(f"the irradiance was rendered with another camera than the one given, of another {', '.join(other)}")
     check_develop(develop, pixel)
     physics = derive(pixel)
     warn_of_disagreements(pixel)
@@ -734,8 +736,11 @@ def evaluate(
     >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
     ((30, 30), 1.0)
     """
-    settings = exposure or Exposure(), display or Display(), full, correction or NO_CORRECTION, develop or DEVELOP
-    chain = make_imaging_chain(irradiance, camera, pixel, *settings)
+    exposure, display = exposure or Exposure(), display or Display()
+    correction, develop = correction or NO_CORRECTION, develop or DEVELOP
+    given = Configuration(derive(pixel), pixel, exposure, correction, develop, display, camera, light=irradiance)
+    warn_of_unused_settings({"": [given]})
+    chain = make_imaging_chain(irradiance, camera, pixel, exposure, display, full, correction, develop)
     return replace(chain.simulate("evaluate", seed), light=LightError.of(irradiance.header))
 
 

@@ -182,8 +182,8 @@ def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
     assert [tile.best for tile in views.tiles] == [index == at + 1 and (curve.optimum.inside or 0 < at < 5) for index in range(7)]
     np.testing.assert_array_equal(decoded(views.ideal.png), display_codes(finest))
     for output, row, place in zip(views.outputs, views.crops, sorted({0, at, 5}), strict=True):
-        message = {0: "smallest", 5: "largest"}.get(place, "best of these")
-        message += ", best of these" if place == at and place in (0, 5) and curve.optimum.inside else ""
+        message = {0: "smallest", 5: "largest"}.get(place, "least error tried")
+        message += ", least error tried" if place == at and place in (0, 5) and curve.optimum.inside else ""
         assert output.name == f"{message}, {curve.pitch_um[place]:.2f} µm"
         assert (row[1].name, row[1].note) == (f"{curve.pitch_um[place]:.2f} µm", message)
         np.testing.assert_array_equal(decoded(output.png), display_codes(scores[place].image))
@@ -196,7 +196,7 @@ def test_best_place_is_smallest_mean(tiny_result: StudyResult) -> None:
         tiny_result.curves[0], statistics={"mean_delta_e": delta_e}, fit=replace(tiny_result.curves[0].fit, optimum=optimum)
     )
     assert best_place(curve) == 1
-    assert [rank(curve, place) for place in (0, 1, 5)] == ["smallest", "best of these", "largest"]
+    assert [rank(curve, place) for place in (0, 1, 5)] == ["smallest", "least error tried", "largest"]
     rising = replace(
         curve, statistics={"mean_delta_e": np.sort(delta_e, axis=0)}, fit=replace(curve.fit, optimum=replace(optimum, inside=False))
     )

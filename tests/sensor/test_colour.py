@@ -270,7 +270,7 @@ GOOD: dict[str, Any] = {"quantum_efficiencies": of_channels("RGB")}
         (GOOD | {"matrix": ["Rg", "GB"]}, "matrix with 'g'; allowed: capital letters"),
         (GOOD | {"matrix": ["RG", "XB"]}, "the unit cell has X, of which no response is given; allowed: R, G, B"),
         (GOOD | {"matrix": ["RG", "GR"]}, "channel B has no pixels in RG, GR; add it to matrix, or leave it out"),
-        (GOOD | {"binning": True}, "binning = true with the unit cell RG, GB; allowed: binning of 2 x 2 pixels of the same letter"),
+        (GOOD | {"binning": True}, "binning = true with pattern of the unit cell RG, GB; allowed: binning of 2 x 2 pixels"),
         ({"quantum_efficiencies": {"R": CURVES["R"], "G": CURVES["G"]}}, "the unit cell has B, of which no response"),
         ({"quantum_efficiencies": of_channels("RG") | {"B": bell(460, 1.2)}}, "channel B with .* allowed: .* of 0 to 1"),
         ({"quantum_efficiencies": of_channels("RG") | {"B": bell(460, -0.1)}}, "Set negative values, .*, to 0"),

@@ -6,6 +6,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from pixsim.sensor.technology import technology_of
 from pixsim.studies import evaluations as rows_module
 from pixsim.studies.budget import Setup
 from pixsim.studies.result import StudyResult
-from pixsim.studies.study import load_study
+from pixsim.studies.study import load_study, prepare
 from pixsim.viewer.score import ImagingChain, SceneCache
 
 OWN = {"repeats": 3, "seed": 1}
@@ -472,3 +473,15 @@ def test_study_chen2000_matches_paper(tmp_path: Path) -> None:
     mean = curve.mean()
     assert mean[0] > 1.3 * best.mean_delta_e, "noise: 5 % fill factor"
     assert mean[-1] > 1.3 * best.mean_delta_e, "blur: 15 µm"
+
+
+def test_quick_says_what_it_found() -> None:
+    """A study without the table, and one whose table sets only what an option sets too."""
+    with pytest.warns(UserWarning, match=r"^the study tiny has no \[quick\] table: running it in full"):
+        prepare(tiny_study(), quick=True)
+    replaced = load_study("chen2000", pixel={"technology": "0.25um"})
+    with pytest.warns(UserWarning, match=r"^the \[quick\] table of the study chen2000 changes nothing") as caught:
+        prepare(replaced, quick=True)
+    assert len(caught) == 1
+    with warnings.catch_warnings(action="error"):
+        assert prepare(load_study("chen2000"), quick=True).study.technologies == ("0.35um",)

@@ -1,0 +1,347 @@
+"""No setting does nothing in silence: it changes the result, or a message names it."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.sheets import sheet
+from helpers.tiny import tiny
+
+import pixsim
+from pixsim.base.config import packaged
+from pixsim.base.parameters import (
+    Camera,
+    CameraOptions,
+    ColourOptions,
+    Correction,
+    DarkCurrent,
+    Develop,
+    Display,
+    Exposure,
+    LensOptions,
+    Pixel,
+    Run,
+    StackOptions,
+    Study,
+    merge,
+    nested,
+)
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera_lens import camera_with_lens
+from pixsim.report.outline import run_outline
+from pixsim.sensor.pixel import derive, physics_of
+from pixsim.sensor.unused import RULES, Configuration, unused_notes, unused_settings
+from pixsim.studies import compare
+from pixsim.studies.cases import cases_of, with_range_ends
+from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.study import load_study, prepare
+
+SIDE, SAMPLE_UM, WIDTH_NM = 24, 4.0, 40.0
+DIE_MM = 1e-3 * SIDE * SAMPLE_UM
+
+
+def picture(wavelength_nm: np.ndarray) -> SpectralImage:
+    """Coloured detail, as bright as a sunlit scene: exposures are short, so that no limit of time decides."""
+    rng = np.random.default_rng(5)
+    grey = 0.1 + 0.9 * rng.random((SIDE, SIDE, 1))
+    tint = np.where(rng.random((SIDE, SIDE, 1)) < 0.5, wavelength_nm / 600, 600 / wavelength_nm)
+    bands = np.full(wavelength_nm.size, WIDTH_NM)
+    return SpectralImage(wavelength_nm, bands, SAMPLE_UM, data=3e-2 * grey * tint, header={"luminance_cd_per_m2": 1.5e5})
+
+
+LIGHT = picture(np.arange(420.0, 820.0, WIDTH_NM))
+BEHIND_LENS = picture(np.array([450.0, 550.0, 650.0]))  # few bands: the lens's blur is traced for each
+BASE: dict[str, Any] = {"camera": {"die_mm": DIE_MM, "focal_length_mm": 0.12}, "display": {"dots": SIDE}}
+BASE["exposure"] = {"max_integration_s": 10.0}
+RANGE_NM = np.arange(400.0, 701.0, 20.0)
+
+
+def bells(height: float) -> dict[str, list[list[float]]]:
+    """Responses of three channels."""
+    peaks = {"R": 600.0, "G": 540.0, "B": 460.0}
+    curves = {name: 0.01 + height * np.exp(-(((RANGE_NM - peak) / 50) ** 2)) for name, peak in peaks.items()}
+    return {name: np.stack([RANGE_NM, curve], axis=1).tolist() for name, curve in curves.items()}
+
+
+SHEET = {"pitch_um": 5.0, "full_well_e": 8000, "read_noise_e": 3.0, "dark_current_e_per_s": 2e7, "quantum_efficiency": 0.6}
+SHEET |= {"prnu": 0.01, "dsnu": 0.3, "bits": 12, "black_level_dn": 60}
+AT_20_C = {name: value for name, value in SHEET.items() if name != "dark_current_e_per_s"}
+AT_20_C |= {"dark_current": {"e_per_s": 2e7, "at_c": 20.0}}
+STACK = {"height_um": 5.0, "index": 1.5, "microlens": "square"}
+COLOUR = {"quantum_efficiencies": bells(0.5)}
+QUICK_FIT = {"develop": {"matrix": "least_squares"}}  # of the colour matrix: the default one takes a quarter of a second
+
+
+def of(technology: str, **pixel: Any) -> dict[str, Any]:
+    return {"pixel": {"technology": technology, "black_level_dn": 60, **pixel}}
+
+
+def coloured(colour: dict[str, Any], **pixel: Any) -> dict[str, Any]:
+    return {"pixel": {**SHEET, **pixel, "colour": colour}, **QUICK_FIT}
+
+
+CONFIGURATIONS: dict[str, dict[str, Any]] = {
+    "3T": of("0.35um"),
+    "3T, stack": of("0.35um", stack={"height_um": 6.0, "index": 1.5, "depletion_um": 1.0, "diffusion_length_um": 10.0}),
+    "4T": of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e7),
+    "data sheet": {"pixel": SHEET},
+    "data sheet, stack": {"pixel": {**SHEET, "stack": STACK}},
+    "colour by sensitivities": coloured({"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}),
+    "colour by quantum efficiencies": coloured(COLOUR),
+    "colour by transmittances": of("0.35um", colour={"transmittances": bells(0.8)}) | QUICK_FIT,
+    "one dot a pixel": {"pixel": SHEET, "display": {"raster": "one_to_one"}},
+}
+SLOW: dict[str, dict[str, Any]] = {  # the same rules with other values of what they look at
+    "3T, forward bias": of("0.35um", well_limit="diode", conversion="junction"),
+    "3T, capacitance of the paper": of("0.35um", capacitance="paper"),
+    "3T, numbers of its own": of("0.35um", **AT_20_C, fill_factor=0.5, reset_noise_factor=0.0),
+    "4T, stack off": of("4t-bsi", pitch_um=2.0, stack={"enabled": False}),
+    "4T, front-lit, colour": of("4t-fsi", pitch_um=2.0, dark_current_e_per_s=1e7, colour=COLOUR) | QUICK_FIT,
+    "data sheet, no dark current": {"pixel": {**SHEET, "dark_current_e_per_s": 0.0}},
+    "data sheet, dark current at 20 °C": {"pixel": AT_20_C},
+    "data sheet, opening": {"pixel": {**SHEET, "stack": {**STACK, "microlens": "none"}, "fill_factor": 0.5}},
+    "stacked channels": coloured({**COLOUR, "pattern": "stacked"}),
+    "binning": coloured({**COLOUR, "pattern": "quad_rggb", "binning": True}, pitch_um=4.0),
+    "colour, one dot a pixel": coloured(COLOUR) | {"display": {"raster": "one_to_one"}},
+    "manual exposure": of("0.35um") | {"exposure": {"integration_s": 2e-4}},
+    "flat frames": of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e6) | {"correction": {"flat_frames": 2, "dark_frames": 2}},
+    "chief rays": of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e7) | {"camera": {"chief_ray_angle": [[0, 0], [0.07, 25]]}},
+    "real lens": of("0.35um") | {"lens": {"file": "cooke_triplet", "focal_length_mm": 1.0}},
+}
+
+# Every setting of a frame, moved; a tuple has alternatives, of which one is another value in any configuration.
+MOVES: dict[str, Any] = {
+    "camera.focal_length_mm": 0.15, "camera.f_number": 2.8, "camera.die_mm": 0.08, "camera.die_height_mm": (0.08, 0.2),
+    "camera.object_distance_m": 0.02, "camera.transmittance": 0.5,
+    "camera.chief_ray_angle": ([[0, 0], [0.07, 15]], [[0, 0, 1], [0.07, 15, 0.5]]),
+    "lens.file": "singlet", "lens.focal_length_mm": 1.5, "lens.refocus": "paraxial", "lens.ideal": "undistorted",
+    "pixel.capacitance": ("paper", "mosis"), "pixel.well_limit": ("diode", "swing"), "pixel.conversion": ("junction", "linear"),
+    "pixel.response": "literal", "pixel.quantum_efficiency": 0.3, "pixel.quantum_efficiency_includes": ("photodiode", "microlens"),
+    "pixel.quantum_efficiency_f_number": 2.0, "pixel.quantum_efficiency_pitch_um": 3.0, "pixel.infrared_cut_nm": (650.0, 2000.0),
+    "pixel.fill_factor_law": "inset", "pixel.fill_factor": 0.45,
+    "pixel.full_well_e": 5000.0, "pixel.saturation_capacity_e": 5000.0, "pixel.gain_e_per_dn": 3.0, "pixel.dn_per_e": 0.4,
+    "pixel.adc_full_scale_e": 6000.0, "pixel.dark_current_e_per_s": 5e7, "pixel.dark_current": {"e_per_s": 5e7, "at_c": 20.0},
+    "pixel.dark_current.e_per_s": 4e6, "pixel.dark_current.at_c": 0.0, "pixel.dark_current.doubling_k": 5.0,
+    "pixel.data_sheet_pitch_um": 6.0, "pixel.read_noise_e": 60.0, "pixel.read_noise_after_gain_e": 60.0,
+    "pixel.temporal_dark_noise_e": 60.0, "pixel.reset_noise_factor": 2.0, "pixel.prnu": 0.05, "pixel.prnu_percent": 5.0,
+    "pixel.prnu_um": 0.1, "pixel.dsnu": 1.0, "pixel.hot_pixel_fraction": 0.05, "pixel.hot_pixel_median": 900.0,
+    "pixel.hot_pixel_spread": 1.5, "pixel.dsnu_e": 50.0, "pixel.offset_fpn": 0.01, "pixel.a_vt_mv_um": 5.0,
+    "pixel.follower_area_um2": 1.0, "pixel.column_fpn": 0.01, "pixel.bits": 8, "pixel.black_level_dn": 20.0,
+    "pixel.temperature_k": 340.0, "pixel.dynamic_range_db": 20.0, "pixel.snr_max_db": 10.0,
+    "pixel.technology": ("0.18um", "4t-fsi", "4t-bsi"), "pixel.pitch_um": 5.8,
+    "pixel.registration": [0.25, 0.75], "pixel.stack": {"height_um": 6.5, "index": 1.5},
+    "pixel.stack.enabled": (False, True), "pixel.stack.height_um": 7.0, "pixel.stack.index": 1.9,
+    "pixel.stack.microlens": ("none", "square"), "pixel.stack.shift": ("none", "optimal"), "pixel.stack.shift_um": [0.5, 0.0],
+    "pixel.stack.refraction": "paraxial", "pixel.stack.depletion_um": 2.0, "pixel.stack.diffusion_length_um": 20.0,
+    "pixel.stack.crosstalk": 0.2,
+    "pixel.colour": {"quantum_efficiencies": bells(0.4)}, "pixel.colour.pattern": ("bggr", "quad_rggb", "rggb"),
+    "pixel.colour.matrix": (["RGRG", "GBGB"], ["RRGG", "RRGG", "GGBB", "GGBB", "GGBB", "GGBB", "RRGG", "RRGG"]),
+    "pixel.colour.binning": (True, False), "pixel.colour.sensitivities": "Canon_EOS_5D_Mark_II",
+    "pixel.colour.quantum_efficiencies": bells(0.45), "pixel.colour.transmittances": bells(0.45),
+    "pixel.colour.peak_quantum_efficiency": 0.2,
+    "exposure.integration_s": 1e-4, "exposure.max_integration_s": 1e-6, "exposure.well_target": 0.5, "exposure.gain_db": 6.0,
+    "correction.dark_frames": 3, "correction.flat_frames": 3, "correction.flat_level": 0.3, "correction.column_clamp": 3,
+    "correction.defects": True,
+    "develop.white_balance": [1.3, 1.0, 2.0], "develop.demosaic": ("malvar2004", "interpolate"),
+    "develop.matrix": ("least_squares", "noise_aware"),
+    "display.raster": ("one_to_one", "fixed_size"), "display.dots": 20, "display.samples_per_deg": 40.0,
+    "display.interpolation": "cubic", "display.gamma": 1.8, "display.bits": 5, "display.white_cd_per_m2": 1.2e5,
+    "display.shading_correction": False, "display.filters": "zhang1996", "display.delta_e": "2000", "display.adaptation": "none",
+}  # fmt: skip
+# Without which a setting is refused, or has nothing to act on.
+AT_20 = {"e_per_s": 1e6, "at_c": 20.0}
+HOT = {"hot_pixel_fraction": 0.05, "hot_pixel_median": 90.0}
+BESIDE: dict[str, dict[str, Any]] = {
+    "pixel.hot_pixel_fraction": {"pixel": {"hot_pixel_median": 90.0}},
+    "pixel.hot_pixel_median": {"pixel": HOT},
+    "pixel.hot_pixel_spread": {"pixel": HOT},
+    "pixel.a_vt_mv_um": {"pixel": {"follower_area_um2": 0.5}},
+    "pixel.follower_area_um2": {"pixel": {"a_vt_mv_um": 4.0}},
+    **{f"pixel.dark_current.{name}": {"pixel": {"dark_current": AT_20}} for name in DarkCurrent.model_fields},
+    "pixel.colour": QUICK_FIT,
+    "correction.defects": {"correction": {"dark_frames": 2}, "pixel": HOT},
+}
+IN_RECORDS = {"camera": Camera, "lens": LensOptions, "pixel": Pixel, "pixel.dark_current": DarkCurrent, "pixel.stack": StackOptions}
+IN_RECORDS |= {
+    "pixel.colour": ColourOptions,
+    "exposure": Exposure,
+    "correction": Correction,
+    "develop": Develop,
+    "display": Display,
+}
+Outcome = tuple[bytes | None, frozenset[str]]  # the ΔE map, the frame and its time, None after an error; messages
+
+
+def scored(table: dict[str, Any]) -> Outcome:
+    """Score a frame of these settings."""
+    tables = merge(BASE, table)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            lens, light = LensOptions(**tables.get("lens", {})), LIGHT
+            camera = Camera(**tables["camera"])
+            if lens.file:
+                camera, light = camera_with_lens(camera, CameraOptions(**table.get("camera", {})), lens), BEHIND_LENS
+            records: dict[str, Any] = {
+                name: IN_RECORDS[name](**tables.get(name, {})) for name in ("exposure", "display", "correction", "develop")
+            }
+            score = pixsim.evaluate(light, camera, Pixel(**tables["pixel"]), **records)
+        except pixsim.PixsimError as error:
+            return None, frozenset([str(error)])
+    seen = score.delta_e.tobytes() + score.frame.dn.tobytes() + np.float64(score.frame.integration_s).tobytes()
+    return seen, frozenset(str(warning.message) for warning in caught)
+
+
+def acts(reference: dict[str, Any], base: Outcome, name: str, value: Any) -> bool:
+    """Whether a setting changes the result, or a message names it: a new one, or one that says that nothing uses it."""
+    seen, messages = scored(merge(reference, nested(name.split("."), value)))
+    changes = seen is not None and seen != base[0]
+    unused = any(name in re.findall(r"[\w.]+", text.partition("not used")[0]) for text in messages if "not used" in text)
+    assert not (unused and changes and base[0] is not None), f"{name} = {value!r} is said to be unused, and changes the result"
+    named = any(re.search(rf"\b{name.rpartition('.')[2]}\b", text) for text in messages - base[1])
+    return named or unused or changes
+
+
+@pytest.mark.parametrize(
+    "configuration",
+    [*CONFIGURATIONS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)],  # slow: other values of the same claim
+)
+def test_every_setting_acts_or_a_message_names_it(configuration: str) -> None:
+    own = (CONFIGURATIONS | SLOW)[configuration]
+    base = scored(own)
+    assert base[0] is not None, base
+    silent = []
+    for name, values in MOVES.items():
+        if name == "lens.file" and "lens" not in own:
+            continue  # seconds of tracing; without a file the other fields of [lens] are refused
+        beside = BESIDE.get(name, {})
+        with_beside = merge(own, beside)
+        known = scored(with_beside) if beside else base
+        moved = values if isinstance(values, tuple) else (values,)
+        # Alone, too: what stands beside it may be impossible in this configuration, and so may it.
+        if not any(acts(with_beside, known, name, value) or (beside and acts(own, base, name, value)) for value in moved):
+            silent.append(name)
+    assert not silent
+
+
+def test_every_setting_of_a_frame_is_moved() -> None:
+    """But `Camera.lens`, which comes from [lens]."""
+    fields = {f"{table}.{name}" for table, record in IN_RECORDS.items() for name in record.model_fields}
+    assert MOVES.keys() == fields - {"camera.lens"}
+
+
+def said(command: Run | Study, technology: str = "") -> set[str]:
+    """Names of the unused settings of a run, or of a technology of a study."""
+    if isinstance(command, Study):
+        technology = technology or command.technologies[0]
+        physics = physics_of(command, technology, float(study_pitches_um(command, technology).max()))
+    else:
+        physics = derive(command.pixel)
+    return set(unused_settings(Configuration.of(command, physics, technology)))
+
+
+def study_of(**settings: Any) -> Study:
+    return Study.model_validate({"name": "a"} | settings)
+
+
+SHEET_STUDY = {"pixel": {**{name: value for name, value in SHEET.items() if name != "pitch_um"}, "data_sheet_pitch_um": 3.0}}
+SIZES = [6.0, 7.0, 8.0, 9.0, 10.0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "unused"),
+    [
+        ({"pitch": {"min_fill_factor": 0.1, "max_um": 12.0, "count": 6}}, set()),
+        ({"pitch": {"min_fill_factor": 0.1, "min_um": 6.0}}, {"pitch.min_fill_factor"}),
+        (
+            {"pitch": {"values_um": SIZES, "min_fill_factor": 0.1, "min_um": 6.0, "max_um": 9.0, "count": 6}},
+            {"pitch.min_fill_factor", "pitch.min_um", "pitch.max_um", "pitch.count"},
+        ),
+        ({"pitch": {"own_um": 3.0}}, {"pitch.own_um"}),
+        (SHEET_STUDY | {"pitch": {"min_fill_factor": 0.1, "own_um": 4.0}}, {"pitch.min_fill_factor"}),
+        ({"max_repeats": 16, "max_evaluations": 5000, "refine": False}, {"max_repeats", "max_evaluations"}),
+        ({"max_repeats": 16, "max_evaluations": 5000}, set()),
+        ({"refine": False, "target_ci_um": 0.1}, {"refine"}),
+        ({"max_repeats": 16, "max_evaluations": 5000, "target_ci_um": 0.1}, set()),
+        ({"tolerance_delta_e": 0.01, "repeats": 4, "max_repeats": 16, "render_noise": 0.1}, {"repeats", "render_noise"}),
+        ({"repeats": 4, "render_noise": 0.1, "tolerance_e": 1e-4, "max_seconds": 60.0, "window_mm": 1.0}, set()),
+        ({"pixel": {"fill_factor": 0.4, "fill_factor_law": "inset"}}, set()),  # the sizes begin where the law says
+        ({"pixel": {"fill_factor": 0.4, "fill_factor_law": "inset"}, "pitch": {"min_um": 6.0}}, {"pixel.fill_factor_law"}),
+    ],
+)
+def test_settings_of_a_study_that_nothing_uses(settings: dict[str, Any], unused: set[str]) -> None:
+    """And those of its range of sizes that are used move the sizes."""
+    study = study_of(**settings)
+    assert said(study) == unused
+    own = {name: value for name, value in settings.get("pitch", {}).items() if f"pitch.{name}" not in unused}
+    sizes = study_pitches_um(study, study.technologies[0]).tolist()
+    for name in own:
+        left = settings | {"pitch": {other: value for other, value in own.items() if other != name}}
+        assert study_pitches_um(study_of(**left), study.technologies[0]).tolist() != sizes, name
+    kept = study_of(**settings | {"pitch": own})
+    assert study_pitches_um(kept, kept.technologies[0]).tolist() == sizes
+
+
+def test_a_value_that_holds_anyway_is_no_unused_setting() -> None:
+    """A default, that of the technology, 0 of what is not there, and what settings.toml states of them; true notes come again."""
+    assert not said(Run(pixel=Pixel(dark_current_e_per_s=0.0, dsnu=0.0, hot_pixel_fraction=0.0)))
+    assert said(Run(pixel=Pixel(dark_current_e_per_s=0.0, dsnu=0.2))) == {"pixel.dsnu"}
+    assert not said(Run(pixel=Pixel(**SHEET, reset_noise_factor=0.0, response="scaled"), display=Display(adaptation="bradford")))
+    for run in (Run(pixel=Pixel(**SHEET)), Run(pixel=Pixel(**SHEET, response="literal"), display=Display(adaptation="none"))):
+        repeated = Run.model_validate(run.model_dump(mode="json", exclude_none=True))
+        assert said(repeated) == said(run)
+    assert said(run) == {"pixel.response", "display.adaptation"}
+
+
+@pytest.mark.parametrize("name", packaged("data/studies"))
+def test_packaged_studies_state_nothing_in_vain(name: str) -> None:
+    cases = [case.study for case in cases_of(with_range_ends(load_study(name)))]
+    for technology in cases[0].technologies:
+        found = [said(case, technology) for case in cases if technology in case.technologies]
+        assert not set.intersection(*found), technology
+
+
+def test_notes_name_the_sensors_unless_all_have_them() -> None:
+    run, colour = Run(develop=Develop(matrix="least_squares")), Pixel(**SHEET, colour=ColourOptions(**COLOUR))
+    grey = Configuration.of(run, derive(run.pixel))
+    seen = Configuration.of(run.model_copy(update={"pixel": colour}), derive(colour))
+    why = "develop.matrix is not used: the pixels have no colour filters (pixel.colour)"
+    efficiency = "pixel.quantum_efficiency is not used: pixel.colour.quantum_efficiencies states what every channel sees"
+    assert unused_notes({"a": [grey], "b": [grey]}) == [why]
+    assert unused_notes({"a": [grey], "b": [seen]}) == [f"a: {why}", f"b: {efficiency}"]
+    assert unused_notes({"a": [grey, seen]}) == [], "one case of two uses it"
+
+
+def test_every_command_says_so(tmp_path: Path) -> None:
+    """A study, a run of a scene and of a picture, and a comparison, before anything is rendered; `evaluate` above."""
+    with pytest.warns(UserWarning, match=r"^display\.adaptation is not used"):
+        prepare(tiny(display={"adaptation": "none"}))
+    axis = [{"name": "raster", "set": "display.raster", "values": ["one_to_one", "fixed_size"]}]
+    with pytest.warns(UserWarning, match=r"^exposure\.well_target is not used") as caught:
+        prepare(tiny(axis=axis, exposure={"well_target": 0.5, "integration_s": 0.01}))
+    assert not [warning for warning in caught if "display" in str(warning.message)], "one of its cases uses the dots"
+    with pytest.warns(UserWarning, match=r"^correction\.flat_level is not used"):
+        run_outline("csf", Run(correction=Correction(flat_level=0.3)))
+    pixsim.write_npz(tmp_path / "light.npz", LIGHT)
+    asked = Run(
+        camera=CameraOptions(die_mm=DIE_MM), display=Display(dots=SIDE), render_noise=0.1, max_seconds=9.0, tolerance_e=1e-4
+    )
+    with pytest.warns(UserWarning, match=r"^tolerance_e, render_noise, max_seconds are not used: the light of a picture"):
+        run_outline(str(tmp_path / "light.npz"), asked)
+    files = [sheet(tmp_path / f"{name}.toml", more=f"f_number = {stop}\n") for name, stop in (("a", 4.0), ("b", 5.6))]
+    with pytest.warns(UserWarning, match=r"^b: camera\.f_number is not used: all sensors have the lens of a"):
+        compare.prepare(files, match="view", repeats=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        compare.prepare(files, match="own", repeats=2, options={"camera": {"transmittance": 0.5}})
+
+
+def test_rules_name_settings_that_exist() -> None:
+    known = {*MOVES, *Run.model_fields, *Study.model_fields, *(f"camera.{name}" for name in CameraOptions.model_fields)}
+    known |= {f"pitch.{name}" for name in type(tiny().pitch).model_fields}
+    assert not {name for rule in RULES for name in rule.settings} - known
