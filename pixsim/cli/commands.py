@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from cyclopts import Parameter
 
+from pixsim.base.caller import command_line
 from pixsim.base.config import read_toml, study_layers
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files
@@ -55,7 +56,7 @@ def run_command(tokens: Sequence[str]) -> None:
     interruption.begin()
     try:
         # Notes also of the settings, before a result collects its own.
-        with collected_notes(), told_of_finished_files(interruption.end_or_raise):
+        with command_line(), collected_notes(), told_of_finished_files(interruption.end_or_raise):
             app(with_lens_file(with_each_format(arguments)), exit_on_error=False, print_error=False)
     except Exception as error:
         if interruption.received:  # a library has turned it into another exception

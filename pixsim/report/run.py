@@ -64,8 +64,8 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
-from pixsim.viewer.display import dot_edges_um, white_header, white_light, white_rate
-from pixsim.viewer.score import Score, dark_clip, make_imaging_chain
+from pixsim.viewer.display import dot_edges_um, white_light, white_rate
+from pixsim.viewer.score import Score, Seen, dark_clip, make_imaging_chain, white_header
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
@@ -310,7 +310,7 @@ def run_and_write(
             image, camera, settings, more = light.irradiance, light.camera, light.settings, light.more
             lap("render" if "plan" in more else "read")
             progress("sense and score")
-            image.header |= white_header(image, camera, settings.display)
+            image.header |= white_header([Seen(image, camera, physics)], settings.display)
             of_files = full, formats, frames, irradiance, sensor, variant, units
             made_from = digest_of_content(of_files, light, physics.technology)
             if are_kept(folder, "run", made_from):

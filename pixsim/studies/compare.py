@@ -41,11 +41,12 @@ from pixsim.studies.engine import results_of, workers_here
 from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
 from pixsim.studies.preparation import View, choose_view, frame_cost, jobs_in_memory
 from pixsim.studies.result import NO_VISIBLE_DELTA_E
-from pixsim.viewer.display import dot_edges_um, white_header, white_light
+from pixsim.viewer.display import dot_edges_um, white_light
 from pixsim.viewer.light_error import NOT_CONVERGED, LightError, with_error
 from pixsim.viewer.score import (
     ImagingChain,
     Score,
+    Seen,
     chain_at_pitch,
     check_one_ideal,
     clip_words,
@@ -53,6 +54,7 @@ from pixsim.viewer.score import (
     dark_clip,
     prepare_scene,
     warn_of_clipping,
+    white_header,
 )
 
 if TYPE_CHECKING:
@@ -897,19 +899,19 @@ def render_all(prepared: Prepared, stage: Stage) -> tuple[list[Rendered], list[I
     width = prepared.film_width
     while True:
         made: list[Rendered] = []
-        chains: list[ImagingChain] = []
         for sensor in prepared.sensors:
             light = render_one(prepared, sensor, width, stage(f"render {sensor.name}"))
             if light.image.shape[1] > width:  # its film had to be finer: the others take that one too
                 width = light.image.shape[1]
                 break
-            if not made:
-                white = white_header(light.image, sensor.camera, prepared.settings.display)
-            light.image.header |= white
             made.append(light)
-            chains.append(chain_of(prepared, sensor, light.image))
         else:
-            return made, chains
+            pairs = list(zip(prepared.sensors, made, strict=True))
+            seen = [Seen(light.image, s.camera, derive(s.pixel), prepared.border_um(s.camera)) for s, light in pairs]
+            white = white_header(seen, prepared.settings.display)
+            for light in made:
+                light.image.header |= white
+            return made, [chain_of(prepared, sensor, light.image) for sensor, light in pairs]
 
 
 def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Progress) -> Rendered:

@@ -65,8 +65,8 @@ from pixsim.studies.result import Curve, StudyResult, curve_of, few
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sight import Sight, clearest
 from pixsim.viewer.colour_matrix import AlikeChannelsError
-from pixsim.viewer.display import dot_edges_um, white_header
-from pixsim.viewer.score import SceneCache
+from pixsim.viewer.display import dot_edges_um
+from pixsim.viewer.score import SceneCache, Seen, white_header
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
@@ -502,8 +502,14 @@ def render_for(
     except AlikeChannelsError as error:
         where = ", ".join(filter(None, (label_of(first), words)))
         raise AlikeChannelsError(f"{where}: none of its pixel sizes is possible. {error}") from None
-    made.image.header.update(white_header(made.image, camera, study.display))
+    made.image.header.update(white_header(seen_by_all(study, made.image, camera), study.display))
     return made.image, camera, made.film
+
+
+def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:
+    """Return a picture as the smallest pixels of each technology of a study see it, for the white that all of them share."""
+    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+    return [Seen(image, camera, physics, study.pitch.largest_um) for physics in smallest]
 
 
 def measured_pixels(study: Study) -> list[PixelPhysics]:
@@ -594,7 +600,7 @@ def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[
     if not plan.exact:
         return key, None
     image, _noise = render_until(scene, camera, plan, [], study.exposure, study.seed, render_noise=study.render_noise)
-    image.header.update(white_header(image, camera, study.display))
+    image.header.update(white_header(seen_by_all(study, image, camera), study.display))
     sight = Sight.of(image, camera, measured_pixels(study), study, plan.chart)
     return key, (image, camera, sight) if sight else None
 

@@ -7,13 +7,14 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.arguments import checks_arguments, checks_fields, made
 from pixsim.base.arrays import Array, mixed, stream, strips
+from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, check_develop
@@ -68,6 +69,9 @@ HISTOGRAM_BINS = 1 << 14
 COUNTED = 1 << 18  # values at a time, many more than bins
 PANEL_IN = 3.1  # width of each picture of a figure
 SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
+WHITE_PERCENTILE = 99.0  # of the ideal image of a scene whose white is unknown
+WHITE_FROM = f"{WHITE_PERCENTILE:g}th percentile of the ideal image"
+WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
 
 
 @checks_fields
@@ -503,16 +507,79 @@ def check_one_ideal(grey: Sequence[str], coloured: Mapping[str, Array]) -> None:
         raise invalid("sensors", got, "a scene that has one ideal image for all", hint)
 
 
+def luminance_of(light: Array) -> Array:
+    """Return the luminance, (H, W), 1 for white, of what an ideal image asks of the dots, (H, W) or (3, H, W)."""
+    return light if light.ndim == 2 else mixed(displays.XYZ_FROM_RGB[1:2] / displays.WHITE_XYZ[1], list(light))[0]
+
+
 def fraction_beyond_white(light: Array) -> float:
     """Return the fraction of dots of an ideal image, (H, W) or (3, H, W), that are brighter than display white."""
-    luminance = light if light.ndim == 2 else mixed(displays.XYZ_FROM_RGB[1:2] / displays.WHITE_XYZ[1], list(light))[0]
-    return float(np.mean(luminance > 1 + ROUNDING))
+    return float(np.mean(luminance_of(light) > 1 + ROUNDING))
+
+
+class Seen(NamedTuple):
+    """A picture as pixels see it, for `white_header`.
+
+    border_um : largest pitch scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's pitch
+    """
+
+    irradiance: SpectralImage
+    camera: Camera
+    physics: PixelPhysics
+    border_um: float | None = None
+
+    def luminance_cd_per_m2(self, display: Display) -> Array:
+        """Return the luminance of the light of the scene's white that gives each scored dot its ideal image, (H, W).
+
+        It is the ideal image in the response of these pixels, in units of a white of 1 cd/m².
+        """
+        irradiance, camera, physics, border_um = self
+        unit = display.model_copy(update={"white_cd_per_m2": 1.0})
+        border_um = physics.as_read.read_pitch_um if border_um is None else border_um
+        rendition = None if physics.layout is None else rendition_of(irradiance, physics.channels, unit)
+        return luminance_of(ideal_on_dots(irradiance, camera, physics, unit, border_um, rendition)[1])
+
+
+def white_header(seen: Sequence[Seen], display: Display) -> dict[str, Any]:
+    """Return header entries with a white for a scene of unknown white; none if the display or the scene defines the white.
+
+    It is one luminance for all that see the scene: the 99th percentile of the ideal image in the response of the pixels, on the
+    dots that are scored, rounded up to two digits, with a warning. Of several pixels, which see different parts of the spectrum,
+    the largest counts: so that white clips at most 1 % of the ideal image of each.
+
+    Raises PixsimError if an ideal image is black up to that percentile, or if its light has no luminance.
+    """
+    if display.white_cd_per_m2 or "luminance_cd_per_m2" in seen[0].irradiance.header:
+        return {}
+    found = max(float(np.percentile(one.luminance_cd_per_m2(display), WHITE_PERCENTILE, overwrite_input=True)) for one in seen)
+    if not found > 0:
+        got = "no value, and the picture is too dark to estimate it"
+        hint = f"Set {setting('display.white_cd_per_m2')}."
+        raise invalid("display.white_cd_per_m2", got, "the scene luminance in cd/m² shown as white", hint)
+    white = rounded_up(found, WHITE_DIGITS)
+    of_all = "" if len(seen) == 1 else ", the largest of these sensors'"
+    source = f"the {WHITE_FROM} in the sensor's response{of_all}, rounded up"
+    fixed = f"set {setting('display.white_cd_per_m2', white)} to fix this value"
+    warn(f"the scene does not define its white: using {white:g} cd/m², {source}; {fixed}")
+    return {"luminance_cd_per_m2": white, "white_from": WHITE_FROM}
+
+
+def rounded_up(value: float, digits: int) -> float:
+    """Return a positive number rounded up to so many decimal digits, but for errors of rounding.
+
+    >>> rounded_up(730.1, 2), rounded_up(730.0000001, 2), rounded_up(9.96e-5, 2)
+    (740.0, 730.0, 0.0001)
+    """
+    value *= 1 - ROUNDING
+    nearest = float(f"{value:.{digits - 1}e}")
+    step = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
+    return nearest if nearest >= value else float(f"{nearest + step:.{digits - 1}e}")
 
 
 def warn_of_clipping(beyond_white: float) -> None:
     """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`, on behalf of the caller of the caller."""
     if beyond_white > CLIPPED_WARNING:
-        text = f"{beyond_white:.0%} of the ideal image is brighter than display white; raise display.white_cd_per_m2"
+        text = f"{beyond_white:.0%} of the ideal image is brighter than display white; raise {setting('display.white_cd_per_m2')}"
         warn(text)
 
 
@@ -688,8 +755,8 @@ def make_imaging_chain(
 ) -> ImagingChain:
     """Return the imaging chain up to the noise.
 
-    Warns if the render used another camera, the display clips the scene, numbers of a data sheet contradict one another, or the
-    model of the pixel's stack is doubtful.
+    Warns if the render used another camera, the scene's white is estimated (`white_header`), the display clips the scene, numbers
+    of a data sheet contradict one another, or the model of the pixel's stack is doubtful.
     """
     rendered = irradiance.header.get("camera")
     if rendered is not None and not Camera.model_validate(rendered).lights_like(camera):
@@ -699,6 +766,8 @@ def make_imaging_chain(
     warn_of_disagreements(pixel)
     warn_of_implausible_numbers(pixel)
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
+    if white := white_header([Seen(irradiance, camera, physics)], display):
+        display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})
     light = prepare_scene(irradiance, camera, physics, display, full)
     warn_of_clipping(light.beyond_white)
     return chain_at_pitch(light, physics, exposure, correction, develop)
@@ -726,7 +795,9 @@ def evaluate(
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
 
-    Raises PixsimError if the pitch is too small or larger than the die, or the scene's white is unknown.
+    Where neither the display nor the scene states its white, it is estimated, with a warning, as in `pixsim run`.
+
+    Raises PixsimError if the pitch is too small or larger than the die, if white has no luminance, or the sensor no response to it.
 
     >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})
     >>> pixel, display = Pixel(pitch_um=84.8, prnu=0, infrared_cut_nm=700), Display(white_cd_per_m2=1000, dots=32)
