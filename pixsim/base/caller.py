@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+OPTIONS = {"window_mm": "window"}  # settings whose option has another name
 _command_lines = 0  # those that run: of all threads, of which some belong to the command
 
 
@@ -32,7 +33,7 @@ def setting(path: str, value: float | str | None = None) -> str:
     """
     shown = f"{value:g}" if isinstance(value, int | float) else value
     if _command_lines:
-        return f"--{path.replace('_', '-')}" + ("" if shown is None else f" {shown}")
+        return f"--{OPTIONS.get(path, path).replace('_', '-')}" + ("" if shown is None else f" {shown}")
     *above, name = path.split(".")
     if above:
         return f"{above[-1].capitalize()}({name}={'…' if shown is None else shown})"

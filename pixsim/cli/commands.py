@@ -146,7 +146,7 @@ def run(
     """
     import_less()
     from pixsim.report.run import check_raw, frames_lines, run_and_write
-    from pixsim.report.wording import budget_lines, dark_notes, score_line, unconverged_lines
+    from pixsim.report.wording import budget_lines, own_notes, score_line, unsure_lines
 
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
@@ -166,8 +166,8 @@ def run(
     amount = f"render noise {noise['fraction']:.2g} of the sensor's noise" if noise and noise["fraction"] else "no render noise"
     of_noise = f"; {amount}" if noise else ""
     line = f"{score_line(result)}{of_noise}; report: {folder / 'report.html'}"
-    unsure = unconverged_lines(result["irradiance"], result.get("film"), result.get("error_budget"))
-    notes = [f"note: {note}" for note in dark_notes(result)]
+    unsure = unsure_lines(result)
+    notes = [f"note: {note}" for note in own_notes(result) if note not in unsure]
     show(result, json, "\n".join([line, *unsure, *frames_lines(result), *notes, *budget_lines(result)]))
 
 

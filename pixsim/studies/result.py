@@ -32,6 +32,7 @@ from pixsim.studies.evaluations import (
     Fingerprints,
     block_key,
     chain_at,
+    ideal_facts,
     kept_frames,
     largest_lens_um,
     light_of,
@@ -41,6 +42,7 @@ from pixsim.studies.evaluations import (
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.rows import Row
+from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.score import ImagingChain, SceneCache, Score, clip_words, clips_dark, dark_clip
@@ -198,6 +200,7 @@ class Curve:
             "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum_features,
             "alike_um": self.alike_um,
+            **({"causes": [cause.as_dict() for cause in self.light.causes]} if self.light.causes else {}),
             "pitch_um": self.pitch_um.tolist(),
             "sensors": self.sensors.tolist(),
             "fill_factor": self.fill_factor.tolist(),
@@ -254,7 +257,7 @@ class StudyResult:
         """Return a curve with its label, the errors of its light, and the pitches that its film cannot tell apart."""
         part, words = self.part_of(curve), curve.words
         alike_um = part.film.alike_um(curve.pitch_um, curve.mean()) if part.film else None
-        light = LightError.of(part.irradiance.header, part.film_at_best(curve))
+        light = LightError.of(part.irradiance.header, part.film_at_best(curve), part.causes(curve))
         fresnel = None
         if has_microlens(part.study.options_of(curve.technology), technology_of(part.study, curve.technology)):
             nm, pitches_um = part.irradiance.wavelength_nm, curve.pitch_um.tolist()
@@ -266,6 +269,17 @@ class StudyResult:
         """Return `FilmError.as_dict` at the pitch of a curve with the least mean ΔE; None if the film was not measured."""
         best_um = float(curve.pitch_um[np.argmin(curve.mean())])
         return None if self.film is None else self.film.at(best_um).as_dict()
+
+    def causes(self, curve: Curve) -> tuple[Cause, ...]:
+        """Return the causes of the mean ΔE of a curve's best size tried, beside its noise and blur, the largest first."""
+        place = int(np.argmin(curve.mean()))
+        physics = physics_of(self.study, curve.technology, float(curve.pitch_um[place]))
+        time_s = float(curve.mean("integration_s")[place])
+        rate = white_rate(self.irradiance, self.camera, physics, self.study.display)
+        read = physics.as_read.at_gain(self.study.exposure.gain_db)
+        white_e = rate * collecting_area_um2(self.irradiance, self.camera, physics) * read.bin_side**2 * time_s
+        facts = ideal_facts(self.study, self.scenes, self.fingerprints, curve.technology)
+        return causes_of(self.irradiance.header, read, white_e, time_s, facts.lightness)
 
     @checks_arguments
     def part_of(self, curve: Curve) -> StudyResult:
@@ -310,8 +324,9 @@ class StudyResult:
     def notes(self) -> list[str]:
         """What a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
         parts = self.parts or (self,)
+        causes = [[f"{curve.label}: {cause}" for curve in part.curves for cause in curve.light.causes] for part in parts]
         kinds = target_notes, open_notes, study_dark_notes
-        return [*sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, parts)]))]
+        return [*few(causes), *sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, parts)]))]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
@@ -450,7 +465,7 @@ class StudyResult:
             within = within_words(best.within_1_percent_um, curve)
             low, high = best.mean_delta_e_interval
             delta_e = f"{best.mean_delta_e:.3f} ({low:.3f} to {high:.3f})"
-            delta_e = delta_e if curve.light.converged else curve.light.shown(best.mean_delta_e)
+            delta_e = delta_e if curve.light.converged and not curve.light.causes else curve.light.shown(best.mean_delta_e)
             rows.append((curve.label, size, interval_words(curve), delta_e, within))
         head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE (95 %)", "within 1 % of it")
         camera, evaluations = self.camera, sum(int(curve.sensors.sum()) for curve in self.curves)

@@ -46,6 +46,7 @@ from pixsim.show.figures import new_figure
 from pixsim.show.pages import html_cell, rounded, rows_csv, set_words
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
+from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, noise_covariance, rendition_of
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
@@ -150,7 +151,8 @@ class Score:
         notes = [
             "One frame of one sensor: how much others differ is told by pixsim.study, whose means have 95 % intervals.",
             f"Pixel: {set_words(self.physics.pixel.model_dump(exclude_unset=True, exclude_none=True))}; all else is the default.",
-            *(f"Not converged: {reason}." for reason in self.light.reasons),
+            *(f"{str(cause)[0].upper()}{str(cause)[1:]}." for cause in self.light.causes),
+            *(f"Not converged: {reason}." for _, reason in self.light.errors(self.mean_delta_e)),
             *([f"Light: {missing}; pixsim run and pixsim.study measure both."] if (missing := self.light.unmeasured) else []),
         ]
         return html_cell(title, ("", ""), rows, self.plot(), notes)
@@ -637,7 +639,6 @@ class SceneCache:
         self.irradiance, self.camera, self.display, self.channels = irradiance, camera, display, channels
         self._single = single
         self._scenes: dict[object, PreparedScene] = {}
-        self._beyond_white: dict[object, float] = {}
 
     def get(self, key: object, physics: PixelPhysics, border_um: float) -> SharedLight:
         """Return the prepared scene of a key, which stands for a spectral response and a border."""
@@ -648,17 +649,7 @@ class SceneCache:
                 self._scenes.clear()
             options: dict[str, Any] = {"border_um": border_um, "single": self._single}
             self._scenes[key] = prepare_scene(self.irradiance, self.camera, physics, self.display, **options)
-            self._beyond_white[key] = self._scenes[key].beyond_white
         return self._scenes[key]
-
-    def beyond_white(self, key: object, physics: PixelPhysics, border_um: float) -> float:
-        """Return the fraction of the ideal image's dots that are brighter than display white, for the key of `get`.
-
-        With one_to_one, where dots are pixels, it is that of the pixels given.
-        """
-        if key in self._beyond_white and self.display.raster != "one_to_one":
-            return self._beyond_white[key]
-        return fraction_beyond_white(self.ideal(physics, border_um))
 
     def ideal(self, physics: PixelPhysics, border_um: float) -> Array:
         """Return what the ideal image of a pixel asks of the dots, as `ideal_on_dots`."""
@@ -807,7 +798,10 @@ def evaluate(
     """
     settings = exposure or Exposure(), display or Display(), full, correction or NO_CORRECTION, develop or DEVELOP
     chain = make_imaging_chain(irradiance, camera, pixel, *settings)
-    return replace(chain.simulate("evaluate", seed), light=LightError.of(irradiance.header))
+    score = chain.simulate("evaluate", seed)
+    time_s = score.frame.integration_s
+    causes = causes_of(irradiance.header, score.physics, chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal))
+    return replace(score, light=LightError.of(irradiance.header, causes=causes))
 
 
 DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones
