@@ -42,6 +42,7 @@ from pixsim.report.wording import (
     film_words,
     focal_length_assumption,
     lens_words,
+    light_of,
     map_words,
     mean_words,
     own_notes,
@@ -343,7 +344,8 @@ def run_and_write(
                 if irradiance == "factors" and not image.factors:
                     warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
                 summary |= {"frames": frames} if frames > 1 else {}
-                summary["notes"] = list(dict.fromkeys([*summary["notes"], *notes]))
+                causes = [str(cause) for cause in light_of(summary).causes]
+                summary["notes"] = list(dict.fromkeys([*causes, *notes, *summary["notes"]]))
                 (partial_folder / SETTINGS_FILE).write_text(text, encoding="utf-8")
                 for number, frame in enumerate(chain.further_frames(frames, "evaluate", settings.seed), 2):
                     for suffix in formats:
