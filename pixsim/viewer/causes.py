@@ -20,6 +20,7 @@ from pixsim.viewer.scielab import xyz_to_lab
 FEWEST_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
 SEEN_LIGHTNESS = 1.0  # of L*: the smallest difference that is noticeable
 ALL = 100.0  # ΔE from black to white
+LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
 ROUNDING = 1e-9  # of a number of codes
 
 
@@ -54,7 +55,7 @@ def causes_of(
     white_e : mean electrons of the scene's white on axis, in this time
     lightness : of the ideal image, as of `lightness_range`
     """
-    found = [_contrast(*lightness), _codes(physics, white_e, integration_s), _light(outside_share(header, physics))]
+    found = [_contrast(*lightness), _codes(physics, white_e, integration_s, lightness[1]), _light(outside_share(header, physics))]
     return tuple(sorted(filter(None, found), key=lambda cause: -cause.delta_e))
 
 
@@ -76,6 +77,15 @@ def lightness_of(luminance: Array) -> Array:
     return np.asarray(xyz_to_lab(luminance[..., None] * np.ones(3), np.ones(3))[..., 0])
 
 
+def luminance_of_lightness(lightness: float) -> float:
+    """Return the luminance relative to white of a CIE L*, the inverse of `lightness_of`.
+
+    >>> [round(float(lightness_of(np.array(luminance_of_lightness(each)))), 9) for each in (0.0, 5.0, 50.0, 100.0)]
+    [0.0, 5.0, 50.0, 100.0]
+    """
+    return float(((lightness + 16) / 116) ** 3 if lightness > LINEAR_BELOW else lightness * 27 / 24389)
+
+
 def codes_to_white(physics: PixelPhysics, white_e: float, integration_s: float) -> float:
     """Return the codes of the ADC between black and display white, as far as the well and the ADC reach.
 
@@ -89,9 +99,10 @@ def _range_e(physics: PixelPhysics, integration_s: float) -> float:
     return physics.saturation_e - physics.dark_current_e_per_s * integration_s
 
 
-def _codes(physics: PixelPhysics, white_e: float, integration_s: float) -> Cause | None:
+def _codes(physics: PixelPhysics, white_e: float, integration_s: float, lightest: float) -> Cause | None:
     codes, range_e = codes_to_white(physics, white_e, integration_s), _range_e(physics, integration_s)
-    if codes >= FEWEST_CODES * (1 - ROUNDING):
+    signal = codes_to_white(physics, white_e * luminance_of_lightness(lightest), integration_s)
+    if codes >= FEWEST_CODES * (1 - ROUNDING) and (signal >= 1 or lightest < SEEN_LIGHTNESS):  # black has no contrast
         return None
     hint = f"more bits ({setting('pixel.bits')}), light, time or gain ({setting('exposure.gain_db')}), or a smaller full well"
     if range_e <= 0:
@@ -100,6 +111,9 @@ def _codes(physics: PixelPhysics, white_e: float, integration_s: float) -> Cause
     elif white_e > range_e:
         words = f"only {codes:.2g} codes of the ADC between black and the end of its range"
         hint = f"more bits ({setting('pixel.bits')}), or less black level ({setting('pixel.black_level_dn')}) or dark charge"
+    elif codes >= FEWEST_CODES:
+        words = f"the lightest dot is {signal:.2g} of a step of the ADC above black"
+        return Cause(words, lightest, hint)
     elif codes < 1:
         words = f"display white is {codes:.2g} of a step of the ADC above black"
     else:

@@ -121,6 +121,21 @@ def test_plan_warns_of_more_than_one_per_cent_outside(tmp_path: Path) -> None:
     assert not plan_of(tmp_path, table(400, 900), Pixel.model_validate(SILICON)).warnings
 
 
+def test_score_of_a_lamp_that_is_hardly_seen_says_so(tmp_path: Path) -> None:
+    """Also from a file of its render."""
+    path = tmp_path / "lamp.xml"
+    path.write_text(SCENE.replace("LAMP", table(800, 900)), encoding="utf-8")
+    camera = Camera(focal_length_mm=4.0, die_mm=0.32)
+    pixsim.write_exr(tmp_path / "lamp.exr", pixsim.render(load_scene(path, resolution=16), camera))
+    with pytest.warns(UserWarning, match="does not define its white"):
+        score = pixsim.evaluate(pixsim.read_exr(tmp_path / "lamp.exr"), camera, Pixel(technology="4t-bsi", pitch_um=5.0))
+    silicon = derive(Pixel(technology="4t-bsi", pitch_um=5.0))
+    nm = np.arange(800.5, 900)
+    electrons = silicon.quantum_efficiency(nm) * nm
+    share = electrons[nm > 830].sum() / electrons.sum()
+    assert f" (without {100 * share:.0f} % of a lamp's light in the sensor's response, outside 360-830 nm)" in repr(score)
+
+
 @pytest.mark.parametrize("found", ["much", 1.0, [1.0], [[1.0]], {}, [["a"] * 3]])
 def test_header_of_another_program_states_no_share(found: Any) -> None:
     assert outside_share({OUTSIDE: found}, FLAT) == 0.0
@@ -185,6 +200,15 @@ def test_adc_that_sees_little_is_the_first_cause(options: dict[str, Any], words:
     assert 40 < cause.delta_e <= 100
     film = replace(score.light, film_delta_e=3.6, tolerated_delta_e=0.02)
     assert film.shown(76.54) == f"76.5 ({cause.words}) ± 3.6 (film), not converged"
+
+
+def test_signal_below_one_step_is_named_beside_a_bright_white() -> None:
+    """255 codes to display white, and a picture whose lightest dot has less than one of them, or six."""
+    physics = derive(Pixel.model_validate(SILICON | {"bits": 8, "black_level_dn": 0, "dark_current_e_per_s": 0}))
+    for codes, named in ((0.9, True), (6.0, False)):
+        lightest = 24389 / 27 * codes / 255  # CIE 15: L* below 8 is linear
+        causes = causes_of({}, physics, physics.saturation_e, 0.01, (lightest - 1, lightest))
+        assert [cause.words for cause in causes] == ["the lightest dot is 0.9 of a step of the ADC above black"] * named
 
 
 def test_largest_cause_is_named_first() -> None:
