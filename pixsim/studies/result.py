@@ -30,6 +30,7 @@ from pixsim.studies.evaluations import (
     REPEATS_PER_TASK,
     Counts,
     Fingerprints,
+    Part,
     block_key,
     chain_at,
     ideal_facts,
@@ -77,6 +78,7 @@ class Curve:
     at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
     left_out : pitches in µm that are not among them, each with the reason
     from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
+    causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
     """
 
     technology: str
@@ -95,6 +97,7 @@ class Curve:
     alone: str = ""
     left_out: tuple[tuple[float, str], ...] = field(default=(), repr=False)
     from_smallest: bool = False
+    causes: tuple[Cause, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -200,7 +203,7 @@ class Curve:
             "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum_features,
             "alike_um": self.alike_um,
-            **({"causes": [cause.as_dict() for cause in self.light.causes]} if self.light.causes else {}),
+            **({"causes": [cause.as_dict() for cause in self.causes]} if self.causes else {}),
             "pitch_um": self.pitch_um.tolist(),
             "sensors": self.sensors.tolist(),
             "fill_factor": self.fill_factor.tolist(),
@@ -257,7 +260,7 @@ class StudyResult:
         """Return a curve with its label, the errors of its light, and the pitches that its film cannot tell apart."""
         part, words = self.part_of(curve), curve.words
         alike_um = part.film.alike_um(curve.pitch_um, curve.mean()) if part.film else None
-        light = LightError.of(part.irradiance.header, part.film_at_best(curve), part.causes(curve))
+        light = LightError.of(part.irradiance.header, part.film_at_best(curve), curve.causes)
         fresnel = None
         if has_microlens(part.study.options_of(curve.technology), technology_of(part.study, curve.technology)):
             nm, pitches_um = part.irradiance.wavelength_nm, curve.pitch_um.tolist()
@@ -269,17 +272,6 @@ class StudyResult:
         """Return `FilmError.as_dict` at the pitch of a curve with the least mean ΔE; None if the film was not measured."""
         best_um = float(curve.pitch_um[np.argmin(curve.mean())])
         return None if self.film is None else self.film.at(best_um).as_dict()
-
-    def causes(self, curve: Curve) -> tuple[Cause, ...]:
-        """Return the causes of the mean ΔE of a curve's best size tried, beside its noise and blur, the largest first."""
-        place = int(np.argmin(curve.mean()))
-        physics = physics_of(self.study, curve.technology, float(curve.pitch_um[place]))
-        time_s = float(curve.mean("integration_s")[place])
-        rate = white_rate(self.irradiance, self.camera, physics, self.study.display)
-        read = physics.as_read.at_gain(self.study.exposure.gain_db)
-        white_e = rate * collecting_area_um2(self.irradiance, self.camera, physics) * read.bin_side**2 * time_s
-        facts = ideal_facts(self.study, self.scenes, self.fingerprints, curve.technology)
-        return causes_of(self.irradiance.header, read, white_e, time_s, facts.lightness)
 
     @checks_arguments
     def part_of(self, curve: Curve) -> StudyResult:
@@ -324,7 +316,7 @@ class StudyResult:
     def notes(self) -> list[str]:
         """What a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
         parts = self.parts or (self,)
-        causes = [[f"{curve.label}: {cause}" for curve in part.curves for cause in curve.light.causes] for part in parts]
+        causes = [[f"{curve.label}: {cause}" for curve in part.curves for cause in curve.causes] for part in parts]
         kinds = target_notes, open_notes, study_dark_notes
         return [*few(causes), *sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, parts)]))]
 
@@ -465,7 +457,7 @@ class StudyResult:
             within = within_words(best.within_1_percent_um, curve)
             low, high = best.mean_delta_e_interval
             delta_e = f"{best.mean_delta_e:.3f} ({low:.3f} to {high:.3f})"
-            delta_e = delta_e if curve.light.converged and not curve.light.causes else curve.light.shown(best.mean_delta_e)
+            delta_e = delta_e if curve.light.converged and not curve.causes else curve.light.shown(best.mean_delta_e)
             rows.append((curve.label, size, interval_words(curve), delta_e, within))
         head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE (95 %)", "within 1 % of it")
         camera, evaluations = self.camera, sum(int(curve.sensors.sum()) for curve in self.curves)
@@ -513,6 +505,21 @@ def few(notes: Sequence[Sequence[str]]) -> list[str]:
     if len(each) <= SHOWN_NOTES:
         return each
     return [*each[: SHOWN_NOTES - 1], f"and {len(each) - SHOWN_NOTES + 1} more notes of this kind, of other cases"]
+
+
+def causes_of_curve(part: Part, curve: Curve) -> tuple[Cause, ...]:
+    """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the largest first.
+
+    part : whose study has the curve
+    """
+    study, image, camera = part.study, part.scenes.irradiance, part.scenes.camera
+    place = int(np.argmin(curve.mean()))
+    time_s, physics = curve.mean("integration_s")[place], physics_of(study, curve.technology, float(curve.pitch_um[place]))
+    read = physics.as_read.at_gain(study.exposure.gain_db)
+    area_um2 = collecting_area_um2(image, camera, physics) * read.bin_side**2
+    white_e = white_rate(image, camera, physics, study.display) * area_um2 * float(time_s)
+    lightness = ideal_facts(study, part.scenes, part.fingerprints, curve.technology).lightness
+    return causes_of(image.header, read, white_e, float(time_s), lightness)
 
 
 def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:

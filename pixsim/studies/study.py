@@ -61,7 +61,7 @@ from pixsim.studies.evaluations import (
 )
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs, study_plan
-from pixsim.studies.result import Curve, StudyResult, curve_of, few
+from pixsim.studies.result import Curve, StudyResult, causes_of_curve, curve_of, few
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sight import Sight, clearest
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -509,7 +509,7 @@ def render_for(
 def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:
     """Return a picture as the smallest pixels of each technology of a study see it, for the white that all of them share."""
     smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
-    return [Seen(image, camera, physics, study.pitch.largest_um) for physics in smallest]
+    return [Seen(image, camera, physics, study.border_um) for physics in smallest]
 
 
 def measured_pixels(study: Study) -> list[PixelPhysics]:
@@ -704,7 +704,10 @@ def evaluate_cases(
         warn_of_clipped_white(part)
         warn_of_stacks(part.study, irradiance, camera)
         of_case: dict[str, Any] = {"at": part.case.at, "condition": part.case.condition, "alone": part.case.alone}
-        own = tuple(replace(curve, **of_case, left_out=tuple(left.get(curve.technology, {}).items())) for curve in own)
+        sizes = {name: tuple(left.get(name, {}).items()) for name in part.study.technologies}
+        own = tuple(
+            replace(curve, **of_case, left_out=sizes[curve.technology], causes=causes_of_curve(part, curve)) for curve in own
+        )
         result = StudyResult(part.study, own, irradiance, camera, film=film, view=view.as_dict())
         result.__dict__["scenes"] = part.scenes  # expensive to prepare again
         found.append(result)

@@ -522,7 +522,7 @@ def fraction_beyond_white(light: Array) -> float:
 class Seen(NamedTuple):
     """A picture as pixels see it, for `white_header`.
 
-    border_um : largest pitch scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's pitch
+    border_um : of all that is scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's
     """
 
     irradiance: SpectralImage
@@ -537,7 +537,7 @@ class Seen(NamedTuple):
         """
         irradiance, camera, physics, border_um = self
         unit = display.model_copy(update={"white_cd_per_m2": 1.0})
-        border_um = physics.as_read.read_pitch_um if border_um is None else border_um
+        border_um = physics.as_read.border_um if border_um is None else border_um
         rendition = None if physics.layout is None else rendition_of(irradiance, physics.channels, unit)
         return luminance_of(ideal_on_dots(irradiance, camera, physics, unit, border_um, rendition)[1])
 

@@ -136,13 +136,11 @@ def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> No
     sheet = replace(
         curve, technology="none", data_sheet=True, fit=replace(curve.fit, optimum=replace(best, inside=False, pitch_um=15.0))
     )
-    numbers = {"full_well_e": 1e4, "read_noise_e": 3.0, "dark_current_e_per_s": 5.0, "quantum_efficiency": 0.6}
-    study = made[0].study.model_copy(update={"pixel": made[0].study.pixel.model_copy(update=numbers)})
-    result = replace(made[0], study=study, curves=(sheet,))
+    result = replace(made[0], curves=(sheet,))
     assert repr(result).endswith("data sheet: no optimum between 5.30 and 15.00 µm, ΔE is least at 15.00 µm>")
     assert sheet.as_dict()["optimum_features"] is None
     assert made[0].as_dict()["curves"][0]["optimum_features"] == pytest.approx(best.pitch_um / 0.35)
-    names = [plate.name for plate in plates_of_curves(replace(made[0], study=study, curves=(curve, sheet)), curve)]
+    names = [plate.name for plate in plates_of_curves(replace(made[0], curves=(curve, sheet)), curve)]
     assert names == ["delta_e_against_pitch", "delta_e_against_pitch_all"]
 
 

@@ -65,7 +65,7 @@ def test_at_most_one_per_cent_of_the_ideal_image_is_beyond_an_unstated_white(lig
     for cd_per_m2 in (white, white - unit):
         display = DISPLAY.model_copy(update={"white_cd_per_m2": cd_per_m2})
         rendition = None if physics.layout is None else rendition_of(image, physics.channels, display)
-        shares.append(fraction_beyond_white(ideal_on_dots(image, CAMERA, physics, display, physics.pitch_um, rendition)[1]))
+        shares.append(fraction_beyond_white(ideal_on_dots(image, CAMERA, physics, display, physics.border_um, rendition)[1]))
     assert shares[0] <= 0.01 < shares[1]
 
 
