@@ -373,7 +373,8 @@ def study(
                 lines += [film_words(summary["film"])] if "film" in summary else []
             lines += uncertainty_lines(result.uncertainty)
             summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
-            lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
+            told = warned.union(lines)
+            lines += [*(f"note: {note}" for note in result.notes if note not in told), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
 

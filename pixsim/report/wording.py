@@ -295,8 +295,8 @@ def study_light_lines(result: Any) -> list[str]:
 
 
 def study_lines(result: Any) -> list[str]:
-    """Return what follows the optima of a study: errors of its light, what it depends on, and how its sensors are shown."""
-    return [*study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result)]
+    """Return what follows the optima of a study: causes, errors of its light, what it depends on, how its sensors are shown."""
+    return [*result.cause_notes, *study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result)]
 
 
 def dark_notes(result: dict[str, Any]) -> list[str]:
@@ -307,7 +307,7 @@ def dark_notes(result: dict[str, Any]) -> list[str]:
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:
-    """Return the lines of a result's error budget; none without a tolerance."""
+    """Return the lines of a result's error budget, the largest source first; none without a tolerance."""
     budget = result.get("error_budget")
     if budget is None:
         return []
@@ -317,7 +317,9 @@ def budget_lines(result: dict[str, Any]) -> list[str]:
         return f"{size} ΔE" + ("" if effect["optimum_um"] is None else f", {effect['optimum_um']:.1e} µm of the optimum")
 
     chosen = ", ".join(f"{name} {value:g}" for name, value in budget["settings"].items())
-    lines = [f"  {name:21} {text(effect)}" for name, effect in budget["sources"].items()]
+    sizes = {name: math.inf if effect["delta_e"] is None else effect["delta_e"] for name, effect in budget["sources"].items()}
+    largest_first = sorted(budget["sources"].items(), key=lambda source: -sizes[source[0]])
+    lines = [f"  {name:21} {text(effect)}" for name, effect in largest_first]
     if not budget["bounded"]:
         lines.append("  spectral quadrature: the requested tolerance, not a bound, since the plan does not know all surfaces")
     verdict = "met" if budget["met"] else "NOT met"

@@ -312,13 +312,17 @@ class StudyResult:
         """Keys of its frames and rows."""
         return Fingerprints(self.study, self.camera, self.irradiance)
 
+    @property
+    def cause_notes(self) -> list[str]:
+        """The causes of the mean ΔE of each curve's best size, with what removes them."""
+        return few([[f"{curve.label}: {cause}" for curve in self.curves for cause in curve.causes]])
+
     @cached_property
     def notes(self) -> list[str]:
         """What a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
         parts = self.parts or (self,)
-        causes = [[f"{curve.label}: {cause}" for curve in part.curves for cause in curve.causes] for part in parts]
         kinds = target_notes, open_notes, study_dark_notes
-        return [*few(causes), *sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, parts)]))]
+        return [*self.cause_notes, *sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, parts)]))]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
