@@ -20,7 +20,7 @@ from functools import cached_property, partial
 from hashlib import blake2b
 from itertools import chain, islice
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 
@@ -43,9 +43,9 @@ from pixsim.show.pages import csv_text
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.rows import Row, RowStore, StoredRows
-from pixsim.viewer.causes import lightness_range
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.score import (
+    IdealFacts,
     ImagingChain,
     PreparedScene,
     SceneCache,
@@ -55,7 +55,6 @@ from pixsim.viewer.score import (
     chain_at_pitch,
     chain_of_frames,
     check_one_ideal,
-    fraction_beyond_white,
     prepare_scene,
     shown,
     warn_of_clipping,
@@ -673,31 +672,21 @@ class Part:
         return Fingerprints(self.study, self.scenes.camera, self.scenes.irradiance, self.stored)
 
 
-class IdealFacts(NamedTuple):
-    """What a study must know of an ideal image: how much of it the display clips, and its darkest and lightest dot."""
-
-    beyond_white: float
-    lightness: tuple[float, float]
-
-
 def ideal_facts(study: Study, scenes: SceneCache, fingerprints: Fingerprints, technology: str) -> IdealFacts:
     """Return facts of the ideal image of a technology, of its smallest pixels if pixels are the display's dots.
 
     They follow from the light, not from the rows, so that a resumed study knows them as one that evaluates them.
     """
     smallest = physics_of(study, technology, float(study_pitches_um(study, technology).min()))
-    electrons, *others = _light_key(study, scenes, technology)
+    light = electrons, *others = _light_key(study, scenes, technology)
     pixels_um = smallest.as_read.read_pitch_um if study.display.raster == "one_to_one" else None
     seen = [fingerprints.imaging, fingerprints.display, blake2b(electrons).hexdigest(), *others, pixels_um]
-
-    def compute() -> IdealFacts:
-        light = scenes.ideal(smallest, study.border_um)
-        return IdealFacts(fraction_beyond_white(light), lightness_range(shown(light, study.display)))
 
     def read(known: Any) -> IdealFacts:
         low, high = known["lightness"]
         return IdealFacts(float(known["beyond_white"]), (float(low), float(high)))
 
+    compute = partial(scenes.ideal_facts, light, smallest, study.border_um)
     return cache.load_or_compute("ideal", content_hash(seen), read, compute, lambda facts: facts._asdict())
 
 

@@ -622,6 +622,13 @@ def prepare_scene(
     return PreparedScene(lights, irradiance.pitch_um, whites, screen, array_um, fraction_beyond_white(light), rendition)
 
 
+class IdealFacts(NamedTuple):
+    """What must be known of an ideal image: how much of it is brighter than display white, and its `lightness_range` as shown."""
+
+    beyond_white: float
+    lightness: tuple[float, float]
+
+
 # What the pitches of a technology share. With one_to_one, where dots are pixels, that is the irradiance only.
 SharedLight = PreparedScene | SpectralImage
 
@@ -639,6 +646,7 @@ class SceneCache:
         self.irradiance, self.camera, self.display, self.channels = irradiance, camera, display, channels
         self._single = single
         self._scenes: dict[object, PreparedScene] = {}
+        self._facts: dict[object, IdealFacts] = {}
 
     def get(self, key: object, physics: PixelPhysics, border_um: float) -> SharedLight:
         """Return the prepared scene of a key, which stands for a spectral response and a border."""
@@ -648,8 +656,16 @@ class SceneCache:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
             options: dict[str, Any] = {"border_um": border_um, "single": self._single}
-            self._scenes[key] = prepare_scene(self.irradiance, self.camera, physics, self.display, **options)
+            scene = prepare_scene(self.irradiance, self.camera, physics, self.display, **options)
+            self._scenes[key], self._facts[key] = scene, IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal))
         return self._scenes[key]
+
+    def ideal_facts(self, key: object, physics: PixelPhysics, border_um: float) -> IdealFacts:
+        """Return facts of the ideal image, for the key of `get`; with one_to_one, where dots are pixels, of the pixels given."""
+        if key in self._facts and self.display.raster != "one_to_one":
+            return self._facts[key]
+        light = self.ideal(physics, border_um)
+        return IdealFacts(fraction_beyond_white(light), lightness_range(shown(light, self.display)))
 
     def ideal(self, physics: PixelPhysics, border_um: float) -> Array:
         """Return what the ideal image of a pixel asks of the dots, as `ideal_on_dots`."""
