@@ -614,8 +614,9 @@ class Comparison:
         The film's error is in each ±.
         """
         found: list[tuple[float, str]] = []
-        for sensor in (sensor for part in self.conditions or (self,) for sensor in part.sensors):
-            found += [(cause.delta_e, f"{sensor.name}: {cause.words}") for cause in sensor.causes]
+        for part, sensor in ((part, sensor) for part in self.conditions or (self,) for sensor in part.sensors):
+            where = f" in {part.prepared.condition}" if self.conditions else ""
+            found += [(cause.delta_e, f"{sensor.name}{where}: {cause.words}") for cause in sensor.causes]
             errors = LightError.of(sensor.irradiance.header).errors(float(sensor.delta_e.mean()))
             found += [(size, f"{NOT_CONVERGED}: {words}") for size, words in errors]
         found.sort(key=lambda one: -one[0])
