@@ -614,7 +614,7 @@ class Comparison:
         The film's error is in each ±.
         """
         found: list[tuple[float, str]] = []
-        for part, sensor in ((part, sensor) for part in self.conditions or (self,) for sensor in part.sensors):
+        for part, sensor in ((one, sensor) for one in self.conditions or (self,) for sensor in one.sensors):
             where = f" in {part.prepared.condition}" if self.conditions else ""
             found += [(cause.delta_e, f"{sensor.name}{where}: {cause.words}") for cause in sensor.causes]
             errors = LightError.of(sensor.irradiance.header).errors(float(sensor.delta_e.mean()))
