@@ -53,7 +53,7 @@ def accuracy_lines(accuracy: Accuracy) -> list[str]:
         orders = [f"{SHORT[metric]} {order}" for metric in METRICS if (order := accuracy.order(name, metric))]
         lines += [f"  {name:10} {', '.join(orders)}"] if orders else []
     lines.append("error budget of the default settings, one sensor:")
-    budget = accuracy.budget.items()
+    budget = sorted(accuracy.budget.items(), key=lambda source: -(math.inf if math.isnan(source[1].delta_e) else source[1].delta_e))
     lines += [f"  {name:21} {number(effect.delta_e)} ΔE, {number(effect.optimum_um)} µm of the optimum" for name, effect in budget]
     lines.append("stages: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in accuracy.stage_seconds.items()))
     lines.append(f"  slowest stage: {max(accuracy.stage_seconds, key=lambda name: accuracy.stage_seconds[name])}")

@@ -14,7 +14,7 @@ from pixsim.accuracy.reference import REFERENCE_WORK, analytic_reference, formul
 from pixsim.accuracy.result import Accuracy
 from pixsim.accuracy.solvers import Solved, solvers
 from pixsim.base.locks import temporary_folder
-from pixsim.base.parameters import Camera, Display, Pixel, Run
+from pixsim.base.parameters import Camera, Pixel, Run
 from pixsim.base.progress import Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.run import summary_of, write_all, write_irradiance
@@ -25,8 +25,7 @@ from pixsim.scene.scene import Scene, chart_parameters, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.budget import MAX_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe
-from pixsim.viewer import display as displays
-from pixsim.viewer.score import chain_at_pitch, prepare_scene
+from pixsim.viewer.score import Seen, chain_at_pitch, prepare_scene, white_header
 
 LONG_S = 5.0
 # (name, photo-charge in full wells, seconds): from mid-grey to a sensor in the sun for hours.
@@ -37,7 +36,7 @@ MIN_FILM = 64  # width of the smallest part of a scene, if the reference of the 
 MIN_DOTS = 8
 
 
-def first_picture(scene: Scene, camera: Camera, plan: Plan, display: Display) -> tuple[SpectralImage, dict[str, float]]:
+def first_picture(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> tuple[SpectralImage, dict[str, float]]:
     """A render and the seconds of rendering and of compiling, the extra time of a first render."""
     start = time.perf_counter()
     job = Renderer(scene, camera, plan, 0)
@@ -47,7 +46,7 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, display: Display) ->
         start = time.perf_counter()
         image = job.image(*job.run(1))
         render_s = time.perf_counter() - start
-    image.header |= displays.white_header(image, camera, display)
+    image.header |= white_header([Seen(image, camera, setup.physics(), setup.border_um)], setup.display)
     return image, {"compile": max(first - render_s, 0.0), "render": render_s}
 
 
@@ -105,7 +104,7 @@ def survey(
         scene = scene.with_resolution(plan.resolution)
     stages = {"parse": time.perf_counter() - start}
     setup = Setup.of(settings, camera)
-    image, seconds = first_picture(scene, camera, plan, setup.display)
+    image, seconds = first_picture(scene, camera, plan, setup)
     stages |= seconds | seconds_to_score(image, setup)
     subject = with_reference(Subject(scene, camera, plan, setup, image, seconds["render"]), depth, progress)
     progress("error budget")
@@ -170,7 +169,7 @@ def middle_of(subject: Subject, parts: int) -> Subject:
     display = setup.display.model_copy(update={"dots": max(MIN_DOTS, setup.display.dots // parts)})
     setup = replace(setup, camera=camera, display=display)
     plan = make_plan(scene, camera, setup.pixel, exposure=setup.exposure, tolerance_e=subject.plan.tolerance_e)
-    image, seconds = first_picture(scene, camera, plan, display)
+    image, seconds = first_picture(scene, camera, plan, setup)
     return Subject(scene, camera, plan, setup, image, seconds["render"])
 
 

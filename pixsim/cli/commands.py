@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from cyclopts import Parameter
 
+from pixsim.base.caller import command_line
 from pixsim.base.config import read_toml, study_layers
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files
@@ -55,7 +56,7 @@ def run_command(tokens: Sequence[str]) -> None:
     interruption.begin()
     try:
         # Notes also of the settings, before a result collects its own.
-        with collected_notes(), told_of_finished_files(interruption.end_or_raise):
+        with command_line(), collected_notes(), told_of_finished_files(interruption.end_or_raise):
             app(with_lens_file(with_each_format(arguments)), exit_on_error=False, print_error=False)
     except Exception as error:
         if interruption.received:  # a library has turned it into another exception
@@ -145,7 +146,7 @@ def run(
     """
     import_less()
     from pixsim.report.run import check_raw, frames_lines, run_and_write
-    from pixsim.report.wording import budget_lines, dark_notes, score_line, unconverged_lines
+    from pixsim.report.wording import budget_lines, own_notes, score_line, unsure_lines
 
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
@@ -165,8 +166,8 @@ def run(
     amount = f"render noise {noise['fraction']:.2g} of the sensor's noise" if noise and noise["fraction"] else "no render noise"
     of_noise = f"; {amount}" if noise else ""
     line = f"{score_line(result)}{of_noise}; report: {folder / 'report.html'}"
-    unsure = unconverged_lines(result["irradiance"], result.get("film"), result.get("error_budget"))
-    notes = [f"note: {note}" for note in dark_notes(result)]
+    unsure = unsure_lines(result)
+    notes = [f"note: {note}" for note in own_notes(result) if note not in unsure]
     show(result, json, "\n".join([line, *unsure, *frames_lines(result), *notes, *budget_lines(result)]))
 
 
@@ -372,7 +373,8 @@ def study(
                 lines += [film_words(summary["film"])] if "film" in summary else []
             lines += uncertainty_lines(result.uncertainty)
             summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
-            lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
+            told = warned.union(lines)
+            lines += [*(f"note: {note}" for note in result.notes if note not in told), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
 

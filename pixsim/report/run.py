@@ -39,14 +39,15 @@ from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
 from pixsim.report.wording import (
     budget_lines,
-    dark_notes,
     film_words,
     focal_length_assumption,
     lens_words,
+    light_of,
     map_words,
     mean_words,
+    own_notes,
     score_line,
-    unconverged_lines,
+    unsure_lines,
     view_words,
 )
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_along, pixels_on
@@ -65,8 +66,9 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
-from pixsim.viewer.display import dot_edges_um, white_header, white_light, white_rate
-from pixsim.viewer.score import Score, dark_clip, make_imaging_chain
+from pixsim.viewer.causes import causes_of, lightness_range
+from pixsim.viewer.display import dot_edges_um, white_light, white_rate
+from pixsim.viewer.score import Score, Seen, dark_clip, make_imaging_chain, white_header
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
@@ -169,7 +171,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
         "line": score_line(summary),
         "mean": mean_words(summary),
-        "unconverged": unconverged_lines(summary["irradiance"], summary.get("film"), summary.get("error_budget")),
+        "unsure": (unsure := unsure_lines(summary)),
         "view": "; ".join(view_words(summary["display"], summary, summary["pixels"][1])),
         "summary": summary,
         "label": label_of(physics.technology.name),
@@ -188,7 +190,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "map_words": map_words("", summary["mean_delta_e"], summary["p99_delta_e"], scale_end(statistics["p99_delta_e"])),
         "statistics": numbers,
         "colour": colour_rows(summary),
-        "notes": summary["notes"],
+        "notes": [note for note in summary["notes"] if note not in unsure],
         "blur": blur_words(irradiance, camera, physics, display),
         "film": film_words(summary["film"]) if "film" in summary else "",
         "budget": budget_lines(summary),
@@ -311,7 +313,7 @@ def run_and_write(
             image, camera, settings, more = light.irradiance, light.camera, light.settings, light.more
             lap("render" if "plan" in more else "read")
             progress("sense and score")
-            image.header |= white_header(image, camera, settings.display)
+            image.header |= white_header([Seen(image, camera, physics)], settings.display)
             of_files = full, formats, frames, irradiance, sensor, variant, units
             made_from = digest_of_content(of_files, light, physics.technology)
             if are_kept(folder, "run", made_from):
@@ -343,7 +345,8 @@ def run_and_write(
                 if irradiance == "factors" and not image.factors:
                     warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
                 summary |= {"frames": frames} if frames > 1 else {}
-                summary["notes"] = [*notes, *summary["notes"]]
+                causes = [str(cause) for cause in light_of(summary).causes]
+                summary["notes"] = list(dict.fromkeys([*causes, *notes, *summary["notes"]]))
                 (partial_folder / SETTINGS_FILE).write_text(text, encoding="utf-8")
                 for number, frame in enumerate(chain.further_frames(frames, "evaluate", settings.seed), 2):
                     for suffix in formats:
@@ -359,7 +362,7 @@ def kept_summary(folder: Path, notes: Sequence[str]) -> dict[str, Any]:
     """Return score.json of a folder whose files are kept, and repeat its warnings but those of `notes`, which were given."""
     summary: dict[str, Any] = json.loads((folder / "score.json").read_bytes())  # which is as it was written
     for note in summary["notes"]:
-        if note not in notes and note not in dark_notes(summary):
+        if note not in notes and note not in own_notes(summary):
             warn(note)
     return summary
 
@@ -373,7 +376,8 @@ def summary_of(
     """
     physics, time_s = score.physics, score.frame.integration_s
     area_um2 = collecting_area_um2(irradiance, camera, physics)
-    white_e = white_rate(irradiance, camera, physics, display) * area_um2 * time_s
+    white_e = white_rate(irradiance, camera, physics, display) * area_um2 * physics.bin_side**2 * time_s
+    causes = causes_of(irradiance.header, physics, white_e, time_s, lightness_range(score.ideal))
     summary = {
         **score.statistics(),
         "pixels": list(score.frame.pixels),
@@ -384,13 +388,14 @@ def summary_of(
         "white_spectrum": white_light(irradiance)[1],
         "irradiance": irradiance.header,
         "dark": dark_clip(physics, time_s, white_e),
+        "causes": [cause.as_dict() for cause in causes],
         "camera": camera.model_dump(),
         "exposure": exposure.model_dump(),
         "correction": correction.model_dump(),
         "display": display.model_dump(),
         "seed": seed,
     }
-    return summary | {"notes": dark_notes(summary)}
+    return summary | {"notes": own_notes(summary)}
 
 
 class Light(NamedTuple):

@@ -38,7 +38,7 @@ class LightLevel(NamedTuple):
             white, source = display.white_cd_per_m2, "display.white_cd_per_m2"
         else:
             white = header["luminance_cd_per_m2"]
-            source = f"{header['white_from']} of the scene's luminance" if "white_from" in header else "the scene"
+            source = f"{header['white_from']}, in the sensor's response" if "white_from" in header else "the scene"
         return cls(float(white), source, float(times_s.min()), float(times_s.max()))
 
     @property

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pixsim.base.caller import setting
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, CameraOptions, Correction, paths_of
 from pixsim.report.settings import LightLevel
@@ -16,6 +17,7 @@ from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.integration import pixels_along
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, few, interval_words, within_words
+from pixsim.viewer.causes import Cause
 from pixsim.viewer.light_error import NOT_CONVERGED, LightError
 from pixsim.viewer.score import clip_words, clips_dark
 
@@ -120,42 +122,73 @@ def score_line(result: dict[str, Any]) -> str:
 def mean_words(result: dict[str, Any]) -> str:
     """Return the mean ΔE of a run as it is known: of all sensors and with its error if there is a budget, else by its light."""
     if "error_budget" not in result:
-        return LightError.of(result["irradiance"], result.get("film")).shown(result["mean_delta_e"])
+        return light_of(result).shown(result["mean_delta_e"])
+    causes = "; ".join(cause.words for cause in light_of(result).causes)
     budget, sensors = result["error_budget"], result["sensors"]
     error = budget["total"]["delta_e"]
     within = "(error unknown)" if error is None else f"± {error:.1g}"
     unsure = "" if budget["met"] else f", {NOT_CONVERGED}"
-    return f"{result['sensors_mean_delta_e']:.4f} {within} over {sensors} sensor{'s' * (sensors > 1)}{unsure}"
+    cause = f" ({causes})" if causes else ""
+    return f"{result['sensors_mean_delta_e']:.4f}{cause} {within} over {sensors} sensor{'s' * (sensors > 1)}{unsure}"
+
+
+def light_of(result: Mapping[str, Any]) -> LightError:
+    """Return what score.json states of the errors and the causes of its mean ΔE."""
+    return LightError.of(result["irradiance"], result.get("film"), [Cause(**cause) for cause in result.get("causes", ())])
+
+
+def own_notes(result: dict[str, Any]) -> list[str]:
+    """Return the notes on the causes of a run's score and on clipped dark pixels, the largest first."""
+    sized = [(cause.delta_e, str(cause)) for cause in light_of(result).causes]
+    sized += [(result["dark"]["lightness"], note) for note in dark_notes(result)]
+    return [note for _, note in sorted(sized, key=lambda one: -one[0])]
+
+
+def unsure_lines(result: dict[str, Any]) -> list[str]:
+    """Return the lines that follow a run's mean ΔE: its causes and the errors of its light, the largest first.
+
+    A black level that clips dark noise is among them where it makes more than another one.
+    """
+    light = light_of(result)
+    lines = unconverged_lines(result["irradiance"], result.get("film"), result.get("error_budget"), result["mean_delta_e"])
+    sized = [(size, line) for (size, _), line in zip(light.errors(result["mean_delta_e"]), lines, strict=False)]
+    sized += [(cause.delta_e, str(cause)) for cause in light.causes]
+    least = min((size for size, _ in sized), default=math.inf)
+    sized += [(size, note) for note in dark_notes(result) if (size := result["dark"]["lightness"]) > least]
+    return [line for _, line in sorted(sized, key=lambda one: -one[0])]
 
 
 def unconverged_lines(
-    header: Mapping[str, Any], film: Mapping[str, Any] | None, budget: Mapping[str, Any] | None = None
+    header: Mapping[str, Any], film: Mapping[str, Any] | None, budget: Mapping[str, Any] | None = None, mean_delta_e: float = 0.0
 ) -> list[str]:
     """Return a line on the errors of a result's light that are above their limits, and what makes them less; none without.
 
     header : of the irradiance
     film, budget : entries `film` and `error_budget` of score.json; a budget that is met holds all errors
+    mean_delta_e : whose largest error is named first
     """
     light = LightError.of(header, film)
     if light.converged or (budget and budget["met"]):
         return []
-    found = f"{NOT_CONVERGED}: {'; '.join(light.reasons)}"
+    found = f"{NOT_CONVERGED}: {'; '.join(reason for _, reason in light.errors(mean_delta_e))}"
     if film is None:
         return [f"{found}. To be surer: a render of its own, with more samples"]
     means, limit = [], film.get("limit", "")
     if not light.film_is_met and "--resolution" in limit:
-        means.append("leaving out --resolution")
+        means.append(f"leaving out {setting('resolution')}")
     if light.noise is not None and not light.noise_is_met:
         times, seconds = what_reaches(light.noise, light.noise_target)
         by_clock = header["render_noise"].get("ended_by") == "max_seconds"
-        option = "a longer --max-seconds" if by_clock else f"--max-seconds {seconds:.15g}"
+        longer = f"a longer {setting('max_seconds')}"
+        option = longer if by_clock else setting("max_seconds", f"{seconds:.15g}")
         means.append(f"{option} (about {times:.15g} times as many samples)")
     elif light.noise is not None and light.noise > RENDER_NOISE:  # which coarser films show too, so that it counts as their error
-        means.append("a lower --render-noise")
+        means.append(f"a lower {setting('render_noise')}")
     elif not light.film_is_met and "--max-seconds" in limit:
-        means.append("a longer --max-seconds")
+        means.append(f"a longer {setting('max_seconds')}")
     surer = [" and ".join(means)] * bool(means)
-    return [f"{found}. To be surer: {', or '.join([*surer, 'a smaller part of the die (--window, in mm)'])}"]
+    window = f"a smaller part of the die ({setting('window_mm')}, in mm)"
+    return [f"{found}. To be surer: {', or '.join([*surer, window])}"]
 
 
 def study_unconverged_lines(result: Any) -> list[str]:
@@ -163,7 +196,8 @@ def study_unconverged_lines(result: Any) -> list[str]:
     lines = []
     for curve in result.curves:
         part = result.part_of(curve)
-        lines.append(unconverged_lines(part.irradiance.header, part.film_at_best(curve), part.budget))
+        least = float(curve.mean().min())
+        lines.append(unconverged_lines(part.irradiance.header, part.film_at_best(curve), part.budget, least))
     return few(lines)
 
 
@@ -261,8 +295,8 @@ def study_light_lines(result: Any) -> list[str]:
 
 
 def study_lines(result: Any) -> list[str]:
-    """Return what follows the optima of a study: errors of its light, what it depends on, and how its sensors are shown."""
-    return [*study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result)]
+    """Return what follows the optima of a study: causes, errors of its light, what it depends on, how its sensors are shown."""
+    return [*result.cause_notes, *study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result)]
 
 
 def dark_notes(result: dict[str, Any]) -> list[str]:
@@ -273,7 +307,7 @@ def dark_notes(result: dict[str, Any]) -> list[str]:
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:
-    """Return the lines of a result's error budget; none without a tolerance."""
+    """Return the lines of a result's error budget, the largest source first; none without a tolerance."""
     budget = result.get("error_budget")
     if budget is None:
         return []
@@ -283,7 +317,9 @@ def budget_lines(result: dict[str, Any]) -> list[str]:
         return f"{size} ΔE" + ("" if effect["optimum_um"] is None else f", {effect['optimum_um']:.1e} µm of the optimum")
 
     chosen = ", ".join(f"{name} {value:g}" for name, value in budget["settings"].items())
-    lines = [f"  {name:21} {text(effect)}" for name, effect in budget["sources"].items()]
+    sizes = {name: math.inf if effect["delta_e"] is None else effect["delta_e"] for name, effect in budget["sources"].items()}
+    largest_first = sorted(budget["sources"].items(), key=lambda source: -sizes[source[0]])
+    lines = [f"  {name:21} {text(effect)}" for name, effect in largest_first]
     if not budget["bounded"]:
         lines.append("  spectral quadrature: the requested tolerance, not a bound, since the plan does not know all surfaces")
     verdict = "met" if budget["met"] else "NOT met"

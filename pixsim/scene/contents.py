@@ -26,6 +26,8 @@ from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectru
 EMISSION = dict.fromkeys(("area", "constant", "directionalarea"), "radiance")
 EMISSION |= {"point": "intensity", "spot": "intensity", "directional": "irradiance"}
 LUMINANCE_STEP_NM = 1 / 8
+BLACK_BODY_NM = (300.0, 1111.0)  # of its spectrum, every nanometre
+SECOND_RADIATION_NM_K = 1.438776877e7  # hc/k, SI 2019
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,38 @@ def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
     if key[0] == "rgb":  # an emitter multiplies it by D65
         colour = {"type": "rgb", "value": numbers(key[1])}
         return tabulated(evaluate_spectrum({"type": "constant", "radiance": colour}, variant))
-    return tabulated(evaluate_spectrum({"type": key[0], **dict(key[1:])}, variant))
+    described = dict(key[1:])
+    values = evaluate_spectrum({"type": key[0], **described}, variant)
+    if key[0] != "blackbody" or "wavelength_max" in described or "wavelength_min" in described:
+        return tabulated(values)
+    # Mitsuba ends at 360 and 830 nm; what a sensor misses beyond them follows from Planck's law.
+    nm = np.arange(*BLACK_BODY_NM)
+    whole = planck(nm, described["temperature"])
+    shape = whole / planck(np.array([LOW_NM, HIGH_NM]), described["temperature"])[np.where(nm < LOW_NM, 0, 1)]
+    inside = (nm >= LOW_NM) & (nm <= HIGH_NM)
+    ends = np.where(nm < LOW_NM, values[0], values[-1])
+    extended = shape * ends
+    extended[inside] = values
+    return Spectrum(nm, extended)
+
+
+def planck(wavelength_nm: Array, temperature_k: float) -> Array:
+    """Return the spectrum of a black body in any unit, (...) as the wavelengths."""
+    with np.errstate(over="ignore"):
+        return np.asarray(wavelength_nm**-5.0 / np.expm1(SECOND_RADIATION_NM_K / (wavelength_nm * temperature_k)))
+
+
+def light_range_nm(lamps: Sequence[Lamp]) -> tuple[float, float] | None:
+    """Return the shortest and the longest wavelength of lamps of known spectra; None if they are dark, or one is not known."""
+    if any(lamp.spectrum is None for lamp in lamps):
+        return None
+    spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum is not None and lamp.spectrum.values.max() > 0]
+    lit = [np.flatnonzero(spectrum.values > 0) for spectrum in spectra]
+    ends = [
+        (spectrum.nodes_nm[max(at[0] - 1, 0)], spectrum.nodes_nm[min(at[-1] + 1, spectrum.nodes_nm.size - 1)])
+        for spectrum, at in zip(spectra, lit, strict=True)
+    ]
+    return (float(min(low for low, _ in ends)), float(max(high for _, high in ends))) if ends else None
 
 
 def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:

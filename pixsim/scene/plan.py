@@ -11,16 +11,26 @@ import numpy as np
 
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
-from pixsim.base.errors import invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
-from pixsim.light.spectral import LAMP, WHITE_LAMPS, Spectrum, colour_matching, photons_per_joule, photopic_efficiency, white_words
+from pixsim.light.spectral import (
+    HIGH_NM,
+    LAMP,
+    LOW_NM,
+    WHITE_LAMPS,
+    Spectrum,
+    colour_matching,
+    photons_per_joule,
+    photopic_efficiency,
+    white_words,
+)
 from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.lens_defocus import Defocus
 from pixsim.scene import bands as spectral_bands, film, rules
 from pixsim.scene.bands import Bands, Fit, Witness
-from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces, white_of
+from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces, light_range_nm, white_of
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.mitsuba import nodes_of
 from pixsim.scene.real_lens import decide_defocus, decide_real_lens, real_lens_warnings
@@ -28,6 +38,7 @@ from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
 from pixsim.sensor.integration import pixels_on
+from pixsim.sensor.outside import SHOWN_SHARE, outside_header, outside_hint, outside_share, outside_words
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 
@@ -76,6 +87,7 @@ class Plan:
     full : whether nothing may be left out
     tiling : of the blur of a real lens; None for a thin lens, and where a thin lens takes its place
     ends : whether the scene ends with the film, above and below, and at the left and the right: there a margin mirrors the film
+    outside : entry of an irradiance's header on the lamps' light outside 360-830 nm; empty if there is none
     defocus : what the thin lens's defocus is off at depths of the scene behind a real lens, largest errors first
     """
 
@@ -103,6 +115,7 @@ class Plan:
     white_lamps: tuple[str, ...] = ()
     defocus: tuple[Defocus, ...] = ()
     ends: tuple[bool, bool] = (False, False)
+    outside: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @checks_arguments
     def camera_of(self, camera: Camera) -> Camera:
@@ -181,11 +194,14 @@ class Plan:
     def white_header(self, edges_nm: Array) -> dict[str, Any]:
         """Return the entries of an irradiance's header on the light of the scene's white, in bands between edges (B + 1,).
 
+        And on the lamps' light outside the bands' range.
+
         Raises PixsimError for fewer than two edges.
         """
         if np.ndim(edges_nm) != 1 or len(edges_nm) < 2:
             raise invalid("edges_nm", f"an array of shape {np.shape(edges_nm)}", "two or more edges")
         lamps = {WHITE_LAMPS: list(self.white_lamps)} if self.white_lamps else {}
+        lamps |= self.outside
         if not self.white:
             return lamps
         return {LAMP: np.sum([spectrum.cell_means(edges_nm) for spectrum in self.white], axis=0).tolist()} | lamps
@@ -249,7 +265,8 @@ def make_render_plan(
     white = white_of(state, every_lamp if scene.white_lamps else lamps, scene.white_lamps)
     surfaces = find_surfaces(state, scene.choice.reading)
     if not lamps:
-        raise invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
+        raise _no_light(every_lamp)
+    emitted = [lamp.spectrum for lamp in every_lamp if lamp.spectrum is not None]
     integrator, met, bounces = rules.decide_bounces(state, bodies, full)
     lights, bands, full_passes, spectral = _lights(
         lamps, surfaces, met, _witnesses(pixels), tolerance_e, full, band_count, any(one.colour for one in pixels)
@@ -276,6 +293,10 @@ def make_render_plan(
     if surfaces.short:
         ranges = ", ".join(surfaces.short)
         warnings.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
+    outside = outside_header(emitted)
+    left_out = max((outside_share(outside, derive(one)) for one in pixels), default=0.0)
+    if left_out > SHOWN_SHARE:
+        warnings.append(f"{outside_words(left_out)}: {outside_hint()}")
     if bound_e > tolerance_e:
         limits = f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or {spectral_bands.MAX_BANDS} bands"
         warnings.append(f"the error of mean electrons is up to {bound_e:.1e}, above the tolerance {tolerance_e:g}: {limits}")
@@ -304,8 +325,18 @@ def make_render_plan(
         white_lamps=scene.white_lamps,
         defocus=tuple(defocus),
         ends=ends,
+        outside=outside,
     )
     return _without_samples(plan) if exact and not full else plan
+
+
+def _no_light(lamps: Sequence[Lamp]) -> PixsimError:
+    """Return the error for a scene without light in the range that is computed."""
+    if ends := light_range_nm(lamps):
+        got, allowed = f"light from {ends[0]:g} to {ends[1]:g} nm only", f"light within {LOW_NM:g}-{HIGH_NM:g} nm"
+        hint = "pixsim computes no other light, and nobody would see it: choose a lamp with light in that range."
+        return invalid("scene", got, allowed, hint)
+    return invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
 
 
 def _without_samples(plan: Plan) -> Plan:

@@ -62,8 +62,7 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics, derive, largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
 from pixsim.studies.evaluations import largest_pixel_um
-from pixsim.viewer.display import white_header
-from pixsim.viewer.score import ImagingChain, SceneCache, chain_at_pitch, prepare_scene
+from pixsim.viewer.score import ImagingChain, SceneCache, Seen, chain_at_pitch, prepare_scene, white_header
 
 SCAN_PITCHES = 9  # of the coarse search for the optimum
 AROUND = 1.35  # the fine search covers the coarse optimum divided and multiplied by this
@@ -400,7 +399,7 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     image = job.image([(one + other) / 2 for one, other in zip(*both, strict=True)], 2 * spp)
     parts = [job.image(half, spp) for half in (first, second)]
     with without_warnings():  # the run itself warns of it
-        white = white_header(image, camera, setup.display)
+        white = white_header([Seen(image, camera, setup.physics(), setup.border_um)], setup.display)
     for picture in (image, *parts):
         picture.header |= white
     setup = setup.around(pitches_around_optimum_um(image, setup, PITCHES))

@@ -42,11 +42,13 @@ from pixsim.studies.engine import results_of, workers_here
 from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
 from pixsim.studies.preparation import View, choose_view, frame_cost, jobs_in_memory
 from pixsim.studies.result import NO_VISIBLE_DELTA_E
-from pixsim.viewer.display import dot_edges_um, white_header, white_light
+from pixsim.viewer.causes import Cause, causes_of, lightness_range
+from pixsim.viewer.display import dot_edges_um, white_light
 from pixsim.viewer.light_error import NOT_CONVERGED, LightError, with_error
 from pixsim.viewer.score import (
     ImagingChain,
     Score,
+    Seen,
     chain_at_pitch,
     check_one_ideal,
     clip_words,
@@ -54,6 +56,7 @@ from pixsim.viewer.score import (
     dark_clip,
     prepare_scene,
     warn_of_clipping,
+    white_header,
 )
 
 if TYPE_CHECKING:
@@ -513,6 +516,7 @@ class Compared:
     score : of its first frame
     delta_e : (repeats,) mean ΔE of each frame
     dark : effect of clipping dark pixels at 0 DN, as `pixsim.viewer.score.dark_clip`
+    white_e : mean electrons of the scene's white on axis in its first frame
     steps : on this film and on coarser ones, for the film's error of a difference
     colour : channels, matrix and noise gains, as in score.json; None for a monochrome sensor
     """
@@ -524,6 +528,7 @@ class Compared:
     score: Score = field(repr=False)
     delta_e: Array = field(repr=False)
     dark: dict[str, float] = field(repr=False)
+    white_e: float
     steps: FilmSteps = field(repr=False)
     colour: dict[str, Any] | None = field(default=None, repr=False)
 
@@ -531,6 +536,13 @@ class Compared:
     def name(self) -> str:
         """Name of the sensor."""
         return self.sensor.name
+
+    @cached_property
+    def causes(self) -> tuple[Cause, ...]:
+        """Causes of its mean ΔE beside its noise and blur, the largest first."""
+        time_s = self.score.frame.integration_s
+        lightness = lightness_range(self.score.ideal)
+        return causes_of(self.irradiance.header, self.score.physics, self.white_e, time_s, lightness)
 
     @property
     def film_delta_e(self) -> float | None:
@@ -631,11 +643,20 @@ class Comparison:
 
     @property
     def unconverged(self) -> str:
-        """Which renders have more noise than their target, in words; empty for none. The film's error is in each ±."""
-        parts = self.conditions or (self,)
-        lights = [LightError.of(sensor.irradiance.header) for part in parts for sensor in part.sensors]
-        worst = max(lights, key=lambda light: light.noise or 0.0)
-        return f"{NOT_CONVERGED}: {worst.reasons[0]}" if worst.reasons else ""
+        """Causes beside the sensors, and renders with more noise than their target, in words, the largest first; empty for none.
+
+        The film's error is in each ±.
+        """
+        found: list[tuple[float, str]] = []
+        for part, sensor in ((one, sensor) for one in self.conditions or (self,) for sensor in one.sensors):
+            where = f" in {part.prepared.condition}" if self.conditions else ""
+            found += [(cause.delta_e, f"{sensor.name}{where}: {cause.words}") for cause in sensor.causes]
+            errors = LightError.of(sensor.irradiance.header).errors(float(sensor.delta_e.mean()))
+            found += [(size, f"{NOT_CONVERGED}: {words}") for size, words in errors]
+        found.sort(key=lambda one: -one[0])
+        # Of several renders, the one with the most noise.
+        noisiest = next((words for _, words in found if words.startswith(NOT_CONVERGED)), "")
+        return "; ".join(dict.fromkeys(words for _, words in found if not words.startswith(NOT_CONVERGED) or words == noisiest))
 
     @checks_arguments
     def shown_mean(self, name: str) -> str:
@@ -811,6 +832,7 @@ def _summary_of(compared: Compared) -> dict[str, Any]:
         "film": compared.film.as_dict(),
         "render_noise": asdict(compared.noise),
         "dark": compared.dark,
+        "causes": [cause.as_dict() for cause in compared.causes],
         **({} if compared.colour is None else {"colour": compared.colour}),
         "white_spectrum": white_light(compared.irradiance)[1],
         "irradiance": compared.irradiance.header,
@@ -913,12 +935,14 @@ def _run(prepared: Prepared, jobs: int | None, stage: Stage) -> Comparison:
     compared, clips = [], []
     for sensor, light, chain, score, values, step in zip(prepared.sensors, made, chains, scores, delta_e, steps, strict=True):
         time_s = score.frame.integration_s
-        dark = dark_clip(score.physics, time_s, chain.white_e_per_s * time_s)
+        white_e = chain.white_e_per_s * time_s
+        dark = dark_clip(score.physics, time_s, white_e)
         clips += [f"{sensor.name}: {clip_words(dark, sensor.pixel.model_dump())}"] if clips_dark(dark) else []
         clips += [f"{sensor.name}: {sensor.pixel.assumption}"] if sensor.pixel.assumption else []
         colour = None if chain.rendition is None else chain.colour_facts(time_s)
-        compared.append(Compared(sensor, light.image, light.noise, light.film, score, values, dark, step, colour))
-    return Comparison(prepared, tuple(compared), tuple(clips))
+        compared.append(Compared(sensor, light.image, light.noise, light.film, score, values, dark, white_e, step, colour))
+    causes = [f"{sensor.name}: {cause}" for sensor in compared for cause in sensor.causes]
+    return Comparison(prepared, tuple(compared), (*causes, *clips))
 
 
 def stream_key(prepared: Prepared, repeat: int) -> tuple[object, ...]:
@@ -931,19 +955,19 @@ def render_all(prepared: Prepared, stage: Stage) -> tuple[list[Rendered], list[I
     width = prepared.film_width
     while True:
         made: list[Rendered] = []
-        chains: list[ImagingChain] = []
         for sensor in prepared.sensors:
             light = render_one(prepared, sensor, width, stage(f"render {sensor.name}"))
             if light.image.shape[1] > width:  # its film had to be finer: the others take that one too
                 width = light.image.shape[1]
                 break
-            if not made:
-                white = white_header(light.image, sensor.camera, prepared.settings.display)
-            light.image.header |= white
             made.append(light)
-            chains.append(chain_of(prepared, sensor, light.image))
         else:
-            return made, chains
+            pairs = list(zip(prepared.sensors, made, strict=True))
+            seen = [Seen(light.image, s.camera, derive(s.pixel), prepared.border_um(s.camera)) for s, light in pairs]
+            white = white_header(seen, prepared.settings.display)
+            for light in made:
+                light.image.header |= white
+            return made, [chain_of(prepared, sensor, light.image) for sensor, light in pairs]
 
 
 def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Progress) -> Rendered:

@@ -45,6 +45,7 @@ from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.rows import Row, RowStore, StoredRows
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.score import (
+    IdealFacts,
     ImagingChain,
     PreparedScene,
     SceneCache,
@@ -671,25 +672,28 @@ class Part:
         return Fingerprints(self.study, self.scenes.camera, self.scenes.irradiance, self.stored)
 
 
-def warn_of_clipped_white(part: Part) -> None:
-    """Warn if the display clips the ideal image, of each technology's smallest pixels if pixels are its dots.
+def ideal_facts(study: Study, scenes: SceneCache, fingerprints: Fingerprints, technology: str) -> IdealFacts:
+    """Return facts of the ideal image of a technology, of its smallest pixels if pixels are the display's dots.
 
-    It follows from the light, not from the rows, so that a resumed study warns as one that evaluates them.
+    They follow from the light, not from the rows, so that a resumed study knows them as one that evaluates them.
     """
-    study, scenes = part.study, part.scenes
-    for technology in study.technologies:
-        smallest = physics_of(study, technology, float(study_pitches_um(study, technology).min()))
-        light = electrons, *others = _light_key(study, scenes, technology)
-        pixels_um = smallest.as_read.read_pitch_um if study.display.raster == "one_to_one" else None
-        seen = [part.fingerprints.imaging, part.fingerprints.display, blake2b(electrons).hexdigest(), *others, pixels_um]
-        share = cache.load_or_compute(
-            "white",
-            content_hash(seen),
-            lambda known: float(known["beyond_white"]),
-            partial(scenes.beyond_white, light, smallest, study.border_um),
-            lambda beyond_white: {"beyond_white": beyond_white},
-        )
-        warn_of_clipping(share)
+    smallest = physics_of(study, technology, float(study_pitches_um(study, technology).min()))
+    light = electrons, *others = _light_key(study, scenes, technology)
+    pixels_um = smallest.as_read.read_pitch_um if study.display.raster == "one_to_one" else None
+    seen = [fingerprints.imaging, fingerprints.display, blake2b(electrons).hexdigest(), *others, pixels_um]
+
+    def read(known: Any) -> IdealFacts:
+        low, high = known["lightness"]
+        return IdealFacts(float(known["beyond_white"]), (float(low), float(high)))
+
+    compute = partial(scenes.ideal_facts, light, smallest, study.border_um)
+    return cache.load_or_compute("ideal", content_hash(seen), read, compute, lambda facts: facts._asdict())
+
+
+def warn_of_clipped_white(part: Part) -> None:
+    """Warn if the display clips the ideal image."""
+    for technology in part.study.technologies:
+        warn_of_clipping(ideal_facts(part.study, part.scenes, part.fingerprints, technology).beyond_white)
 
 
 @dataclass

@@ -44,8 +44,7 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.budget import FilmSampling, Settled, Setup, coarser, film_error, sensor_delta_e, without_warnings
 from pixsim.viewer.colour_matrix import AlikeChannelsError
-from pixsim.viewer.display import white_header
-from pixsim.viewer.score import chain_at_pitch, prepare_scene
+from pixsim.viewer.score import Seen, chain_at_pitch, prepare_scene, white_header
 
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 MIN_PIXELS, MIN_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
@@ -167,9 +166,8 @@ def measure_film(
 
     def measure() -> FilmError:
         with without_warnings():  # the run itself warns of the white
-            shown = image.with_planes(
-                image.whole.planes, header=image.header | white_header(image, camera, display), margin=image.margin
-            )
+            white = white_header([Seen(image, camera, physics) for physics in pixels], display)
+            shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
         settings = exposure, display, chart
         more: dict[str, Any] = {"correction": correction, "develop": develop}
 

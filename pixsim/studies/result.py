@@ -30,8 +30,10 @@ from pixsim.studies.evaluations import (
     REPEATS_PER_TASK,
     Counts,
     Fingerprints,
+    Part,
     block_key,
     chain_at,
+    ideal_facts,
     kept_frames,
     largest_lens_um,
     light_of,
@@ -41,6 +43,7 @@ from pixsim.studies.evaluations import (
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.rows import Row
+from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.score import ImagingChain, SceneCache, Score, clip_words, clips_dark, dark_clip
@@ -75,6 +78,7 @@ class Curve:
     at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
     left_out : pitches in µm that are not among them, each with the reason
     from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
+    causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
     """
 
     technology: str
@@ -93,6 +97,7 @@ class Curve:
     alone: str = ""
     left_out: tuple[tuple[float, str], ...] = field(default=(), repr=False)
     from_smallest: bool = False
+    causes: tuple[Cause, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -198,6 +203,7 @@ class Curve:
             "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum_features,
             "alike_um": self.alike_um,
+            **({"causes": [cause.as_dict() for cause in self.causes]} if self.causes else {}),
             "pitch_um": self.pitch_um.tolist(),
             "sensors": self.sensors.tolist(),
             "fill_factor": self.fill_factor.tolist(),
@@ -254,7 +260,7 @@ class StudyResult:
         """Return a curve with its label, the errors of its light, and the pitches that its film cannot tell apart."""
         part, words = self.part_of(curve), curve.words
         alike_um = part.film.alike_um(curve.pitch_um, curve.mean()) if part.film else None
-        light = LightError.of(part.irradiance.header, part.film_at_best(curve))
+        light = LightError.of(part.irradiance.header, part.film_at_best(curve), curve.causes)
         fresnel = None
         if has_microlens(part.study.options_of(curve.technology), technology_of(part.study, curve.technology)):
             nm, pitches_um = part.irradiance.wavelength_nm, curve.pitch_um.tolist()
@@ -306,12 +312,17 @@ class StudyResult:
         """Keys of its frames and rows."""
         return Fingerprints(self.study, self.camera, self.irradiance)
 
+    @property
+    def cause_notes(self) -> list[str]:
+        """The causes of the mean ΔE of each curve's best size, with what removes them."""
+        return few([[f"{curve.label}: {cause}" for curve in self.curves for cause in curve.causes]])
+
     @cached_property
     def notes(self) -> list[str]:
         """What a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
         parts = self.parts or (self,)
         kinds = target_notes, open_notes, study_dark_notes
-        return [*sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, parts)]))]
+        return [*self.cause_notes, *sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, parts)]))]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
@@ -450,7 +461,7 @@ class StudyResult:
             within = within_words(best.within_1_percent_um, curve)
             low, high = best.mean_delta_e_interval
             delta_e = f"{best.mean_delta_e:.3f} ({low:.3f} to {high:.3f})"
-            delta_e = delta_e if curve.light.converged else curve.light.shown(best.mean_delta_e)
+            delta_e = delta_e if curve.light.converged and not curve.causes else curve.light.shown(best.mean_delta_e)
             rows.append((curve.label, size, interval_words(curve), delta_e, within))
         head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE (95 %)", "within 1 % of it")
         camera, evaluations = self.camera, sum(int(curve.sensors.sum()) for curve in self.curves)
@@ -498,6 +509,21 @@ def few(notes: Sequence[Sequence[str]]) -> list[str]:
     if len(each) <= SHOWN_NOTES:
         return each
     return [*each[: SHOWN_NOTES - 1], f"and {len(each) - SHOWN_NOTES + 1} more notes of this kind, of other cases"]
+
+
+def causes_of_curve(part: Part, curve: Curve) -> tuple[Cause, ...]:
+    """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the largest first.
+
+    part : whose study has the curve
+    """
+    study, image, camera = part.study, part.scenes.irradiance, part.scenes.camera
+    place = int(np.argmin(curve.mean()))
+    time_s, physics = curve.mean("integration_s")[place], physics_of(study, curve.technology, float(curve.pitch_um[place]))
+    read = physics.as_read.at_gain(study.exposure.gain_db)
+    area_um2 = collecting_area_um2(image, camera, physics) * read.bin_side**2
+    white_e = white_rate(image, camera, physics, study.display) * area_um2 * float(time_s)
+    lightness = ideal_facts(study, part.scenes, part.fingerprints, curve.technology).lightness
+    return causes_of(image.header, read, white_e, float(time_s), lightness)
 
 
 def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:

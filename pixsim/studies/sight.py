@@ -21,7 +21,8 @@ from pixsim.scene.rules import Chart
 from pixsim.sensor.integration import collecting_area_um2, electrons_per_joule
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.budget import FilmSampling, without_warnings
-from pixsim.viewer.display import white_header, white_rate
+from pixsim.viewer.display import white_rate
+from pixsim.viewer.score import Seen, white_header
 
 DIGITS = 9  # of the light relative to white; the rest are rounding errors
 ROUNDING = 10.0**-DIGITS
@@ -56,9 +57,8 @@ class Sight:
         if not image.factors or not all(sampling.is_fine for sampling in samplings):
             return None
         with without_warnings():  # the run itself warns of the white
-            shown = image.with_planes(
-                image.whole.planes, header=image.header | white_header(image, camera, display), margin=image.margin
-            )
+            white = white_header([Seen(image, camera, physics) for physics in pixels], display)
+            shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
         whites = [[white_rate(shown, camera, channel, display) for channel in physics.channels] for physics in pixels]
         light = [
             electrons_per_joule(channel, image) * image.factors[0] / white

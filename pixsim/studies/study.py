@@ -62,12 +62,12 @@ from pixsim.studies.evaluations import (
 )
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs, study_plan
-from pixsim.studies.result import Curve, StudyResult, curve_of, few
+from pixsim.studies.result import Curve, StudyResult, causes_of_curve, curve_of, few
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sight import Sight, clearest
 from pixsim.viewer.colour_matrix import AlikeChannelsError
-from pixsim.viewer.display import dot_edges_um, white_header
-from pixsim.viewer.score import SceneCache
+from pixsim.viewer.display import dot_edges_um
+from pixsim.viewer.score import SceneCache, Seen, white_header
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
@@ -523,8 +523,14 @@ def render_for(
     except AlikeChannelsError as error:
         where = ", ".join(filter(None, (label_of(first), words)))
         raise AlikeChannelsError(f"{where}: none of its pixel sizes is possible. {error}") from None
-    made.image.header.update(white_header(made.image, camera, study.display))
+    made.image.header.update(white_header(seen_by_all(study, made.image, camera), study.display))
     return made.image, camera, made.film
+
+
+def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:
+    """Return a picture as the smallest pixels of each technology of a study see it, for the white that all of them share."""
+    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+    return [Seen(image, camera, physics, study.border_um) for physics in smallest]
 
 
 def measured_pixels(study: Study) -> list[PixelPhysics]:
@@ -615,7 +621,7 @@ def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[
     if not plan.exact:
         return key, None
     image, _noise = render_until(scene, camera, plan, [], study.exposure, study.seed, render_noise=study.render_noise)
-    image.header.update(white_header(image, camera, study.display))
+    image.header.update(white_header(seen_by_all(study, image, camera), study.display))
     sight = Sight.of(image, camera, measured_pixels(study), study, plan.chart)
     return key, (image, camera, sight) if sight else None
 
@@ -719,7 +725,10 @@ def evaluate_cases(
         warn_of_clipped_white(part)
         warn_of_stacks(part.study, irradiance, camera)
         of_case: dict[str, Any] = {"at": part.case.at, "condition": part.case.condition, "alone": part.case.alone}
-        own = tuple(replace(curve, **of_case, left_out=tuple(left.get(curve.technology, {}).items())) for curve in own)
+        sizes = {name: tuple(left.get(name, {}).items()) for name in part.study.technologies}
+        own = tuple(
+            replace(curve, **of_case, left_out=sizes[curve.technology], causes=causes_of_curve(part, curve)) for curve in own
+        )
         result = StudyResult(part.study, own, irradiance, camera, film=film, view=view.as_dict())
         result.__dict__["scenes"] = part.scenes  # expensive to prepare again
         found.append(result)

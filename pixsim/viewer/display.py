@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,11 +15,10 @@ from scipy.sparse import csr_array
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import STRIP_DOTS, Array, strips, transposed
+from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
-from pixsim.base.notes import warn
 from pixsim.base.parameters import CENTRED_BORDER, REGISTERED_BORDER, Camera, Display
 from pixsim.light.spectral import WHITE_LAMPS, SpectralImage, d65, white_words
-from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.integration import (
     M2_PER_UM2,
@@ -48,8 +46,6 @@ SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # quintic
 B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
 BINS_OF_CODE, MAX_BINS = 128, 1 << 18  # of luminance; powers of two, as the number of codes, so that a product with bins is exact
 CODE_MARGIN = 1e-10  # of a luminance, far above the rounding of a power
-WHITE_PERCENTILE = 99.0  # of the luminance of a scene whose white is unknown
-WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
 
 
 @checks_arguments
@@ -62,32 +58,8 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     if not white:
         got = "no value, and the scene has no emissive chart that defines it"
         allowed = "the scene luminance in cd/m² that the display shows as white"
-        raise invalid("display.white_cd_per_m2", got, allowed, "Set --display.white-cd-per-m2.")
+        raise invalid("display.white_cd_per_m2", got, allowed, f"Set {setting('display.white_cd_per_m2')}.")
     return float(white)
-
-
-@checks_arguments
-def white_header(irradiance: SpectralImage, camera: Camera, display: Display) -> dict[str, Any]:
-    """Return header entries with a white for a scene of unknown white; none if the display or the scene defines the white.
-
-    The white is the 99th percentile of the scene's luminance, to two digits, with a warning.
-    Raises PixsimError if the picture is black up to that percentile.
-    """
-    if display.white_cd_per_m2 or "luminance_cd_per_m2" in irradiance.header:
-        return {}
-    factor = camera_factor(camera, irradiance.shape, irradiance.pitch_um)
-    luminance = irradiance.illuminance_lx()
-    luminance /= factor
-    luminance /= camera.transmittance
-    white = float(f"{np.percentile(luminance, WHITE_PERCENTILE, overwrite_input=True):.{WHITE_DIGITS}g}")
-    if not white > 0:
-        got = "no value, and the picture is too dark to estimate it"
-        raise invalid("display.white_cd_per_m2", got, "the scene luminance in cd/m² shown as white")
-    warn(
-        f"the scene does not define its white: using {white:g} cd/m², the 99th percentile of its luminance; "
-        f"set --display.white-cd-per-m2 {white:g} to fix this value"
-    )
-    return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
 
 
 @checks_arguments

@@ -1,13 +1,17 @@
-"""How sure a mean ΔE is, by the light that it was computed from: the error of its film and the noise of its render, in words."""
+"""How sure a mean ΔE is, in words: the error of its film, the noise of its render, and causes beside the sensor's noise and blur.
+
+What is largest is named first.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from pixsim.base.notes import told_apart
+from pixsim.viewer.causes import Cause
 
 MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
 NOT_CONVERGED = "not converged"
@@ -32,6 +36,7 @@ class LightError:
     noise : of the render, as a fraction of the sensor's noise; None if it was not measured
     noise_target : for it
     rendered : whether pixsim rendered the light, and so could have measured both
+    causes : of the mean ΔE beside the sensor's noise and blur, the largest first
     """
 
     film_delta_e: float | None = None
@@ -39,9 +44,10 @@ class LightError:
     noise: float | None = None
     noise_target: float = math.inf
     rendered: bool = False
+    causes: tuple[Cause, ...] = ()
 
     @classmethod
-    def of(cls, header: Mapping[str, Any], film: Mapping[str, Any] | None = None) -> LightError:
+    def of(cls, header: Mapping[str, Any], film: Mapping[str, Any] | None = None, causes: Iterable[Cause] = ()) -> LightError:
         """Return the errors that the header of an irradiance and an entry `film` of score.json state.
 
         header : that of a file of another program may hold anything
@@ -49,7 +55,7 @@ class LightError:
         found = header.get("render_noise")
         noise = found if isinstance(found, Mapping) else {}
         fraction, target = noise.get("fraction"), noise.get("target")
-        light = cls(rendered="scene_hash" in header)
+        light = cls(rendered="scene_hash" in header, causes=tuple(causes))
         if isinstance(fraction, float | int) and isinstance(target, float | int):
             light = replace(light, noise=fraction, noise_target=target)
         if film is None:
@@ -81,24 +87,40 @@ class LightError:
         return self.number(mean_delta_e) + ("" if self.converged else f", {NOT_CONVERGED}")
 
     def number(self, mean_delta_e: float) -> str:
-        """Return a mean ΔE as text, with the film's error if that is above its limit."""
-        if self.film_is_met or self.film_delta_e is None:
-            return f"{mean_delta_e:.3f}"
-        if math.isnan(self.film_delta_e):
-            return f"{mean_delta_e:.3f} ± an unknown error (film)"
-        return f"{with_error(mean_delta_e, self.film_delta_e)} (film)"
+        """Return a mean ΔE as text, with the film's error if that is above its limit, and with its causes.
 
-    @property
-    def reasons(self) -> list[str]:
-        """Which errors are above their limits."""
+        >>> LightError(3.6, 0.02, causes=(Cause("all codes are equal", 100.0, "more bits"),)).number(76.54)
+        '76.5 (all codes are equal) ± 3.6 (film)'
+        """
+        film = 0.0 if self.film_is_met or self.film_delta_e is None else self.film_delta_e
+        value, error = f"{mean_delta_e:.3f}", ""
+        if math.isnan(film):
+            error = " ± an unknown error (film)"
+        elif film:
+            value, _, error = with_error(mean_delta_e, film).partition(" ")
+            error = f" {error} (film)"
+        before = [cause.words for cause in self.causes if not cause.delta_e < film]
+        after = [cause.words for cause in self.causes if cause.delta_e < film]
+        first, last = (f" ({'; '.join(words)})" if words else "" for words in (before, after))
+        return f"{value}{first}{error}{last}"
+
+    def errors(self, mean_delta_e: float) -> list[tuple[float, str]]:
+        """Return the errors above their limits, the largest first: how much of this mean ΔE each can make, and its words.
+
+        Noise of the render that is f of the sensor's noise makes at most 1 - 1/√(1 + f²) of it.
+        """
         found = []
         if not self.film_is_met and self.film_delta_e is not None:
             error, most = told_apart(self.film_delta_e, self.tolerated_delta_e, 1)
             size = "unknown" if math.isnan(self.film_delta_e) else f"up to {error} ΔE"
-            found.append(f"the film's error is {size}, {most} tolerated")
+            found.append(
+                (math.inf if math.isnan(self.film_delta_e) else self.film_delta_e, f"the film's error is {size}, {most} tolerated")
+            )
         if not self.noise_is_met and self.noise is not None:
-            found.append("render noise is {} of the sensor's noise, target {}".format(*told_apart(self.noise, self.noise_target)))
-        return found
+            part = mean_delta_e * (1 - 1 / math.hypot(1.0, self.noise))
+            words = "render noise is {} of the sensor's noise, target {}".format(*told_apart(self.noise, self.noise_target))
+            found.append((part, words))
+        return sorted(found, key=lambda one: -one[0])
 
     @property
     def unmeasured(self) -> str:

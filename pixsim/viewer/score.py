@@ -7,13 +7,14 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.arguments import checks_arguments, checks_fields, made
 from pixsim.base.arrays import Array, mixed, stream, strips
+from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, check_develop
@@ -46,6 +47,7 @@ from pixsim.show.figures import new_figure
 from pixsim.show.pages import html_cell, rounded, rows_csv, set_words
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
+from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, noise_covariance, rendition_of
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
@@ -69,6 +71,9 @@ HISTOGRAM_BINS = 1 << 14
 COUNTED = 1 << 18  # values at a time, many more than bins
 PANEL_IN = 3.1  # width of each picture of a figure
 SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
+WHITE_PERCENTILE = 99.0  # of the ideal image of a scene whose white is unknown
+WHITE_FROM = f"{WHITE_PERCENTILE:g}th percentile of the ideal image"
+WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
 
 
 @checks_fields
@@ -147,7 +152,8 @@ class Score:
         notes = [
             "One frame of one sensor: how much others differ is told by pixsim.study, whose means have 95 % intervals.",
             f"Pixel: {set_words(self.physics.pixel.model_dump(exclude_unset=True, exclude_none=True))}; all else is the default.",
-            *(f"Not converged: {reason}." for reason in self.light.reasons),
+            *(f"{str(cause)[0].upper()}{str(cause)[1:]}." for cause in self.light.causes),
+            *(f"Not converged: {reason}." for _, reason in self.light.errors(self.mean_delta_e)),
             *([f"Light: {missing}; pixsim run and pixsim.study measure both."] if (missing := self.light.unmeasured) else []),
         ]
         return html_cell(title, ("", ""), rows, self.plot(), notes)
@@ -504,16 +510,79 @@ def check_one_ideal(grey: Sequence[str], coloured: Mapping[str, Array]) -> None:
         raise invalid("sensors", got, "a scene that has one ideal image for all", hint)
 
 
+def luminance_of(light: Array) -> Array:
+    """Return the luminance, (H, W), 1 for white, of what an ideal image asks of the dots, (H, W) or (3, H, W)."""
+    return light if light.ndim == 2 else mixed(displays.XYZ_FROM_RGB[1:2] / displays.WHITE_XYZ[1], list(light))[0]
+
+
 def fraction_beyond_white(light: Array) -> float:
     """Return the fraction of dots of an ideal image, (H, W) or (3, H, W), that are brighter than display white."""
-    luminance = light if light.ndim == 2 else mixed(displays.XYZ_FROM_RGB[1:2] / displays.WHITE_XYZ[1], list(light))[0]
-    return float(np.mean(luminance > 1 + ROUNDING))
+    return float(np.mean(luminance_of(light) > 1 + ROUNDING))
+
+
+class Seen(NamedTuple):
+    """A picture as pixels see it, for `white_header`.
+
+    border_um : of all that is scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's
+    """
+
+    irradiance: SpectralImage
+    camera: Camera
+    physics: PixelPhysics
+    border_um: float | None = None
+
+    def luminance_cd_per_m2(self, display: Display) -> Array:
+        """Return the luminance of the light of the scene's white that gives each scored dot its ideal image, (H, W).
+
+        It is the ideal image in the response of these pixels, in units of a white of 1 cd/m².
+        """
+        irradiance, camera, physics, border_um = self
+        unit = display.model_copy(update={"white_cd_per_m2": 1.0})
+        border_um = physics.as_read.border_um if border_um is None else border_um
+        rendition = None if physics.layout is None else rendition_of(irradiance, physics.channels, unit)
+        return luminance_of(ideal_on_dots(irradiance, camera, physics, unit, border_um, rendition)[1])
+
+
+def white_header(seen: Sequence[Seen], display: Display) -> dict[str, Any]:
+    """Return header entries with a white for a scene of unknown white; none if the display or the scene defines the white.
+
+    It is one luminance for all that see the scene: the 99th percentile of the ideal image in the response of the pixels, on the
+    dots that are scored, rounded up to two digits, with a warning. Of several pixels, which see different parts of the spectrum,
+    the largest counts: so that white clips at most 1 % of the ideal image of each.
+
+    Raises PixsimError if an ideal image is black up to that percentile, or if its light has no luminance.
+    """
+    if display.white_cd_per_m2 or "luminance_cd_per_m2" in seen[0].irradiance.header:
+        return {}
+    found = max(float(np.percentile(one.luminance_cd_per_m2(display), WHITE_PERCENTILE, overwrite_input=True)) for one in seen)
+    if not found > 0:
+        got = "no value, and the picture is too dark to estimate it"
+        hint = f"Set {setting('display.white_cd_per_m2')}."
+        raise invalid("display.white_cd_per_m2", got, "the scene luminance in cd/m² shown as white", hint)
+    white = rounded_up(found, WHITE_DIGITS)
+    of_all = "" if len(seen) == 1 else ", the largest of these sensors'"
+    source = f"the {WHITE_FROM} in the sensor's response{of_all}, rounded up"
+    fixed = f"set {setting('display.white_cd_per_m2', white)} to fix this value"
+    warn(f"the scene does not define its white: using {white:g} cd/m², {source}; {fixed}")
+    return {"luminance_cd_per_m2": white, "white_from": WHITE_FROM}
+
+
+def rounded_up(value: float, digits: int) -> float:
+    """Return a positive number rounded up to so many decimal digits, but for errors of rounding.
+
+    >>> rounded_up(730.1, 2), rounded_up(730.0000001, 2), rounded_up(9.96e-5, 2)
+    (740.0, 730.0, 0.0001)
+    """
+    value *= 1 - ROUNDING
+    nearest = float(f"{value:.{digits - 1}e}")
+    step = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
+    return nearest if nearest >= value else float(f"{nearest + step:.{digits - 1}e}")
 
 
 def warn_of_clipping(beyond_white: float) -> None:
     """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`, on behalf of the caller of the caller."""
     if beyond_white > CLIPPED_WARNING:
-        text = f"{beyond_white:.0%} of the ideal image is brighter than display white; raise display.white_cd_per_m2"
+        text = f"{beyond_white:.0%} of the ideal image is brighter than display white; raise {setting('display.white_cd_per_m2')}"
         warn(text)
 
 
@@ -554,6 +623,13 @@ def prepare_scene(
     return PreparedScene(lights, irradiance.pitch_um, whites, screen, array_um, fraction_beyond_white(light), rendition)
 
 
+class IdealFacts(NamedTuple):
+    """What must be known of an ideal image: how much of it is brighter than display white, and its `lightness_range` as shown."""
+
+    beyond_white: float
+    lightness: tuple[float, float]
+
+
 # What the pitches of a technology share. With one_to_one, where dots are pixels, that is the irradiance only.
 SharedLight = PreparedScene | SpectralImage
 
@@ -571,7 +647,7 @@ class SceneCache:
         self.irradiance, self.camera, self.display, self.channels = irradiance, camera, display, channels
         self._single = single
         self._scenes: dict[object, PreparedScene] = {}
-        self._beyond_white: dict[object, float] = {}
+        self._facts: dict[object, IdealFacts] = {}
 
     def get(self, key: object, physics: PixelPhysics, border_um: float) -> SharedLight:
         """Return the prepared scene of a key, which stands for a spectral response and a border."""
@@ -581,18 +657,16 @@ class SceneCache:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
             options: dict[str, Any] = {"border_um": border_um, "single": self._single}
-            self._scenes[key] = prepare_scene(self.irradiance, self.camera, physics, self.display, **options)
-            self._beyond_white[key] = self._scenes[key].beyond_white
+            scene = prepare_scene(self.irradiance, self.camera, physics, self.display, **options)
+            self._scenes[key], self._facts[key] = scene, IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal))
         return self._scenes[key]
 
-    def beyond_white(self, key: object, physics: PixelPhysics, border_um: float) -> float:
-        """Return the fraction of the ideal image's dots that are brighter than display white, for the key of `get`.
-
-        With one_to_one, where dots are pixels, it is that of the pixels given.
-        """
-        if key in self._beyond_white and self.display.raster != "one_to_one":
-            return self._beyond_white[key]
-        return fraction_beyond_white(self.ideal(physics, border_um))
+    def ideal_facts(self, key: object, physics: PixelPhysics, border_um: float) -> IdealFacts:
+        """Return facts of the ideal image, for the key of `get`; with one_to_one, where dots are pixels, of the pixels given."""
+        if key in self._facts and self.display.raster != "one_to_one":
+            return self._facts[key]
+        light = self.ideal(physics, border_um)
+        return IdealFacts(fraction_beyond_white(light), lightness_range(shown(light, self.display)))
 
     def ideal(self, physics: PixelPhysics, border_um: float) -> Array:
         """Return what the ideal image of a pixel asks of the dots, as `ideal_on_dots`."""
@@ -689,8 +763,8 @@ def make_imaging_chain(
 ) -> ImagingChain:
     """Return the imaging chain up to the noise.
 
-    Warns if the render used another camera, the display clips the scene, numbers of a data sheet contradict one another, or the
-    model of the pixel's stack is doubtful.
+    Warns if the render used another camera, the scene's white is estimated (`white_header`), the display clips the scene, numbers
+    of a data sheet contradict one another, or the model of the pixel's stack is doubtful.
     """
     rendered = irradiance.header.get("camera")
     if rendered is not None and not (of_light := Camera.model_validate(rendered)).lights_like(camera):
@@ -701,6 +775,8 @@ def make_imaging_chain(
     warn_of_disagreements(pixel)
     warn_of_implausible_numbers(pixel)
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
+    if white := white_header([Seen(irradiance, camera, physics)], display):
+        display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})
     light = prepare_scene(irradiance, camera, physics, display, full)
     warn_of_clipping(light.beyond_white)
     return chain_at_pitch(light, physics, exposure, correction, develop)
@@ -728,7 +804,9 @@ def evaluate(
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
 
-    Raises PixsimError if the pitch is too small or larger than the die, or the scene's white is unknown.
+    Where neither the display nor the scene states its white, it is estimated, with a warning, as in `pixsim run`.
+
+    Raises PixsimError if the pitch is too small or larger than the die, if white has no luminance, or the sensor no response to it.
 
     >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})
     >>> pixel, display = Pixel(pitch_um=84.8, prnu=0, infrared_cut_nm=700), Display(white_cd_per_m2=1000, dots=32)
@@ -741,7 +819,10 @@ def evaluate(
     given = Configuration(derive(pixel), pixel, exposure, correction, develop, display, camera, light=irradiance)
     warn_of_unused_settings({"": [given]})
     chain = make_imaging_chain(irradiance, camera, pixel, exposure, display, full, correction, develop)
-    return replace(chain.simulate("evaluate", seed), light=LightError.of(irradiance.header))
+    score = chain.simulate("evaluate", seed)
+    time_s = score.frame.integration_s
+    causes = causes_of(irradiance.header, score.physics, chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal))
+    return replace(score, light=LightError.of(irradiance.header, causes=causes))
 
 
 DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones

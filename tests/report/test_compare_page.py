@@ -303,7 +303,10 @@ def test_headline_names_the_conditions_that_disagree(night: list[float], disagre
 def test_headline_says_that_a_render_is_too_noisy() -> None:
     given = result_of([1.0, 1.01], [1.2, 1.21], 0.0)
     lights = ({"fraction": fraction, "target": 0.2} for fraction in (0.3, 2.4, 0.1))
-    given.__dict__["sensors"] = [SimpleNamespace(irradiance=SimpleNamespace(header={"render_noise": noise})) for noise in lights]
+    more = {"name": "a", "causes": (), "delta_e": np.array([1.0, 1.01])}
+    given.__dict__["sensors"] = [
+        SimpleNamespace(irradiance=SimpleNamespace(header={"render_noise": noise}), **more) for noise in lights
+    ]
     object.__setattr__(given, "__class__", type("Given", (type(given),), {"unconverged": Comparison.unconverged}))
     given.__dict__["conditions"] = ()
     worst = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"

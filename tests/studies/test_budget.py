@@ -274,8 +274,9 @@ def test_budget_lines_are_aligned():
     sources = {name: {"delta_e": item.delta_e, "optimum_um": None} for name, item in budget.items()}
     message = {"tolerance_delta_e": 0.01, "met": True, "bounded": True, "settings": {"sensors": 2}, "sources": sources}
     _, *lines = budget_lines({"error_budget": message | {"total": {"delta_e": 0.5, "optimum_um": None}}})
-    assert [line[2:23].rstrip() for line in lines] == [*SOURCES, "total without display"]
-    assert lines[-2][23:] == " 3.0e-02 ΔE"
+    largest_first = sorted(SOURCES, key=lambda name: -(math.inf if math.isnan(budget[name].delta_e) else budget[name].delta_e))
+    assert [line[2:23].rstrip() for line in lines] == [*largest_first, "total without display"]
+    assert lines[0][23:] == f" {max(item.delta_e for item in budget.values()):.1e} ΔE"
     assert {line[23] for line in lines} == {" "}
 
 

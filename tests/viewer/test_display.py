@@ -82,7 +82,7 @@ def test_ideal_luminance_display_white_takes_precedence():
 
 
 def test_white_cd_per_m2_unknown_raises():
-    with pytest.raises(PixsimError, match=r"white_cd_per_m2: got no value.*--display\.white-cd-per-m2"):
+    with pytest.raises(PixsimError, match=r"white_cd_per_m2: got no value.*Display\(white_cd_per_m2="):
         displays.white_cd_per_m2(irradiance_of(np.ones((4, 4)), known=False), Display())
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pixsim
+from pixsim.base.caller import command_line
 from pixsim.report.wording import (
     mean_words,
     optimum_line,
@@ -71,7 +72,8 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
 )
 def test_unconverged_result_says_what_makes_it_surer(noise, limit, means, others):
     result = of_run(noise, replace(COARSE, limit=limit))
-    (line,) = unconverged_lines(result["irradiance"], result["film"])
+    with command_line():
+        (line,) = unconverged_lines(result["irradiance"], result["film"])
     assert all(words in line for words in [*means, "(--window, in mm)"])
     assert not any(words in line for words in others)
 

@@ -20,6 +20,7 @@ from pixsim.sensor import readout as sensors
 from pixsim.sensor.integration import integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.technology import Junction, Technology, load_technology
+from pixsim.viewer.causes import causes_of, codes_to_white
 
 PITCHES_UM = (0.3, 1.0, 6.5, 40.0, 100.0)
 TIMES_S = 10.0 ** np.array([-9.0, -6.0, -3.0, 0.0, 3.0, math.log10(36_000)])
@@ -30,7 +31,7 @@ BOLTZMANN_J_PER_K, ELECTRON_C = 1.380649e-23, 1.602176634e-19
 
 def cases() -> Iterator[Case]:
     physical = _pitches, _fill_factors, _grids, _times, _dark_current, _saturated
-    for group in (*physical, _converters, gains, _temperatures, _fixed_patterns, stacks):
+    for group in (*physical, _converters, few_codes, gains, _temperatures, _fixed_patterns, stacks):
         yield from group()
 
 
@@ -221,6 +222,31 @@ def _converters() -> Iterator[Case]:
     variance = 0.5e12 * ((2**24 - 1001) / 1e12) ** 2 + 1 / 12
     error = variance * math.sqrt(2 / codes.size)
     yield compare_drawn("zero read noise, 24 bits: variance", variance, codes.var(), error, "shot noise + 1/12")
+
+
+def few_codes() -> Iterator[Case]:
+    """An ADC whose steps are coarser than the picture is named as the cause of its ΔE."""
+    coarse = physics_of(full_well_e=1e9, bits=12)
+    codes = frame(coarse, 1e4)
+    yield compare("well of 1e9 e-, 12 bits, 10 000 e-: every code", 0.0, codes, 0.0, "0.04 of a step, 1100 σ below half of one")
+    signals_e = 10.0 ** np.arange(-3, 6)
+    name, source = "codes to white if named as the cause, well of 1e9 e-, 12 bits, 0.001 to 1e5 e-", "electrons over a step"
+    yield compare(name, signals_e * 4095 / 1e9, [_named_codes(coarse, e) for e in signals_e.tolist()], ROUNDING, source)
+    blacks = np.array([1016.0, 1020.0, 1022.0, 1022.5])
+    high = [physics_of(full_well_e=1e4, bits=10, black_level_dn=black) for black in blacks.tolist()]
+    got = [_named_codes(physics, 1e5) for physics in high]
+    yield compare("codes to white if named as the cause, black level at the top", 1023 - blacks, got, ROUNDING, "top less black")
+    full = [frame(physics, 1e5, shape=(4, 4)) for physics in high]
+    yield compare("black level at the top, ten full wells: every code", 1023.0, full, 0.0, "exactly the top code")
+    enough = [physics_of(full_well_e=1e4, bits=10, black_level_dn=black) for black in (0.0, 1015.0)]
+    got = [_named_codes(physics, 1e5) for physics in enough]
+    yield compare("eight codes and more are not named", -1.0, got, 0.0, "exactly -1, for no cause")
+
+
+def _named_codes(physics: PixelPhysics, white_e: float) -> float:
+    """Codes from black to white, if they are named as the only cause; -1 if no cause is named."""
+    causes = causes_of({}, physics, white_e, 0.01, (0.0, 100.0))
+    return codes_to_white(physics, white_e, 0.01) if len(causes) == 1 else -1.0
 
 
 def gains() -> Iterator[Case]:

@@ -1,0 +1,139 @@
+"""What decides a mean ΔE other than the sensor's noise and blur: to be named before the number is believed.
+
+Light that is not computed, an ideal image without contrast, and an ADC with too few codes for the picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.base.caller import setting
+from pixsim.sensor.outside import SHOWN_SHARE, outside_hint, outside_share, outside_words
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.viewer.scielab import xyz_to_lab
+
+FEWEST_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
+SEEN_LIGHTNESS = 1.0  # of L*: the smallest difference that is noticeable
+ALL = 100.0  # ΔE from black to white
+LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
+ROUNDING = 1e-9  # of a number of codes
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause of a mean ΔE.
+
+    words : for the headline
+    delta_e : how much of ΔE it can make, which decides on the order of causes
+    hint : what removes it
+    """
+
+    words: str
+    delta_e: float
+    hint: str
+
+    def __str__(self) -> str:
+        return f"{self.words}: {self.hint}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the cause as in score.json."""
+        return asdict(self)
+
+
+def causes_of(
+    header: Mapping[str, Any], physics: PixelPhysics, white_e: float, integration_s: float, lightness: tuple[float, float]
+) -> tuple[Cause, ...]:
+    """Return the causes of a score, the largest first.
+
+    header : of the irradiance
+    physics : of what is read
+    white_e : mean electrons of the scene's white on axis, in this time
+    lightness : of the ideal image, as of `lightness_range`
+    """
+    found = [_contrast(*lightness), _codes(physics, white_e, integration_s, lightness[1]), _light(outside_share(header, physics))]
+    return tuple(sorted(filter(None, found), key=lambda cause: -cause.delta_e))
+
+
+def lightness_range(ideal: Array) -> tuple[float, float]:
+    """Return the L* of the darkest and the lightest dot of an ideal image, as shown.
+
+    In colour, those of the primary that differs most: a change of colour is contrast too.
+
+    ideal : (H, W) luminance, or (H, W, 3) light of the display's primaries, 1 for white
+    """
+    planes = ideal.reshape(-1, ideal.shape[2] if ideal.ndim == 3 else 1)
+    ends = lightness_of(np.stack([planes.min(axis=0), planes.max(axis=0)]).astype(float))
+    low, high = ends[:, np.ptp(ends, axis=0).argmax()]
+    return float(low), float(high)
+
+
+def lightness_of(luminance: Array) -> Array:
+    """Return CIE L* of a luminance relative to white, (...)."""
+    return np.asarray(xyz_to_lab(luminance[..., None] * np.ones(3), np.ones(3))[..., 0])
+
+
+def luminance_of_lightness(lightness: float) -> float:
+    """Return the luminance relative to white of a CIE L*, the inverse of `lightness_of`.
+
+    >>> [round(float(lightness_of(np.array(luminance_of_lightness(each)))), 9) for each in (0.0, 5.0, 50.0, 100.0)]
+    [0.0, 5.0, 50.0, 100.0]
+    """
+    return float(((lightness + 16) / 116) ** 3 if lightness > LINEAR_BELOW else lightness * 27 / 24389)
+
+
+def codes_to_white(physics: PixelPhysics, white_e: float, integration_s: float) -> float:
+    """Return the codes of the ADC between black and display white, as far as the well and the ADC reach.
+
+    physics : of what is read
+    white_e : mean electrons of the scene's white on axis, in this time
+    """
+    return max(0.0, min(white_e, _range_e(physics, integration_s))) * physics.dn_per_e
+
+
+def _range_e(physics: PixelPhysics, integration_s: float) -> float:
+    return physics.saturation_e - physics.dark_current_e_per_s * integration_s
+
+
+def _codes(physics: PixelPhysics, white_e: float, integration_s: float, lightest: float) -> Cause | None:
+    codes, range_e = codes_to_white(physics, white_e, integration_s), _range_e(physics, integration_s)
+    signal = codes_to_white(physics, white_e * luminance_of_lightness(lightest), integration_s)
+    if codes >= FEWEST_CODES * (1 - ROUNDING) and (signal >= 1 or lightest < SEEN_LIGHTNESS):  # black has no contrast
+        return None
+    hint = f"more bits ({setting('pixel.bits')}), light, time or gain ({setting('exposure.gain_db')}), or a smaller full well"
+    if range_e <= 0:
+        words = "dark charge leaves no code of the ADC for light"
+        hint = f"a shorter exposure ({setting('exposure.max_integration_s')}), or a cooler sensor"
+    elif white_e > range_e:
+        words = f"only {codes:.2g} codes of the ADC between black and the end of its range"
+        hint = f"more bits ({setting('pixel.bits')}), or less black level ({setting('pixel.black_level_dn')}) or dark charge"
+    elif codes >= FEWEST_CODES:
+        words = f"the lightest dot is {signal:.2g} of a step of the ADC above black"
+        return Cause(words, lightest, hint)
+    elif codes < 1:
+        words = f"display white is {codes:.2g} of a step of the ADC above black"
+    else:
+        words = f"only {codes:.2g} codes of the ADC between black and display white"
+    # A step beside black; below one step, all codes may be equal.
+    return Cause(words, float(lightness_of(np.array(1 / max(codes, 1.0)))), hint)
+
+
+def _contrast(low: float, high: float) -> Cause | None:
+    if high - low >= SEEN_LIGHTNESS:
+        return None
+    hint = "its mean ΔE is that of noise and offsets alone; a scene with detail judges a sensor"
+    if high < SEEN_LIGHTNESS:
+        hint = f"all of it is black: lower {setting('display.white_cd_per_m2')}, or choose a brighter part of the scene"
+    elif low > ALL - SEEN_LIGHTNESS:
+        hint = f"all of it is display white: choose a scene with detail, or raise {setting('display.white_cd_per_m2')} if it clips"
+    return Cause(f"the ideal image has no contrast, L* {low:.1f} to {high:.1f}", ALL, hint)
+
+
+def _light(share: float) -> Cause | None:
+    if share <= SHOWN_SHARE:
+        return None
+    return Cause(outside_words(share), ALL - float(lightness_of(np.array(1 - share))), outside_hint())

@@ -1,0 +1,279 @@
+"""What decides a score beside the sensor's noise and blur is named before the number is believed, the largest first."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from helpers.sheets import sheet
+from helpers.tiny import tiny
+from scipy.integrate import quad
+
+import pixsim
+from pixsim.base.parameters import Camera, Display, Pixel
+from pixsim.light.spectral import SpectralImage, Spectrum
+from pixsim.report.wording import mean_words, optimum_line, unsure_lines
+from pixsim.scene.plan import make_plan
+from pixsim.scene.scene import load_scene
+from pixsim.sensor.outside import OUTSIDE, outside_header, outside_share
+from pixsim.sensor.pixel import derive
+from pixsim.viewer.causes import Cause, causes_of, lightness_range
+from pixsim.viewer.light_error import LightError
+
+SCENE = """<scene version="3.0.0">
+    <default name="fov" value="38.594975"/><default name="resolution" value="32"/>
+    <default name="aperture_radius" value="0.0004825"/><default name="focus_distance" value="1"/>
+    <integrator type="path"><integer name="max_depth" value="2"/></integrator>
+    <sensor type="thinlens">
+        <float name="fov" value="$fov"/><float name="aperture_radius" value="$aperture_radius"/>
+        <float name="focus_distance" value="$focus_distance"/>
+        <transform name="to_world"><lookat origin="0, 0, 0" target="0, 0, 1" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="$resolution"/><integer name="height" value="$resolution"/>
+            <rfilter type="box"/></film>
+    </sensor>
+    <shape type="rectangle">
+        <transform name="to_world"><scale x="0.4" y="0.4"/><rotate y="1" angle="180"/><translate z="1"/></transform>
+        <bsdf type="diffuse"><spectrum name="reflectance" value="0.5"/></bsdf>
+    </shape>
+    <emitter type="point"><point name="position" x="0" y="0.5" z="-1"/>LAMP</emitter>
+</scene>"""
+NM = np.arange(405.0, 700.0, 10.0)
+FLAT = derive(Pixel(pitch_um=5.0, technology="4t-bsi", quantum_efficiency=0.5))  # no infrared cut: of every photon a half
+CAMERA, DISPLAY = Camera(focal_length_mm=4.0, die_mm=0.32), Display(dots=64, white_cd_per_m2=1000.0)
+FEW = {"bits": 2, "black_level_dn": 0}
+
+
+def table(low_nm: float, high_nm: float) -> str:
+    """A lamp of equal power per nm from one wavelength to another."""
+    return f'<spectrum name="intensity" value="{low_nm}:1, {high_nm}:1"/>'
+
+
+def plan_of(tmp_path: Path, lamp: str, pixel: Pixel | None = None) -> Any:
+    path = tmp_path / "lamp.xml"
+    path.write_text(SCENE.replace("LAMP", lamp), encoding="utf-8")
+    return make_plan(load_scene(path), pixel=pixel)
+
+
+def light(picture: Any, header: dict[str, Any] | None = None) -> SpectralImage:
+    """Light of D65 with 1000 cd/m² where the picture is 1."""
+    spectrum = pixsim.spectral.d65(NM)
+    lux = 683.002 * 10 * float(spectrum @ pixsim.spectral.photopic_efficiency(NM))
+    factor = pixsim.optics.irradiance_factor(CAMERA.f_number, 0.0, CAMERA.magnification)
+    pictures = np.asarray(picture, float)[None] * np.ones((1, 64, 64)) * float(factor) * 1000 / lux
+    return SpectralImage(NM, 10.0, 5.0, factors=(spectrum, pictures), header={"diffraction": False, **(header or {})})
+
+
+CHECKS = np.indices((64, 64)).sum(axis=0) // 8 % 2 * 0.8 + 0.1
+SILICON = {"technology": "4t-bsi", "pitch_um": 5.0, "infrared_cut_nm": 650.0}
+
+
+# --- light that is not computed ---
+
+
+@pytest.mark.parametrize(("low_nm", "high_nm"), [(800, 900), (400, 900), (320, 700), (320, 1000), (400, 830), (360, 1300)])
+def test_share_of_a_lamp_outside_the_range_is_that_of_its_photons(low_nm: float, high_nm: float, tmp_path: Path) -> None:
+    """Photons of equal power per nm increase as the wavelength; silicon sees none beyond 1110 nm."""
+    plan = plan_of(tmp_path, table(low_nm, high_nm))
+    end_nm = min(high_nm, 1110)
+    inside = max(0, min(end_nm, 830) ** 2 - max(low_nm, 360) ** 2)
+    expected = 1 - inside / (end_nm**2 - low_nm**2)
+    header = plan.white_header(plan.bands.edges_nm)
+    assert outside_share(header, FLAT) == pytest.approx(expected, abs=1e-5)
+    assert (OUTSIDE in header) == (expected > 0)
+    cut = derive(Pixel(pitch_um=5.0, technology="4t-bsi", quantum_efficiency=0.5, infrared_cut_nm=830.0))
+    below = max(0, 360**2 - low_nm**2) / (min(end_nm, 830) ** 2 - low_nm**2)
+    assert outside_share(header, cut) == pytest.approx(below, abs=1e-5)
+
+
+def test_share_of_a_black_body_is_planck_s(tmp_path: Path) -> None:
+    """Mitsuba's spectrum ends at 830 nm, that of the lamp does not."""
+    plan = plan_of(tmp_path, '<spectrum type="blackbody" name="intensity"><float name="temperature" value="2856"/></spectrum>')
+
+    def photons(low_nm: float, high_nm: float) -> float:
+        return float(quad(lambda nm: 1e12 * nm**-4 / math.expm1(1.438776877e7 / (nm * 2856)), low_nm, high_nm)[0])
+
+    expected = 1 - photons(360, 830) / photons(300, 1110)
+    assert expected > 0.5
+    assert outside_share(plan.white_header(plan.bands.edges_nm), FLAT) == pytest.approx(expected, rel=1e-3)  # cells of 10 nm
+
+
+@pytest.mark.parametrize("ends", [(840, 860), (300, 350)])
+def test_lamp_outside_the_range_is_refused_with_the_range(ends: tuple[float, float], tmp_path: Path) -> None:
+    refused = rf"scene: got light from {ends[0]} to {ends[1]} nm only; allowed: light within 360-830 nm\."
+    with pytest.raises(pixsim.PixsimError, match=refused):
+        plan_of(tmp_path, table(*ends))
+    with pytest.raises(pixsim.PixsimError, match="Check that its scale is above 0"):
+        plan_of(tmp_path, '<spectrum name="intensity" value="0"/>')
+
+
+def test_plan_warns_of_more_than_one_per_cent_outside(tmp_path: Path) -> None:
+    silicon = Pixel.model_validate(SILICON | {"infrared_cut_nm": None})
+    (note,) = plan_of(tmp_path, table(400, 900), silicon).warnings
+    assert note.startswith("without 9 % of a lamp's light in the sensor's response, outside 360-830 nm: ")
+    assert not plan_of(tmp_path, table(400, 833), silicon).warnings
+    assert not plan_of(tmp_path, table(400, 900), Pixel.model_validate(SILICON)).warnings
+
+
+def test_score_of_a_lamp_that_is_hardly_seen_says_so(tmp_path: Path) -> None:
+    """Also from a file of its render."""
+    path = tmp_path / "lamp.xml"
+    path.write_text(SCENE.replace("LAMP", table(800, 900)), encoding="utf-8")
+    camera = Camera(focal_length_mm=4.0, die_mm=0.32)
+    pixsim.write_exr(tmp_path / "lamp.exr", pixsim.render(load_scene(path, resolution=16), camera))
+    with pytest.warns(UserWarning, match="does not define its white"):
+        score = pixsim.evaluate(pixsim.read_exr(tmp_path / "lamp.exr"), camera, Pixel(technology="4t-bsi", pitch_um=5.0))
+    silicon = derive(Pixel(technology="4t-bsi", pitch_um=5.0))
+    nm = np.arange(800.5, 900)
+    electrons = silicon.quantum_efficiency(nm) * nm
+    share = electrons[nm > 830].sum() / electrons.sum()
+    assert f" (without {100 * share:.0f} % of a lamp's light in the sensor's response, outside 360-830 nm)" in repr(score)
+
+
+@pytest.mark.parametrize("found", ["much", 1.0, [1.0], [[1.0]], {}, [["a"] * 3]])
+def test_header_of_another_program_states_no_share(found: Any) -> None:
+    assert outside_share({OUTSIDE: found}, FLAT) == 0.0
+
+
+# --- contrast ---
+
+
+@pytest.mark.parametrize(
+    ("picture", "hint"),
+    [
+        (0.5, "its mean ΔE is that of noise and offsets alone"),
+        (1e-5, r"all of it is black: lower Display\(white_cd_per_m2=…\)"),
+        (3.0, r"raise Display\(white_cd_per_m2=…\) if it clips"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*brighter than display white")
+def test_ideal_image_without_contrast_is_named(picture: float, hint: str) -> None:
+    score = pixsim.evaluate(light(picture), CAMERA, Pixel.model_validate(SILICON), display=DISPLAY)
+    (cause,) = score.light.causes
+    low, high = lightness_range(score.ideal)
+    assert high - low < 1
+    assert repr(score).startswith(f"<Score mean ΔE {score.mean_delta_e:.3f} (the ideal image has no contrast, L* {low:.1f} to")
+    assert re.search(hint, str(cause))
+    assert f"{str(cause)[0].upper()}{str(cause)[1:]}." in score._repr_html_().replace("&#39;", "'")
+
+
+def test_lightness_is_that_of_cie_and_of_the_primary_with_most_contrast() -> None:
+    grey = np.array([[0.0, 0.18], [0.5, 1.0]])
+    assert lightness_range(grey) == pytest.approx((0.0, 100.0))
+    assert lightness_range(np.full((2, 2), 0.18)) == pytest.approx((49.496, 49.496), abs=1e-3)  # CIE 15
+    coloured = np.stack([np.full((2, 2), 0.5), grey, np.full((2, 2), 0.5)], axis=2)
+    assert lightness_range(coloured) == pytest.approx((0.0, 100.0))
+
+
+def test_chart_with_contrast_has_no_cause() -> None:
+    score = pixsim.evaluate(light(CHECKS), CAMERA, Pixel.model_validate(SILICON), display=DISPLAY)
+    assert score.light.causes == ()
+    assert f"ΔE {score.mean_delta_e:.3f}, 5 µm" in repr(score)
+
+
+# --- the ADC ---
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"full_well_e": 1e9, "bits": 12}, "of a step of the ADC above black"),
+        ({"bits": 2, "black_level_dn": 0}, "only 3 codes of the ADC between black and the end of its range"),
+        ({"bits": 10, "black_level_dn": 1020}, "only 3 codes of the ADC between black and the end of its range"),
+        ({"full_well_e": 2e7, "bits": 9}, "codes of the ADC between black and display white"),
+        ({"dark_current_e_per_s": 1e9}, "dark charge leaves no code of the ADC for light"),
+    ],
+)
+@pytest.mark.parametrize("exposure_s", [0.02])
+def test_adc_that_sees_little_is_the_first_cause(options: dict[str, Any], words: str, exposure_s: float) -> None:
+    pixel, exposure = Pixel.model_validate(SILICON | options), pixsim.Exposure(integration_s=exposure_s)
+    outside = outside_header([Spectrum(np.array([400.0, 900.0]), np.ones(2))])
+    score = pixsim.evaluate(light(CHECKS, outside), CAMERA, pixel, exposure, DISPLAY)
+    (cause,) = score.light.causes
+    assert words in cause.words
+    assert 40 < cause.delta_e <= 100
+    film = replace(score.light, film_delta_e=3.6, tolerated_delta_e=0.02)
+    assert film.shown(76.54) == f"76.5 ({cause.words}) ± 3.6 (film), not converged"
+
+
+def test_signal_below_one_step_is_named_beside_a_bright_white() -> None:
+    """255 codes to display white, and a picture whose lightest dot has less than one of them, or six."""
+    physics = derive(Pixel.model_validate(SILICON | {"bits": 8, "black_level_dn": 0, "dark_current_e_per_s": 0}))
+    for codes, named in ((0.9, True), (6.0, False)):
+        lightest = 24389 / 27 * codes / 255  # CIE 15: L* below 8 is linear
+        causes = causes_of({}, physics, physics.saturation_e, 0.01, (lightest - 1, lightest))
+        assert [cause.words for cause in causes] == ["the lightest dot is 0.9 of a step of the ADC above black"] * named
+
+
+def test_largest_cause_is_named_first() -> None:
+    few, left_out = Cause("few codes", 50.0, "more bits"), Cause("light left out", 2.0, "a filter")
+    assert LightError(3.6, 0.02, causes=(few, left_out)).number(76.5) == "76.5 (few codes) ± 3.6 (film) (light left out)"
+    noisy = LightError(0.6, 0.02, 2.0, 0.2)
+    assert [words.split()[0] for _, words in noisy.errors(0.5)] == ["the", "render"]
+    assert [words.split()[0] for _, words in noisy.errors(5.0)] == ["render", "the"]  # 1 - 1/√5 of 5 is 2.8
+    outside = outside_header([Spectrum(np.array([400.0, 900.0]), np.ones(2))])
+    named = causes_of(outside, FLAT, 1.0, 0.01, (50.0, 50.0))
+    assert [cause.delta_e for cause in named] == sorted((cause.delta_e for cause in named), reverse=True)
+    assert len(named) == 3
+    header = {"render_noise": {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}}
+    dark = {"lightness": 1.0, "too_bright_e": 50.0, "spread_e": 1.0, "spread_dn": 1.0, "at_zero_fraction": 0.5, "gain_db": 0.0}
+    result = {"mean_delta_e": 4.0, "irradiance": header, "dark": dark | {"least_black_level_dn": 9}, "correction": {}}
+    result |= {"causes": [left_out.as_dict()], "pixel": {"black_level_dn": 0.0, "bits": 10}}
+    assert [line.split()[0] for line in unsure_lines(result)] == ["not", "light"]  # 2.5 and 2 ΔE, and 1 of the black level
+    more = unsure_lines(result | {"dark": result["dark"] | {"lightness": 2.2}})
+    assert [line.split()[0] for line in more] == ["not", "the", "light"]
+    assert mean_words(result) == "4.000 (light left out), not converged"
+
+
+# --- wherever a score is shown ---
+
+
+def test_run_names_the_cause_in_line_page_and_json(tmp_path: Path) -> None:
+    options = "--resolution 64 --display.dots 48 --camera.die-mm 1.3568 --pixel.full-well-e 1e9 --pixel.bits 12"
+    code, out, err = command(f"run csf {options} --out {tmp_path}")
+    assert code == 0, err
+    score = json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))
+    first = score["causes"][0]
+    assert first["words"].endswith("of a step of the ADC above black")
+    line, second, *_ = out.splitlines()
+    assert line.startswith(f"mean ΔE {score['mean_delta_e']:.1f} ({first['words']}) ± ")
+    assert second == score["notes"][0] == f"{first['words']}: {first['hint']}"
+    assert f"({first['words']})" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "--pixel.bits" in first["hint"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_study_names_the_cause_in_its_headline(tmp_path: Path) -> None:
+    result = pixsim.study(tiny(pixel=FEW, pitch={"values_um": [6.0, 7.0, 8.5, 11.0, 15.0]}), tmp_path, jobs=1)
+    (curve,) = result.curves
+    (cause,) = curve.light.causes
+    assert "codes of the ADC between black and" in cause.words
+    assert cause.words in optimum_line(curve)
+    assert cause.words in result._repr_html_()
+    assert result.notes[0] == f"{curve.label}: {cause}"
+    assert result.as_dict()["curves"][0]["causes"] == [cause.as_dict()]
+    assert cause.words in pixsim.write_report(result, tmp_path).read_text(encoding="utf-8")
+    even = pixsim.study(
+        tiny(scene={"file": "flat"}, camera={"die_mm": 0.2}, pitch={"values_um": [6.0, 7.0, 8.5, 11.0, 15.0]}),
+        tmp_path / "even",
+        jobs=1,
+    )
+    assert "the ideal image has no contrast" in even.curves[0].light.causes[0].words
+
+
+def test_comparison_names_the_cause_in_its_headline(tmp_path: Path) -> None:
+    files = [sheet(tmp_path / "good.toml"), sheet(tmp_path / "coarse.toml")]
+    files[1].write_text(files[1].read_text(encoding="utf-8").replace("full_well_e = 10000", "full_well_e = 1e10"), encoding="utf-8")
+    result = pixsim.compare(files, display={"dots": 48}, resolution=128, repeats=3, jobs=1)
+    good, coarse = result.sensors
+    assert good.causes == ()
+    (cause,) = coarse.causes
+    assert f"; coarse: {cause.words}" in result._repr_html_()
+    assert f"coarse: {cause}" in result.notes
+    assert result.as_dict()["sensors"]["coarse"]["causes"] == [cause.as_dict()]

@@ -1,0 +1,137 @@
+"""The white of a scene that states none: at most 1 % of the ideal image is beyond it, whatever the light and the sensor."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from helpers.sheets import sheet
+
+import pixsim
+from pixsim.base.arrays import Array
+from pixsim.base.caller import command_line
+from pixsim.base.parameters import Camera, Display, Pixel
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.exchange import write_npz
+from pixsim.scene.scene import packaged_scenes
+from pixsim.sensor.pixel import derive
+from pixsim.studies.compare import Comparison
+from pixsim.viewer.develop import rendition_of
+from pixsim.viewer.display import XYZ_FROM_RGB
+from pixsim.viewer.score import Seen, fraction_beyond_white, ideal_on_dots, white_header
+
+NM = np.arange(405.0, 900.0, 10.0)
+CAMERA, DISPLAY = Camera(focal_length_mm=4.0, die_mm=0.32), Display(dots=64)
+LIGHTS = {
+    "daylight": pixsim.spectral.d65(NM),
+    "2856 K": NM**-5.0 / np.expm1(1.4388e7 / NM / 2856),
+    "LED of 850 nm and some daylight": 30 * np.exp(-(((NM - 850) / 20) ** 2)) + pixsim.spectral.d65(NM) / 100,
+}
+PIXELS = {
+    "paper": Pixel(pitch_um=8.0),
+    "silicon": Pixel(technology="4t-bsi", pitch_um=5.0),
+    "infrared cut": Pixel(technology="4t-bsi", pitch_um=5.0, infrared_cut_nm=650.0),
+    "colour": Pixel.model_validate(
+        {
+            "technology": "4t-bsi",
+            "pitch_um": 5.0,
+            "infrared_cut_nm": 650.0,
+            "colour": {"pattern": "rggb", "sensitivities": "Nikon_D700", "peak_quantum_efficiency": 0.5},
+        }
+    ),
+}
+
+
+def picture(spectrum: Array, relative: Array | None = None) -> SpectralImage:
+    """A ramp with noise, as data: nothing states its white."""
+    ramp = np.linspace(0.02, 1.0, 64) * np.random.default_rng(1).uniform(0.9, 1.1, (64, 64)) if relative is None else relative
+    return SpectralImage(NM, 10.0, 5.0, data=1e-3 * ramp[:, :, None] * spectrum / spectrum.max(), header={"diffraction": False})
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize("sensor", PIXELS)
+def test_at_most_one_per_cent_of_the_ideal_image_is_beyond_an_unstated_white(light: str, sensor: str) -> None:
+    """And more than that is beyond the next smaller number of two digits."""
+    image, physics = picture(LIGHTS[light]), derive(PIXELS[sensor])
+    with pytest.warns(UserWarning, match="does not define its white"):
+        white = white_header([Seen(image, CAMERA, physics)], DISPLAY)["luminance_cd_per_m2"]
+    unit = 10.0 ** (math.floor(math.log10(white)) - 1)
+    shares = []
+    for cd_per_m2 in (white, white - unit):
+        display = DISPLAY.model_copy(update={"white_cd_per_m2": cd_per_m2})
+        rendition = None if physics.layout is None else rendition_of(image, physics.channels, display)
+        shares.append(fraction_beyond_white(ideal_on_dots(image, CAMERA, physics, display, physics.border_um, rendition)[1]))
+    assert shares[0] <= 0.01 < shares[1]
+
+
+@pytest.mark.parametrize("sensor", PIXELS)
+def test_even_picture_is_scored_by_its_noise(sensor: str) -> None:
+    """All of it was beyond white, 100 % of both pictures clipped, and ΔE 0."""
+    image = picture(LIGHTS["daylight" if sensor == "colour" else "2856 K"], np.ones((64, 64)))
+    with pytest.warns(UserWarning, match="does not define its white"):
+        score = pixsim.evaluate(image, CAMERA, PIXELS[sensor], display=DISPLAY)
+    shown = score.ideal if score.ideal.ndim == 2 else score.ideal @ (XYZ_FROM_RGB[1] / 100)
+    assert 0.89 < shown.min() <= shown.max() <= 1.0  # rounded up to two digits
+    assert score.mean_delta_e > 0.01
+
+
+def test_run_and_evaluate_take_one_white_and_speak_to_their_caller(tmp_path: Path) -> None:
+    image, path = picture(LIGHTS["2856 K"]), tmp_path / "light.npz"
+    write_npz(path, image)
+    camera = "--camera.focal-length-mm 4 --camera.die-mm 0.32 --display.dots 64 --pixel.technology 4t-bsi --pixel.pitch-um 5"
+    code, out, err = command(f"run {path} {camera} --seed 3 --json --out {tmp_path / 'out'}")
+    assert code == 0, err
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        score = pixsim.evaluate(pixsim.read_irradiance(path, CAMERA), CAMERA, PIXELS["silicon"], display=DISPLAY, seed=3)
+    assert f'"mean_delta_e": {score.mean_delta_e!r}' in out
+    (said,) = (str(one.message) for one in caught)
+    before, _, value = said.partition("; set Display(white_cd_per_m2=")
+    assert f"{before}; set --display.white-cd-per-m2 {value.replace(')', '')}" in err
+
+
+def test_refusal_of_a_dark_picture_speaks_to_its_caller() -> None:
+    image, physics = picture(LIGHTS["daylight"], np.zeros((64, 64))), derive(PIXELS["silicon"])
+    with pytest.raises(pixsim.PixsimError, match=r"too dark to estimate it.*Set Display\(white_cd_per_m2=…\)\."):
+        white_header([Seen(image, CAMERA, physics)], DISPLAY)
+    with command_line(), pytest.raises(pixsim.PixsimError, match=r"Set --display\.white-cd-per-m2\."):
+        white_header([Seen(image, CAMERA, physics)], DISPLAY)
+
+
+def test_sensors_share_the_largest_of_their_whites() -> None:
+    seen = [Seen(picture(LIGHTS["2856 K"]), CAMERA, derive(pixel)) for pixel in PIXELS.values()]
+    with pytest.warns(UserWarning, match="the largest of these sensors'"):
+        white = white_header(seen, DISPLAY)
+    with pytest.warns(UserWarning, match="in the sensor's response, rounded up"):
+        each = [white_header([one], DISPLAY)["luminance_cd_per_m2"] for one in seen]
+    assert white["luminance_cd_per_m2"] == max(each) > 1.2 * min(each)
+
+
+@pytest.mark.slow  # the test above has the claim
+def test_sensors_of_a_comparison_share_one_white(tmp_path: Path) -> None:
+    """The largest of theirs, whichever comes first: the ideal image of neither is clipped."""
+    text = (packaged_scenes()["macbeth"]).read_text(encoding="utf-8")
+    own = tmp_path / "own.xml"
+    for name in ("spectra", "charts"):
+        if (folder := packaged_scenes()["macbeth"].parent / name).is_dir():
+            (tmp_path / name).symlink_to(folder)
+    own.write_text("\n".join(line for line in text.splitlines() if "white_cd_per_m2" not in line), encoding="utf-8")
+    files = [sheet(tmp_path / "plain.toml"), sheet(tmp_path / "cut.toml")]
+    Path(files[1]).write_text(Path(files[1]).read_text(encoding="utf-8") + "infrared_cut_nm = 600\n", encoding="utf-8")
+
+    def white(order: list[Any]) -> tuple[float, Comparison]:
+        with pytest.warns(UserWarning, match="does not define its white"):
+            result = pixsim.compare(order, own, display={"dots": 32}, resolution=48, render_noise=5.0, repeats=2, jobs=1)
+        (one,) = {sensor.irradiance.header["luminance_cd_per_m2"] for sensor in result.sensors}
+        return one, result
+
+    first, result = white(files)
+    assert first == white(files[::-1])[0]
+    for sensor in result.sensors:
+        seen = Seen(sensor.irradiance, sensor.sensor.camera, sensor.score.physics, result.prepared.border_um(sensor.sensor.camera))
+        assert np.mean(seen.luminance_cd_per_m2(result.prepared.settings.display) > first) <= 0.01
