@@ -265,12 +265,16 @@ def render_cost(plan: Plan, cells: int, cores: int) -> Cost:
 
 def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
     """Estimate one frame of a pitch and its ΔE."""
-    pixels = dots = math.prod(pixels_on(camera.die_um, pitch_um))
-    if display.raster == "fixed_size":
-        height_um, width_um = camera.die_um
-        dots = display.dots * max(1, round(display.dots * height_um / width_um))
+    pixels = math.prod(pixels_on(camera.die_um, pitch_um))
+    dots = pixels if display.raster == "one_to_one" else dots_on(camera, display)
     seconds = FRAME_S + pixels * FRAME_S_PER_PIXEL + dots * SCORE_S_PER_DOT
     return Cost(seconds, pixels * BYTES_PER_PIXEL + dots * DOT_BYTES, 1)
+
+
+def dots_on(camera: Camera, display: Display) -> int:
+    """Return the number of dots that show a die, with the raster fixed_size."""
+    height_um, width_um = camera.die_um
+    return display.dots * max(1, round(display.dots * height_um / width_um))
 
 
 def sampled_pitches_um(study: Study) -> list[float]:

@@ -154,7 +154,7 @@ def weighted_of(day: np.ndarray, night: np.ndarray) -> Comparison:
     """A comparison of these ΔE, each (2 sensors, repeats), with weights 3 to 1."""
 
     def of(values: np.ndarray, weight: float) -> Comparison:
-        sensors = tuple(SimpleNamespace(name=name, delta_e=own) for name, own in zip("ab", values, strict=True))
+        sensors = tuple(SimpleNamespace(name=name, viewed=own[None]) for name, own in zip("ab", values, strict=True))
         return Comparison(SimpleNamespace(weight=weight), sensors)  # type: ignore[arg-type]
 
     parts = of(day, 0.75), of(night, 0.25)
