@@ -1073,11 +1073,11 @@ def _known(prepared: Prepared, of_all: Comparison) -> Comparison | None:
     """Return the comparison of two sensors from that of more, if it is the same: field, chart, film and displays."""
     among = of_all.prepared
     alike = ("settings", "border", "viewing", "film_width")
-    if any(getattr(prepared, name) != getattr(among, name) for name in alike):
+    sensors = tuple(sensor for sensor in of_all.sensors if sensor.sensor in prepared.sensors)
+    if len(sensors) < len(prepared.sensors) or any(getattr(prepared, name) != getattr(among, name) for name in alike):
         return None
-    sensors = [sensor for sensor in of_all.sensors if sensor.sensor in prepared.sensors]
     finer = sensors[0].irradiance.shape[1] != among.film_width  # as another sensor may have asked for
-    return None if finer or len(sensors) < len(prepared.sensors) else Comparison(prepared, tuple(sensors))
+    return None if finer else Comparison(prepared, sensors)
 
 
 def _stage_of(stage: Stage, part: str, name: str) -> Progress:
