@@ -13,6 +13,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 from pixsim.base.parameters import Display
+from pixsim.studies.optimum import Optimum
 
 DEGREE_FACTORS = (0.5, 1.0, 2.0)  # of the dots per degree: from half and from twice the distance
 APART = 1.25  # ratio of neighbouring numbers of dots, above which one between them is scored too
@@ -137,6 +138,22 @@ class Viewed:
         del numbers["viewing"]
         better = {1: names[0], -1: names[1]}.get(self.sign)
         return self.viewing._asdict() | numbers | {"interval_delta_e": list(self.interval_delta_e), "better": better}
+
+
+@dataclass(frozen=True)
+class OptimumViewed:
+    """The optimum of a study under another viewing than the chosen one.
+
+    inside : whether the viewing is in the range
+    """
+
+    viewing: Viewing
+    inside: bool
+    optimum: Optimum
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the optimum as in summary.json."""
+        return self.viewing._asdict() | {"inside": self.inside, "optimum": self.optimum.as_dict()}
 
 
 def where_words(views: Sequence[Viewed], names: tuple[str, str]) -> str:
