@@ -620,7 +620,10 @@ class Comparison:
 
     @checks_arguments
     def pair(self, other: str) -> Comparison:
-        """Return the comparison of the first sensor and another one alone."""
+        """Return the comparison of the first sensor and another one alone.
+
+        other : name of the other one
+        """
         return self.pairs[self.names.index(other) - 1] if self.pairs else self
 
     @property
@@ -673,9 +676,11 @@ class Comparison:
 
     @checks_arguments
     def film_between(self, one: str, other: str) -> float | None:
-        """Return the largest error of the difference of two sensors that the film may cause; None if it is unknown.
+        """Return the largest error (ΔE) of the difference of two sensors that the film may cause; None if it is unknown.
 
         Both sensors see the same film, so that it is less than the errors of both together. Those of conditions add up, by weight.
+
+        one, other : names of the sensors
         """
         if self.conditions:
             return sum_if_known([(weight, part.film_between(one, other)) for weight, part in self.counted])
@@ -685,7 +690,10 @@ class Comparison:
 
     @checks_arguments
     def views(self, other: str) -> tuple[Viewed, ...]:
-        """Return the difference of the first sensor and another one under each viewing, the chosen one first."""
+        """Return the difference of the first sensor and another one under each viewing, the chosen one first.
+
+        other : name of the other one
+        """
         return self.pair(other).views_between(self.names[0], other)
 
     @checks_arguments
@@ -693,6 +701,8 @@ class Comparison:
         """Return the difference of two sensors under each viewing of all, the chosen one first.
 
         The film's error is measured on the chosen display. On others twice it is taken, and more where mean ΔE is larger.
+
+        one, other : names of the sensors
         """
         viewed, film = self.viewed, self.film_between(one, other)
         first, second = viewed[one], viewed[other]

@@ -12,9 +12,8 @@ from pixsim.studies.evaluations import LEFT_OUT, Fingerprints, evaluate_task, li
 from pixsim.studies.preparation import ALLOWED_DOTS, View
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.rows import Row
-from pixsim.studies.viewing import OF_VIEWING, OptimumViewed, ViewingRange
+from pixsim.studies.viewing import OF_VIEWING, SENSORS_VIEWED, OptimumViewed, ViewingRange
 
-SENSORS_VIEWED = 2  # of each pixel size: the optimum of both is known well enough to see where it moves
 DOTS_FACTOR = 2.0  # of the data sheet's dots to those of larger pixels, and of smaller ones to them
 
 

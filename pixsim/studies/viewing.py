@@ -18,6 +18,8 @@ from pixsim.studies.optimum import Optimum
 DEGREE_FACTORS = (0.5, 1.0, 2.0)  # of the dots per degree: from half and from twice the distance
 APART = 1.25  # ratio of neighbouring numbers of dots, above which one between them is scored too
 OF_VIEWING = ("dots", "samples_per_deg")  # fields of Display
+SENSORS_VIEWED = 2  # of each pixel size of a study: enough to see where the optimum moves
+STUDY_VIEWINGS = 4  # of a study, beside the chosen one
 ABOUT_DIGITS = 2  # of a number of dots that is interpolated
 
 

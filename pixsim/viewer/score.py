@@ -536,12 +536,12 @@ def prepare_scene(
     irradiance.validate()
     channels = physics.channels
     rendition = None if physics.layout is None else rendition_of(irradiance, channels, display)
+    own: dict[str, Any] = {"border_um": border_um, "rendition": rendition, "full": full, "single": single}
+    screen, beyond_white = screen_of(irradiance, camera, physics, display, **own)
     lights = lights_of(irradiance, camera, physics) if lights is None else lights
     if full:  # nothing of the pixels' stack is left out
         lights = tuple(replace(one, illumination=replace(one.illumination, spare_e=0.0)) for one in lights)
     whites = tuple(displays.white_rate(irradiance, camera, channel, display) for channel in channels)
-    own: dict[str, Any] = {"border_um": border_um, "rendition": rendition, "full": full, "single": single}
-    screen, beyond_white = screen_of(irradiance, camera, physics, display, **own)
     array_um = array_size_um(irradiance, camera)
     return PreparedScene(lights, irradiance.pitch_um, whites, screen, array_um, beyond_white, rendition)
 
