@@ -42,8 +42,7 @@ from pixsim.studies.compare import (
     Comparison,
     Prepared,
     conditions_disagree,
-    headline,
-    ranking_words,
+    headlines,
     shown_probability,
     verdict,
 )
@@ -123,11 +122,6 @@ def _common_words(prepared: Prepared) -> list[str]:
         shown += "; each difference is that of two sensors alone, with their own field, chart and range of viewing"
     light = "the same light in each condition" if prepared.condition else "the same light"
     return [lens, chart, shown, light, exposure_words(prepared), f"{prepared.repeats} pairs of frames with the same seeds"]
-
-
-def headlines(result: Comparison) -> list[str]:
-    """Return the answer for each later sensor, and the order of three and more."""
-    return [*(headline(result, other) for other in result.names[1:]), *([ranking_words(result)] if result.pairs else [])]
 
 
 def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> list[str]:

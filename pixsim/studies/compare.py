@@ -827,7 +827,7 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         rows = [(sensor.name, f"{sensor.sensor.pixel.pitch_um:g}", self.shown_mean(sensor.name)) for sensor in self.sensors]
-        title = "; ".join(headline(self, other) for other in self.names[1:])
+        title = "; ".join(headlines(self))
         counted = ", ".join(f"{part.prepared.condition} ({weight:g})" for weight, part in self.counted)
         over = f"; the mean over the conditions {counted}" if counted else ""
         prepared = self.prepared
@@ -943,12 +943,17 @@ def conditions_disagree(result: Comparison, other: str) -> bool:
 
 def headline(result: Comparison, other: str) -> str:
     """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree."""
-    if not conditions_disagree(result, other):
-        return "; ".join(filter(None, (verdict(result, other), result.unconverged)))
-    counted = result.pair(other).counted
-    parts = [f"{part.prepared.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in counted]
-    words = ["the conditions disagree", *parts, f"weighted mean: {verdict(result, other)}", result.unconverged]
+    pair = result.pair(other)
+    if not conditions_disagree(pair, other):
+        return "; ".join(filter(None, (verdict(pair, other), pair.unconverged)))
+    parts = [f"{part.prepared.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in pair.counted]
+    words = ["the conditions disagree", *parts, f"weighted mean: {verdict(pair, other)}", pair.unconverged]
     return "; ".join(filter(None, words))
+
+
+def headlines(result: Comparison) -> list[str]:
+    """Return the answer for each later sensor, and the order of three and more."""
+    return [*(headline(result, other) for other in result.names[1:]), *([ranking_words(result)] if result.pairs else [])]
 
 
 def sum_if_known(parts: Sequence[tuple[float, float | None]]) -> float | None:

@@ -14,8 +14,7 @@ from helpers.browser import assert_fits, assert_prints, assert_sliders_move, nee
 from helpers.commands import assert_refused, command
 from helpers.looks import text_of
 
-from pixsim.report.compare import headline, verdict
-from pixsim.studies.compare import Comparison, elsewhere_note, shown_delta_e
+from pixsim.studies.compare import Comparison, elsewhere_note, headline, shown_delta_e, verdict
 from pixsim.studies.viewing import Viewing, ViewingRange
 
 SMALL = "--display.dots 120 --resolution 256 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
@@ -416,6 +415,24 @@ def test_compare_page_matches_json(compared: tuple[Path, str, str]) -> None:
     assert "<script" not in page
     assert str(folder.parent) not in page
     assert "<td>10000</td>" in page, "the well, without an exponent"
+
+
+def test_compare_of_three_ranks_them(compared: tuple[Path, str, str], tmp_path: Path) -> None:
+    """In the terminal, on the page and in JSON; with a table of viewings for each pair, whose verdict is that of two."""
+    third = tmp_path / "worst.toml"
+    third.write_text(SHEET.format(noise_e=400.0, pitch_um=20.0, rows=64), encoding="utf-8")
+    code, out, err = command(f"compare {SMALL}", *write_sheets(tmp_path), third, "--out", tmp_path / "out")
+    assert (code, err) == (0, "")
+    lines, found = out.splitlines(), json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))
+    assert lines[0] == compared[1].splitlines()[0]
+    assert lines[2] == "ranking, the best first, all on one display: quiet; then noisy_one; then worst"
+    assert found["ranking"] == [["quiet"], ["noisy_one"], ["worst"]]
+    assert list(found["pairs"]) == list(found["verdicts"]) == ["noisy_one", "worst"]
+    page = " ".join(text_of(tmp_path / "out").split())
+    assert lines[2] in page
+    for name in ("noisy_one", "worst"):
+        rows = page.partition(f"<caption>{name} − quiet</caption>")[2].partition("</table>")[0]
+        assert rows.count("<tr>") == 1 + len(found["views"][name])
 
 
 def test_compare_lines_state_notes_once(compared: tuple[Path, str, str], tmp_path: Path) -> None:
