@@ -1129,6 +1129,12 @@ class PixelOptions(Record):
         return 2**self.bits - 1 - self.black_level_dn
 
 
+PartOfPixel = Annotated[float, Field(ge=0, lt=1)]
+# Widths in pixels, on each side of the die, that are not scored on a display of fixed size. Beside a centred array half a pixel at
+# most is uncovered, beside another one a pixel; half of the outermost pixel is interpolated as a constant.
+CENTRED_BORDER, REGISTERED_BORDER = 1.0, 1.5
+
+
 class Pixel(PixelOptions):
     """One pixel of a sensor; `pixsim.pixel.derive` computes values of None from the technology.
 
@@ -1148,6 +1154,11 @@ class Pixel(PixelOptions):
         "sheet only, which a complete data sheet is if no technology is given",
     )
     pitch_um: Pitch = Field(6.5, description="pixel pitch")
+    registration: tuple[PartOfPixel, PartOfPixel] | None = Field(
+        None,
+        description="[x, y]: distance of a pixel border from the die's centre, in pixels, 0 to below 1 (absent: the pixels are "
+        "centred; in a study or a comparison each repeat has its own)",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -1686,7 +1697,9 @@ NOT_SETTINGS = {
     PITCH_TABLE: "pixel sizes are an axis of every study, set by [pitch]",
     "technologies": "name technologies in the study, or vary pixel.technology by an axis",
     "seed": "all cases have the same seeds, so that they differ by their settings alone",
-    **dict.fromkeys(("repeats", "target_ci_um", "max_repeats", "max_evaluations"), "the sensors of all cases are counted alike"),
+    **dict.fromkeys(
+        ("repeats", "target_ci_um", "refine", "max_repeats", "max_evaluations"), "the sensors of all cases are counted alike"
+    ),
     **dict.fromkeys(("tolerance_delta_e", "max_seconds"), "vary resolution or render_noise to see their errors"),
     **dict.fromkeys(("iso_delta_e", "detail"), "it changes the report, not its numbers"),
 }
@@ -2014,6 +2027,11 @@ class Study(Effort):
         None,
         description="target for the half-length of the 95 % interval of every optimum; sizes and sensors are added to reach it",
     )
+    refine: bool = Field(
+        True,
+        description="without target_ci_um, add a few sizes and sensors where the interval of the optimum has an open end (not to "
+        "pitch.values_um, nor beyond the range, nor in studies of more than 64 cases)",
+    )
     max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(
         32, description="largest number of sensors at one pixel size, for target_ci_um"
     )
@@ -2115,6 +2133,11 @@ class Study(Effort):
             if missing := [*(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in given else []), *missing_of_data_sheet(given)]:
                 raise ValueError(f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing: {', '.join(missing)}")
         return self
+
+    @property
+    def border_um(self) -> float:
+        """Width on each side of the die that is not scored on a display of fixed size, for all pixel sizes and registrations."""
+        return REGISTERED_BORDER * self.pitch.largest_um
 
     @property
     def stream_name(self) -> str:

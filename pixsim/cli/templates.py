@@ -19,7 +19,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "name": "my-study", "streams": "chen2000", "title": "How small should my pixel be?",
     "technologies": ["0.35um", "4t-bsi"], "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
     "values_um": [4.0, 5.0, 6.0, 8.0, 12.0], "pitch_um": 3.75, "data_sheet_pitch_um": 3.75, "min_um": 2.0, "own_um": 3.75,
-    "window_mm": 1.0,
+    "window_mm": 1.0, "registration": [0.0, 0.5],
     "tolerance_delta_e": 0.01, "target_ci_um": 0.1, "max_evaluations": 1000, "max_seconds": 60.0, "resolution": 1024,
     "full_well_e": 10500.0, "read_noise_e": 2.3, "dark_current_e_per_s": 3.0, "quantum_efficiency": 0.62, "bits": 12,
     "prnu": 0.005, "dsnu": 0.2, "offset_fpn": 0.0002, "column_fpn": 0.0001, "reset_noise_factor": 0.0,

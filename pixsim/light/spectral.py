@@ -327,14 +327,17 @@ class SpectralImage:
         return self.factors[0][0] if self.factors and len(self.factors[0]) == 1 else None
 
     def validate(self) -> None:
-        """Check the values. Raises PixsimError if one is not finite, or is negative and not one of several factors."""
+        """Check the values. Raises PixsimError if one is not finite, or is negative and not one of several factors.
+
+        Where the header says that the picture rings (`RINGS`), values down to `MAX_RING` of the largest may be negative.
+        """
         spectra, _ = self.factors or (np.ones((1, 1)), None)
         low, high = extremes(self.planes)
         others = self.pitch_um, self.wavelength_nm, self.band_width_nm, *self.within, spectra
         if not all(np.abs(values).max() <= MAX_VALUE for values in (low, high, *others)):
             got = f"values from {low:g} to {high:g}, and a value here or among the bands or spectra that is not finite"
             raise invalid("irradiance", got, f"finite values, spectra and bands, at most {MAX_VALUE:.4g}")
-        if len(spectra) == 1 and min(low, float(spectra.min())) < 0:
+        if len(spectra) == 1 and (low < lowest_allowed(self.header, high) or float(spectra.min()) < 0):
             hint = "Clip the negative values to zero."
             raise invalid("irradiance", f"values from {low:g} to {high:g}", "0 or more", hint)
 
@@ -346,6 +349,15 @@ class SpectralImage:
             f"<SpectralImage {width}×{height} samples of {self.pitch_um:g} µm, {self.wavelength_nm.size} bands "
             f"{self.wavelength_nm[0]:g}–{self.wavelength_nm[-1]:g} nm, {kind}, W m^-2 nm^-1>"
         )
+
+
+RINGS = "rings"  # entry of an image's header: its light is still to be blurred by a real lens, and rings below zero at edges
+MAX_RING = 1.5  # of the largest value, below zero: 1.15 of the worst picture in a quintic spline, and its means over other cells
+
+
+def lowest_allowed(header: dict[str, Any], highest: float) -> float:
+    """Return the lowest value that the planes of an image may have, by its header and its highest value."""
+    return -MAX_RING * max(highest, 0.0) if header.get(RINGS) is True else 0.0
 
 
 def white_words(known: bool, lamps: Sequence[str] = ()) -> str:

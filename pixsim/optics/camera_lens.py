@@ -67,7 +67,9 @@ LIGHT_SHARE, CUT_SHARE = 0.2, 0.4  # of the tolerance, for wavelengths, for node
 USUAL_TOLERANCE = 0.01  # of the rms of a blurred picture about its mean
 GROUPS, GROUP_WAVELENGTHS = 6, 2  # of neighbouring bands that have one blur, in light of several spectra
 LENS_HEADER = "lens_blur"  # entry of an image's header: its `Tiling`
-SPLINE = 5  # degree, for the picture between film cells: 3e-4 of the contrast at a third of the Nyquist frequency
+SPLINE = 5  # degree, for the picture between film cells: 1.4e-3 of the contrast at half the Nyquist frequency
+IMAGES = 4  # of a frequency on each side, by which the error of the spline is found
+SLOPE, CURVATURE = np.array([1, -8, 0, 8, -1]) / 12, np.array([-1, 16, -30, 16, -1]) / 12  # of samples, to the fourth order
 
 
 def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) -> Camera:
@@ -191,11 +193,11 @@ def field_angles(of_camera: TracedLens, object_distance_m: float, corner_mm: flo
     raise invalid("lens.file", f"'{of_camera.file}', without an image of {corner_mm:g} mm around its axis", "a lens for the die")
 
 
-def _odd_spline(at: Array, values: Array) -> Callable[[Array], Array]:
+def _odd_spline(at: Array, values: Array) -> Callable[..., Array]:
     """Return the cubic spline through values of an odd function at positions from 0 on."""
     from scipy.interpolate import CubicSpline  # takes 0.3 s
 
-    spline: Callable[[Array], Array] = CubicSpline(np.concatenate([-at[:0:-1], at]), np.concatenate([-values[:0:-1], values]))
+    spline: Callable[..., Array] = CubicSpline(np.concatenate([-at[:0:-1], at]), np.concatenate([-values[:0:-1], values]))
     return spline
 
 
@@ -235,8 +237,14 @@ class Distortion:
         return _moved(picture, pitch_um, inverse, float(self.undistorted_mm[-1]), 1.0)
 
 
-def _moved(picture: Picture, pitch_um: float, source_mm: Callable[[Array], Array], most_mm: float, widening: float) -> Array:
-    """Return a picture whose points come from other distances from the axis."""
+def _moved(picture: Picture, pitch_um: float, source_mm: Callable[..., Array], most_mm: float, widening: float) -> Array:
+    """Return a picture, means over cells of pitch · widening, whose points come from other distances from the axis, as such means.
+
+    The spline rings at edges, also below zero. That is part of what a lens and pixels see with the right contrast: only pixels may
+    end at zero.
+
+    source_mm : distance (n,) -> distance from which it comes, or its derivative of an order that is given
+    """
     from scipy.ndimage import map_coordinates, spline_filter  # takes 0.05 s
 
     y, x = ((np.arange(n) - (n - 1) / 2) * pitch_um * 1e-3 for n in picture.shape)
@@ -247,7 +255,46 @@ def _moved(picture: Picture, pitch_um: float, source_mm: Callable[[Array], Array
         grown = source_mm(np.minimum(radius, most_mm)) / np.minimum(radius, most_mm) / (widening * pitch_um * 1e-3)
         at = [height * grown + (picture.shape[0] - 1) / 2, x * grown + (picture.shape[1] - 1) / 2]
         result[row] = map_coordinates(filtered, at, order=SPLINE, mode="reflect", prefilter=False)
-    return np.clip(result, picture.min(), picture.max())  # a spline overshoots at edges
+    del filtered
+    # A cell of the source covers 1/m cells here. Means over one are these and (1 - 1/m²)/24 of their curvature, in each direction.
+    around = np.pad(result, len(SLOPE) // 2, "symmetric")
+    for row, height in enumerate(y):
+        radius = np.maximum(np.hypot(x, height), 1e-12)
+        within = np.minimum(radius, most_mm)
+        tangential = 1 - np.square(widening * within / source_mm(within))
+        radial = np.where(radius > most_mm, tangential, 1 - np.square(widening / source_mm(within, 1)))
+        lines = around[row : row + len(SLOPE)]
+        down, across = CURVATURE @ lines[:, 2:-2], np.convolve(lines[2], CURVATURE, "valid")
+        twist = np.convolve(SLOPE @ lines, SLOPE[::-1], "valid")
+        outwards = (np.square(x) * across + 2 * x * height * twist + height**2 * down) / np.square(radius)
+        result[row] += (tangential * (down + across) + (radial - tangential) * outwards) / 24
+    return result
+
+
+def moved_error(distortion: Distortion, pitch_um: float, frequency: NDArray[np.floating]) -> Array:
+    """Return the error of details that `Distortion.applied` moves, relative to them, (n, n) for all pairs of frequencies.
+
+    It is 0 beyond half of the film's Nyquist frequency, where the film itself is too coarse, and that of the points which lie
+    farthest between cells of the source. The spline of degree p has the transform
+    H_m = (f + m)^-(p + 1) / Σ_k (f + k)^-(p + 1) at a frequency f and its images f + m (M. Unser, A. Aldroubi and M. Eden, IEEE
+    Trans. Signal Process. 41 (1993) 821); means over other cells are off where their size changes most.
+
+    frequency : (n,) in cycles per film cell, -0.5 to 0.5
+    """
+    seen_by_film = np.hypot(frequency, frequency[:, None]) <= 0.25
+    height, source = distortion.height_mm[1:], distortion.undistorted_mm[1:] / distortion.widening
+    spline = _odd_spline(distortion.height_mm, distortion.undistorted_mm)
+    change = np.concatenate([source / height, spline(height, 1) / distortion.widening])
+    size = float(change[np.abs(change - 1).argmax()])
+    shift = min(0.5, 1e3 * float(np.abs(source - height).max()) / pitch_um)
+    f = np.where(frequency == 0, 1e-9, frequency)
+    of_source, images = f / float(change.min()), np.arange(-IMAGES, IMAGES + 1)
+    weight = (of_source[:, None] / (of_source[:, None] + images)) ** (SPLINE + 1)
+    between = weight / weight.sum(axis=1, keepdims=True) @ np.exp(2j * np.pi * images * shift)
+    curvature = (-30 + 32 * np.cos(2 * np.pi * f) - 2 * np.cos(4 * np.pi * f)) / 12
+    cells = np.sinc(f / size) * (1 + (1 - size**-2) / 24 * curvature) / np.sinc(f)
+    error = 1 + np.abs(between - 1) + np.abs(cells - 1)
+    return np.asarray(seen_by_film * (np.outer(error, error) - 1))
 
 
 @lru_cache(maxsize=16)
@@ -284,7 +331,8 @@ class Tiling:
 
     spacing_um : from the middle of a tile to that of the next
     psf_um : side of the PSFs; 0 on a film that is too coarse to show the blur
-    error : bound for the rms error of a blurred picture, relative to its rms about the mean, for pictures of `picture_error`
+    error : bound for the rms error of a blurred picture, relative to its rms about the mean, for pictures of `picture_error`, and
+        for the distortion of details up to half of the film's Nyquist frequency
     worst : the same where it is largest, for pictures with detail there only
     wavelengths : of a light's blur
     nodes : wavefronts from the axis to the corner, between which others are interpolated
@@ -613,8 +661,11 @@ def _without_blur(
             )
             exact[place] += part / len(misses_um) * (sagittal @ radial.T)
             outside[place] += part * np.mean(np.abs(misses_um).max(axis=-1) > pitch_um / 2)
-    error = picture_error(np.ones_like(exact), exact, pitch_um, aperture_um, share=share)
-    worst = max(picture_error(np.ones_like(one), one, pitch_um, aperture_um) for one in exact)
+    distortion = distortion_of(camera)
+    assert distortion is not None
+    found = np.broadcast_to(1 + moved_error(distortion, pitch_um, along * pitch_um)[:, : across.size] + 0j, exact.shape)
+    error = picture_error(found, exact, pitch_um, aperture_um, share=share)
+    worst = max(picture_error(one, other, pitch_um, aperture_um) for one, other in zip(found, exact, strict=True))
     side_um = 1e3 * max(camera.die_mm, camera.height_mm)
     return Tiling(side_um, 0.0, error, worst, cut_error=error, lacking=float(outside.max()))
 
@@ -680,7 +731,10 @@ def _chosen_tiling(
         cut_error, lacking = error_of(found, right), max(0.0, *(psf.lacking for psf in inside))
         if cut_error <= CUT_SHARE * tolerance:
             break
-    fixed = 2 * math.pi * max(front.residual_waves for front in light.fronts) + of_wavelengths
+    distortion = distortion_of(camera)
+    assert distortion is not None
+    moved = right * (1 + moved_error(distortion, pitch_um, np.fft.fftfreq(window))[:, : window // 2 + 1])
+    fixed = 2 * math.pi * max(front.residual_waves for front in light.fronts) + of_wavelengths + error_of(moved, right)
     count = TILES[0]
     while True:
         spacing = max(MIN_SPACING, round(max(shape) / count))

@@ -24,7 +24,7 @@ from pixsim.base.parameters import Camera, CameraOptions, Layer, LensOptions
 from pixsim.base.version import VERSION
 from pixsim.light import foreign
 from pixsim.light.exr import read_exr, read_header
-from pixsim.light.spectral import MAX_VALUE, SpectralImage
+from pixsim.light.spectral import MAX_VALUE, RINGS, SpectralImage, lowest_allowed
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.optics.camera_light import camera_factor
 
@@ -123,13 +123,15 @@ def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
     """Write an `.npz` file that `read_irradiance` reads back bit for bit; it is moved into place when complete.
 
     Its arrays are `data` (rows, columns, bands) float32, `wavelength_nm` and `band_width_nm` (B,), `units`, `pitch_um`, and
-    `white_cd_per_m2` if the image has a white luminance. Factors and header are not written; `write_exr` keeps them.
+    `white_cd_per_m2` if the image has a white luminance. Factors and header are not written; `write_exr` keeps them. Light that is
+    still to be blurred by a real lens rings below zero at edges, and is written as 0 there.
 
     path : must end in .npz for `read_irradiance`
 
     Raises PixsimError if `path` cannot be written.
     """
-    arrays: dict[str, Any] = {"data": image.data, "wavelength_nm": image.wavelength_nm, "units": foreign.IRRADIANCE_UNIT}
+    data = np.maximum(image.data, 0) if image.header.get(RINGS) is True else image.data
+    arrays: dict[str, Any] = {"data": data, "wavelength_nm": image.wavelength_nm, "units": foreign.IRRADIANCE_UNIT}
     arrays |= {"band_width_nm": image.band_width_nm, "pitch_um": image.pitch_um}
     if "luminance_cd_per_m2" in image.header:
         arrays["white_cd_per_m2"] = image.header["luminance_cd_per_m2"]
@@ -150,10 +152,10 @@ def _read_pixsim_exr(path: Path, camera: Camera | None, units: str | None, pitch
             f"'{path.name}' holds means over {before['factor']:.4g} × {before['factor']:.4g} samples of the render, "
             f"{image.pitch_um:.4g} µm wide: what is finer is lost, and results differ; pixsim run --irradiance full keeps it"
         )
-    # Check the pictures of the factors: a band that is made of them may be slightly below zero.
+    # Check the pictures of the factors: a band that is made of them may be slightly below zero, as may be what rings.
     planes = list(image.factors[1]) if image.factors else [image.band(band) for band in range(image.wavelength_nm.size)]
     for plane, centre_nm in zip(planes, np.resize(image.wavelength_nm, len(planes)), strict=True):
-        _check_band(path, plane, plane, float(centre_nm))
+        _check_band(path, plane, plane, float(centre_nm), lowest_allowed(image.header, float(np.nanmax(plane, initial=0.0))))
     _check_lit(path, any(plane.any() for plane in planes))
     return image
 
@@ -226,12 +228,12 @@ def _positive(path: Path, what: str, value: Any) -> float:
     return number
 
 
-def _check_band(path: Path, values: NDArray[np.float32], file_values: NDArray[Any], centre_nm: float) -> None:
+def _check_band(path: Path, values: NDArray[np.float32], file_values: NDArray[Any], centre_nm: float, lowest: float = 0.0) -> None:
     """Raise PixsimError if a band has invalid values; the message shows the value in the file."""
-    if at := first_where(~((values >= 0) & (values <= MAX_VALUE))):
+    if at := first_where(~((values >= lowest) & (values <= MAX_VALUE))):
         row, column = at
         got = f"{file_values[row, column]} at row {row}, column {column} of the band at {centre_nm:g} nm"
-        raise invalid(f"light in '{path}'", got, f"0 to {MAX_VALUE:.3g} W/m²/nm", "Correct the picture at its source.")
+        raise invalid(f"light in '{path}'", got, f"{lowest:.3g} to {MAX_VALUE:.3g} W/m²/nm", "Correct the picture at its source.")
 
 
 def _check_lit(path: Path, lit: object) -> None:

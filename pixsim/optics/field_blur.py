@@ -578,6 +578,8 @@ class FieldBlur:
     def _superposed(self, picture: Array, is_even: bool = False) -> tuple[Array, Array]:
         """Return `superposed`; of an even picture, tiles that share a PSF have one share of the light but for mirrors.
 
+        Where rows and columns change places, that needs a square picture: the same tile lies at the end of another one's rows.
+
         Transforms are in single precision, 1e-7 of a tile's light; what they gain or lose in all is given back evenly.
         """
         reach, step = self.cells // 2, self.spacing
@@ -597,17 +599,20 @@ class FieldBlur:
         filled = sides[0] + 2 * reach, sides[1] + 2 * reach
         for place, tiles in tiles_alike(self.shape, step).items():
             psf = self.psfs[place]
-            turned = np.empty((1 if is_even else len(tiles), *sides), np.float32)
-            for tile, share in zip(tiles, turned, strict=False):
+            kinds = [tile.swapped and self.shape[0] != self.shape[1] for tile in tiles]
+            numbers = [kinds.index(kind) for kind in kinds] if is_even else list(range(len(tiles)))
+            first = list(dict.fromkeys(numbers))
+            turned = np.empty((len(first), *sides), np.float32)
+            for tile, share in zip([tiles[number] for number in first], turned, strict=True):
                 part = _part((counts[0] + tile.y) * step, (counts[1] + tile.x) * step, *sides)
                 np.multiply(tile.turned(light[part]), window, out=share)
             spectrum = rfft2(turned, size, workers=threads())
             spectrum *= rfft2(psf.kernel, size)
             spread = irfft2(spectrum, size, workers=threads(), overwrite_x=True)[:, : filled[0], : filled[1]]
-            for number, tile in enumerate(tiles):
+            for number, tile in zip(numbers, tiles, strict=True):
                 row, column = tile.y + counts[0], tile.x + counts[1]
                 lacking[row, column] = psf.lacking
-                result[_part(row * step, column * step, *filled)] += tile.turned_back(spread[0 if is_even else number])
+                result[_part(row * step, column * step, *filled)] += tile.turned_back(spread[first.index(number)])
         height, width = self.shape
         spread_light = result[_part(top, left, height + 2 * reach, width + 2 * reach)]
         spread_light += ((light_of_tiles * (1 - lacking)).sum() - spread_light.sum()) / spread_light.size

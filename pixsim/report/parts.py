@@ -28,10 +28,9 @@ def parts_table(result: StudyResult) -> dict[str, Column]:
         for curve in part.curves:
             pitch_um = float(curve.pitch_um[int(np.argmin(curve.mean()))])
             light = light_of(part.study, part.scenes, curve.technology)
-            physics = physics_of(part.study, curve.technology, pitch_um)
+            physics = physics_of(part.study, curve.technology, pitch_um).registered(0, part.study.display)
             if isinstance(light, SpectralImage):
-                border_um = part.study.pitch.largest_um
-                light = prepare_scene(light, part.camera, physics, part.study.display, border_um=border_um)
+                light = prepare_scene(light, part.camera, physics, part.study.display, border_um=part.study.border_um)
             chain = chain_at(part.study, light, part.camera, curve.technology, pitch_um)
             key = stream_key(part.study, physics.technology.name, pitch_um, 0)
             parts = delta_e_parts(part.irradiance, part.camera, physics, light, chain, *key)

@@ -27,7 +27,7 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.studies.evaluations import block_key, chain_at, kept_frames, light_of, shown_chain, stream_key
+from pixsim.studies.evaluations import CORRECTED, DN, block_key, chain_at, kept_frames, light_of, name_of, shown_chain, stream_key
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.viewer.score import Score, shown
 
@@ -187,12 +187,12 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
     study, pitch_um = result.study, float(curve.pitch_um[place])
     light = light_of(study, result.scenes, curve.technology)
     known = kept_frames(block_key(result.fingerprints.frames_of_pitch(curve.technology, pitch_um), 0))
-    chain = shown_chain(study, light, curve.technology, pitch_um, [0], known)
+    chain = shown_chain(study, light, curve.technology, pitch_um, 0, known)
     if chain is None:
         chain = chain_at(study, light, result.camera, curve.technology, pitch_um)
         frame = chain.capture(*stream_key(study, chain.physics.technology.name, pitch_um, 0))
     else:
         # The shown picture does not depend on the saturated fraction or the mean signal.
-        frame = make_frame(known["0"].astype(np.int32), math.nan, chain.signal_e_per_s, chain.physics, chain.exposure)
-        frame = replace(frame, corrected_e=known.get("0_corrected_e"))
+        frame = make_frame(known[name_of(0, DN)].astype(np.int32), math.nan, chain.signal_e_per_s, chain.physics, chain.exposure)
+        frame = replace(frame, corrected_e=known.get(name_of(0, CORRECTED)))
     return shown(chain.light(frame, window.of), study.display)

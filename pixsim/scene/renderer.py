@@ -22,7 +22,7 @@ from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
-from pixsim.light.spectral import WHOLE, SpectralImage
+from pixsim.light.spectral import RINGS, WHOLE, SpectralImage
 from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
@@ -401,7 +401,7 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
         "pixsim": VERSION,
     }
     if plan.tiling is not None:
-        header[LENS_HEADER] = asdict(plan.tiling)
+        header |= {LENS_HEADER: asdict(plan.tiling), RINGS: True}
     header |= plan.white_header(plan.bands.edges_nm)
     if white := scene.white_cd_per_m2 or plan.white_cd_per_m2:
         header["luminance_cd_per_m2"] = float(f"{white:.9g}")

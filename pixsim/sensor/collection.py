@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -28,7 +28,7 @@ from pixsim.optics.camera_light import RINGS, SPOKES, CameraPupil, camera_pupil
 from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits, nodes_for
 from pixsim.sensor.colour import Layout, of_channels
-from pixsim.sensor.crosstalk import share_with_neighbours, shares_sum
+from pixsim.sensor.crosstalk import share_with_neighbours, share_with_neighbours_of_channels, shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
 from pixsim.sensor.pixel import USUAL_F_NUMBER, PixelPhysics
 
@@ -99,6 +99,7 @@ class Collection:
     shares: Array
     on_axis: float
     aperture_side_um: float
+    _relative: dict[tuple[int, int], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def is_scale(self) -> bool:
@@ -107,9 +108,11 @@ class Collection:
 
     def relative(self, shape: tuple[int, int]) -> Array:
         """Return what each pixel of an array (rows, columns) collects of even light, relative to one on axis."""
-        total = np.zeros_like(self.shares)
-        total[:, :, 2, 2] = self.shares.sum(axis=(-2, -1))  # one term in place of 25
-        return shares_sum(total, shape) / self.on_axis
+        if shape not in self._relative:  # the registrations of a pitch share it
+            total = np.zeros_like(self.shares)
+            total[:, :, 2, 2] = self.shares.sum(axis=(-2, -1))  # one term in place of 25
+            self._relative[shape] = shares_sum(total, shape) / self.on_axis
+        return self._relative[shape]
 
 
 def collection_of(physics: PixelPhysics, light: Illumination, shape: tuple[int, int]) -> Collection | None:
@@ -123,11 +126,11 @@ def collection_of(physics: PixelPhysics, light: Illumination, shape: tuple[int, 
     check_efficiency(physics)
     half_um = half_sizes_um(physics, shape)
     if scale_error(physics, light.pupil, half_um, light.spare_e) is not None:
-        shares, on_axis, side_um = _collection(stack, physics.charge, measurement(physics), light, (0.0, 0.0))
-        scale = np.zeros_like(shares)
-        scale[:, :, 2, 2] = on_axis
-        return Collection(scale, on_axis, side_um)
-    return Collection(*_collection(stack, physics.charge, measurement(physics), light, half_um))
+        axis = _collection(stack, physics.charge, measurement(physics), light, (0.0, 0.0))
+        scale = np.zeros_like(axis.shares)
+        scale[:, :, 2, 2] = axis.on_axis
+        return Collection(scale, axis.on_axis, axis.aperture_side_um)
+    return _collection(stack, physics.charge, measurement(physics), light, half_um)
 
 
 def half_sizes_um(physics: PixelPhysics, shape: tuple[int, int]) -> tuple[float, float]:
@@ -162,7 +165,7 @@ def kernel_on_axis(physics: PixelPhysics, light: Illumination) -> Array:
     if physics.stack is None:
         raise invalid("pixel.stack", "none", "a stack, which has such shares")
     check_efficiency(physics)
-    return np.asarray(_collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0))[0][0, 0])
+    return np.asarray(_collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0)).shares[0, 0])
 
 
 def shading_of(
@@ -185,7 +188,7 @@ def collected_fraction(physics: PixelPhysics, light: Illumination) -> float:
     if physics.stack is None:
         return physics.fill_factor
     check_efficiency(physics)
-    return _collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0))[1]
+    return _collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0)).on_axis
 
 
 def collected_area_um2(physics: PixelPhysics, light: Illumination) -> float:
@@ -260,8 +263,8 @@ def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: A
 @lru_cache(maxsize=32)
 def _collection(
     stack: Stack, charge: StackOptions | None, measured: Measurement | None, light: Illumination, half_um: tuple[float, float]
-) -> tuple[Array, float, float]:
-    """Return the fields of a `Collection`.
+) -> Collection:
+    """Return the collection of an array with a stack, the same object for the same arguments.
 
     measured : how the quantum efficiency was, on a whole pixel; None: on the photodiode
     half_um : from the axis to the centres of the outermost pixels, down and across
@@ -286,7 +289,7 @@ def _collection(
     shares = np.maximum(shares, 0.0)
     side_um = stack.pitch_um if stack.microlens else math.sqrt(float(np.prod(aperture_side_um(stack, light.pupil.at(0.0, 0.0)))))
     shares.flags.writeable = False
-    return shares, on_axis, side_um
+    return Collection(shares, on_axis, side_um)
 
 
 def _places(stack: Stack, pupil: CameraPupil, half_um: tuple[float, float]) -> tuple[bool, Array, Array, Array]:
@@ -408,6 +411,7 @@ class ColourCollection:
     rates: tuple[float, ...]
     pitch_um: float
     bin_side: int = 1
+    _relative: dict[tuple[int, int], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def is_scale(self) -> bool:
@@ -416,11 +420,12 @@ class ColourCollection:
 
     def relative(self, shape: tuple[int, int]) -> Array:
         """Return what each value of a frame (rows, columns) holds of even white light, relative to its channel's mean on axis."""
-        layout = Layout(self._read_cell, self.layout.is_stacked)
-        pixels = shape[0] * self.bin_side // self.layout.planes, shape[1] * self.bin_side
-        return self._even(np.array(self.rates), [one.shares for one in self.each], pixels) / of_channels(
-            self.white_e_per_s, layout, shape
-        )
+        if shape not in self._relative:  # the registrations of a pitch share it
+            layout = Layout(self._read_cell, self.layout.is_stacked)
+            pixels = shape[0] * self.bin_side // self.layout.planes, shape[1] * self.bin_side
+            even = self._even(np.array(self.rates), [one.shares for one in self.each], pixels)
+            self._relative[shape] = even / of_channels(self.white_e_per_s, layout, shape)
+        return self._relative[shape]
 
     @cached_property
     def mixing_um2(self) -> Array:
@@ -469,10 +474,8 @@ def shared(light_e_per_s: Array, shares: Sequence[Array], layout: Layout) -> Arr
         planes = zip(np.split(light_e_per_s, layout.planes), shares, strict=True)
         return np.concatenate([share_with_neighbours(plane, share) for plane, share in planes])
     numbers = layout.numbers((light_e_per_s.shape[0], light_e_per_s.shape[1]))
-    through = (np.where(numbers == channel, light_e_per_s, 0.0) for channel in range(len(shares)))
     # Reflection about the centres of pixels keeps the phase of cells of two pixels.
-    parts = (share_with_neighbours(part, share, about_centres=True) for part, share in zip(through, shares, strict=True))
-    return np.asarray(sum(parts))
+    return share_with_neighbours_of_channels(light_e_per_s, shares, numbers)
 
 
 def read_as_one(values: Array, side: int) -> Array:

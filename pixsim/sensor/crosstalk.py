@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,19 +32,69 @@ def share_with_neighbours(signal_e_per_s: Array, shares: Array, *, about_centres
     """
     if shares.shape[-2:] != (5, 5) or shares.ndim not in (2, 4) or 0 in shares.shape:
         raise invalid("shares", f"an array of shape {shares.shape}", "(5, 5), or (y, x, 5, 5) with at least one point")
-    nodes, reach = shares.reshape(*(shares.shape[:-2] or (1, 1)), 5, 5), 2
-    around = np.pad(signal_e_per_s, reach, mode="reflect" if about_centres else "symmetric")
+    nodes = shares.reshape(*(shares.shape[:-2] or (1, 1)), 5, 5)
+    return _collected(signal_e_per_s, [nodes], np.zeros(signal_e_per_s.shape, np.intp), "reflect" if about_centres else "symmetric")
+
+
+@checks_arguments
+def share_with_neighbours_of_channels(signal_e_per_s: Array, shares: Sequence[Array], channels: NDArray[np.intp]) -> Array:
+    """Return `share_with_neighbours` of light that falls through the filters of a mosaic, each with shares of its own.
+
+    It is the sum over the channels of their light alone, about centres, in the time of one of them.
+
+    signal_e_per_s : (rows, columns) of the light on pixels, through their own filters
+    shares : of each channel's light
+    channels : (rows, columns) number of each pixel's channel
+    """
+    points = np.broadcast_shapes(*(share.shape[:-2] or (1, 1) for share in shares))
+    nodes = [np.broadcast_to(share, (*points, 5, 5)) for share in shares]
+    return _collected(signal_e_per_s, nodes, channels, "reflect")
+
+
+REACH = 2  # pixels to the farthest neighbour
+
+
+def _collected(
+    signal_e_per_s: Array, nodes: Sequence[Array], channels: NDArray[np.intp], border: Literal["reflect", "symmetric"]
+) -> Array:
+    """Return what each pixel collects, (rows, columns).
+
+    nodes : (y, x, 5, 5) shares of each channel's light
+    channels : (rows, columns) number of the channel of the light on each pixel
+    border : how the picture goes on, as of `numpy.pad`
+    """
+    around, filters = np.pad(signal_e_per_s, REACH, mode=border), np.pad(channels, REACH, mode=border)
     result = np.zeros(signal_e_per_s.shape)
-    used = [(dy, dx) for dy, dx in np.ndindex(5, 5) if np.abs(nodes[:, :, dy, dx]).max() > NEGLIGIBLE]
-    count, width = signal_e_per_s.shape
-    (above, down), (before, right) = _between(count, nodes.shape[0]), _between(width, nodes.shape[1])
-    across = {at: _interpolated(nodes[:, :, *at].T, before, right[:, None]).T for at in used}  # (y, columns)
-    for rows in strips(count, width):
-        for dy, dx in used:
-            first = rows.start + 2 * reach - dy
-            light = around[first : first + rows.stop - rows.start, 2 * reach - dx : 2 * reach - dx + width]
-            result[rows] += light * _interpolated(across[dy, dx], above[rows], down[rows, None])
+    used = [at for at in np.ndindex(5, 5) if max(np.abs(one[:, :, *at]).max() for one in nodes) > NEGLIGIBLE]
+    (count, width), points = signal_e_per_s.shape, nodes[0].shape[:2]
+    (above, down), (before, right) = _between(count, points[0]), _between(width, points[1])
+    across = [{at: _interpolated(one[:, :, *at].T, before, right[:, None]).T for at in used} for one in nodes]  # (y, columns) each
+    for group in _rows_alike(filters):
+        for part in strips(group.size, width):
+            rows = group[part]
+            index = slice(rows[0], rows[-1] + 1, rows[1] - rows[0] if rows.size > 1 else 1)
+            total = result[index]
+            for dy, dx in used:
+                first, left = rows[0] + 2 * REACH - dy, 2 * REACH - dx
+                light = around[first : first + index.stop - index.start : index.step, left : left + width]
+                seen = filters[first, left : left + width]
+                weights = across[0][dy, dx]
+                for channel in range(1, len(nodes)):
+                    weights = np.where(seen == channel, across[channel][dy, dx], weights)
+                total += light * _interpolated(weights, above[rows], down[rows, None])
     return result
+
+
+def _rows_alike(filters: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+    """Yield the numbers of rows that have the same filters around them, evenly spaced; `filters` has `REACH` more on each side."""
+    kinds: dict[bytes, int] = {}
+    numbers = [kinds.setdefault(row.tobytes(), len(kinds)) for row in filters]
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for row in range(len(filters) - 2 * REACH):
+        groups.setdefault(tuple(numbers[row : row + 2 * REACH + 1]), []).append(row)
+    for rows in map(np.array, groups.values()):
+        ends = np.flatnonzero(np.diff(rows, n=2)) + 2  # where the distance between rows changes
+        yield from np.split(rows, ends)
 
 
 def shares_sum(shares: Array, shape: tuple[int, int]) -> Array:

@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from pixsim.base.arrays import Array, in_threads, strips
+from pixsim.base.arrays import Array, in_threads, strips, transposed
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera
@@ -37,10 +37,13 @@ from pixsim.sensor.collection import (
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
-from pixsim.sensor.pixel import PixelPhysics, other_unit_of_pitch
+from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, other_unit_of_pitch
 
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
-EDGE_CONTRAST = 100.0  # ratio of neighbouring samples; a step rings by 1 % of its bright side, one sample and more away from it
+EDGE_CONTRAST = 100.0  # ratio of neighbouring samples from which an edge is hard: its ring is ten times the light of its dark side
+RING, RING_DECAY = 0.1, 0.43  # of a step, the light that it moves within the cell beside it; of that, in the next cell, and so on
+RING_SHOWN = 1e-5  # of the light of a cell; a photodiode on a small part of it sees up to ten times of that
+RING_CELLS = 64  # after which a ring is 1e-24 of its step
 SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cubic spline has 0.55 %
 
 
@@ -49,7 +52,7 @@ class Columns:
     """A picture (H, W) whose columns are computed on request, so that it is never in memory as a whole.
 
     columns : returns columns first … last - 1, (H, last - first), of any real type. It is called in order, for
-        `STRIP_COLUMNS` at a time, once per strip; twice if the light would ring below zero at an edge.
+        `STRIP_COLUMNS` at a time, once per strip.
     """
 
     shape: tuple[int, int]
@@ -130,37 +133,160 @@ def spline_coefficients(samples: Array) -> Array:
     return scipy.linalg.lapack.dgbtrs(spline.factors, spline.reach, spline.reach, running, spline.pivots, overwrite_b=True)[0]
 
 
-def running_integral(samples: Array) -> Array:
-    """Return `spline_coefficients` of all columns of a picture (n, columns), strip by strip."""
-    return map_columns(samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip))
+@dataclass(frozen=True)
+class RunningIntegral:
+    """The splines through the running sums of a picture (H, W), which all pixel grids on it share.
+
+    coefficients : (H + 1, W) of the splines of its columns. Of a picture without hard edges (H, W) differences between neighbouring
+        coefficients, down and across, of the spline in both directions: as small as the light nearby, so that sums of them are
+        exact also beside light that is much brighter
+    both_ways : whether they are those
+    """
+
+    coefficients: Array = field(repr=False)
+    both_ways: bool
+
+
+def running_integral(samples: Array) -> RunningIntegral:
+    """Return the running integral of a picture (H, W), strip by strip."""
+    if any_hard_edge(samples) or any_hard_edge(samples.T):
+        down = map_columns(samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip))
+        return RunningIntegral(down, False)
+    down = map_columns(samples, 0, len(samples), lambda _, strip: np.diff(spline_coefficients(strip), axis=0))
+    both = map_columns(down, 1, samples.shape[1], lambda _, strip: np.diff(spline_coefficients(strip), axis=0))
+    return RunningIntegral(np.ascontiguousarray(both), True)
+
+
+def any_hard_edge(samples: Array) -> bool:
+    """Return whether any column of a picture (n, columns) has a hard edge, strip by strip."""
+    return any(has_hard_edge(samples[:, part]) for part in strips(samples.shape[1], 1, STRIP_COLUMNS))
+
+
+def interval_weights(low: Array, high: Array, knots: Knots) -> csr_array:
+    """Return the weights of a `RunningIntegral`'s differences along an axis in the integrals from `low` to `high`, sparse (m, n).
+
+    An integral is Σ c_i (B_i(high) - B_i(low)) of coefficients c and B-splines B. Since all B-splines add up to 1, it is also
+    Σ (c_{i+1} - c_i) (P_i(low) - P_i(high)) with the sums P_i = B_0 + … + B_i, which differ near the interval only.
+
+    low, high : (m,) positions in samples, 0 to n
+    """
+    degree = knots.degree
+    first, sums_low = _spline_sums(low, knots)
+    last, sums_high = _spline_sums(high, knots)
+    width = int((last - first).max()) + degree + 1
+    place = np.arange(width)
+
+    def sums_at(start: NDArray[np.intp], sums: Array) -> Array:
+        """P of splines first, first + 1, …; sums hold those of start … start + degree."""
+        within = first[:, None] + place - start[:, None]
+        return np.asarray(np.where(within < 0, 0.0, np.take_along_axis(sums, np.clip(within, 0, degree), axis=1)))
+
+    weights = sums_at(first, sums_low) - sums_at(last, sums_high)
+    columns = first[:, None] + place
+    used = (weights != 0) & (columns < knots.knots.size - degree - 2)
+    rows = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
+    return csr_array((weights[used], columns[used], rows), shape=(low.size, knots.knots.size - degree - 2))
+
+
+def _spline_sums(positions: Array, knots: Knots) -> tuple[NDArray[np.intp], Array]:
+    """Return the first B-spline that is not 0 at each position (m,), and the sums of it and the next ones, (m, degree + 1)."""
+    values = design_matrix(positions, knots.knots, knots.degree)
+    each = values.data.reshape(-1, knots.degree + 1)
+    sums = np.cumsum(each, axis=1)
+    sums[:, -1] = 1.0  # exactly, so that weights far from an interval vanish
+    return values.indices.reshape(each.shape)[:, 0].astype(np.intp), sums
 
 
 def has_hard_edge(samples: Array) -> bool:
-    """Return whether neighbouring samples of a column differ by more than a factor of `EDGE_CONTRAST`."""
+    """Return whether neighbouring samples of a column differ by more than a factor of `EDGE_CONTRAST`, or one is below zero.
+
+    All pictures pay for this; `hard_edges` says where.
+    """
     first, second = samples[:-1], samples[1:]
     return bool(np.any(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)))
 
 
-def make_monotonic(running: Array, edges: Array) -> Array:
-    """Return a running integral that never falls from one edge to the next; the total is preserved."""
+def hard_edges(samples: Array) -> NDArray[np.bool_]:
+    """Return between which neighbours of a column the size differs by more than a factor of `EDGE_CONTRAST`, (n - 1, columns)."""
+    size = np.abs(samples)
+    first, second = size[:-1], size[1:]
+    return np.asarray(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second))
+
+
+def ringing_cells(samples: Array) -> NDArray[np.bool_]:
+    """Return in which cells (n, columns) the spline of a column rings by more than `RING_SHOWN` of the light there.
+
+    The ring of a hard edge goes with its height and falls by `RING_DECAY` from cell to cell, so what is far away, or in another
+    column, has no part in it. Light that is further below zero than it would ring is light that is meant, as of a difference.
+    """
+    hard = hard_edges(samples)
+    if not hard.any():
+        return np.zeros(samples.shape, bool)
+    ring, height = np.zeros(samples.shape), RING * np.where(hard, np.abs(np.diff(samples, axis=0)), 0.0)
+    ring[:-1] = height
+    np.maximum(ring[1:], height, out=ring[1:])
+    reach, decay = 1, RING_DECAY
+    while reach < min(len(samples), RING_CELLS):  # steps of 1, 2, 4, … together make every distance
+        onwards = decay * ring[:-reach]
+        np.maximum(ring[:-reach], decay * ring[reach:], out=ring[:-reach])
+        np.maximum(ring[reach:], onwards, out=ring[reach:])
+        reach, decay = 2 * reach, decay**2
+    return np.asarray((ring > RING_SHOWN * np.abs(samples)) & (lowest_beside(samples) >= -ring))
+
+
+def lowest_beside(samples: Array) -> Array:
+    """Return the lowest of each sample of a column and its neighbours, (n, columns)."""
+    lowest = samples.copy("K")  # in the order of memory, which may be that of columns
+    np.minimum(lowest[1:], samples[:-1], out=lowest[1:])
+    np.minimum(lowest[:-1], samples[1:], out=lowest[:-1])
+    return lowest
+
+
+def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
+    """Return the running integrals (2 m, columns) at the first and then the last `edges` of m intervals, limited where they ring.
+
+    That is in `ringing_cells`, and in cells, not beside negative light, in which an interval that would be negative begins or ends.
+    """
+    cell = np.minimum(edges.astype(int), len(samples) - 1)
+    limited, result = limit_overshoot(running, samples, edges), running
+    rings, positive = ringing_cells(samples), lowest_beside(samples) >= 0
+    while True:
+        low, high = np.split(result, 2)
+        negative, column = np.nonzero(high < low)
+        before, rings = rings, rings.copy()
+        for ends in np.split(cell, 2):
+            rings[ends[negative], column] |= positive[ends[negative], column]
+        if result is not running and np.array_equal(rings, before):
+            return result
+        result = make_monotonic(np.where(rings[cell], limited, running), samples, edges, rings)
+
+
+def make_monotonic(running: Array, samples: Array, edges: Array, rings: NDArray[np.bool_]) -> Array:
+    """Return a running integral that never falls within cells that ring, (n, columns), unless their light is negative.
+
+    What it has at the borders of cells, and so the total, is preserved.
+    """
+    cell = np.minimum(edges.astype(int), len(samples) - 1)
+    below = np.minimum(samples, 0.0)
+    fallen = (np.cumsum(below, axis=0) - below)[cell] if below.any() else 0.0  # up to each cell, by the negative light before it
+    rising = (rings & (samples >= 0))[cell]
     order = np.argsort(edges, kind="stable")
-    return np.maximum.accumulate(running[order])[np.argsort(order, kind="stable")]
+    highest = np.maximum.accumulate(np.where(rising, running - fallen, -np.inf)[order])
+    return np.where(rising, highest[np.argsort(order, kind="stable")] + fallen, running)
 
 
 def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
     """Return the running integral at `edges` (in samples), limited by the range of light that each cell may have.
 
     The light in a cell stays within the range of the cell and its neighbours, widened by half of that range on either side
-    so that resolved crests are unchanged, and at or above zero. Integrals at cell borders stay exact.
+    so that resolved crests are unchanged, and at or above zero unless the cell is below. Integrals at cell borders stay exact.
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
     part = (edges - cell)[:, None]
-    lowest, highest = (
-        extreme(samples, 3, axis=0, mode="nearest") for extreme in (scipy.ndimage.minimum_filter1d, scipy.ndimage.maximum_filter1d)
-    )
+    lowest, highest = lowest_beside(samples), -lowest_beside(-samples)
     slack = (highest - lowest) / 2
     before = np.cumsum(samples, axis=0) - samples
-    bounds = np.maximum(lowest - slack, 0.0), highest + slack
+    bounds = np.maximum(lowest - slack, np.minimum(samples, 0.0)), highest + slack
     start, cell_light, least, most = (values[cell] for values in (before, samples, *bounds))
     from_below = np.maximum(part * least, cell_light - (1 - part) * most)
     from_above = np.minimum(part * most, cell_light - (1 - part) * least)
@@ -300,24 +426,49 @@ def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
     return rate
 
 
-def pixel_count(length_um: float, pitch_um: float) -> int:
-    """Return ⌊length/pitch⌋, with a tolerance for rounding. Raises PixsimError above `MAX_PIXELS`."""
+def pixel_count(length_um: float, pitch_um: float, registration: float | None = None) -> int:
+    """Return how many whole pixels fit on a length, with a tolerance for rounding. Raises PixsimError above `MAX_PIXELS`.
+
+    Centred pixels are ⌊length/pitch⌋. With a border at `registration` from the centre, each side has as many as fit on it.
+
+    registration : as of `PixelPhysics.registration`, along one axis
+    """
     pixels = length_um / pitch_um * (1 + 1e-9)
     check_pixel_count([pixels], pitch_um)
-    return math.floor(pixels)
+    if registration is None:
+        return math.floor(pixels)
+    return math.floor(pixels / 2 + registration) + math.floor(pixels / 2 - registration)
 
 
-def pixels_along(length_um: float, pitch_um: float) -> int:
+def first_edge_um(length_um: float, count: int, pitch_um: float, registration: float | None = None) -> float:
+    """Return where the first of `pixel_count` pixels begins, measured from the beginning of a length about whose centre they lie.
+
+    registration : as of `pixel_count`
+    """
+    if registration is None:
+        return length_um / 2 - count / 2 * pitch_um
+    # With h = length/2/pitch, ⌊h + r⌋ pixels begin before the border at r, and ⌊h - r⌋ after it: 2r - 1 to 2r + 1 fewer.
+    before = math.ceil(count / 2) if registration <= 0.5 else count // 2 + 1
+    return length_um / 2 + (registration - before) * pitch_um
+
+
+def pixels_along(length_um: float, pitch_um: float, registration: float | None = None) -> int:
     """Return `pixel_count`. Raises PixsimError if not one pixel fits."""
-    count = pixel_count(length_um, pitch_um)
+    count = pixel_count(length_um, pitch_um, registration)
     if count < 1:
-        raise invalid("pixel.pitch_um", f"{pitch_um:g}", f"at most the die, {length_um:g} µm", other_unit_of_pitch(pitch_um))
+        allowed = f"at most the die, {length_um:g} µm"
+        if registration is not None:
+            allowed = f"small enough for one whole pixel on a die of {length_um:g} µm at the registration {registration:g}"
+        raise invalid("pixel.pitch_um", f"{pitch_um:g}", allowed, other_unit_of_pitch(pitch_um))
     return count
 
 
-def pixels_on(size_um: Iterable[float], pitch_um: float) -> tuple[int, int]:
-    """Return the rows and columns of pixels on a (height, width). Raises PixsimError if not one pixel fits."""
-    rows, columns = (pixels_along(length_um, pitch_um) for length_um in size_um)
+def pixels_on(size_um: Iterable[float], pitch_um: float, registration: Registration = CENTRED) -> tuple[int, int]:
+    """Return the rows and columns of pixels on a (height, width). Raises PixsimError if not one pixel fits.
+
+    registration : as of `PixelPhysics.registration`
+    """
+    rows, columns = (pixels_along(length_um, pitch_um, own) for length_um, own in zip(size_um, registration, strict=True))
     return rows, columns
 
 
@@ -328,32 +479,34 @@ def check_pixel_count(shape: Iterable[float], pitch_um: float) -> None:
 
 
 def integrate_axis(
-    samples: Array | Columns, sample_pitch_um: float, low_um: Array, high_um: Array, axis: int, running: Array | None = None
+    samples: Array | Columns,
+    sample_pitch_um: float,
+    low_um: Array,
+    high_um: Array,
+    axis: int,
+    running: RunningIntegral | None = None,
 ) -> Array:
     """Integrate cell means between pairs of positions along one axis, in (sample unit) · µm; the sum is conserved.
 
-    At a high-contrast edge the spline would ring into the dark side and below zero; a picture with such an edge is limited
-    everywhere (`limit_overshoot`). `running` is `running_integral` of the samples if available, for axis 0 only.
+    At a high-contrast edge the spline would ring into the dark side and below zero; it is limited there (`without_ringing`), and
+    nowhere else. `running` is `running_integral` of the samples if available, for axis 0 only.
     """
+    known = None if running is None or running.both_ways else running.coefficients
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
     spline = knots_of(samples.shape[axis])
     at_edges = design_matrix(edges, spline.knots, spline.degree)  # times the coefficients: running integrals at the edges
-    below_zero: list[bool] = []
-    ringing: list[bool] = []
 
-    def integrals(which: slice, strip: Array, limited: bool = False) -> Array:
-        sums = at_edges @ (spline_coefficients(strip) if running is None else running[:, which])
-        low, high = np.split(make_monotonic(limit_overshoot(sums, strip, edges), edges) if limited else sums, 2)
+    def integrals(which: slice, strip: Array) -> Array:
+        sums = at_edges @ (spline_coefficients(strip) if known is None else known[:, which])
+        low, high = np.split(sums, 2)
         integral = high - low
-        below_zero.append(bool(strip.min() < 0))
-        ringing.append(bool(integral.min() < 0) or has_hard_edge(strip))
+        if has_hard_edge(strip) or integral.min() < 0:
+            columns = np.flatnonzero(hard_edges(strip).any(axis=0) | (integral < 0).any(axis=0))
+            low, high = np.split(without_ringing(sums[:, columns], strip[:, columns], edges), 2)
+            integral[:, columns] = high - low
         return integral * sample_pitch_um
 
-    integral = map_columns(samples, axis, low_um.size, integrals)
-    if any(ringing) and not any(below_zero):
-        del integral
-        return map_columns(samples, axis, low_um.size, partial(integrals, limited=True))
-    return integral
+    return map_columns(samples, axis, low_um.size, integrals)
 
 
 def array_size_um(irradiance: SpectralImage, camera: Camera) -> tuple[float, float]:
@@ -372,11 +525,12 @@ def integrate_pixels(
     sample_pitch_um: float,
     pitch_um: float,
     photodiode_side_um: float,
-    running: Array | None = None,
+    running: RunningIntegral | None = None,
     size_um: tuple[float, float] | None = None,
     only: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
+    first_um: tuple[float, float] | None = None,
 ) -> Array:
-    """Integrate a picture over the square, centred photodiodes of a pixel array that is centred on the picture.
+    """Integrate a picture over the square, centred photodiodes of a pixel array on it.
 
     Parameters
     ----------
@@ -385,6 +539,7 @@ def integrate_pixels(
     running : `running_integral(rate)` if available; it is the same for all pitches
     size_um : `array_size_um`, (height, width) that the pixels fill; None means the whole picture
     only : numbers of the rows and of the columns of pixels that are needed; None means all of them
+    first_um : where the first row and the first column begin (`first_edge_um`); None centres the array on the picture
 
     Returns (rows, columns), rows = ⌊height / pitch⌋. Only the picture, (rows, W) and the result are in memory.
     Raises PixsimError if not one pixel fits.
@@ -392,16 +547,42 @@ def integrate_pixels(
     picture_um = [n * sample_pitch_um for n in rate.shape]
     counts = pixels_on(size_um or picture_um, pitch_um)
     check_pixel_count(counts, pitch_um)
-    y_um, x_um = (photodiode_edges_um(um, n, pitch_um, photodiode_side_um) for um, n in zip(picture_um, counts, strict=True))
+    lengths = zip(picture_um, counts, first_um or (None, None), strict=True)
+    y_um, x_um = (photodiode_edges_um(um, n, pitch_um, photodiode_side_um, first) for um, n, first in lengths)
     if only is not None:
         y_um, x_um = ((low[which], high[which]) for (low, high), which in zip((y_um, x_um), only, strict=True))
+    if running is not None and running.both_ways:
+        integral = _integrate_both_ways(running, sample_pitch_um, y_um, x_um)
+        if integral.min() >= 0:
+            return integral
+        running = None  # what rings below zero is limited where it does
     down = integrate_axis(rate, sample_pitch_um, *y_um, 0, running)
     return integrate_axis(down, sample_pitch_um, *x_um, 1)
 
 
-def photodiode_edges_um(length_um: float, count: int, pitch_um: float, side_um: float) -> tuple[Array, Array]:
-    """Return the first and the last edge of each photodiode in a line of pixels that is centred on a length, (count,) each."""
-    centre_um = length_um / 2 + (np.arange(float(count)) - (count - 1) / 2) * pitch_um
+def _integrate_both_ways(
+    running: RunningIntegral, sample_pitch_um: float, y_um: tuple[Array, Array], x_um: tuple[Array, Array]
+) -> Array:
+    """Return the integrals of a smooth picture between pairs of positions down and across, (rows, columns)."""
+    integral = running.coefficients
+    for (low_um, high_um), n in zip((y_um, x_um), running.coefficients.shape, strict=True):
+        low, high = (np.clip(edge_um / sample_pitch_um, 0.0, n) for edge_um in (low_um, high_um))
+        integral = transposed(interval_weights(low, high, knots_of(n)) @ integral)
+    integral *= sample_pitch_um**2
+    return integral
+
+
+def photodiode_edges_um(
+    length_um: float, count: int, pitch_um: float, side_um: float, first_um: float | None = None
+) -> tuple[Array, Array]:
+    """Return the first and the last edge of each photodiode in a line of pixels, (count,) each.
+
+    first_um : where the line begins; None centres it on the length
+    """
+    if first_um is None:
+        centre_um = length_um / 2 + (np.arange(float(count)) - (count - 1) / 2) * pitch_um
+    else:
+        centre_um = first_um + (np.arange(float(count)) + 0.5) * pitch_um
     return centre_um - side_um / 2, centre_um + side_um / 2
 
 
@@ -420,12 +601,39 @@ def collecting_area_um2(irradiance: SpectralImage, camera: Camera, physics: Pixe
     return collected_area_um2(physics, illumination_of(irradiance, camera, physics))
 
 
+def centred_pixels(size_um: Iterable[float], physics: PixelPhysics) -> tuple[int, int]:
+    """Return the rows and columns of the centred array, whose collection all registrations take: they are a pixel away at most."""
+    rows, columns = (count * physics.as_read.bin_side for count in pixels_on(size_um, physics.as_read.read_pitch_um))
+    return rows, columns
+
+
+def array_on(
+    picture_um: Sequence[float], size_um: tuple[float, float] | None, physics: PixelPhysics
+) -> tuple[tuple[int, int], tuple[float, float], tuple[float, float] | None]:
+    """Return the rows and columns of a pixel's array, the (height, width) that they fill, and where the first ones begin.
+
+    None for the last if they are centred on the picture.
+
+    size_um : `array_size_um`; None means the whole picture
+    """
+    read, registration = physics.as_read, physics.registration
+    counts = pixels_on(size_um or picture_um, read.read_pitch_um, registration)
+    rows, columns = (count * read.bin_side for count in counts)
+    if registration == CENTRED:
+        first_um = None
+    else:
+        lines = zip(picture_um, counts, registration, strict=True)
+        top_um, left_um = (first_edge_um(um, count, read.read_pitch_um, own) for um, count, own in lines)
+        first_um = top_um, left_um
+    return (rows, columns), (rows * physics.pitch_um, columns * physics.pitch_um), first_um
+
+
 def pixel_signal(
     rate: Array | Columns,
     sample_pitch_um: float,
     physics: PixelPhysics,
     light: Illumination,
-    running: Array | None = None,
+    running: RunningIntegral | None = None,
     size_um: tuple[float, float] | None = None,
 ) -> tuple[Array, Collection | None]:
     """Return the mean photo-electrons per second of every pixel, (rows, columns), and what its stack does; None without a stack.
@@ -436,9 +644,10 @@ def pixel_signal(
     rate, running, size_um : as for `integrate_pixels`
     """
     picture_um = [n * sample_pitch_um for n in rate.shape]
-    collection = collection_of(physics, light, pixels_on(size_um or picture_um, physics.pitch_um))
+    _, pixels_um, first_um = array_on(picture_um, size_um, physics)
+    collection = collection_of(physics, light, centred_pixels(size_um or picture_um, physics))
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
-    signal = integrate_pixels(rate, sample_pitch_um, physics.pitch_um, side_um, running, size_um)
+    signal = integrate_pixels(rate, sample_pitch_um, physics.pitch_um, side_um, running, pixels_um, first_um=first_um)
     signal = np.maximum(signal, 0.0, order="C")  # frames are made row by row
     if collection is not None:
         signal *= (physics.pitch_um / side_um) ** 2
@@ -461,8 +670,8 @@ class ChannelLight:
     illumination: Illumination
 
     @cached_property
-    def running_integral(self) -> Array | None:
-        """Running integral down the picture, which takes longer than all steps of a pitch; None if too large to store."""
+    def running_integral(self) -> RunningIntegral | None:
+        """Running integral of the picture, which takes longer than all steps of a pitch; None if too large to store."""
         return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MAX_STORED_SAMPLES else None
 
 
@@ -490,11 +699,10 @@ def array_signal(
             light.rate_e_per_s_um2, sample_pitch_um, physics, light.illumination, light.running_integral, size_um
         )
         return signal, () if collection is None else (collection,)
-    read_um = physics.as_read.read_pitch_um
-    picture_um = tuple(count * sample_pitch_um for count in lights[0].rate_e_per_s_um2.shape)
-    rows, columns = (count * physics.as_read.bin_side for count in pixels_on(size_um or picture_um, read_um))
-    pixels_um = rows * physics.pitch_um, columns * physics.pitch_um
-    collections = collections_of(physics, [light.illumination for light in lights], (rows, columns))
+    picture_um = [count * sample_pitch_um for count in lights[0].rate_e_per_s_um2.shape]
+    (rows, columns), pixels_um, first_um = array_on(picture_um, size_um, physics)
+    illuminations = [light.illumination for light in lights]
+    collections = collections_of(physics, illuminations, centred_pixels(size_um or picture_um, physics))
     side_um = collections[0].aperture_side_um if collections else physics.photodiode_side_um
     signal = np.empty((rows * layout.planes, columns))
     high, wide = layout.period
@@ -507,7 +715,8 @@ def array_signal(
             )
             if which[0].size and which[1].size:
                 signal[np.ix_(first + which[0], which[1])] = integrate_pixels(
-                    light.rate_e_per_s_um2, sample_pitch_um, physics.pitch_um, side_um, light.running_integral, pixels_um, which
+                    *(light.rate_e_per_s_um2, sample_pitch_um, physics.pitch_um, side_um, light.running_integral),
+                    *(pixels_um, which, first_um),
                 )
     np.maximum(signal, 0.0, out=signal)
     if collections:

@@ -22,9 +22,12 @@ from pixsim.base.notes import warn
 from pixsim.base.parameters import (
     ABSOLUTE_ZERO_C,
     BIN,
+    CENTRED_BORDER,
     MIN_FRACTION,
     NO_TECHNOLOGY,
+    REGISTERED_BORDER,
     WELL_RANGE_E,
+    Display,
     EfficiencyCurve,
     Pixel,
     PixelOptions,
@@ -344,6 +347,30 @@ def given_efficiency(wavelength_nm: ArrayLike, given: float | EfficiencyCurve) -
     return np.interp(nm, known_nm, efficiency, left=0.0, right=0.0)
 
 
+Registration = tuple[float | None, float | None]
+CENTRED: Registration = (None, None)
+SOBOL_BITS = 32
+
+
+def spread_registration(repeat: int) -> tuple[float, float]:
+    """Return the registration (x, y) of a repeat of a study or a comparison, 0 to 1, the same for all pixel sizes.
+
+    Which detail falls on which part of a pixel is chance. With one registration for all repeats, the mean ΔE would follow the beat
+    of pixels and dots. The first two dimensions of the sequence of Sobol' are spread evenly for every number of repeats: each half,
+    quarter, … of the square gets its share (I. M. Sobol', USSR Comput. Math. Math. Phys. 7 (1967) 86).
+
+    >>> [spread_registration(repeat) for repeat in range(4)]
+    [(0.0, 0.0), (0.5, 0.5), (0.25, 0.75), (0.75, 0.25)]
+    """
+    x = y = 0
+    across = down = 1 << (SOBOL_BITS - 1)
+    while repeat:
+        if repeat & 1:
+            x, y = x ^ across, y ^ down
+        repeat, across, down = repeat >> 1, across >> 1, down ^ (down >> 1)
+    return x / (1 << SOBOL_BITS), y / (1 << SOBOL_BITS)
+
+
 @checks_fields
 @dataclass(frozen=True)
 class PixelPhysics:
@@ -420,6 +447,31 @@ class PixelPhysics:
     def read_pitch_um(self) -> float:
         """Distance of what is read: of the pixels, or of the sums of a binned sensor."""
         return self.pitch_um * self.bin_side
+
+    @property
+    def registration(self) -> Registration:
+        """Distances, down and across, of a border of what is read from the die's centre, in its pitches; or `CENTRED`."""
+        own = self.pixel.registration
+        return CENTRED if own is None else (own[1], own[0])
+
+    @property
+    def is_centred(self) -> bool:
+        """Whether the array is centred on the die."""
+        return self.pixel.registration is None
+
+    @property
+    def border_um(self) -> float:
+        """Width on each side of the die that is not scored on a display of fixed size."""
+        return (CENTRED_BORDER if self.is_centred else REGISTERED_BORDER) * self.read_pitch_um
+
+    def registered(self, repeat: int, display: Display) -> PixelPhysics:
+        """Return the pixel of one repeat of a study or a comparison: with a registration of its own (`spread_registration`).
+
+        One that the pixel states stays. Where dots are pixels the array stays centred.
+        """
+        if not self.is_centred or display.raster != "fixed_size":
+            return self
+        return replace(self, pixel=self.pixel.model_copy(update={"registration": spread_registration(repeat)}))
 
     @property
     def as_read(self) -> PixelPhysics:

@@ -18,7 +18,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_on
 from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
-from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive, warn_of_disagreements, warn_of_implausible_numbers
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
@@ -128,7 +128,7 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float | 
     warn_of_implausible_numbers(pixel)
     aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
     physics, width_um = derive(pixel).as_read, camera.die_um[1]
-    shape = pixels_on((width_um / aspect, width_um), physics.read_pitch_um)
+    shape = pixels_on((width_um / aspect, width_um), physics.read_pitch_um, physics.registration)
     check_pixel_count(shape, pixel.pitch_um)
     return sample_sensor(physics, (shape[0] * physics.planes, shape[1]), np.random.default_rng(seed))
 
@@ -154,6 +154,7 @@ class Frame:
         before reset noise and offsets) or whose DN is the top code
     corrected_e : (rows, columns) photo-electrons as the camera's correction estimates them; None without one
     layout : which channel each value belongs to; None for a monochrome sensor. A stacked one has its planes one below the other
+    registration : of its pixels on the die, as of `PixelPhysics`
     """
 
     dn: NDArray[np.int32] = field(repr=False)
@@ -168,6 +169,7 @@ class Frame:
     corrected_e: NDArray[np.float32] | None = field(default=None, repr=False)
     gain_db: float = 0.0
     layout: Layout | None = None
+    registration: Registration = CENTRED
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -411,6 +413,7 @@ def _frame(
         saturated_fraction=saturated_fraction,
         gain_db=exposure.gain_db,
         layout=physics.layout,
+        registration=physics.registration,
     )
 
 

@@ -13,6 +13,7 @@ SENSORS_PER_ADDITION = 2  # so that a new pitch shows its own scatter; an existi
 # Pitches beyond each end of the interval that are candidates too. The slope at a minimum is measured best somewhat away from
 # it: with one such pitch, a tenth of simulated studies stop improving.
 BEYOND = 2
+MAX_OPEN = 48  # evaluations that a study without a target adds to a curve whose interval has an open end
 MIN_RATIO = 1.002  # between neighbouring pitches
 DIGITS = 4  # of a new pitch, as of a study's first pitches
 
@@ -37,6 +38,20 @@ def next_sensors(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) 
     return dict(sorted(chosen.items()))
 
 
+def next_where_open(fit: FittedCurve, sensors: dict[float, int], started: int, max_sensors: int) -> dict[float, int]:
+    """Return `next_sensors` for a curve whose interval has an open end; unchanged for others, and at the limit of `MAX_OPEN`.
+
+    A curve that is least at an end of the range has a third of that limit: it may well go on beyond.
+
+    started : evaluations before any was added
+    """
+    if None not in fit.optimum.interval_um:
+        return sensors
+    more = next_sensors(fit, sensors, max_sensors)
+    limit = started + (MAX_OPEN if fit.optimum.inside else MAX_OPEN // 3)
+    return more if sum(more.values()) <= limit else sensors
+
+
 def additions(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
     """Return the candidate additions, {µm: new number of sensors}: pitches up to `BEYOND` outside the interval, and midpoints."""
     pitches_um = np.array(sorted(sensors))
@@ -59,7 +74,8 @@ def rise_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     mean = np.interp(u, fit.places, fit.delta_e) / fit.scale
     counts = np.array([sensors[um] for um in pitches_um.tolist()])
     best = fit.likeliest
-    design = replace(best.design, u=u, noise=fit.noise * noise_scale(mean, fit.logarithmic), sensors=counts)
+    noise = np.array([fit.loud.get(um, fit.noise) for um in pitches_um.tolist()])
+    design = replace(best.design, u=u, noise=noise * noise_scale(mean, fit.logarithmic), sensors=counts)
     low, high = fit.optimum.interval_um
     ends = np.array([pitches_um[0] if low is None else low, fit.optimum.pitch_um, pitches_um[-1] if high is None else high])
     covariance = Posterior(design, best.stiffness, best.residual, np.zeros(u.size)).covariance(fit.places_of(ends))

@@ -25,7 +25,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial, reduce
+from functools import lru_cache, partial, reduce
 from typing import Any
 
 import numpy as np
@@ -82,7 +82,7 @@ class Setup:
     pitches_um : at which the optimum is searched; empty for no search
     sensors : number of sensors, the same ones at a pitch every time
     at_optimum : whether the pixel takes the pitch of the optimum in place of its own
-    border_um : largest pitch of the study, which sets the scored frame; None means the largest pitch tried
+    border_um : of a study, whose sensors have each its registration; None means the largest pitch tried, and centred pixels
     process : of the pixel's technology; None means the one from its file
     """
 
@@ -176,15 +176,15 @@ def relative_rms(got: Array, reference: Array) -> float:
 def probe(image: SpectralImage, setup: Setup) -> Probe:
     """Return the mean ΔE of an irradiance at the set-up's pixel and at its pitches."""
     start = time.perf_counter()
-    chain_at = chains_of(image, setup, setup.pitches_um)
-    chain = chain_at(setup.pixel.pitch_um)
+    chain_at, pixel_um = chains_of(image, setup, setup.pitches_um), setup.pixel.pitch_um
+    chain = chain_at(pixel_um, 0)
     middle = time.perf_counter()
-    first = sensor_delta_e(chain, setup, setup.pixel.pitch_um, 0)
+    first = sensor_delta_e(chain, setup, pixel_um, 0)
     end = time.perf_counter()
-    others = (sensor_delta_e(chain, setup, setup.pixel.pitch_um, k) for k in range(1, setup.sensors))
+    others = (sensor_delta_e(chain_at(pixel_um, k), setup, pixel_um, k) for k in range(1, setup.sensors))
     delta_e = np.array([first, *others])
-    swept = zip(setup.pitches_um, map(chain_at, setup.pitches_um), strict=True)
-    sweep = np.array([[sensor_delta_e(pixels, setup, p, k) for k in range(setup.sensors)] for p, pixels in swept])
+    sensors = range(setup.sensors)
+    sweep = np.array([[sensor_delta_e(chain_at(um, k), setup, um, k) for k in sensors] for um in setup.pitches_um])
     shape = len(setup.pitches_um), setup.sensors
     return Probe(chain.signal_e_per_s, delta_e, np.array(setup.pitches_um), sweep.reshape(shape), end - start, end - middle)
 
@@ -230,23 +230,25 @@ def sensor_delta_e(chain: ImagingChain, setup: Setup, pitch_um: float, sensor: i
     return chain.score_frame(chain.capture_with(rng, PairedNoise(rng.bit_generator), of_correction)).mean_delta_e
 
 
-def chains_of(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float], ImagingChain]:
-    """Return the imaging chain as a function of the pitch.
+def chains_of(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float, int], ImagingChain]:
+    """Return the imaging chain as a function of the pitch and the number of the sensor.
 
     The pitches share a scored frame. The set-up's pixel has its own frame unless it is at the optimum.
     """
     scenes, pixel_um = SceneCache(image, setup.camera, setup.display, len(setup.physics().channels)), setup.pixel.pitch_um
     widest_um = setup.border_um or max(pitches_um, default=pixel_um)
 
-    def at(pitch_um: float) -> ImagingChain:
+    @lru_cache(maxsize=1)  # centred sensors share it
+    def registered(pitch_um: float, repeat: int | None) -> ImagingChain:
         physics = setup.physics(pitch_um)
+        physics = physics if repeat is None else physics.registered(repeat, setup.display)
         border_um = pixel_um if pitch_um == pixel_um and not setup.at_optimum else widest_um
         light = scenes.get(border_um, physics, border_um)
         if isinstance(light, SpectralImage):
             light = prepare_scene(light, setup.camera, physics, setup.display)
         return chain_at_pitch(light, physics, setup.exposure, setup.correction, setup.develop)
 
-    return at
+    return lambda pitch_um, sensor: registered(pitch_um, None if setup.border_um is None else sensor)
 
 
 ROUNDED = 1e-3  # of a pitch, that rounding to four digits may add
@@ -276,7 +278,7 @@ def pitches_around_optimum_um(image: SpectralImage, setup: Setup, count: int) ->
 
     def error(pitch_um: float) -> float:
         try:
-            return sensor_delta_e(chain_at(pitch_um), setup, pitch_um, 0)
+            return sensor_delta_e(chain_at(pitch_um, 0), setup, pitch_um, 0)
         except PixsimError:
             if setup.pixel.colour is None or pitch_um == scanned[-1]:
                 raise
@@ -686,7 +688,7 @@ def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Se
     assert study.tolerance_delta_e
     first = study.technologies[0]
     process, pixel = technology_of(study, first), pixel_of(study, first, largest_pixel_um(study, first))
-    border_um = study.pitch.largest_um
+    border_um = study.border_um
     settings = study.exposure, study.display, study.seed
     more: dict[str, Any] = {"at_optimum": True, "border_um": border_um, "process": process, "correction": study.correction}
     more["develop"] = study.develop

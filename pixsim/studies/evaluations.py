@@ -271,7 +271,7 @@ def largest_pixel_um(study: Study, technology: str) -> float:
 def light_of(study: Study, scenes: SceneCache, technology: str) -> SharedLight:
     """Return the light that all pitches of a technology share, and other technologies of the same response."""
     physics = _any_physics(study, technology)
-    light = scenes.get(_light_key(study, scenes, technology), physics, study.pitch.largest_um)
+    light = scenes.get(_light_key(study, scenes, technology), physics, study.border_um)
     if isinstance(light, PreparedScene):
         light.store_integrals()
     return light
@@ -298,19 +298,25 @@ def _light_key(study: Study, scenes: SceneCache, technology: str) -> tuple[bytes
     physics = _any_physics(study, technology)
     charge = physics.charge.content_hash if physics.charge else ""  # diffusion is in the light behind the lens
     electrons = b"".join(electrons_per_joule(channel, scenes.irradiance).tobytes() for channel in physics.channels)
-    return electrons, study.pitch.largest_um, f"{charge} {Layout.of_pixels(physics.pixel) or ''}"
+    return electrons, study.border_um, f"{charge} {Layout.of_pixels(physics.pixel) or ''}"
 
 
 def chain_at(
-    study: Study, light: SharedLight, camera: Camera, technology: str, pitch_um: float, process: Technology | None = None
+    study: Study,
+    light: SharedLight,
+    camera: Camera,
+    technology: str,
+    pitch_um: float,
+    repeat: int = 0,
+    process: Technology | None = None,
 ) -> ImagingChain:
-    """Return the imaging chain of a pitch.
+    """Return the imaging chain of one repeat of a pitch, with its registration.
 
     process : of the technology, for a worker that may not have its file
     """
-    physics = physics_of(study, technology, pitch_um, process)
+    physics = physics_of(study, technology, pitch_um, process).registered(repeat, study.display)
     if isinstance(light, SpectralImage):
-        options: dict[str, Any] = {"border_um": study.pitch.largest_um, "single": allows_single(study.tolerance_delta_e)}
+        options: dict[str, Any] = {"border_um": study.border_um, "single": allows_single(study.tolerance_delta_e)}
         light = prepare_scene(light, camera, physics, study.display, **options)
     return chain_at_pitch(light, physics, study.exposure, study.correction, study.develop)
 
@@ -330,7 +336,7 @@ def check_ideals(parts: Sequence[Part]) -> None:
         if grey:
             for name, part, technology in coloured.values():
                 physics = _any_physics(part.study, technology)
-                ideal = part.scenes.ideal(physics, part.study.pitch.largest_um)
+                ideal = part.scenes.ideal(physics, part.study.border_um)
                 check_one_ideal(grey, {name: shown(ideal, part.study.display)})
 
 
@@ -384,60 +390,70 @@ class ChainOfCase(ImagingChain):
 
     def sensor(self, *key: object) -> Sensor:
         """Return the sensor of `capture`."""
-        pixels = self.physics, self.signal_e_per_s.shape
+        pixels = replace(self.physics, pixel=self.physics.pixel.model_copy(update={"registration": None}))
         if getattr(_recent, "pixels", None) != pixels:
             _recent.pixels, _recent.sensors = pixels, {}
-        kept: dict[tuple[object, ...], Sensor] = _recent.sensors
-        if key not in kept:
+        kept: dict[object, Sensor] = _recent.sensors
+        own = key, self.physics.registration, self.signal_e_per_s.shape
+        if own not in kept:
             sensor = super().sensor(*key)
             size = sum(pattern.nbytes for pattern in (sensor.gain, sensor.dark_gain, sensor.offset_e) if pattern is not None)
             if (len(kept) + 1) * size > SENSORS_BYTES:
                 kept.clear()
             if size > SENSORS_BYTES:
                 return sensor
-            kept[key] = sensor
-        return kept[key]
+            kept[own] = sensor
+        return kept[own]
 
 
 def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
     """Return the rows of a task; of pixels whose colours cannot be told apart, the reason in their place."""
-    known, repeats = kept_frames(task.frames_key), list(task.keys)
+    known, rows = kept_frames(task.frames_key), []
+
+    def chain_of(repeat: int) -> ImagingChain:
+        registration = physics_of(task.study, task.technology, task.pitch_um, task.process).registered(repeat, task.study.display)
+        key = task.light_key, task.pitch_um, registration.registration
+        if getattr(_recent, "key", None) != key:
+            chain = chain_at(task.study, light, task.camera, task.technology, task.pitch_um, repeat, task.process)
+            _recent.chain, _recent.key = ChainOfCase(**vars(chain)) if task.columns else chain, key
+        return _recent.chain
+
     own = task.study, light, task.technology, task.pitch_um
-    shown = shown_chain(*own, repeats, known, task.process)
-    key = task.light_key, task.pitch_um
-    if getattr(_recent, "key", None) not in ((*key, False), (*key, shown is not None)):
-        chain = shown or chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
-        _recent.chain = ChainOfCase(**vars(chain)) if task.columns else chain
-        _recent.key = *key, shown is not None
-    if _recent.chain.rendition is not None:
-        try:
-            _recent.chain.matrix  # noqa: B018 – it stays in the chain
-        except AlikeChannelsError as error:
-            return [{"key": key, LEFT_OUT: str(error)} for key in task.keys.values()]
-    rows = []
-    for repeat, score, cached in scores_of(_recent.chain, task.study, repeats, task.frames_key, known):
-        statistics = score.statistics() | ({MEAN: float(known[MEAN])} if shown else {})
-        numbers = {name: repr(value) for name, value in statistics.items()}
-        of_row = {"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat)}
-        rows.append(of_row | numbers | task.columns | ({FROM_CACHE: "1"} if cached else {}))
+    try:
+        for repeat, score, cached in scores_of(*own, task.keys, task.frames_key, known, chain_of, task.process, shown=True):
+            statistics = score.statistics() | ({MEAN: float(known[name_of(repeat, MEAN)])} if cached else {})
+            numbers = {name: repr(value) for name, value in statistics.items()}
+            of_row = {"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat)}
+            rows.append(of_row | numbers | task.columns | ({FROM_CACHE: "1"} if cached else {}))
+    except AlikeChannelsError as error:
+        return [{"key": key, LEFT_OUT: str(error)} for key in task.keys.values()]
     return rows
 
 
 def kept_frames(frames_key: str) -> cache.Arrays:
-    """Return the frames that the cache has under a key, which may be empty.
-
-    Digital numbers stand under their repeat. What does not follow from them is stored too: each frame's saturated fraction, and the
-    time and the mean of the electrons, which all of them share.
-    """
+    """Return the frames that the cache has under a key, which may be empty, by the names of `name_of`."""
     return (cache.arrays("frames", frames_key) if frames_key else None) or {}
 
 
-MEAN, TIME = "mean_electrons_e", "integration_s"
+DN, SATURATED, MEAN, TIME, CORRECTED = "dn", "saturated_fraction", "mean_electrons_e", "integration_s", "corrected_e"
 
 
-def names_of_frame(repeat: int, corrected: bool) -> list[str]:
-    """Return the names of a frame's arrays in the cache: digital numbers, saturated fraction, and the corrected electrons."""
-    return [str(repeat), f"{repeat}_saturated_fraction", *([f"{repeat}_corrected_e"] if corrected else [])]
+def name_of(repeat: int, what: str) -> str:
+    """Return the name of an array of a frame in the cache.
+
+    Beside digital numbers and corrected electrons, it is what does not follow from them: the saturated fraction, the time and the
+    mean of the electrons.
+    """
+    return f"{repeat}_{what}"
+
+
+def kept_frame(known: cache.Arrays, repeat: int, shape: tuple[int, int], corrected: bool) -> cache.Arrays | None:
+    """Return what the cache has of a frame (rows, columns), by `DN` and so on; None if a part is missing."""
+    parts = (DN, SATURATED, MEAN, TIME, *([CORRECTED] if corrected else []))
+    found = {part: known.get(name_of(repeat, part)) for part in parts}
+    whole = {part: array for part, array in found.items() if array is not None}
+    is_whole = all(array.shape == (shape if part in (DN, CORRECTED) else ()) for part, array in whole.items())
+    return whole if len(whole) == len(parts) and is_whole else None
 
 
 def shown_chain(
@@ -445,57 +461,69 @@ def shown_chain(
     light: SharedLight,
     technology: str,
     pitch_um: float,
-    repeats: Iterable[int],
+    repeat: int,
     known: cache.Arrays,
     process: Technology | None = None,
 ) -> ImagingChain | None:
-    """Return the imaging chain of a pitch that shows frames of the cache again; None if one of them is missing.
+    """Return the imaging chain of a repeat that shows its frame of the cache again; None if it is not there.
 
-    It lacks the light behind the frames, which takes as long to compute as one of them to show: `Frame.mean_e` is 0.
+    It lacks the light behind the frame, so that its `Frame.mean_e` is 0.
 
     known : of `kept_frames`
     process : of the technology, for a worker that may not have its file
     """
-    if not isinstance(light, PreparedScene) or not {MEAN, TIME} <= known.keys():
+    if not isinstance(light, PreparedScene):
         return None
-    physics = physics_of(study, technology, pitch_um, process)
-    rows, columns = pixels_on(light.array_um, physics.as_read.read_pitch_um)
+    physics = physics_of(study, technology, pitch_um, process).registered(repeat, study.display)
+    rows, columns = pixels_on(light.array_um, physics.as_read.read_pitch_um, physics.registration)
     whole = rows * physics.planes, columns
-    for repeat in repeats:
-        arrays = [known.get(name) for name in names_of_frame(repeat, study.correction.is_on)]
-        if any(array is None or array.shape not in (whole, ()) for array in arrays):
-            return None
-    exposed = study.exposure.model_copy(update={TIME: float(known[TIME])})
+    found = kept_frame(known, repeat, whole, study.correction.is_on)
+    if found is None:
+        return None
+    exposed = study.exposure.model_copy(update={TIME: float(found[TIME])})
     return chain_of_frames(light, physics, exposed, study.correction, study.develop, whole)
 
 
 def scores_of(
-    chain: ImagingChain, study: Study, repeats: list[int], frames_key: str, known: cache.Arrays
+    study: Study,
+    light: SharedLight,
+    technology: str,
+    pitch_um: float,
+    repeats: Iterable[int],
+    frames_key: str,
+    known: cache.Arrays,
+    chain_of: Callable[[int], ImagingChain],
+    process: Technology | None = None,
+    *,
+    shown: bool,
 ) -> Iterator[tuple[int, Score, bool]]:
     """Yield each repeat with its score, and whether its frame comes from the cache; new frames are stored there.
 
     known : of `kept_frames`
+    chain_of : returns the imaging chain of a repeat
+    shown : whether frames of the cache may lack the light behind them (`shown_chain`)
     """
-    technology, pitch_um = chain.physics.technology.name, chain.physics.pitch_um
-    frames = {name: array for name, array in known.items() if array.shape in (chain.signal_e_per_s.shape, ())}
-    before = len(frames)
+    frames = dict(known)
     for repeat in repeats:
-        name, saturated, *corrected = names_of_frame(repeat, chain.correction.is_on)
-        if all(each in frames for each in (name, saturated, *corrected)):
-            dn, fraction = frames[name].astype(np.int32), float(frames[saturated])
+        chain = shown_chain(study, light, technology, pitch_um, repeat, known, process) if shown else None
+        chain = chain_of(repeat) if chain is None else chain
+        if chain.rendition is not None:
+            chain.matrix  # noqa: B018 – raises an error before a frame is made
+        shape = chain.signal_e_per_s.shape
+        found = kept_frame(known, repeat, (shape[0], shape[1]), chain.correction.is_on)
+        if found is not None:
+            dn, fraction = found[DN].astype(np.int32), float(found[SATURATED])
             frame = make_frame(dn, fraction, chain.signal_e_per_s, chain.physics, chain.exposure)
-            frame = replace(frame, corrected_e=frames[corrected[0]] if corrected else None)
-            yield repeat, chain.score_frame(frame), True
+            frame = replace(frame, corrected_e=found.get(CORRECTED))
         else:
-            frame = chain.capture(*stream_key(study, technology, pitch_um, repeat))
+            frame = chain.capture(*stream_key(study, chain.physics.technology.name, pitch_um, repeat))
             if frames_key:
-                frames[name] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
-                frames[saturated] = np.array(frame.saturated_fraction)
-                frames |= {MEAN: np.array(frame.mean_e.mean()), TIME: np.array(frame.integration_s)}
-                if frame.corrected_e is not None:
-                    frames[corrected[0]] = frame.corrected_e
-            yield repeat, chain.score_frame(frame), False
-    if len(frames) > before:
+                made = {DN: frame.dn.astype(np.min_scalar_type(2**frame.bits - 1)), SATURATED: np.array(frame.saturated_fraction)}
+                made |= {MEAN: np.array(frame.mean_e.mean()), TIME: np.array(frame.integration_s)}
+                made |= {} if frame.corrected_e is None else {CORRECTED: frame.corrected_e}
+                frames |= {name_of(repeat, part): array for part, array in made.items()}
+        yield repeat, chain.score_frame(frame), found is not None
+    if len(frames) > len(known):
         cache.store_arrays("frames", frames_key, frames)
 
 
@@ -528,7 +556,7 @@ class Fingerprints:
     def display(self) -> str:
         """Hash of the display, of the part of the die that is scored on it, and of the precision."""
         study = self.study
-        border_um = study.pitch.largest_um if study.display.raster == "fixed_size" else 0.0
+        border_um = study.border_um if study.display.raster == "fixed_size" else 0.0
         single = allows_single(study.tolerance_delta_e)
         return content_hash([study.display.content_hash, study.develop.content_hash, border_um, single])
 
@@ -658,7 +686,7 @@ def warn_of_clipped_white(part: Part) -> None:
             "white",
             content_hash(seen),
             lambda known: float(known["beyond_white"]),
-            partial(scenes.beyond_white, light, smallest, study.pitch.largest_um),
+            partial(scenes.beyond_white, light, smallest, study.border_um),
             lambda beyond_white: {"beyond_white": beyond_white},
         )
         warn_of_clipping(share)

@@ -1,12 +1,13 @@
 """The optimal pitch with its uncertainty: a Gaussian-process regression of mean ΔE against pitch.
 
-The mean ΔE of a pitch, y_i over R_i sensors, is modelled as f(u_i) + s y_i (t z_i + e_i/√R_i): a smooth curve, a residual
-that the sensors of a pitch share (how pixels register with dots and detail), and the noise of each sensor; z and e are
-standard normal. The noise s follows from the scatter of the sensors. f is a quintic smoothing spline in the logarithm u of
-the photodiode's width: as a Gaussian process, a quadratic of unknown coefficients plus a twice integrated Wiener process
-of stiffness k (G. Wahba, J. R. Stat. Soc. B 40 (1978) 364; C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for
-Machine Learning, 2006, sections 2.7 and 6.3). Against the pitch, the curve diverges where the photodiode vanishes; against
-its width it does not.
+The mean ΔE of a pitch, y_i over R_i sensors, is modelled as f(u_i) + s_i y_i (t z_i + e_i/√R_i): a smooth curve, a residual
+that the sensors of a pitch share, and the noise of each sensor (its registration with dots and detail, fixed pattern, temporal
+noise); z and e are standard normal. The noise follows from the scatter of the sensors. All pitches have the same registrations,
+and one relative noise, but for those whose scatter is significantly larger (`loud_pitches`). f is a quintic smoothing spline in
+the logarithm u of the photodiode's width: as a Gaussian process, a quadratic of unknown coefficients plus a twice integrated
+Wiener process of stiffness k (G. Wahba, J. R. Stat. Soc. B 40 (1978) 364; C. E. Rasmussen and C. K. I. Williams, Gaussian
+Processes for Machine Learning, 2006, sections 2.7 and 6.3). Against the pitch, the curve diverges where the photodiode vanishes;
+against its width it does not.
 
 Where the mean ΔE of the sizes spans more than a factor `STEEP`, all this is said of its logarithm, whose noise is the relative
 noise s: of a curve that is steep at one end and flat at the minimum, one stiffness k fits the logarithm, but not the curve, whose
@@ -33,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 from scipy.linalg.lapack import dpotrf, dtrtri
-from scipy.special import gammaincinv, stdtrit
+from scipy.special import fdtrc, gammaincinv, stdtrit
 
 from pixsim.base.arguments import checks_fields
 from pixsim.base.arrays import Array
@@ -47,6 +48,7 @@ STIFFNESS = np.geomspace(0.1, 30.0, 9)
 USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.0, 0.5  # median and logarithmic standard deviation of its prior
 # Residual t in units of a sensor's noise; those sweeps gave 0.2 to 0.5.
 RESIDUALS = (0.0, 0.25, 0.5)
+LOUD = 0.01  # chance that a study of equal scatter has a pitch that keeps its own
 NOISE_QUANTILES = (1 / 6, 1 / 2, 5 / 6)  # of the distribution of the noise's variance
 WEIGHT_USED = 0.95  # of the posterior of k, t and s; the rest weighs too little to draw from
 DRAWS = 2000
@@ -111,6 +113,7 @@ class FittedCurve:
     optimum : its minimum
     likeliest : posterior at the most likely stiffness, residual and noise
     noise : the likeliest variance of one sensor over the square of its mean ΔE
+    loud : the same of each pitch that has its own, by the pitch in µm
     scale : unit of ΔE in the design
     logarithmic : whether the design is that of the logarithm of ΔE
     width_um : photodiode width as a function of the pitch; by default proportional to it
@@ -123,6 +126,7 @@ class FittedCurve:
     optimum: Optimum
     likeliest: Posterior = field(repr=False)
     noise: float = field(repr=False)
+    loud: dict[float, float] = field(repr=False)
     scale: float = field(repr=False)
     logarithmic: bool = field(repr=False)
     width_um: Widths = field(repr=False, default=np.asarray)
@@ -309,9 +313,11 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
         within_2_percent_um=within[1],
     )
     likeliest = fits[0]
-    loudest = int(np.argmax(mean))
-    noise = float(likeliest.design.noise[loudest] / data.noise_scale[loudest]) if mean[loudest] else 0.0
-    return FittedCurve(fine_um, curve, low, high, optimum, likeliest, noise, scale, data.logarithmic, width_um)
+    scales = data.noise_scale
+    relative = np.divide(likeliest.design.noise, scales, out=np.zeros(mean.shape), where=scales != 0)
+    noise = float(np.median(relative[~data.loud]))  # equal, but for rounding
+    loud = {float(pitch): float(own) for pitch, own in zip(pitch_um[data.loud], relative[data.loud], strict=True)}
+    return FittedCurve(fine_um, curve, low, high, optimum, likeliest, noise, loud, scale, data.logarithmic, width_um)
 
 
 @dataclass(frozen=True)
@@ -320,16 +326,18 @@ class Measured:
 
     mean : (P,) of each pitch
     scale : its unit in the design
-    relative : variance of one sensor over the square of the mean ΔE
-    degrees : of freedom of that variance
+    relative : (P,) variance of one sensor over the square of the mean ΔE, pooled over all pitches but those that are `loud`
+    degrees : (P,) of freedom of that variance
+    loud : (P,) whether the scatter of a pitch is significantly larger than that of the others, so that it has its own
     design : in units of `scale`, or of the logarithm
     logarithmic : whether the logarithm is fitted
     """
 
     mean: Array
     scale: float
-    relative: float
-    degrees: int
+    relative: Array
+    degrees: NDArray[np.int64]
+    loud: NDArray[np.bool_]
     design: Design
     logarithmic: bool
 
@@ -342,7 +350,7 @@ class Measured:
     def ci95(self) -> Array:
         """Half the width of the 95 % interval of each pitch's own mean ΔE, (P,)."""
         of_mean = self.mean * np.sqrt(self.relative / self.design.sensors)
-        return np.asarray(float(stdtrit(self.degrees, (1 + CONFIDENCE) / 2)) * of_mean)
+        return np.asarray(stdtrit(self.degrees, (1 + CONFIDENCE) / 2) * of_mean)
 
     @property
     def noise_scale(self) -> Array:
@@ -367,27 +375,61 @@ def noise_scale(mean: Array, logarithmic: bool) -> Array:
 def measured(u: Array, delta_e: Array) -> Measured:
     """Return what is fitted of the mean ΔE (P, R) of each sensor at the coordinates u (P,).
 
-    The standard deviation of a sensor is assumed proportional to the mean ΔE, and pooled over pitches.
+    The standard deviation of a sensor is assumed proportional to the mean ΔE, and pooled over pitches; but where the scatter is
+    significantly larger, as where all pixels have one registration with the dots, a pitch keeps its own.
     """
     valid = np.isfinite(delta_e)
     sensors = valid.sum(axis=1)
     mean = np.nanmean(delta_e, axis=1)
     scale = float(mean.min()) or float(mean.max()) or 1.0
-    off = np.where(valid, delta_e - mean[:, None], 0.0)
-    expected = float(((sensors - 1) * mean**2).sum())
-    relative = float((off**2).sum()) / expected if expected else 0.0
+    squares = (np.where(valid, delta_e - mean[:, None], 0.0) ** 2).sum(axis=1)
+    loud = loud_pitches(squares, mean, sensors - 1)
+
+    def pooled(which: NDArray[np.bool_]) -> float:
+        expected = float(((sensors - 1) * mean**2)[which].sum())
+        return float(squares[which].sum()) / expected if expected else 0.0
+
+    relative, degrees = np.full(mean.shape, pooled(~loud)), np.full(mean.shape, (sensors - 1)[~loud].sum())
+    for place in np.flatnonzero(loud):
+        relative[place], degrees[place] = pooled(np.arange(mean.size) == place), sensors[place] - 1
     logarithmic = bool(mean.max() > STEEP * mean.min() > 0)
     design = Design(u, relative * noise_scale(mean / scale, logarithmic), sensors)
-    return Measured(mean, scale, relative, int((sensors - 1).sum()), design, logarithmic)
+    return Measured(mean, scale, relative, degrees, loud, design, logarithmic)
+
+
+def loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which pitches scatter significantly more than the others, (P,): those that fail an F test at `LOUD`, the worst first.
+
+    The level is shared by all pitches, so that one of a hundred studies of equal scatter has such a pitch. At most half of them
+    are taken out.
+
+    squares : (P,) sums of squares about the mean of a pitch
+    mean, degrees : (P,) mean ΔE; degrees of freedom of the squares
+    """
+    scatter = np.divide(squares, mean**2, out=np.zeros(mean.shape), where=mean != 0)  # of relative deviations
+    loud = np.zeros(mean.shape, bool)
+    while loud.sum() < mean.size // 2:
+        left = (~loud & (degrees > 0)).nonzero()[0]
+        others, of_others = scatter[left].sum() - scatter[left], degrees[left].sum() - degrees[left]
+        if left.size < 2 or not others.any():
+            break
+        with np.errstate(divide="ignore"):
+            ratio = scatter[left] / degrees[left] / (others / of_others)
+        chance = fdtrc(degrees[left], of_others, ratio)
+        worst = int(np.argmin(chance))
+        if chance[worst] >= LOUD / mean.size:
+            break
+        loud[left[worst]] = True
+    return loud
 
 
 def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
     """Return posteriors at the likely stiffnesses, residuals and noises, the likeliest first, and their weights, of sum 1."""
     fits, logs = [], []
-    design, y, degrees = data.design, data.values, data.degrees
+    design, y, degrees = data.design, data.values, data.degrees.astype(float)
     spread = STEEP_STIFFNESS_SPREAD if data.logarithmic else STIFFNESS_SPREAD
     for quantile in NOISE_QUANTILES:
-        variance = degrees / (2 * gammaincinv(degrees / 2, 1 - quantile))  # degrees/χ²
+        variance = degrees / (2 * gammaincinv(degrees / 2, 1 - quantile))  # degrees/χ², of each pitch
         scaled = Design(design.u, design.noise * variance, design.sensors)
         for stiffness in STIFFNESS.tolist():
             prior = -(((np.log(stiffness / USUAL_STIFFNESS)) / spread) ** 2) / 2

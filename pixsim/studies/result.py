@@ -20,8 +20,8 @@ from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.collection import least_fresnel_number
 from pixsim.sensor.integration import collecting_area_um2
-from pixsim.sensor.pixel import has_microlens, photodiode_widths_um, physics_of
-from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
+from pixsim.sensor.pixel import has_microlens, photodiode_widths_um, physics_of, smallest_pitch_um
+from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
 from pixsim.show.pages import Column, Plate, html_cell, rows_csv, set_words
 from pixsim.studies.cases import BASE, case_words
@@ -33,10 +33,10 @@ from pixsim.studies.evaluations import (
     block_key,
     chain_at,
     kept_frames,
+    largest_lens_um,
     light_of,
     scenes_of,
     scores_of,
-    shown_chain,
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
+ROUNDING = 1e-9  # relative, of a number that is rounded up
 SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
 
@@ -75,6 +76,7 @@ class Curve:
     at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
     left_out : pitches in µm that are not among them, each with the reason
     viewed : optima under other viewings, of a data sheet's sensor whose display pixsim chose
+    from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
     """
 
     technology: str
@@ -93,6 +95,7 @@ class Curve:
     alone: str = ""
     left_out: tuple[tuple[float, str], ...] = field(default=(), repr=False)
     viewed: tuple[OptimumViewed, ...] = field(default=(), repr=False)
+    from_smallest: bool = False
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -311,7 +314,8 @@ class StudyResult:
     def notes(self) -> list[str]:
         """What a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
         parts = self.parts or (self,)
-        return [*sorted(self.warned), *few([*map(target_notes, parts)]), *few([*map(study_dark_notes, parts)])]
+        kinds = target_notes, open_notes, study_dark_notes
+        return [*sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, parts)]))]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
@@ -389,15 +393,15 @@ class StudyResult:
         light = light_of(self.study, self.scenes, technology)
         count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
         frames = self.fingerprints.frames_of_pitch(technology, pitch_um)
-        whole: ImagingChain | None = None
+
+        def chain_of(repeat: int) -> ImagingChain:
+            return chain_at(self.study, light, self.camera, technology, pitch_um, repeat)
+
         scores: list[Score] = []
         for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
             own, key = list(range(first, min(count, first + REPEATS_PER_TASK))), block_key(frames, block)
-            known = kept_frames(key)
-            chain = shown_chain(self.study, light, technology, pitch_um, own, known) if shown else None
-            if chain is None:
-                chain = whole = whole or chain_at(self.study, light, self.camera, technology, pitch_um)
-            scores += [score for _, score, _ in scores_of(chain, self.study, own, key, known)]
+            of_block = own, key, kept_frames(key), chain_of
+            scores += [score for _, score, _ in scores_of(self.study, light, technology, pitch_um, *of_block, shown=shown)]
         # Figures sum over the maps, for which float32 has too few digits.
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 
@@ -517,7 +521,9 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:
     fit = fit_curve(pitches, statistics["mean_delta_e"], partial(photodiode_widths_um, study, technology))
     process = technology_of(study, technology)
     sheet = process.name == NO_TECHNOLOGY
-    return Curve(technology, process.feature_size_um, pitches, fill_factor, statistics, fit, data_sheet=sheet)
+    from_smallest = study.pitch.values_um is None and study.open_range_um[0] is None
+    more: dict[str, Any] = {"data_sheet": sheet, "from_smallest": from_smallest}
+    return Curve(technology, process.feature_size_um, pitches, fill_factor, statistics, fit, **more)
 
 
 def alike_words(curve: Any) -> str:
@@ -547,11 +553,14 @@ def interval_words(curve: Any) -> str:
     if low is None and high is None:
         return "no limit among the sizes tried"
     if low is None:
-        within = f"below {high:.2f} µm, no lower limit among the sizes tried"
-        return within if high > first else "at or below the smallest size tried"
+        if high <= first:
+            return "at or below the smallest size tried"
+        size = "smallest possible size" if curve.from_smallest else "smallest size tried"
+        return f"below {high:.2f} µm, {flat_words(curve, 0, size) or 'no lower limit among the sizes tried'}"
     if high is None:
-        within = f"above {low:.2f} µm, no upper limit among the sizes tried"
-        return within if low < last else "at or above the largest size tried"
+        if low >= last:
+            return "at or above the largest size tried"
+        return f"above {low:.2f} µm, {flat_words(curve, -1, 'largest size tried') or 'no upper limit among the sizes tried'}"
     return f"{low:.2f} to {high:.2f} µm"
 
 
@@ -569,6 +578,25 @@ def viewed_words(curve: Curve, inside: bool = True) -> str:
     )
     where = "in the range of viewing" if inside else "on other displays than the one stated"
     return f"{where} the best size goes from {range_um}: {each_one}" if " to " in range_um else f"{where} it is {range_um} too"
+
+
+def flat_words(curve: Any, end: int, size: str) -> str:
+    """Return how little the fitted curve rises from a minimum inside the range to one of its ends; empty if it is at an end.
+
+    end : 0 or -1
+    size : that of this end, in words
+    """
+    best = curve.optimum
+    if not best.inside or not best.mean_delta_e > 0:
+        return ""
+    rise = max(0.0, float(curve.fit.delta_e[end]) / best.mean_delta_e - 1)
+    return f"flat to the {size}: within {rounded_up(100 * rise)} %"
+
+
+def rounded_up(value: float) -> str:
+    """Return a value as text, rounded up to two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1) if value > 0 else 0.1
+    return f"{math.ceil(value / unit - ROUNDING) * unit:.2g}"
 
 
 def within_words(ends: tuple[float | None, float | None], curve: Any) -> str:
@@ -717,6 +745,40 @@ def target_notes(result: Any) -> list[str]:
         target = f"the target is ± {target_um} µm (target_ci_um)"
         notes.append(f"{curve.label}: the interval is {width} after {limit}; {target}")
     return notes
+
+
+LARGER = 1.25  # ratio of a size that is proposed beyond the range
+
+
+def open_notes(result: Any) -> list[str]:
+    """Return a note for each open end of an optimum's interval: which size would close it, or why none can."""
+    study = result.study
+    notes: list[str] = []
+    if study.target_ci_um is not None:  # said by `target_notes`
+        return notes
+    for curve in result.curves:
+        low, high = curve.optimum.interval_um
+        if (low is None) == (high is None):  # both: no size would help, but more sensors
+            continue
+        smallest, end = low is None, 0 if low is None else -1
+        tried_um, word = float(curve.pitch_um[end]), "smallest" if smallest else "largest"
+        start = f"{curve.label}: the interval is open, since the {word} size tried, {tried_um:.4g} µm, may be the best"
+        notes.append(f"{start}; {_closing_size(study, curve, tried_um, smallest)}")
+    return notes
+
+
+def _closing_size(study: Study, curve: Curve, tried_um: float, smallest: bool) -> str:
+    """Return which size beyond the end of a range would close an interval, in words."""
+    process = with_fill_factor_law(technology_of(study, curve.technology), study.options_of(curve.technology).fill_factor_law)
+    least_um = 0.0 if curve.data_sheet else smallest_pitch_um(process)
+    largest_um = largest_lens_um(study, curve.technology)
+    size_um = max(tried_um / LARGER, math.sqrt(least_um * tried_um)) if smallest else min(tried_um * LARGER, largest_um)
+    size_um = float(f"{size_um:.3g}")
+    name = "pitch.values_um" if study.pitch.values_um is not None else "pitch.min_um" if smallest else "pitch.max_um"
+    if not (least_um < size_um < tried_um if smallest else tried_um < size_um <= largest_um):
+        return "no smaller one is possible" if smallest else "no larger one is possible under its microlenses"
+    how = f"{name} with {size_um:g}" if name == "pitch.values_um" else f"{name} = {size_um:g}"
+    return f"a size of {size_um:g} µm ({how}) would tell"
 
 
 def study_dark_notes(result: Any) -> list[str]:

@@ -38,12 +38,13 @@ from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import PixelPhysics, physics_of, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.technology import label_of, technology_of
-from pixsim.studies.allocation import next_sensors
+from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
 from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import (
     COLUMNS,
+    FEW_PARTS,
     Counts,
     Evaluations,
     Part,
@@ -273,20 +274,30 @@ def repeating_command(variant: str | None, asked: Asked | None = None) -> str:
     return f"{words} --{'sobol' if asked.total else 'uncertainty'} {asked.draws}{sizes}"
 
 
-def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sampling:
-    """Return the sampling after a round of additions to each curve whose interval misses the target; unchanged at a limit.
+def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine: bool = True) -> Sampling:
+    """Return the sampling after a round of additions to each curve; unchanged at a limit.
+
+    A curve whose interval misses `target_ci_um` gets sizes and sensors where they narrow it most. Without a target, so does one
+    whose interval has an open end (`next_where_open`), unless the sizes are a list of the user's.
+
+    refine : whether curves without a target may have additions
 
     The choice depends on the curves alone, so it is the same on any workers and in a resumed study.
     """
     chosen = dict(sampling)
     for curve in curves:
         sensors = sampling[curve.technology]
-        if study.target_ci_um is None or curve.optimum.half_width_um <= study.target_ci_um:
+        sizes, most = len(study_pitches_um(study, curve.technology)), max(study.repeats, study.max_repeats)
+        if study.target_ci_um is None:
+            if not (refine and study.refine) or study.pitch.values_um is not None:
+                continue
+            more = next_where_open(curve.fit, sensors, sizes * study.repeats, most)
+        elif curve.optimum.half_width_um <= study.target_ci_um:
             continue
-        more = next_sensors(curve.fit, sensors, max(study.repeats, study.max_repeats))
+        else:
+            more = next_sensors(curve.fit, sensors, most)
         if study.max_evaluations is None:
-            limit = len(study_pitches_um(study, curve.technology)) * max(study.repeats, study.max_repeats)
-            within = sum(more.values()) <= limit
+            within = sum(more.values()) <= sizes * most
         else:
             evaluations = sum(sum(counts.values()) for counts in (chosen | {curve.technology: more}).values())
             within = evaluations <= study.max_evaluations
@@ -463,7 +474,7 @@ def _prepare(study: Study, variant: str | None, view: View | None = None, scenes
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
-        dot_edges_um(camera.die_um, largest_um, study.display, study.pitch.largest_um)
+        dot_edges_um(camera.die_um, largest_um, study.display, study.border_um)
     return Prepared(study, scene, camera, view, variant)
 
 
@@ -672,7 +683,7 @@ def evaluate_cases(
                             for name, sensors in samplings[number].items()
                         )
                         fitted[number] = samplings[number]
-                        more = next_round(study, curves[number], samplings[number])
+                        more = next_round(study, curves[number], samplings[number], len(made) <= FEW_PARTS)
                         if more != samplings[number]:
                             again.append(number)
                         samplings[number] = more

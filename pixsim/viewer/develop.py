@@ -271,7 +271,7 @@ def frame_rgb(
     matrix : (3, C) from balanced channels, of `Rendition.matrix`
     size_um, edges_um : as of `frame_luminance`
     """
-    return mixed(matrix, [on_dots(plane, frame.pitch_um, size_um, display, edges_um) for plane in planes])
+    return mixed(matrix, [on_dots(plane, frame.pitch_um, size_um, display, edges_um, frame.registration) for plane in planes])
 
 
 def noise_covariance(

@@ -18,12 +18,20 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import STRIP_DOTS, Array, strips, transposed
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Display
+from pixsim.base.parameters import CENTRED_BORDER, REGISTERED_BORDER, Camera, Display
 from pixsim.light.spectral import WHITE_LAMPS, SpectralImage, d65, white_words
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
-from pixsim.sensor.integration import M2_PER_UM2, MAX_PIXELS, electrons_per_joule, ideal_rate, integrate_axis, pixels_on
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.integration import (
+    M2_PER_UM2,
+    MAX_PIXELS,
+    electrons_per_joule,
+    first_edge_um,
+    ideal_rate,
+    integrate_axis,
+    pixels_on,
+)
+from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration
 from pixsim.sensor.readout import Frame
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
@@ -120,25 +128,32 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
 
 @checks_arguments
 def dot_edges_um(
-    size_um: tuple[float, float], pitch_um: float, display: Display, border_um: float, array_um: tuple[float, float] | None = None
+    size_um: tuple[float, float],
+    pitch_um: float,
+    display: Display,
+    border_um: float,
+    array_um: tuple[float, float] | None = None,
+    registration: Registration = CENTRED,
 ) -> tuple[Array, Array]:
     """Return the edges of the dots that are shown and scored, rows and columns, measured from the picture's top left corner.
 
     `fixed_size`: `dots` span the width of the die; a border of `border_um` on each side, rounded up to whole dots, is left out.
-    `one_to_one`: each dot is one pixel of the centred array.
+    `one_to_one`: each dot is one pixel of the array.
 
     size_um : (height, width) of the picture on the sensor
     pitch_um : of the pixels; used by `one_to_one` only
-    border_um : the largest pitch among pixels scored on the same dots. Half of it covers the strip that whole pixels do not
-        fill, half the outermost half pixels, which interpolation continues as constants; used by `fixed_size` only
+    border_um : of the largest pixels scored on the same dots, `PixelPhysics.border_um`: the strip that whole pixels do not fill,
+        and the outermost half pixels, which interpolation continues as constants; used by `fixed_size` only
     array_um : (height, width) that the pixels fill, if it is not the picture
+    registration : of the pixels, as of `PixelPhysics`
 
     Returns ((rows + 1,), (columns + 1,)). Raises PixsimError if no whole pixel fits, no whole dot is left, or there are more
     than 2^26 dots.
     """
-    pixels = pixels_on(array_um or size_um, pitch_um)
+    pixels = pixels_on(array_um or size_um, pitch_um, registration)
     if display.raster == "one_to_one":
-        rows, columns = (pixel_edges_um(um, count, pitch_um) for um, count in zip(size_um, pixels, strict=True))
+        lines = zip(size_um, pixels, registration, strict=True)
+        rows, columns = (pixel_edges_um(um, count, pitch_um, own) for um, count, own in lines)
         return rows, columns
     # Half a dot is rounded down, whatever the rounding of lengths: other sensors with the same field then have the same dots.
     counts = [max(1, round(display.dots * length_um / size_um[1] * (1 - 1e-9))) for length_um in size_um]
@@ -150,16 +165,22 @@ def dot_edges_um(
         cut = math.ceil(border_um / length_um * count * (1 - 1e-9))
         if 2 * cut >= count:
             dot_um, hint = length_um / count, "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'."
-            got = f"{border_um:g} µm: a border this wide on each side leaves none of the {count} dots of {dot_um:.3g} µm"
-            raise invalid("pixel.pitch_um", got, f"below {(count - 1) // 2 * length_um / count:.4g} µm on this die", hint)
+            got = f"pixels whose border of {border_um:g} µm on each side leaves none of the {count} dots of {dot_um:.3g} µm"
+            most = f"{CENTRED_BORDER:g} pixel wide in a run, {REGISTERED_BORDER:g} of the largest in a study"
+            raise invalid("pixel.pitch_um", got, f"a border ({most}) below {(count - 1) // 2 * dot_um:.4g} µm on this die", hint)
         edges.append(np.linspace(0.0, length_um, count + 1)[cut : count + 1 - cut])
     return edges[0], edges[1]
 
 
 @checks_arguments
-def pixel_edges_um(length_um: float, count: int, pitch_um: float) -> Array:
-    """Return the edges of a centred line of `count` pixels, (count + 1,), measured from the picture's edge."""
-    return length_um / 2 + (np.arange(count + 1.0) - count / 2) * pitch_um
+def pixel_edges_um(length_um: float, count: int, pitch_um: float, registration: float | None = None) -> Array:
+    """Return the edges of a line of `count` pixels, (count + 1,), measured from the picture's edge.
+
+    registration : of the pixels along this axis, as of `PixelPhysics`
+    """
+    if registration is None:
+        return length_um / 2 + (np.arange(count + 1.0) - count / 2) * pitch_um
+    return first_edge_um(length_um, count, pitch_um, registration) + np.arange(count + 1.0) * pitch_um
 
 
 @checks_arguments
@@ -346,7 +367,7 @@ def frame_luminance(
         picture /= shading
     if single and fits_single(frame, white_e):
         picture = picture.astype(np.float32)
-    return on_dots(picture, frame.pitch_um, size_um, display, edges_um)
+    return on_dots(picture, frame.pitch_um, size_um, display, edges_um, frame.registration)
 
 
 @checks_arguments
@@ -357,14 +378,20 @@ def fits_single(frame: Frame, white_e: float) -> bool:
 
 @checks_arguments
 def on_dots(
-    picture: Array, pitch_um: float, size_um: tuple[float, float], display: Display, edges_um: tuple[Array, Array]
+    picture: Array,
+    pitch_um: float,
+    size_um: tuple[float, float],
+    display: Display,
+    edges_um: tuple[Array, Array],
+    registration: Registration = CENTRED,
 ) -> Array:
     """Return the means of a picture over the display's dots, (H, W), in its unit, as `frame_luminance` takes them.
 
     picture : (rows, columns) of pixels, in any unit; float32 stays float32, as of `average_axis`
-    pitch_um : of the pixels, which are centred on the whole picture
+    pitch_um : of the pixels
     size_um : (height, width) of the whole picture on the sensor
     edges_um : of the dots' rows and columns, from `dot_edges_um`
+    registration : of the pixels on the picture, as of `PixelPhysics`
 
     Raises PixsimError if the edges do not increase.
     """
@@ -372,7 +399,7 @@ def on_dots(
         return picture
     # In the order in which the transposed array is the smaller one.
     for axis in (0, 1) if picture.shape[1] > display.dots else (1, 0):
-        low_um = size_um[axis] / 2 - picture.shape[axis] / 2 * pitch_um
+        low_um = first_edge_um(size_um[axis], picture.shape[axis], pitch_um, registration[axis])
         degree = SPLINE_DEGREE[display.interpolation]
         picture = _average_axis(picture, pitch_um, low_um, edges_um[axis], degree, axis)
     return picture

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,15 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.collection import Collection, ColourCollection, collection_of, read_as_one
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
-from pixsim.sensor.integration import M2_PER_UM2, diffracted, diffusion_of, illumination_of, integrate_pixels, pixels_on
+from pixsim.sensor.integration import (
+    M2_PER_UM2,
+    array_on,
+    centred_pixels,
+    diffracted,
+    diffusion_of,
+    illumination_of,
+    integrate_pixels,
+)
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, integration_time_s, make_frame
 from pixsim.viewer.develop import frame_rgb, white_y, xyz_weights
@@ -65,13 +74,13 @@ def delta_e_parts(
     steps = [whole, chain.score_frame(still).mean_delta_e]
     if light.rendition is not None:
         own = replace(chain, collection=None, rendition=light.rendition, whites_e_per_s=light.whites_e_per_s(physics))
+        pixels = centred_pixels(light.array_um, physics)
         planes = [
-            _at_every_pixel(one.rate_e_per_s_um2, light, physics, collection_of(channel, one.illumination, _pixels(light, physics)))
-            / white
+            _at_every_pixel(one.rate_e_per_s_um2, light, physics, collection_of(channel, one.illumination, pixels)) / white
             for one, channel, white in zip(light.lights, physics.channels, light.whites_e_per_s_um2, strict=True)
         ]
         blur = diffusion_of(physics)
-        mean = collection_of(physics, illumination_of(irradiance, camera, physics), _pixels(light, physics))
+        mean = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
         seen = diffracted(irradiance, camera, list(xyz_weights(irradiance)), blur)
         white = white_y(irradiance, camera, screen.display) * M2_PER_UM2
         observed = [_at_every_pixel(rate, light, physics, mean) / white for rate in seen]
@@ -95,18 +104,18 @@ def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
     return replace(frame, corrected_e=(chain.signal_e_per_s * integration_s).astype(np.float32))
 
 
-def _pixels(light: PreparedScene, physics: PixelPhysics) -> tuple[int, int]:
-    """Return rows and columns of the pixels."""
-    rows, columns = pixels_on(light.array_um, physics.as_read.read_pitch_um)
-    return rows * physics.as_read.bin_side, columns * physics.as_read.bin_side
+def _array(light: PreparedScene, physics: PixelPhysics) -> tuple[tuple[int, int], tuple[float, float], tuple[float, float] | None]:
+    """Return `array_on` of the pixels."""
+    picture_um = [count * light.sample_pitch_um for count in light.rate_e_per_s_um2.shape]
+    return array_on(picture_um, light.array_um, physics)
 
 
 def _at_every_pixel(rate: Array, light: PreparedScene, physics: PixelPhysics, collection: Collection | None) -> Array:
     """Return the mean light on every pixel, (rows, columns), as one channel would see it everywhere, without shading."""
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
-    rows, columns = _pixels(light, physics)
     mean = _means(rate, light, physics, side_um)
     if collection is not None:
+        rows, columns = mean.shape
         mean = share_with_neighbours(mean, collection.shares) / collection.on_axis / collection.relative((rows, columns))
     side = physics.as_read.bin_side
     return read_as_one(mean, side) / side**2
@@ -114,9 +123,9 @@ def _at_every_pixel(rate: Array, light: PreparedScene, physics: PixelPhysics, co
 
 def _means(rate: Array, light: PreparedScene, physics: PixelPhysics, side_um: float) -> Array:
     """Return the mean of a rate over the aperture of every pixel, (rows, columns)."""
-    rows, columns = _pixels(light, physics)
-    size_um = rows * physics.pitch_um, columns * physics.pitch_um
-    return integrate_pixels(rate, light.sample_pitch_um, physics.pitch_um, side_um, size_um=size_um) / side_um**2
+    _, size_um, first_um = _array(light, physics)
+    options: dict[str, Any] = {"size_um": size_um, "first_um": first_um}
+    return integrate_pixels(rate, light.sample_pitch_um, physics.pitch_um, side_um, **options) / side_um**2
 
 
 def _mixed_at_every_pixel(light: PreparedScene, physics: PixelPhysics, chain: ImagingChain) -> list[Array]:

@@ -29,7 +29,7 @@ from pixsim.sensor.collection import (
 )
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
-from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, lights_of
+from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, centred_pixels, lights_of
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.readout import (
     MAX_BLACK,
@@ -433,6 +433,7 @@ class PreparedScene:
     array_um: tuple[float, float]
     beyond_white: float = 0.0
     rendition: Rendition | None = None
+    _collections: list[ColourCollection] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @property
     def rate_e_per_s_um2(self) -> Array:
@@ -449,8 +450,13 @@ class PreparedScene:
         """Return the collection of the pixels of a colour sensor with a stack."""
         layout = Layout.of_pixels(physics.pixel)
         assert layout is not None
-        side = physics.as_read.bin_side
-        return ColourCollection(layout, tuple(collections), self.whites_e_per_s_um2, physics.pitch_um, side)
+        own = tuple(collections)
+        last = self._collections[-1] if self._collections else None
+        if last is None or any(one is not other for one, other in zip(last.each, own, strict=True)):
+            side = physics.as_read.bin_side
+            # The registrations of a pitch, which follow one another, share what is expensive of it.
+            self._collections[:] = [ColourCollection(layout, own, self.whites_e_per_s_um2, physics.pitch_um, side)]
+        return self._collections[-1]
 
     def store_integrals(self) -> None:
         """Compute what all pitches share, for workers that would each compute it."""
@@ -470,12 +476,13 @@ def ideal_on_dots(
 
     That is `displays.ideal_luminance`, (H, W), or `ideal_rgb`, (3, H, W).
 
-    border_um : largest pitch scored on the same dots
+    border_um : of all that is scored on the same dots, as for `displays.dot_edges_um`
     rendition : of a colour sensor
     """
     irradiance = ideal_light(irradiance, camera)
     size_um, array_um = displays.picture_size_um(irradiance), array_size_um(irradiance, camera)
-    edges_um = displays.dot_edges_um(size_um, physics.as_read.read_pitch_um, display, border_um, array_um)
+    own = physics.as_read.read_pitch_um, display, border_um, array_um, physics.registration
+    edges_um = displays.dot_edges_um(size_um, *own)
     if rendition is None:
         return edges_um, displays.ideal_luminance(irradiance, camera, physics, display, edges_um)
     return edges_um, ideal_rgb(irradiance, camera, display, rendition.to_display, edges_um)
@@ -528,7 +535,7 @@ def prepare_scene(
     """Return the light behind the lens and the screen. They depend on the pitch only if the raster is one_to_one.
 
     single : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not with `full`
-    border_um : largest pitch scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's pitch
+    border_um : of all that is scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's
     lights : behind the lens, of a part of a picture whose blur depends on its place; None computes them
 
     Raises PixsimError if the irradiance is negative or not finite.
@@ -562,7 +569,7 @@ def screen_of(
     border_um, full, single : as of `prepare_scene`
     rendition : of a colour sensor
     """
-    border_um = physics.as_read.read_pitch_um if border_um is None else border_um
+    border_um = physics.as_read.border_um if border_um is None else border_um
     edges_um, light = ideal_on_dots(irradiance, camera, physics, display, border_um, rendition)
     ideal, single = shown(light, display), single and not full
     lab = perceived_lab(ideal, display, full, single)
@@ -635,7 +642,7 @@ def chain_at_pitch(
     correction: Correction = NO_CORRECTION,
     develop: Develop = DEVELOP,
 ) -> ImagingChain:
-    """Return the imaging chain of a pixel of any pitch, from light prepared for its spectral response."""
+    """Return the imaging chain of a pixel of any pitch and registration, from light prepared for its spectral response."""
     signal, collections = array_signal(light.lights, light.sample_pitch_um, physics, light.array_um)
     return _chain(light, physics, exposure, correction, develop, signal, collections)
 
@@ -652,8 +659,7 @@ def chain_of_frames(
 
     exposure : with the time of the frames
     """
-    side = physics.as_read.bin_side
-    pixels = shape[0] // physics.planes * side, shape[1] * side
+    pixels = centred_pixels(light.array_um, physics)
     collections = collections_of(physics, [one.illumination for one in light.lights], pixels)
     return _chain(light, physics, exposure, correction, develop, np.broadcast_to(0.0, shape), collections)
 

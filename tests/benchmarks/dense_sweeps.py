@@ -61,7 +61,7 @@ def studies() -> dict[str, pixsim.Study]:
 def sweep(study: pixsim.Study) -> np.ndarray:
     """(pitches, sensors) mean ΔE."""
     with tempfile.TemporaryDirectory() as folder:
-        return pixsim.study(study.model_copy(update={"repeats": SENSORS}), folder).curves[0].delta_e
+        return pixsim.study(study.model_copy(update={"repeats": SENSORS, "refine": False}), folder).curves[0].delta_e
 
 
 def main(names: list[str]) -> None:

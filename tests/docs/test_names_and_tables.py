@@ -49,8 +49,9 @@ def test_names_are_read_from_the_page() -> None:
 
 
 def test_citation_and_changelog_state_this_version_and_its_day() -> None:
+    """Of the newest release; what is "(unreleased)" above it has no day."""
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    newest, day = re.findall(r"^## (\S+) \((.+)\)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)[0]
+    newest, day = re.findall(r"^## (\S+) \((\d.+)\)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)[0]
     assert [*re.findall(r"^version: (.+)$", citation, re.MULTILINE), newest] == [pixsim.__version__] * 2
     assert re.findall(r"^date-released: (.+)$", citation, re.MULTILINE) == [f"{datetime.strptime(day, '%d %B %Y'):%Y-%m-%d}"]
 

@@ -14,7 +14,7 @@ from spectral.io import envi
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light.foreign import parse_light_unit
-from pixsim.light.spectral import SpectralImage, bands_last_hint
+from pixsim.light.spectral import RINGS, SpectralImage, bands_last_hint
 from pixsim.optics.exchange import read_irradiance
 
 UNIT = "W.m^-2.nm^-1"
@@ -112,6 +112,27 @@ def test_write_npz_image_reads_back_bit_for_bit(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["image.npz"]
     with pytest.raises(PixsimError, match=r"output file: got '.*image\.npz' .*; allowed: a path that can be written"):
         pixsim.write_npz(tmp_path / "nowhere" / "image.npz", image)
+
+
+def test_light_that_rings_before_the_blur_of_a_real_lens_is_read_back_and_other_negative_light_is_refused(tmp_path):
+    data = light()
+    data[1, 2, 0] = -0.3
+    image = SpectralImage(NM, 10.0, 2.5, data=data, header={RINGS: True})
+    image.validate()
+    pixsim.write_exr(tmp_path / "rings.exr", image)
+    back = read_irradiance(tmp_path / "rings.exr")
+    assert np.array_equal(bits(back.data), bits(data))
+    back.validate()
+    pixsim.write_npz(tmp_path / "rings.npz", image)
+    assert np.array_equal(bits(read_irradiance(tmp_path / "rings.npz").data), bits(np.maximum(data, 0)))
+    pixsim.write_exr(tmp_path / "plain.exr", SpectralImage(NM, 10.0, 2.5, data=data))
+    refused(tmp_path / "plain.exr", " at row 1, column 2 of the band at 500 nm", pitch_um=None)
+    data[1, 2, 0] = -2.0  # more than a spline rings
+    deeper = SpectralImage(NM, 10.0, 2.5, data=data, header={RINGS: True})
+    pixsim.write_exr(tmp_path / "deeper.exr", deeper)
+    refused(tmp_path / "deeper.exr", "got -2.0 at row 1, column 2 of the band at 500 nm", pitch_um=None)
+    with pytest.raises(PixsimError, match=r"irradiance: got values from -2 to .*; allowed: 0 or more"):
+        deeper.validate()
 
 
 # --- Units ---

@@ -320,7 +320,7 @@ def test_mirrors_do_not_change_the_blur(uneven_light: Light) -> None:
         np.testing.assert_allclose(turned(blur.blurred(turned(picture))), one, atol=2e-6)  # in single precision
 
 
-@pytest.mark.parametrize("shape", [(96, 96), (97, 97), (96, 65), (65, 128)])
+@pytest.mark.parametrize("shape", [(96, 96), (97, 97), (96, 65), (65, 128), (96, 128), (65, 97)])
 def test_light_is_preserved_before_it_leaves_the_picture(shape: tuple[int, int], uneven_light: Light) -> None:
     picture = np.random.default_rng(1).random(shape)
     blur = blur_of(uneven_light, shape, PITCH_UM, 16, 17)

@@ -164,7 +164,7 @@ def test_study_settings_with_time_limit_do_not_depend_on_the_clock(
     assert (kept["resolution"], kept["max_seconds"]) == (result.irradiance.shape[1], NO_TIME_LIMIT_S)
     monkeypatch.setenv("PIXSIM_CACHE_GIB", "0")
     again = repeated(result, tmp_path / "again")
-    assert np.array_equal(again.curves[0].delta_e, result.curves[0].delta_e)
+    assert np.array_equal(again.curves[0].delta_e, result.curves[0].delta_e, equal_nan=True)  # of sizes with fewer sensors
     assert tomllib.loads(again.settings_toml) == kept
 
 
@@ -185,7 +185,7 @@ def test_study_settings_make_same_numbers(options: str, desk: Path, tmp_path: Pa
     done(f"{command_in(desk / 'out')} --jobs 1 --out {tmp_path / 'again'}")
     first, again = ([list(row.values())[2:] for row in rows(folder)] for folder in (desk / "out", tmp_path / "again"))
     assert first == again
-    assert len(first) == 12
+    assert len(first) >= 12  # and those that an open end asks for
     assert read_toml(tmp_path / "again/settings.toml") == read_toml(desk / "out/settings.toml")
 
 

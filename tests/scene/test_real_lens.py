@@ -10,7 +10,7 @@ from helpers.edits import VARIANT
 
 from pixsim import evaluate, load_scene, render
 from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, LensOptions, Pixel
-from pixsim.light.spectral import photons_per_joule
+from pixsim.light.spectral import RINGS, photons_per_joule
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, dark_share, distortion_of, ideal_light, traced_lens, without_lens
 from pixsim.optics.lens_defocus import defocus_error, depth_of_disc_m, largest_disc_um, signed_disc_um
 from pixsim.optics.thin_lens import irradiance_factor
@@ -82,6 +82,7 @@ def test_plan_states_the_tiles_and_their_error(singlet) -> None:
     assert 0 <= plan.tiling.lacking < 0.1
     assert f"which lack up to {plan.tiling.lacking:.1%} of the light" in decision.reason
     assert image.header[LENS_HEADER]["error"] == plan.tiling.error
+    assert image.header[RINGS]  # so that what the distortion's spline rings below zero is no error
     assert Camera(**image.header["camera"]) == camera
 
 
@@ -172,6 +173,7 @@ def test_a_thin_enough_lens_is_left_out_and_the_picture_is_the_thin_lens_s_bit_f
     image, other = render(scene, camera, plan=plan), render(scene, thin, plan=make_render_plan(scene, thin, PIXEL))
     assert np.array_equal(image.factors[1], other.factors[1])
     assert LENS_HEADER not in image.header
+    assert RINGS not in image.header
     physics = derive(PIXEL)
     assert np.array_equal(diffracted_rate(image, camera, physics), diffracted_rate(other, thin, physics))
 

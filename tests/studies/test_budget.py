@@ -307,7 +307,7 @@ def test_pitches_whose_colours_cannot_be_taken_apart_are_left_out_of_the_scan(
         return pitch_um
 
     monkeypatch.setattr(budget, "sensor_delta_e", delta_e)
-    monkeypatch.setattr(budget, "chains_of", lambda *_: lambda _: None)
+    monkeypatch.setattr(budget, "chains_of", lambda *_: lambda *_: None)
     monkeypatch.setattr(budget, "pitch_range_um", lambda _: (0.5, 15.0))
     setup: Any = SimpleNamespace(pixel=SimpleNamespace(colour=colour))
     image: Any = None

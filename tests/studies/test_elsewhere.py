@@ -15,7 +15,7 @@ from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.studies.result import StudyResult
 from pixsim.studies.viewing import Viewing
 
-OPTIONS: dict[str, Any] = {"resolution": 128, "repeats": 2, "jobs": 1, "parameters": {MAX_LP_PER_MM: 20.0}}
+OPTIONS: dict[str, Any] = {"resolution": 128, "repeats": 2, "jobs": 1, "refine": False, "parameters": {MAX_LP_PER_MM: 20.0}}
 SIZES = {"min_um": 10.0, "max_um": 40.0, "count": 5}
 
 

@@ -249,7 +249,7 @@ def test_study_scene_option_drops_parameters_of_the_other_scene() -> None:
     [
         ("--pixel.pitch-um 3", ["pixel.pitch_um", "for a study"]),
         ("--pitch.min-um 20", ["pitch.max_um", "above 20"]),
-        ("--pitch.max-um 2000", ["pixel.pitch_um", "2000 µm"]),
+        ("--pitch.max-um 2000", ["pixel.pitch_um", "border of 3000 µm"]),
         ("--window 9", ["window_mm: got 9", "at most the width of the die, 2.7136"]),
         ("--scene nowhere", ["scene: got 'nowhere'"]),
         ("--scene flat -D max_lp_per_mm=3", ["max_lp_per_mm", "csf"]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,9 +18,19 @@ from helpers.tiny import keys, rows, tiny as tiny_study, tiny_toml
 import pixsim
 from pixsim.base.notes import told_apart
 from pixsim.sensor.readout import Frame
-from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_PER_ADDITION, additions, next_sensors, rise_variance
+from pixsim.studies.allocation import (
+    BEYOND,
+    MAX_OPEN,
+    MIN_RATIO,
+    ROUND,
+    SENSORS_PER_ADDITION,
+    additions,
+    next_sensors,
+    next_where_open,
+    rise_variance,
+)
 from pixsim.studies.optimum import STEEP, FittedCurve, Posterior, fit_curve
-from pixsim.studies.result import Curve, StudyResult, curve_of, target_notes
+from pixsim.studies.result import Curve, StudyResult, curve_of, open_notes, target_notes
 from pixsim.studies.rows import Row
 from pixsim.studies.study import next_round
 from pixsim.viewer.score import ImagingChain, Score
@@ -43,6 +53,99 @@ def fit_of(sensors: Sensors, noise: float = 0.01, best_um: float = 8.0, seed: in
 @pytest.fixture(scope="module")
 def fit() -> FittedCurve:
     return fit_of(START)
+
+
+# --- An open end ---------------------------------------------------------------------------------------------------------
+
+
+BEST_UM = 5.4
+
+
+def width_um(pitch_um: np.ndarray) -> np.ndarray:
+    """Of the photodiodes of 0.35 µm, which vanish at 5.13 µm."""
+    return np.sqrt(0.826 * (np.asarray(pitch_um) ** 2 - 5.13**2))
+
+
+def beside_an_end(pitch_um: np.ndarray) -> np.ndarray:
+    """A minimum of 1 at 5.4 µm, 1.5 % below the value at 5.3 µm; a parabola in the logarithm of the photodiode's width."""
+    return 1 + 0.26 * np.log(width_um(pitch_um) / width_um(np.array(BEST_UM))) ** 2
+
+
+def refined(seed: int, curve: Callable[[np.ndarray], np.ndarray]) -> tuple[FittedCurve, FittedCurve, int]:
+    """The fits at the start and at the end of the rounds that an open end gets, and their number of evaluations."""
+    rng, started = np.random.default_rng(seed), sum(START.values())
+    drawn: dict[float, list[float]] = {}
+    sensors, fits = START, []
+    while True:
+        for um, count in sensors.items():
+            more = max(0, count - len(drawn.setdefault(um, [])))
+            drawn[um] += (curve(np.array(um)) * (1 + 0.004 * rng.standard_normal(more))).tolist()
+        delta_e = np.full((len(sensors), max(sensors.values())), np.nan)
+        for row, (um, count) in zip(delta_e, sensors.items(), strict=True):
+            row[:count] = drawn[um][:count]
+        fits.append(fit_curve(np.array(list(sensors)), delta_e, width_um))
+        more_sensors = next_where_open(fits[-1], sensors, started, 32)
+        if more_sensors == sensors:
+            return fits[0], fits[-1], sum(sensors.values()) - started
+        sensors = more_sensors
+
+
+def test_an_open_end_is_closed_where_the_minimum_is_in_plain_sight() -> None:
+    """The first nine sizes leave most intervals open; a few more close at least 21 of 24, and 21 contain the minimum.
+
+    Of intervals that cover 95 %, fewer than 21 of 24 do with a chance of 1.4 %.
+    """
+    fits = [refined(seed, beside_an_end) for seed in range(24)]
+    assert sum(None in first.optimum.interval_um for first, _, _ in fits) >= 12
+    ends = [last.optimum.interval_um for _, last, _ in fits]
+    assert sum(None not in each for each in ends) >= 21
+    assert sum((low or 0) <= BEST_UM <= (high or np.inf) for low, high in ends) >= 21
+    assert all(added <= MAX_OPEN for _, _, added in fits)
+
+
+def test_an_end_that_is_the_best_stays_open_within_a_third_of_the_limit() -> None:
+    for seed in range(6):
+        _, last, added = refined(seed, lambda um: 1 + np.log(um / 4.0) ** 2)
+        assert last.optimum.interval_um[0] is None
+        assert 0 < added <= MAX_OPEN // 3
+
+
+@pytest.mark.slow  # test_an_open_end_is_closed_where_the_minimum_is_in_plain_sight has the claim of a known curve
+def test_study_of_a_sensor_closes_its_open_end(tmp_path: Path) -> None:
+    """24 seeds of 12 sizes × 3 sensors from a fill factor of 5 %; dense sweeps have the minimum 1.5 % below that end."""
+    table = {
+        "name": "open",
+        "repeats": 3,
+        "scene": {"file": "csf"},
+        "pitch": {"min_fill_factor": 0.05, "max_um": 15.0, "count": 12},
+    }
+    found = [pixsim.study(pixsim.Study.model_validate(table | {"seed": seed}), tmp_path / str(seed)) for seed in range(24)]
+    assert sum(None not in result.curves[0].optimum.interval_um for result in found) >= 21
+
+
+def test_only_ranges_without_a_target_are_refined() -> None:
+    """Not a list of the user's, not beyond max_evaluations, and not with refine = false."""
+    fit = next(first for seed in range(24) if None in (first := refined(seed, beside_an_end)[0]).optimum.interval_um)
+    curve = SimpleNamespace(technology="0.35um", fit=fit, optimum=fit.optimum)
+    own = {"repeats": 2, "technologies": ("0.35um",), "target_ci_um": None}
+
+    def added(**settings: object) -> int:
+        pitch = {"min_um": 5.3, "max_um": 15.0, "count": 9}
+        study = pixsim.Study.model_validate({"name": "own", "pitch": pitch} | own | settings)
+        return sum(next_round(study, [curve], {"0.35um": START})["0.35um"].values()) - sum(START.values())  # type: ignore[list-item]
+
+    assert added() == ROUND * SENSORS_PER_ADDITION
+    assert added(refine=False) == added(max_evaluations=20) == added(pitch={"values_um": PITCH.tolist()}) == 0
+
+
+def test_an_end_that_stays_open_names_the_size_that_would_close_it(tmp_path: Path) -> None:
+    """As far as the process allows: 0.35 µm has no pixels below 5.13 µm."""
+    result = pixsim.study(tiny_study(pitch={"values_um": [7.0, 8.5, 11.0, 13.0, 15.0]}), tmp_path, jobs=1)
+    (note,) = [note for note in result.notes if "open" in note]
+    assert "the smallest size tried, 7 µm, may be the best; a size of 6 µm (pitch.values_um with 6) would tell" in note
+    bound = replace(result, study=tiny_study(pitch={"min_um": 5.1341, "max_um": 15.0, "values_um": None}))
+    least = replace(result.curves[0], pitch_um=np.array([5.1341, *result.curves[0].pitch_um[1:]]))
+    assert "no smaller one is possible" in open_notes(replace(bound, curves=(least,)))[0]
 
 
 # --- A round of additions ----------------------------------------------------------------------------------------------

@@ -94,7 +94,8 @@ def test_prepare_scene_without_running_integral_is_equal(monkeypatch):
     monkeypatch.setattr(integration, "MAX_STORED_SAMPLES", 256**2 - 1)
     light = score.prepare_scene(chart(256), CAMERA, physics, display)
     assert light.lights[0].running_integral is None
-    np.testing.assert_allclose(score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s, kept, rtol=1e-13)
+    # 256² sums in another order.
+    np.testing.assert_allclose(score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s, kept, rtol=2e-12)
 
 
 @pytest.mark.parametrize("bands", [0, 5])
