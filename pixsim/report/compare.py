@@ -42,11 +42,12 @@ from pixsim.studies.compare import (
     Comparison,
     Prepared,
     conditions_disagree,
-    headline,
+    headlines,
     shown_probability,
     verdict,
 )
-from pixsim.studies.preparation import PAGE_S, Cost, frame_cost, render_cost
+from pixsim.studies.preparation import PAGE_S, Cost, render_cost
+from pixsim.studies.viewing import OF_VIEWING, Viewed
 
 JSON_FILE, PAGE = "compare.json", "report.html"
 
@@ -113,7 +114,12 @@ def _common_words(prepared: Prepared) -> list[str]:
         of = f", {limit.replace('the sensor', prepared.finest)}" if limit else ""
         chart = f"one chart, to {float(highest) * camera.die_mm:.4g} cycles across{of}"
     rows, columns = prepared.scored_dots
-    shown = f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree; {columns} × {rows} are scored"
+    viewing = prepared.viewing
+    stated = ", as stated" if viewing.stated else ""
+    shown = f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree{stated}"
+    shown += f"; {columns} × {rows} are scored; range of viewing: {viewing.words}"
+    if prepared.pairs:
+        shown += "; each difference is that of two sensors alone, with their own field, chart and range of viewing"
     light = "the same light in each condition" if prepared.condition else "the same light"
     return [lens, chart, shown, light, exposure_words(prepared), f"{prepared.repeats} pairs of frames with the same seeds"]
 
@@ -123,16 +129,17 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
 
     notes : None for all of the result
     """
-    lines = [headline(result, other) for other in result.names[1:]]
+    lines = headlines(result)
     width = max(map(len, result.names))
     where = f" in {result.shown.prepared.condition}" if result.conditions else ""
     for number, compared in enumerate(result.sensors):
         time_ms = 1e3 * compared.score.frame.integration_s
         words = f"{sensor_words(result.prepared, number)}, exposed for {time_ms:.3g} ms{where}"
         lines.append(f"  {compared.name:{width}}  mean {result.shown_mean(compared.name)}  {words}")
-    for part in result.conditions:
-        name = f"{part.prepared.condition} (weight {part.prepared.weight:.3g})"
-        lines += [f"  {name}: {verdict(part, other)}" for other in part.names[1:] if not conditions_disagree(result, other)]
+    for number, condition in enumerate(result.prepared.conditions):
+        name = f"{condition.condition} (weight {condition.weight:.3g})"
+        agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
+        lines += [f"  {name}: {verdict(result.pair(other).conditions[number], other)}" for other in agreed]
     lines.append(conditions_line(result.prepared))
     return lines + [f"note: {note}" for note in (result.notes if notes is None else notes)]
 
@@ -140,7 +147,7 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
 def outline(prepared: Prepared) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
     first = prepared.sensors[0]
-    costs = [_cost_of(part) for part in prepared.parts]
+    costs = [_cost_of(part) for whole in (prepared, *prepared.pairs) for part in whole.parts]
     cost = Cost(PAGE_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
     scene = first.scene.with_resolution(prepared.film_width)
     more: dict[str, Any] = {}
@@ -158,6 +165,7 @@ def outline(prepared: Prepared) -> dict[str, Any]:
         "scored_dots": list(prepared.scored_dots),
         "chosen": prepared.view.as_dict() | {"finest": prepared.finest},
         "display": prepared.settings.display.model_dump(),
+        "viewing": prepared.viewing.as_dict(),
         "sensors": {
             sensor.name: {
                 "camera": sensor.camera.model_dump(),
@@ -179,7 +187,7 @@ def _cost_of(prepared: Prepared) -> Cost:
         scene = sensor.scene.with_resolution(width)
         height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
         render = render_cost(prepared.plan(sensor, scene), height * width, processors().usable)
-        frame = frame_cost(sensor.camera, sensor.pixel.pitch_um, prepared.settings.display)
+        frame = prepared.cost_of_frame(sensor)
         seconds += render.seconds + prepared.repeats * frame.seconds / processors().usable
         largest = max(largest, render.memory_bytes + frame.memory_bytes)
     return Cost(seconds, largest, 1)
@@ -212,7 +220,7 @@ def comparison_files(prepared: Prepared) -> dict[str, str]:
     }
     for sensor in prepared.sensors:
         files |= {
-            f"sensors/{sensor.name}.toml": f"pixel, camera and exposure of {sensor.name}, as compared",
+            f"sensors/{sensor.name}.toml": f"pixel, camera and exposure of {sensor.name}, as its file and the options have them",
             f"pictures/image_{sensor.name}.png": f"image of {sensor.name}, as shown",
             f"pictures/ideal_{sensor.name}.png": f"image of an ideal camera with the response of {sensor.name}",
             f"pictures/delta_e_{sensor.name}.png": f"S-CIELAB ΔE map of {sensor.name}, with axes",
@@ -258,28 +266,29 @@ def _write_pictures(compared: Compared, folder: Path, end: float) -> None:
 
 
 def settings_files(prepared: Prepared) -> dict[str, str]:
-    """Return settings.toml and a file for each sensor, as name -> text; their command makes the same numbers again."""
+    """Return settings.toml and a file for each sensor, as name -> text; their command makes the same numbers again.
+
+    They state what was stated, and leave open what pixsim chose, such as a display: the command chooses the same again.
+    """
     files = [f"sensors/{sensor.name}.toml" for sensor in prepared.sensors]
     words = ["pixsim", "compare", *files]
-    if prepared.conditions:
-        words += ["--study", SETTINGS_FILE, "--match", prepared.match, "--repeats", str(prepared.repeats)]
-    else:  # with cameras that are matched already
-        words += ["--scene", whole_path(prepared.scene), "--match", "own"]
-        words += ["--repeats", str(prepared.repeats), "--config", SETTINGS_FILE]
+    words += [] if prepared.conditions else ["--scene", whole_path(prepared.scene)]
+    words += ["--study" if prepared.conditions else "--config", SETTINGS_FILE]
+    words += ["--match", prepared.match, "--repeats", str(prepared.repeats)]
     for option, value in (("--sensor", prepared.sensor_id), ("--variant", prepared.variant)):
         words += [option, value] if value else []
     command = shlex.join(words)
     if prepared.conditions and prepared.circumstances is not None:
         texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.circumstances), command)}
-        owns = zip(files, prepared.base, strict=True)
-        return texts | {file: settings_text(own, f"(in the folder above) {command}", **_all_but_sensor(own)) for file, own in owns}
-    scene = scene_table(prepared.sensors[0].scene.path.parent, prepared.settings.scene)
-    shared = prepared.settings.model_copy(update={"scene": scene, "window_mm": None})
-    texts = {SETTINGS_FILE: settings_text(shared, command, camera={}, lens={}, pixel={}, exposure={})}
-    for file, sensor in zip(files, prepared.sensors, strict=True):
-        own = prepared.settings.model_copy(update=sensor.own)
-        texts[file] = settings_text(own, f"(in the folder above) {command}", **_all_but_sensor(own))
-    return texts
+    else:
+        first, chosen = prepared.base[0], set(OF_VIEWING) - set(prepared.viewing.stated)
+        tables: dict[str, Any] = {
+            "scene": scene_table(prepared.sensors[0].scene.path.parent, first.scene),
+            "display": first.display.model_dump(mode="json", exclude_none=True, exclude=chosen),
+        }
+        texts = {SETTINGS_FILE: settings_text(first, command, **tables, camera={}, lens={}, pixel={}, exposure={})}
+    owns = zip(files, prepared.base, strict=True)
+    return texts | {file: settings_text(own, f"(in the folder above) {command}", **_all_but_sensor(own)) for file, own in owns}
 
 
 def _all_but_sensor(own: Run) -> dict[str, Any]:
@@ -336,12 +345,14 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
     common = scene_rows(first.irradiance, parameters if isinstance(parameters, dict) else {}, light)
     page = {
         "names": result.names,
-        "verdicts": [headline(result, other) for other in result.names[1:]],
+        "verdicts": headlines(result),
         "conditions": conditions_line(prepared),
         "shown": shown.prepared.condition,
         "compared": _condition_rows(result),
         "rows": [_row(shown, number) for number in range(len(result.sensors))],
         "pairs": [_pair(result, other) for other in result.names[1:]],
+        "views": [(f"{other} − {result.names[0]}", _view_rows(result, other)) for other in result.names[1:]],
+        "viewings": prepared.viewing.words,
         "repeats": prepared.repeats,
         "notes": result.notes,
         "first": pictures[0],
@@ -402,13 +413,36 @@ def _pair(result: Comparison, other: str) -> dict[str, str]:
     }
 
 
+def _view_rows(result: Comparison, other: str) -> list[dict[str, str]]:
+    """Return the rows of the page's table of a difference under each viewing, by the dots per degree and the dots."""
+    better = {1: result.names[0], -1: other, 0: "not told apart"}
+
+    def row(view: Viewed) -> dict[str, str]:
+        low, high = view.interval_delta_e
+        return {
+            "dots": str(view.viewing.dots),
+            "samples_per_deg": f"{view.viewing.samples_per_deg:g}",
+            "angle": f"{view.viewing.dots / view.viewing.samples_per_deg:.3g}°",
+            "difference": f"{view.difference:+.4f}",
+            "interval": f"{low:+.4f} to {high:+.4f}",
+            "film": "unknown" if view.film_delta_e is None else f"{view.film_delta_e:.2g}",
+            "better": better[view.sign] + ("" if view.inside else " (another display than stated)"),
+        }
+
+    return [row(view) for view in sorted(result.views(other), key=lambda view: view.viewing[::-1])]
+
+
 def _condition_rows(result: Comparison) -> list[tuple[str, str, list[str], list[dict[str, str]]]]:
     """Return name, weight, mean ΔE of each sensor and differences of each condition, then of the weighted mean; none without."""
     named = [(part.prepared.condition, f"{part.prepared.weight:.3g}", part) for part in result.conditions]
-    named += [("weighted mean", "", result)] if named else []
+    others = result.names[1:]
+    pairs = [[_pair(result.pair(other).conditions[number], other) for other in others] for number in range(len(named))]
+    if named:
+        named.append(("weighted mean", "", result))
+        pairs.append([_pair(result, other) for other in others])
     return [
-        (name, weight, [part.shown_mean(sensor) for sensor in part.names], [_pair(part, other) for other in part.names[1:]])
-        for name, weight, part in named
+        (name, weight, [part.shown_mean(sensor) for sensor in part.names], of_pairs)
+        for (name, weight, part), of_pairs in zip(named, pairs, strict=True)
     ]
 
 

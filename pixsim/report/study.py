@@ -44,6 +44,7 @@ from pixsim.studies.result import (
     delta_e_against_pitch,
     interval_columns,
     interval_words,
+    viewed_words,
     with_ends,
     within_words,
 )
@@ -304,6 +305,7 @@ def write_pages(
         "outside": outside_words,
         "shown": study_view_line(result),
         "within": within_words,
+        "viewed": lambda curve: [words for inside in (True, False) if (words := viewed_words(curve, inside))],
         "alike": alike_words,
         "film": film_words(result.film.as_dict()) if result.film else "",
         "unconverged": study_unconverged_lines(result),

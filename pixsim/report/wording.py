@@ -16,7 +16,7 @@ from pixsim.report.settings import LightLevel
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.integration import pixels_along
-from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, few, interval_words, within_words
+from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, few, interval_words, viewed_words, within_words
 from pixsim.viewer.causes import Cause
 from pixsim.viewer.light_error import NOT_CONVERGED, LightError
 from pixsim.viewer.score import clip_words, clips_dark
@@ -27,8 +27,13 @@ SATURATED_SHOWN = 0.01
 def optimum_line(curve: Any) -> str:
     """Return the optimum of a curve with its interval and the sizes within 1 % of its error, if the film can tell sizes apart.
 
-    Where a wide range of sizes shows no visible difference, that range comes first.
+    Where a wide range of sizes shows no visible difference, that range comes first. What the optimum is on other displays follows.
     """
+    return "; ".join(filter(None, (_optimum_words(curve), *(viewed_words(curve, inside) for inside in (True, False)))))
+
+
+def _optimum_words(curve: Any) -> str:
+    """Return `optimum_line` on the chosen display."""
     if curve.alike_um:
         return f"{curve.label}: {alike_words(curve)}; least mean ΔE {curve.light.shown(curve.mean().min())}"
     best, interval = curve.optimum, f"(95 %: {interval_words(curve)})"

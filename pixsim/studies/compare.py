@@ -1,7 +1,7 @@
 """Compare image sensors in one scene: mean ΔE of each, the differences from the first, and how sure these are.
 
-All sensors see the same field, on one display, in the same light. Every pair of frames (the first sensor's and another's) has the
-random seeds of its number, so that what they share cancels in their difference.
+All sensors see the same field, on one display, in the same light. The first sensor and each other one are compared as if no third
+one were there, under a range of viewing (`pixsim.studies.viewing`). Both frames of a pair have the random seeds of its number.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,7 +25,22 @@ from pixsim.base.config import checked, packaged, settings_layer, sheet_uncertai
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Exposure, Layer, Pixel, Record, Run, Study
+from pixsim.base.parameters import (
+    NO_TECHNOLOGY,
+    REGISTERED_BORDER,
+    Camera,
+    CameraOptions,
+    Condition,
+    Correction,
+    Develop,
+    Display,
+    Exposure,
+    Layer,
+    Pixel,
+    Record,
+    Run,
+    Study,
+)
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import lens_on_die
@@ -32,7 +48,7 @@ from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import check_pixel_count, pixels_on
-from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
+from pixsim.sensor.pixel import PixelPhysics, Registration, derive, implausible_numbers, sheet_disagreements
 from pixsim.sensor.technology import file_label, labels_of
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.pages import html_cell
@@ -40,14 +56,17 @@ from pixsim.studies.budget import without_warnings
 from pixsim.studies.circumstances import Circumstances, circumstances_of
 from pixsim.studies.engine import results_of, workers_here
 from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
-from pixsim.studies.preparation import View, choose_view, frame_cost, jobs_in_memory
+from pixsim.studies.preparation import ALLOWED_DOTS, SCORE_S_PER_DOT, Cost, View, choose_view, dots_on, frame_cost, jobs_in_memory
 from pixsim.studies.result import NO_VISIBLE_DELTA_E
+from pixsim.studies.viewing import OF_VIEWING, Viewed, Viewing, ViewingRange, range_words, where_words
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light
 from pixsim.viewer.light_error import NOT_CONVERGED, LightError, with_error
 from pixsim.viewer.score import (
     ImagingChain,
+    PreparedScene,
     Score,
+    Screen,
     Seen,
     chain_at_pitch,
     check_one_ideal,
@@ -55,6 +74,7 @@ from pixsim.viewer.score import (
     clips_dark,
     dark_clip,
     prepare_scene,
+    screen_of,
     warn_of_clipping,
     white_header,
 )
@@ -79,6 +99,8 @@ NOT_COMPARED = {
 }
 ALIKE = 1e-9  # relative difference of two fields of view that is rounding
 DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
+# Of the film's error on the chosen display, grown with mean ΔE: of 48 viewings of six comparisons, 46 errors are within it.
+ELSEWHERE = 2.0
 FEW_SECONDS = 3.0  # of all frames: processes take a second to start
 
 
@@ -222,10 +244,12 @@ class Prepared:
     view : display and chart that pixsim chose for data sheets, from the sensor with the most pixels
     finest : name of that sensor
     border : width of the border that is not scored, as a fraction of the width of the field
+    viewing : displays on which the frames are scored; the first one is that of `settings`
+    base : settings of each sensor, as the files and options have them without a condition
     circumstances : the study under whose conditions the sensors are compared, if any
     condition, weight : name and share of the condition; an empty name without conditions
     conditions : the comparison under each condition of the study; the other fields are those of the first one of weight above 0
-    base : settings of each sensor without a condition; empty without conditions
+    pairs : of three sensors and more, the comparison of the first one with each other one alone
     """
 
     scene: str
@@ -236,13 +260,15 @@ class Prepared:
     view: View
     finest: str
     border: float
+    viewing: ViewingRange
+    base: tuple[Run, ...]
     sensor_id: str | None = None
     variant: str | None = None
     circumstances: Circumstances | None = None
     condition: str = ""
     weight: float = 1.0
     conditions: tuple[Prepared, ...] = ()
-    base: tuple[Run, ...] = ()
+    pairs: tuple[Prepared, ...] = ()
 
     @property
     def parts(self) -> tuple[Prepared, ...]:
@@ -274,6 +300,13 @@ class Prepared:
     def border_um(self, camera: Camera) -> float:
         """Return the width of the border on a camera's die."""
         return self.border * camera.die_um[1]
+
+    def cost_of_frame(self, sensor: Contestant) -> Cost:
+        """Estimate a frame of a sensor, and its ΔE under all viewings."""
+        cost = frame_cost(sensor.camera, sensor.pixel.pitch_um, self.settings.display)
+        displays = [each.display(self.settings.display) for each in dict.fromkeys(self.viewing.viewings[1:])]
+        dots = sum(dots_on(sensor.camera, display) for display in displays)
+        return replace(cost, seconds=cost.seconds + dots * SCORE_S_PER_DOT)
 
 
 def sensor_layer(file: str) -> Layer:
@@ -368,35 +401,49 @@ def prepare(
     if not REPEATS[0] <= repeats <= REPEATS[1]:
         raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
     layers, options = [settings_layer(path) for path in config], options or {}
-    found: dict[str, Any] = {"match": match, "repeats": repeats, "sensor": sensor, "variant": variant}
-    if study is None:
-        runs = read_sensors(sources, Layer({}), layers, options)
-        made = _prepare(sources, runs, "csf" if scene is None else scene, None, **found)
-        warn_of_unused(sources, [runs], match)
-        return made
-    of_study = circumstances_of(study, scene)
-    of_study.warn_of_unused(options)
-    layers = [of_study.shared, *layers]
-    base = read_sensors(sources, of_study.lens, layers, options)
-    if not of_study.conditions:
-        made = replace(_prepare(sources, base, of_study.scene, None, **found), circumstances=of_study)
-        warn_of_unused(sources, [base], match)
-        return made
-    total = sum(condition.weight for condition in of_study.conditions)
-    shown = next(place for place, condition in enumerate(of_study.conditions) if condition.weight)
-    parts: dict[int, Prepared] = {}
-    every: list[Sequence[Run]] = []
-    for place in (shown, *(other for other in range(len(of_study.conditions)) if other != shown)):
-        condition = of_study.conditions[place]
-        runs = read_sensors(sources, of_study.lens, layers, options, of_study.layer_of(condition))
-        every.append(runs)
-        with named(f"condition {condition.name}"):
-            view = parts[shown].view if parts else None
-            part = _prepare(sources, runs, of_study.scene_of(condition), view, **found)
-        weight = condition.weight / total
-        parts[place] = replace(part, circumstances=of_study, condition=condition.name, weight=weight, base=tuple(base))
-    warn_of_unused(sources, every, match)
-    return replace(parts[shown], conditions=tuple(part for _, part in sorted(parts.items())))
+    names = labels_of([file_label(source) for source in sources])
+    of_study = None if study is None else circumstances_of(study, scene)
+    if of_study is not None:
+        of_study.warn_of_unused(options)
+        layers = [of_study.shared, *layers]
+    lens = Layer({}) if of_study is None else of_study.lens
+    base = read_sensors(sources, lens, layers, options)
+    under: list[tuple[Condition | None, list[Run]]] = [(None, base)]
+    if of_study is not None and of_study.conditions:
+        under = [(each, read_sensors(sources, lens, layers, options, of_study.layer_of(each))) for each in of_study.conditions]
+    own_scene = "csf" if scene is None else scene
+
+    def made(*chosen: int) -> Prepared:
+        """Return the comparison of some of the sensors, as if there were no others."""
+
+        def of_chosen(condition: Condition | None, runs: Sequence[Run], common: Prepared | None) -> Prepared:
+            file = own_scene
+            if of_study is not None:
+                file = of_study.scene if condition is None else of_study.scene_of(condition)
+            found: dict[str, Any] = {"match": match, "repeats": repeats, "sensor": sensor, "variant": variant}
+            of_sensors = [names[number] for number in chosen], [sources[number] for number in chosen]
+            part = _prepare(*of_sensors, [runs[number] for number in chosen], file, common, **found)
+            return replace(part, circumstances=of_study, base=tuple(base[number] for number in chosen))
+
+        if under[0][0] is None:
+            return of_chosen(*under[0], None)
+        conditions = [condition for condition, _ in under if condition is not None]
+        total = sum(condition.weight for condition in conditions)
+        shown = next(place for place, condition in enumerate(conditions) if condition.weight)
+        parts: dict[int, Prepared] = {}
+        for place in (shown, *(other for other in range(len(conditions)) if other != shown)):
+            condition = conditions[place]
+            with named(f"condition {condition.name}"):
+                part = of_chosen(condition, under[place][1], parts.get(shown))
+            parts[place] = replace(part, condition=condition.name, weight=condition.weight / total)
+        return replace(parts[shown], conditions=tuple(part for _, part in sorted(parts.items())))
+
+    whole = made(*range(len(sources)))
+    warn_of_unused(sources, [runs for _, runs in under], match)
+    if len(sources) == SENSORS[0]:
+        return whole
+    with without_warnings():  # those of all sensors are shown
+        return replace(whole, pairs=tuple(made(0, other) for other in range(1, len(sources))))
 
 
 def warn_of_unused(sources: Sequence[str], conditions: Sequence[Sequence[Run]], match: Match) -> None:
@@ -426,10 +473,11 @@ def differing(record: Record, other: Record) -> Record:
 
 
 def _prepare(
+    names: Sequence[str],
     sources: Sequence[str],
     runs: Sequence[Run],
     scene: str | os.PathLike[str],
-    common: View | None,
+    common: Prepared | None,
     *,
     match: Match,
     repeats: int,
@@ -439,12 +487,12 @@ def _prepare(
     """Return `prepare` of one condition.
 
     runs : settings of each sensor
-    common : display and chart of another condition, which this one takes where it leaves them open, so that both can be averaged
+    common : another condition, whose displays and chart this one takes where it leaves them open, so that both can be averaged
     """
     from pixsim.scene.scene import load_scene
 
-    names = labels_of([file_label(source) for source in sources])
     settings = runs[0]
+    stated = [name for name in OF_VIEWING if name in settings.display.model_fields_set]
     if settings.display.raster != "fixed_size":
         got = f"'{settings.display.raster}', which gives each sensor a display of its own"
         raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
@@ -466,12 +514,12 @@ def _prepare(
     if any(run.pixel.technology == NO_TECHNOLOGY for run in runs):
         view = choose_view(runs[finest].pixel.pitch_um, cameras[finest], settings.display, loaded)
     if common is not None:
-        view = view.as_chosen(common)
+        view = view.as_chosen(common.view)
     parameters = dict(settings.scene)
     if view.max_lp_per_mm is not None:
         parameters[MAX_LP_PER_MM] = on_other_die(view.max_lp_per_mm, cameras[finest], cameras[0])
     settings = settings.model_copy(update={"display": view.display(settings.display), "scene": parameters})
-    border = max(run.pixel.pitch_um / camera.die_um[1] for camera, run in zip(cameras, runs, strict=True))
+    border = REGISTERED_BORDER * max(run.pixel.pitch_um / camera.die_um[1] for camera, run in zip(cameras, runs, strict=True))
     given = parameters.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
     contestants = []
     for name, source, camera, run in zip(names, sources, cameras, runs, strict=True):
@@ -482,7 +530,27 @@ def _prepare(
         with named(name):
             dot_edges_um(camera.die_um, run.pixel.pitch_um, settings.display, border * camera.die_um[1])
         contestants.append(Contestant(name, source, camera, run.pixel, run.exposure, of_sensor))
-    return Prepared(str(scene), settings, match, repeats, tuple(contestants), view, names[finest], border, sensor, variant)
+    viewing = _viewing(contestants, settings.display, stated, border)
+    if common is not None:
+        viewing = common.viewing.under(settings.display, stated)
+    own: dict[str, Any] = {"view": view, "finest": names[finest], "border": border, "viewing": viewing, "base": tuple(runs)}
+    return Prepared(str(scene), settings, match, repeats, tuple(contestants), **own, sensor_id=sensor, variant=variant)
+
+
+def _viewing(sensors: Sequence[Contestant], display: Display, stated: Sequence[str], border: float) -> ViewingRange:
+    """Return the range of viewing around a display, without displays that have no dot within the border."""
+    low, high = ALLOWED_DOTS
+    wished = ViewingRange.of(display, stated, [min(max(sensor.pixels[1], low), high) for sensor in sensors])
+
+    def is_possible(viewing: Viewing) -> bool:
+        die_um, pitch_um = sensors[0].camera.die_um, sensors[0].pixel.pitch_um
+        try:
+            dot_edges_um(die_um, pitch_um, viewing.display(display), border * die_um[1])
+        except PixsimError:
+            return False
+        return True
+
+    return replace(wished, viewings=tuple(each for each in wished.viewings if each == wished.chosen or is_possible(each)))
 
 
 def _whole_cameras(names: Sequence[str], scene: Scene, runs: Sequence[Run]) -> list[Camera]:
@@ -514,7 +582,7 @@ class Compared:
 
     irradiance : light on the sensor, before diffraction
     score : of its first frame
-    delta_e : (repeats,) mean ΔE of each frame
+    viewed : (viewings, repeats) mean ΔE of each frame, in the order of `ViewingRange.viewings`
     dark : effect of clipping dark pixels at 0 DN, as `pixsim.viewer.score.dark_clip`
     white_e : mean electrons of the scene's white on axis in its first frame
     steps : on this film and on coarser ones, for the film's error of a difference
@@ -526,7 +594,7 @@ class Compared:
     noise: RenderNoise
     film: FilmError
     score: Score = field(repr=False)
-    delta_e: Array = field(repr=False)
+    viewed: Array = field(repr=False)
     dark: dict[str, float] = field(repr=False)
     white_e: float
     steps: FilmSteps = field(repr=False)
@@ -545,6 +613,11 @@ class Compared:
         return causes_of(self.irradiance.header, self.score.physics, self.white_e, time_s, lightness)
 
     @property
+    def delta_e(self) -> Array:
+        """Mean ΔE of each frame on the chosen display, (repeats,)."""
+        return np.asarray(self.viewed[0])
+
+    @property
     def film_delta_e(self) -> float | None:
         """Largest error of mean ΔE that the film may cause; None if it is unknown."""
         error = self.film.largest_delta_e
@@ -555,17 +628,22 @@ class Compared:
 class Comparison:
     """Sensors in one scene. The first one is a, each later one is b.
 
+    A difference of a and b is that of the two alone, with their own chart, field, dots and border. So it does not depend on the
+    other sensors. The mean ΔE of three sensors and more (`delta_e`, `scores`) are those on one display for all.
+
     prepared : what was compared: scene, cameras, display and seeds
     sensors : of each file, in their order
     notes : warnings, and black levels that clip dark noise
     conditions : the comparison under each condition of a study; then `delta_e`, and all that follows from it, are the weighted mean
         over them, and the sensors are those of the first condition of weight above 0
+    pairs : of three sensors and more, the comparison of the first one with each other one alone
     """
 
     prepared: Prepared = field(repr=False)
     sensors: tuple[Compared, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
     conditions: tuple[Comparison, ...] = field(default=(), repr=False)
+    pairs: tuple[Comparison, ...] = field(default=(), repr=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -582,17 +660,30 @@ class Comparison:
         """The weight and the comparison of each condition of weight above 0."""
         return [(part.prepared.weight, part) for part in self.conditions if part.prepared.weight]
 
+    @checks_arguments
+    def pair(self, other: str) -> Comparison:
+        """Return the comparison of the first sensor and another one alone.
+
+        other : name of the other one
+        """
+        return self.pairs[self.names.index(other) - 1] if self.pairs else self
+
     @property
-    def delta_e(self) -> dict[str, Array]:
-        """Mean ΔE of each frame of each sensor, (repeats,).
+    def viewed(self) -> dict[str, Array]:
+        """Mean ΔE of each frame of each sensor under each viewing, (viewings, repeats).
 
         With conditions, that of frame k is the weighted mean over the frames k of all conditions. They have the same seeds, so that
         the scatter of these means holds what the conditions' frames have in common.
         """
         if not self.conditions:
-            return {sensor.name: sensor.delta_e for sensor in self.sensors}
-        weighted = [(weight, part.delta_e) for weight, part in self.counted]
+            return {sensor.name: sensor.viewed for sensor in self.sensors}
+        weighted = [(weight, part.viewed) for weight, part in self.counted]
         return {name: np.sum([weight * own[name] for weight, own in weighted], axis=0) for name in self.names}
+
+    @property
+    def delta_e(self) -> dict[str, Array]:
+        """Mean ΔE of each frame of each sensor on the chosen display, (repeats,)."""
+        return {name: np.asarray(values[0]) for name, values in self.viewed.items()}
 
     @property
     def scores(self) -> dict[str, tuple[float, float, float]]:
@@ -601,10 +692,9 @@ class Comparison:
 
     @property
     def differences(self) -> dict[str, Array]:
-        """ΔE(b) - ΔE(a) of each pair of frames, (repeats,), of each later sensor."""
-        delta_e = self.delta_e
-        first, *others = self.names
-        return {other: delta_e[other] - delta_e[first] for other in others}
+        """ΔE(b) - ΔE(a) of each pair of frames on the chosen display, (repeats,), of each later sensor."""
+        of_pairs = {other: self.pair(other).delta_e for other in self.names[1:]}
+        return {other: own[other] - own[self.names[0]] for other, own in of_pairs.items()}
 
     @property
     def difference(self) -> dict[str, float]:
@@ -623,16 +713,71 @@ class Comparison:
 
     @property
     def film_delta_e(self) -> dict[str, float | None]:
-        """Largest error of each difference that the film may cause; None if it is unknown.
+        """Largest error of each difference that the film may cause; None if it is unknown."""
+        return {other: self.pair(other).film_between(self.names[0], other) for other in self.names[1:]}
+
+    @checks_arguments
+    def film_between(self, one: str, other: str) -> float | None:
+        """Return the largest error (ΔE) of the difference of two sensors that the film may cause; None if it is unknown.
 
         Both sensors see the same film, so that it is less than the errors of both together. Those of conditions add up, by weight.
+
+        one, other : names of the sensors
         """
         if self.conditions:
-            parts = [(weight, part.film_delta_e) for weight, part in self.counted]
-            return {name: sum_if_known([(weight, own[name]) for weight, own in parts]) for name in self.names[1:]}
-        first, *others = self.sensors
-        errors = {other.name: first.steps.error_of_difference(other.steps) for other in others}
-        return {name: None if math.isnan(error) else error for name, error in errors.items()}
+            return sum_if_known([(weight, part.film_between(one, other)) for weight, part in self.counted])
+        steps = {sensor.name: sensor.steps for sensor in self.sensors}
+        error = steps[one].error_of_difference(steps[other])
+        return None if math.isnan(error) else error
+
+    @checks_arguments
+    def views(self, other: str) -> tuple[Viewed, ...]:
+        """Return the difference of the first sensor and another one under each viewing, the chosen one first.
+
+        other : name of the other one
+        """
+        return self.pair(other).views_between(self.names[0], other)
+
+    @checks_arguments
+    def views_between(self, one: str, other: str) -> tuple[Viewed, ...]:
+        """Return the difference of two sensors under each viewing of all, the chosen one first.
+
+        The film's error is measured on the chosen display. On others twice it is taken, and more where mean ΔE is larger.
+
+        one, other : names of the sensors
+        """
+        viewed, film = self.viewed, self.film_between(one, other)
+        first, second = viewed[one], viewed[other]
+        mean = np.maximum(first.mean(axis=1), second.mean(axis=1))
+        grown = np.append(1.0, ELSEWHERE * np.maximum(mean[1:] / mean[0], 1.0) if mean[0] else np.full(mean.size - 1, ELSEWHERE))
+        views = []
+        for number, (viewing, values) in enumerate(zip(self.prepared.viewing.viewings, second - first, strict=True)):
+            numbers = float(values.mean()), mean_interval(values)[::2], probability_above_zero(values)
+            error = None if film is None else film * float(grown[number])
+            views.append(Viewed(viewing, self.prepared.viewing.holds(viewing), *numbers, error))
+        return tuple(views)
+
+    @property
+    def ranking(self) -> tuple[tuple[str, ...], ...]:
+        """The sensors by their mean ΔE, the best first, in groups; all of them on one display.
+
+        Each one of a group is surely better than each one of a later group, under all viewings of the range. Within a group, the
+        order depends on the viewing, or is not sure.
+        """
+        means = {name: float(values.mean()) for name, values in self.delta_e.items()}
+        order = sorted(means, key=lambda name: means[name])
+        better = {
+            (one, other)
+            for place, one in enumerate(order)
+            for other in order[place + 1 :]
+            if all(view.sign > 0 for view in self.views_between(one, other) if view.inside)
+        }
+        cuts = [
+            place
+            for place in range(1, len(order))
+            if all((one, other) in better for one in order[:place] for other in order[place:])
+        ]
+        return tuple(tuple(order[first:last]) for first, last in pairwise([0, *cuts, len(order)]))
 
     @property
     def film_of_sensors(self) -> dict[str, float | None]:
@@ -669,12 +814,14 @@ class Comparison:
 
     def answers(self) -> dict[str, Any]:
         """Return the numbers that answer the question, as in compare.json."""
+        views = {other: self.views(other) for other in self.names[1:]}
         return {
             "scores": {name: list(score) for name, score in self.scores.items()},
             "difference": self.difference,
             "interval_delta_e": {name: list(ends) for name, ends in self.interval_delta_e.items()},
             "probability_a_better": self.probability_a_better,
             "film_delta_e": self.film_delta_e,
+            "views": {other: [view.as_dict((self.names[0], other)) for view in own] for other, own in views.items()},
         }
 
     def as_dict(self) -> dict[str, Any]:
@@ -692,8 +839,12 @@ class Comparison:
                 | {"delta_e": {name: values.tolist() for name, values in part.delta_e.items()}}
                 for part in self.conditions
             }
+        if self.pairs:
+            more["ranking"] = [list(group) for group in self.ranking]
+            more["pairs"] = {other: _pair_as_dict(self.pair(other)) for other in self.names[1:]}
         return more | {
             "names": list(self.names),
+            "verdicts": {other: headline(self, other) for other in self.names[1:]},
             **self.answers(),
             "match": prepared.match,
             "repeats": prepared.repeats,
@@ -702,6 +853,7 @@ class Comparison:
             "fov_deg": first.sensor.camera.fov_deg,
             "chosen": prepared.view.as_dict() | {"finest": prepared.finest},
             "display": settings.display.model_dump(),
+            "viewing": prepared.viewing.as_dict(),
             "seed": settings.seed,
             "notes": list(self.notes),
             "sensors": {
@@ -726,7 +878,7 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         rows = [(sensor.name, f"{sensor.sensor.pixel.pitch_um:g}", self.shown_mean(sensor.name)) for sensor in self.sensors]
-        title = "; ".join(headline(self, other) for other in self.names[1:])
+        title = "; ".join(headlines(self))
         counted = ", ".join(f"{part.prepared.condition} ({weight:g})" for weight, part in self.counted)
         over = f"; the mean over the conditions {counted}" if counted else ""
         prepared = self.prepared
@@ -766,24 +918,62 @@ def shown_probability(probability: float) -> str:
 
 
 def verdict(result: Comparison, other: str) -> str:
-    """Return the answer for the first sensor and another: which is better, by how much, and how sure that is.
+    """Return the answer for the first sensor and another: which is better, by how much, how sure that is, and where it holds.
 
-    Neither is called better if half of the difference's 95 % interval and the film's error exceed it together.
+    Neither is called better if half of the difference's 95 % interval and the film's error exceed it together. One is called
+    better without a condition only if it is so under all viewings of the range.
     """
-    first, difference = result.names[0], result.difference[other]
-    low, high = result.interval_delta_e[other]
-    better, worse = (first, other) if difference >= 0 else (other, first)
-    probability = result.probability_a_better[other]
-    of_better = shown_probability(probability if difference >= 0 else 1 - probability)
-    half, film = (high - low) / 2, result.film_delta_e[other]
-    size = shown_delta_e(abs(difference), half, film)
-    if difference == 0:
+    names, views = (result.names[0], other), result.views(other)
+    chosen, *_ = inside = [view for view in views if view.inside]
+    words = _verdict_on(chosen, names)
+    if len(inside) == 1 or all(view.difference == 0 for view in inside):
+        return words
+    signs = {view.sign for view in inside}
+    if signs == {0}:
+        return f"{words}; nor elsewhere in the range of viewing"
+    if len(signs) == 1:
+        sizes = sorted(abs(view.difference) for view in inside)
+        return f"{words}; in the whole range of viewing by {sizes[0]:.2g} to {sizes[-1]:.2g} ΔE"
+    return f"which is better depends on the viewing: {where_words(inside, names)}; on {chosen.viewing}, {words}"
+
+
+def elsewhere_note(result: Comparison, other: str) -> str:
+    """Return whether a verdict on a display that the user stated turns on others; empty if none was stated."""
+    names, views = (result.names[0], other), result.views(other)
+    if all(view.inside for view in views):
+        return ""
+    stated, signs = {view.sign for view in views if view.inside}, {view.sign for view in views}
+    others = f"on other displays ({range_words([view.viewing for view in views])})"
+    if signs == stated and len(signs) == 1:
+        return f"{names[0]} and {names[1]}: the verdict is the same {others}"
+    return f"{names[0]} and {names[1]}: the verdict depends on the display that was stated; {others}: {where_words(views, names)}"
+
+
+def ranking_words(result: Comparison) -> str:
+    """Return the order of three sensors and more, the best first."""
+    groups = [
+        group[0]
+        if len(group) == 1
+        else f"{', '.join(group[:-1])} and {group[-1]} (whose order depends on the viewing or is not sure)"
+        for group in result.ranking
+    ]
+    return f"ranking, the best first, all on one display: {'; then '.join(groups)}"
+
+
+def _verdict_on(view: Viewed, names: tuple[str, str]) -> str:
+    """Return which of two sensors is better under one viewing, by how much, and how sure that is."""
+    first, other = names
+    better, worse = (first, other) if view.difference >= 0 else (other, first)
+    above = view.probability_a_better
+    of_better = shown_probability(above if view.difference >= 0 else 1 - above)
+    size = shown_delta_e(abs(view.difference), view.half_delta_e, view.film_delta_e)
+    if view.difference == 0:
         return f"{first} and {other} have the same mean ΔE in every pair of frames"
-    if abs(difference) <= half:
+    if abs(view.difference) <= view.half_delta_e:
         return f"{first} and {other} cannot be told apart: {better} is better by {size} (probability {of_better})"
-    if abs(difference) <= half + (film or 0.0):
+    if not view.sign:
         return f"{first} and {other} cannot be told apart: {better} is better by {size}, within the error of the film"
-    visible = "" if abs(difference) >= NO_VISIBLE_DELTA_E else f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
+    visible = "" if abs(view.difference) >= NO_VISIBLE_DELTA_E else f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
     return f"{better} is better than {worse} by {size} (probability {of_better}){visible}"
 
 
@@ -798,22 +988,41 @@ def _winner(result: Comparison, other: str) -> str | None:
 
 def conditions_disagree(result: Comparison, other: str) -> bool:
     """Return whether two conditions, or one and the weighted mean, have different answers for the first sensor and another."""
-    return len({_winner(part, other) for part in (result, *(part for _, part in result.counted))} - {None}) > 1
+    pair = result.pair(other)
+    return len({_winner(part, other) for part in (pair, *(part for _, part in pair.counted))} - {None}) > 1
 
 
 def headline(result: Comparison, other: str) -> str:
     """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree."""
-    if not conditions_disagree(result, other):
-        return "; ".join(filter(None, (verdict(result, other), result.unconverged)))
-    parts = [f"{part.prepared.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in result.counted]
-    words = ["the conditions disagree", *parts, f"weighted mean: {verdict(result, other)}", result.unconverged]
+    pair = result.pair(other)
+    if not conditions_disagree(pair, other):
+        return "; ".join(filter(None, (verdict(pair, other), pair.unconverged)))
+    parts = [f"{part.prepared.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in pair.counted]
+    words = ["the conditions disagree", *parts, f"weighted mean: {verdict(pair, other)}", pair.unconverged]
     return "; ".join(filter(None, words))
+
+
+def headlines(result: Comparison) -> list[str]:
+    """Return the answer for each later sensor, and the order of three and more."""
+    return [*(headline(result, other) for other in result.names[1:]), *([ranking_words(result)] if result.pairs else [])]
 
 
 def sum_if_known(parts: Sequence[tuple[float, float | None]]) -> float | None:
     """Return the sum of weights × numbers; None if one of them is."""
     known = [weight * value for weight, value in parts if value is not None]
     return sum(known) if len(known) == len(parts) else None
+
+
+def _pair_as_dict(result: Comparison) -> dict[str, Any]:
+    """Return what compare.json has of the first sensor and another one alone, beside their difference."""
+    prepared = result.shown.prepared
+    return {
+        "scores": {name: list(score) for name, score in result.scores.items()},
+        "fov_deg": prepared.sensors[0].camera.fov_deg,
+        "scored_dots": list(prepared.scored_dots),
+        "chosen": prepared.view.as_dict() | {"finest": prepared.finest},
+        "viewing": prepared.viewing.as_dict(),
+    }
 
 
 def _summary_of(compared: Compared) -> dict[str, Any]:
@@ -900,20 +1109,46 @@ def run_prepared(prepared: Prepared, *, jobs: int | None = None, progress: Stage
         raise invalid("--jobs", jobs, "1 or more processes")
     stage = progress or (lambda _: lambda *_: None)
     with collected_notes() as notes:
-        if not prepared.conditions:
-            result = _run(prepared, jobs, stage)
-        else:
-            parts = []
-            for part in prepared.conditions:
-                with named(f"condition {part.condition}"):
-                    parts.append(_run(part, jobs, partial(_stage_of, stage, part.condition)))
-            shown = next(part for part in parts if part.prepared.weight)
-            result = replace(shown, prepared=prepared, conditions=tuple(parts), notes=_notes_of(parts))
-    return replace(result, notes=(*notes, *result.notes))
+        result = _run_conditions(prepared, jobs, stage)
+        pairs = []
+        for part in prepared.pairs:
+            one, other = part.sensors
+            with without_warnings(), named(f"{one.name} and {other.name} alone"):
+                pairs.append(_run_conditions(part, jobs, partial(_stage_of, stage, f"{one.name} and {other.name}"), result))
+        result = replace(result, pairs=tuple(pairs))
+        elsewhere = [elsewhere_note(result, other) for other in result.names[1:]]
+    return replace(result, notes=(*notes, *result.notes, *filter(None, elsewhere)))
 
 
-def _stage_of(stage: Stage, condition: str, name: str) -> Progress:
-    return stage(f"{condition}: {name}")
+def _run_conditions(prepared: Prepared, jobs: int | None, stage: Stage, of_all: Comparison | None = None) -> Comparison:
+    """Run the comparison under each of its conditions.
+
+    of_all : the comparison of more sensors, of which these are two
+    """
+    if not prepared.conditions:
+        return (of_all and _known(prepared, of_all)) or _run(prepared, jobs, stage)
+    parts = []
+    for number, part in enumerate(prepared.conditions):
+        known = of_all and _known(part, of_all.conditions[number])
+        with named(f"condition {part.condition}"):
+            parts.append(known or _run(part, jobs, partial(_stage_of, stage, part.condition)))
+    shown = next(part for part in parts if part.prepared.weight)
+    return replace(shown, prepared=prepared, conditions=tuple(parts), notes=_notes_of(parts))
+
+
+def _known(prepared: Prepared, of_all: Comparison) -> Comparison | None:
+    """Return the comparison of two sensors from that of more, if it is the same: field, chart, film and displays."""
+    among = of_all.prepared
+    alike = ("settings", "border", "viewing", "film_width")
+    sensors = tuple(sensor for sensor in of_all.sensors if sensor.sensor in prepared.sensors)
+    if len(sensors) < len(prepared.sensors) or any(getattr(prepared, name) != getattr(among, name) for name in alike):
+        return None
+    finer = sensors[0].irradiance.shape[1] != among.film_width  # as another sensor may have asked for
+    return None if finer else Comparison(prepared, sensors)
+
+
+def _stage_of(stage: Stage, part: str, name: str) -> Progress:
+    return stage(f"{part}: {name}")
 
 
 def _notes_of(parts: Sequence[Comparison]) -> tuple[str, ...]:
@@ -925,15 +1160,16 @@ def _notes_of(parts: Sequence[Comparison]) -> tuple[str, ...]:
 def _run(prepared: Prepared, jobs: int | None, stage: Stage) -> Comparison:
     """Run the comparison under one condition; its notes are those on black levels and assumptions."""
     made, chains = render_all(prepared, stage)
-    named_chains = [(sensor.name, chain) for sensor, chain in zip(prepared.sensors, chains, strict=True)]
+    first = [of_sensor.of_repeat(0)[0] for of_sensor in chains]
+    named_chains = [(sensor.name, chain) for sensor, chain in zip(prepared.sensors, first, strict=True)]
     grey = [name for name, chain in named_chains if chain.rendition is None]
     check_one_ideal(grey, {name: chain.screen.ideal for name, chain in named_chains if chain.rendition is not None})
     frames = stage("sense and score")
-    scores = [chain.simulate(*stream_key(prepared, 0)) for chain in chains]
-    delta_e = simulate_all(prepared, chains, scores, jobs, frames)
+    scores = [chain.simulate(*stream_key(prepared, 0)) for chain in first]
+    viewed = simulate_all(prepared, chains, jobs, frames)
     steps = [steps_of(prepared, sensor, light) for sensor, light in zip(prepared.sensors, made, strict=True)]
     compared, clips = [], []
-    for sensor, light, chain, score, values, step in zip(prepared.sensors, made, chains, scores, delta_e, steps, strict=True):
+    for sensor, light, chain, score, values, step in zip(prepared.sensors, made, first, scores, viewed, steps, strict=True):
         time_s = score.frame.integration_s
         white_e = chain.white_e_per_s * time_s
         dark = dark_clip(score.physics, time_s, white_e)
@@ -950,7 +1186,34 @@ def stream_key(prepared: Prepared, repeat: int) -> tuple[object, ...]:
     return "compare", prepared.settings.seed, repeat
 
 
-def render_all(prepared: Prepared, stage: Stage) -> tuple[list[Rendered], list[ImagingChain]]:
+@dataclass(frozen=True)
+class Chains:
+    """What the frames of a sensor under one condition share, from which the imaging chain of each repeat is made.
+
+    light : behind the lens, with the chosen display
+    screens : the display of each viewing, the chosen one first
+    """
+
+    light: PreparedScene
+    screens: tuple[Screen, ...]
+    physics: PixelPhysics
+    exposure: Exposure
+    correction: Correction
+    develop: Develop
+
+    _last: dict[Registration, tuple[ImagingChain, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def of_repeat(self, repeat: int) -> tuple[ImagingChain, ...]:
+        """Return the imaging chain of a repeat, at its registration, with the display of each viewing; all have the same frame."""
+        physics = self.physics.registered(repeat, self.light.screen.display)
+        if physics.registration not in self._last:  # centred arrays share one
+            chain = chain_at_pitch(self.light, physics, self.exposure, self.correction, self.develop)
+            self._last.clear()
+            self._last[physics.registration] = tuple(replace(chain, screen=screen) for screen in self.screens)
+        return self._last[physics.registration]
+
+
+def render_all(prepared: Prepared, stage: Stage) -> tuple[list[Rendered], list[Chains]]:
     """Return the light of every sensor on one film, fine enough for all, and the imaging chains."""
     width = prepared.film_width
     while True:
@@ -967,7 +1230,7 @@ def render_all(prepared: Prepared, stage: Stage) -> tuple[list[Rendered], list[I
             white = white_header(seen, prepared.settings.display)
             for light in made:
                 light.image.header |= white
-            return made, [chain_of(prepared, sensor, light.image) for sensor, light in pairs]
+            return made, [chains_of(prepared, sensor, light.image) for sensor, light in pairs]
 
 
 def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Progress) -> Rendered:
@@ -986,23 +1249,36 @@ def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Pro
         return render_and_measure(scene, sensor.camera, plan, settings, [sensor.pixel], [physics], **options)
 
 
-def chain_of(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> ImagingChain:
-    """Return the imaging chain of a sensor, which shows and scores the same part of the scene as those of the others."""
+def chains_of(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> Chains:
+    """Return the imaging chains of a sensor, which show and score the same part of the scene as those of the others."""
     with named(sensor.name):
-        physics, border_um = derive(sensor.pixel), prepared.border_um(sensor.camera)
+        settings, physics = prepared.settings, derive(sensor.pixel)
         for text in (*sheet_disagreements(sensor.pixel), *implausible_numbers(sensor.pixel)):
             warn(f"{sensor.name}: {text}")
-        light = prepare_scene(image, sensor.camera, physics, prepared.settings.display, border_um=border_um)
+        border: dict[str, Any] = {"border_um": prepared.border_um(sensor.camera), "single": True}
+        light = prepare_scene(image, sensor.camera, physics, settings.display, **border)
         warn_of_clipping(light.beyond_white)
         warn_of_stack_limits(physics, sensor.camera, image.wavelength_nm)
-        return chain_at_pitch(light, physics, sensor.exposure, prepared.settings.correction, prepared.settings.develop)
+        screens = {prepared.viewing.chosen: light.screen}
+        of_dots = {light.screen.display.dots: light.screen}
+        for viewing in prepared.viewing.viewings:
+            if viewing.dots not in of_dots:  # the ideal image on them, seen from anywhere
+                own = image, sensor.camera, physics, viewing.display(settings.display)
+                of_dots[viewing.dots], _ = screen_of(*own, rendition=light.rendition, **border)
+            if viewing not in screens:
+                screens[viewing] = of_dots[viewing.dots].seen_at(viewing.samples_per_deg)
+        ordered = tuple(screens[viewing] for viewing in prepared.viewing.viewings)
+        return Chains(light, ordered, physics, sensor.exposure, settings.correction, settings.develop)
 
 
 def steps_of(prepared: Prepared, sensor: Contestant, light: Rendered) -> FilmSteps:
     """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
     with without_warnings():  # the result itself warns
         seen = light.image, sensor.camera, derive(sensor.pixel), sensor.exposure, prepared.settings.display
-        more: dict[str, Any] = {"largest_um": prepared.border_um(sensor.camera), "correction": prepared.settings.correction}
+        more: dict[str, Any] = {
+            "largest_um": prepared.border_um(sensor.camera) / REGISTERED_BORDER,
+            "correction": prepared.settings.correction,
+        }
         more["develop"] = prepared.settings.develop
         return film_steps(*seen, light.plan.chart, **more)
 
@@ -1020,30 +1296,32 @@ class Task:
         return f"frame {self.repeat} of {self.name}"
 
 
-def simulate_task(task: Task, chain: ImagingChain) -> tuple[Task, float]:
-    """Return a task with the mean ΔE of its frame."""
-    return task, chain.simulate(*task.key).mean_delta_e
+def simulate_task(task: Task, chains: Chains) -> tuple[Task, list[float]]:
+    """Return a task with the mean ΔE of its frame under each viewing."""
+    own = chains.of_repeat(task.repeat)
+    frame = own[0].capture(*task.key)
+    of_screen = {id(chain.screen): chain for chain in own}  # a condition that sets the display has one for several viewings
+    found = {number: chain.score_frame(frame).mean_delta_e for number, chain in of_screen.items()}
+    return task, [found[id(chain.screen)] for chain in own]
 
 
-def simulate_all(
-    prepared: Prepared, chains: Sequence[ImagingChain], first: Sequence[Score], jobs: int | None, progress: Progress
-) -> list[Array]:
-    """Return the mean ΔE of all frames of each sensor, (repeats,); `first` are the scores of the first frames."""
-    costs = [frame_cost(sensor.camera, sensor.pixel.pitch_um, prepared.settings.display) for sensor in prepared.sensors]
+def simulate_all(prepared: Prepared, chains: Sequence[Chains], jobs: int | None, progress: Progress) -> list[Array]:
+    """Return the mean ΔE of all frames of each sensor under each viewing, (viewings, repeats)."""
+    costs = [prepared.cost_of_frame(sensor) for sensor in prepared.sensors]
     if jobs is None:
-        in_all_s = (prepared.repeats - 1) * sum(cost.seconds for cost in costs)
+        in_all_s = prepared.repeats * sum(cost.seconds for cost in costs)
         jobs = 1 if in_all_s < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for cost in costs))
-    delta_e = [np.full(prepared.repeats, score.mean_delta_e) for score in first]
+    delta_e = [np.empty((len(of_sensor.screens), prepared.repeats)) for of_sensor in chains]
     calls = []
-    for number, (sensor, chain) in enumerate(zip(prepared.sensors, chains, strict=True)):
-        shared = partial(_same, chain)  # one function for all calls of a sensor, so that workers share its chain
-        tasks = (Task(number, sensor.name, repeat, stream_key(prepared, repeat)) for repeat in range(1, prepared.repeats))
+    for number, (sensor, of_sensor) in enumerate(zip(prepared.sensors, chains, strict=True)):
+        shared = partial(_same, of_sensor)  # one function for all calls of a sensor, so that workers share its chains
+        tasks = (Task(number, sensor.name, repeat, stream_key(prepared, repeat)) for repeat in range(prepared.repeats))
         calls += [(task, shared) for task in tasks]
-    for done, (task, value) in enumerate(results_of(simulate_task, calls, workers_here(jobs)), 1):
-        delta_e[task.sensor][task.repeat] = value
+    for done, (task, values) in enumerate(results_of(simulate_task, calls, workers_here(jobs)), 1):
+        delta_e[task.sensor][:, task.repeat] = values
         progress(done / len(calls))
     return delta_e
 
 
-def _same(chain: ImagingChain) -> ImagingChain:
-    return chain
+def _same(chains: Chains) -> Chains:
+    return chains

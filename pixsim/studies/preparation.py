@@ -29,6 +29,7 @@ from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import label_of
 from pixsim.studies.engine import workers_here
 from pixsim.studies.evaluations import largest_lens_um, study_pitches_um
+from pixsim.studies.viewing import SENSORS_VIEWED, STUDY_VIEWINGS
 from pixsim.viewer.score import SCENE_CACHE_BYTES
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
@@ -265,12 +266,16 @@ def render_cost(plan: Plan, cells: int, cores: int) -> Cost:
 
 def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
     """Estimate one frame of a pitch and its ΔE."""
-    pixels = dots = math.prod(pixels_on(camera.die_um, pitch_um))
-    if display.raster == "fixed_size":
-        height_um, width_um = camera.die_um
-        dots = display.dots * max(1, round(display.dots * height_um / width_um))
+    pixels = math.prod(pixels_on(camera.die_um, pitch_um))
+    dots = pixels if display.raster == "one_to_one" else dots_on(camera, display)
     seconds = FRAME_S + pixels * FRAME_S_PER_PIXEL + dots * SCORE_S_PER_DOT
     return Cost(seconds, pixels * BYTES_PER_PIXEL + dots * DOT_BYTES, 1)
+
+
+def dots_on(camera: Camera, display: Display) -> int:
+    """Return the number of dots that show a die, with the raster fixed_size."""
+    height_um, width_um = camera.die_um
+    return display.dots * max(1, round(display.dots * height_um / width_um))
 
 
 def sampled_pitches_um(study: Study) -> list[float]:
@@ -313,6 +318,8 @@ def cases_cost(
     calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0
     renders_s = START_S + lights * (render.seconds - START_S)
     evaluations_s = sum(study.repeats * seconds for (study, _), seconds in zip(cases, sums_s, strict=True)) / jobs
+    if len(cases) == 1 and study.own_um is not None and study.display.raster == "fixed_size":  # its optimum on other displays
+        evaluations_s += STUDY_VIEWINGS * min(study.repeats, SENSORS_VIEWED) * sums_s[0] / jobs
     types_s = types * sum(TYPE_S + MOST_EVALUATIONS * seconds / len(of) for of, seconds in zip(frames, sums_s, strict=True)) / jobs
     largest = max(frame.memory_bytes for of_case in frames for frame in of_case)
     light = min(4.0 * cells * (plan.planes if plan.factored else plan.bands.width_nm.size), MOST_BYTES)

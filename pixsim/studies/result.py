@@ -43,6 +43,7 @@ from pixsim.studies.evaluations import (
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.rows import Row
+from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
@@ -77,6 +78,7 @@ class Curve:
     light : errors of the light, the film's at the best of the pitches
     at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
     left_out : pitches in µm that are not among them, each with the reason
+    viewed : optima under other viewings, of a data sheet's sensor whose display pixsim chose
     from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
     causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
     """
@@ -96,6 +98,7 @@ class Curve:
     condition: str = ""
     alone: str = ""
     left_out: tuple[tuple[float, str], ...] = field(default=(), repr=False)
+    viewed: tuple[OptimumViewed, ...] = field(default=(), repr=False)
     from_smallest: bool = False
     causes: tuple[Cause, ...] = field(default=(), repr=False)
 
@@ -211,6 +214,7 @@ class Curve:
             "ci95_delta_e": ci95.tolist(),
             **({"left_out": {f"{pitch_um:g}": reason for pitch_um, reason in self.left_out}} if self.left_out else {}),
             **({} if self.fresnel_number is None else {"fresnel_number": self.fresnel_number.tolist()}),
+            **({"views": [each.as_dict() for each in self.viewed]} if self.viewed else {}),
         }
 
 
@@ -584,6 +588,22 @@ def interval_words(curve: Any) -> str:
             return "at or above the largest size tried"
         return f"above {low:.2f} µm, {flat_words(curve, -1, 'largest size tried') or 'no upper limit among the sizes tried'}"
     return f"{low:.2f} to {high:.2f} µm"
+
+
+def viewed_words(curve: Curve, inside: bool = True) -> str:
+    """Return the optima under the viewings of the range as text, or under those outside it; empty without any."""
+    own = [each for each in curve.viewed if each.inside == inside]
+    if not own:
+        return ""
+    optima = [each.optimum for each in own] + ([curve.optimum] if inside else [])
+    sizes = sorted(best.pitch_um for best in optima)
+    range_um = f"{sizes[0]:.2g} to {sizes[-1]:.2g} µm" if f"{sizes[0]:.2g}" != f"{sizes[-1]:.2g}" else f"{sizes[0]:.2g} µm"
+    each_one = ", ".join(
+        f"{each.optimum.pitch_um:.2g} µm on {each.viewing}{'' if each.optimum.inside else ' (an end of the range of sizes)'}"
+        for each in own
+    )
+    where = "in the range of viewing" if inside else "on other displays than the one stated"
+    return f"{where} the best size goes from {range_um}: {each_one}" if " to " in range_um else f"{where} it is {range_um} too"
 
 
 def flat_words(curve: Any, end: int, size: str) -> str:

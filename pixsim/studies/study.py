@@ -41,6 +41,7 @@ from pixsim.sensor.technology import label_of, labels_of, technology_of
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
+from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import (
     COLUMNS,
@@ -890,6 +891,9 @@ def run_prepared(
         for note in few([[f"a case is left out: {reason}" for reason in reasons]]):
             warn(note)
         warn_of_idle_axes(chosen, found)
+        curves = found[0].curves
+        if not prepared.cases and chosen.own_um is not None and chosen.display.raster == "fixed_size":
+            curves = curves_viewed(found[0], prepared.view, workers, stage("on other displays"))
         findings: tuple[tuple[Any, ...], ...] = ()
         if prepared.cases and chosen.paper:
             from pixsim.studies.claims import findings_of_cases
@@ -898,7 +902,7 @@ def run_prepared(
     result = found[0]
     irradiance = result.irradiance
     noise = irradiance.header["render_noise"]
-    changes: dict[str, Any] = {"warned": tuple(notes), "left_out": tuple(reasons)}
+    changes: dict[str, Any] = {"warned": tuple(notes), "left_out": tuple(reasons), "curves": curves}
     if prepared.cases:
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
         curves = tuple(curve for name in names for part in found for curve in part.curves if curve.technology == name)

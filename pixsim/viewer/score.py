@@ -236,6 +236,11 @@ class Screen:
         """Side of a dot on the sensor; None if dots are pixels."""
         return self.size_um[1] / self.display.dots if self.display.raster == "fixed_size" else None
 
+    def seen_at(self, samples_per_deg: float) -> Screen:
+        """Return the same dots, as seen from where so many of them make a degree."""
+        display = self.display.model_copy(update={"samples_per_deg": samples_per_deg})
+        return replace(self, display=display, ideal_lab=perceived_lab(self.ideal, display, self.full, self.single))
+
     def luminance(self, frame: Frame, white_e: float, shading: Array | None = None) -> Array:
         """Return `displays.frame_luminance` on these dots."""
         own = self.size_um, white_e, self.display, self.dot_edges_um, shading
@@ -606,21 +611,41 @@ def prepare_scene(
     Raises PixsimError if the irradiance is negative or not finite.
     """
     irradiance.validate()
-    border_um = physics.as_read.border_um if border_um is None else border_um
     channels = physics.channels
     rendition = None if physics.layout is None else rendition_of(irradiance, channels, display)
-    edges_um, light = ideal_on_dots(irradiance, camera, physics, display, border_um, rendition)
-    ideal = shown(light, display)
+    own: dict[str, Any] = {"border_um": border_um, "rendition": rendition, "full": full, "single": single}
+    screen, beyond_white = screen_of(irradiance, camera, physics, display, **own)
     lights = lights_of(irradiance, camera, physics) if lights is None else lights
     if full:  # nothing of the pixels' stack is left out
         lights = tuple(replace(one, illumination=replace(one.illumination, spare_e=0.0)) for one in lights)
     whites = tuple(displays.white_rate(irradiance, camera, channel, display) for channel in channels)
-    single = single and not full
+    array_um = array_size_um(irradiance, camera)
+    return PreparedScene(lights, irradiance.pitch_um, whites, screen, array_um, beyond_white, rendition)
+
+
+def screen_of(
+    irradiance: SpectralImage,
+    camera: Camera,
+    physics: PixelPhysics,
+    display: Display,
+    *,
+    border_um: float | None = None,
+    rendition: Rendition | None = None,
+    full: bool = False,
+    single: bool = False,
+) -> tuple[Screen, float]:
+    """Return the screen for a display, and the fraction of the ideal image's dots that are brighter than display white.
+
+    border_um, full, single : as of `prepare_scene`
+    rendition : of a colour sensor
+    """
+    border_um = physics.as_read.border_um if border_um is None else border_um
+    edges_um, light = ideal_on_dots(irradiance, camera, physics, display, border_um, rendition)
+    ideal, single = shown(light, display), single and not full
     lab = perceived_lab(ideal, display, full, single)
     gamut = 0.0 if rendition is None else displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
     screen = Screen(display, displays.picture_size_um(irradiance), edges_um, ideal, lab, full, single, gamut)
-    array_um = array_size_um(irradiance, camera)
-    return PreparedScene(lights, irradiance.pitch_um, whites, screen, array_um, fraction_beyond_white(light), rendition)
+    return screen, fraction_beyond_white(light)
 
 
 class IdealFacts(NamedTuple):

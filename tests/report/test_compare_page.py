@@ -14,8 +14,8 @@ from helpers.browser import assert_fits, assert_prints, assert_sliders_move, nee
 from helpers.commands import assert_refused, command
 from helpers.looks import text_of
 
-from pixsim.report.compare import headline, verdict
-from pixsim.studies.compare import Comparison, shown_delta_e
+from pixsim.studies.compare import Comparison, elsewhere_note, headline, shown_delta_e, verdict
+from pixsim.studies.viewing import Viewing, ViewingRange
 
 SMALL = "--display.dots 120 --resolution 256 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
 SHEET = """\
@@ -52,8 +52,14 @@ def test_compare_prints_answer(compared: tuple[Path, str, str]) -> None:
     folder, out, err = compared
     found = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
     lines = out.splitlines()
-    answer = r"quiet is better than noisy_one by (\d\.\d+) ± (\d\.\d+) ΔE \(probability ([> ]*\.\d+)\)"
-    size, error, probability = re.fullmatch(answer, lines[0]).groups()
+    answer = (
+        r"quiet is better than noisy_one by (\d\.\d+) ± (\d\.\d+) ΔE \(probability ([> ]*\.\d+)\); "
+        r"in the whole range of viewing by (.*) to (.*) ΔE"
+    )
+    size, error, probability, *ends = re.fullmatch(answer, lines[0]).groups()
+    inside = [view["difference"] for view in found["views"]["noisy_one"] if view["inside"]]
+    assert [view["samples_per_deg"] for view in found["views"]["noisy_one"] if view["inside"]] == [23.0, 11.5, 46.0]
+    assert [float(end) for end in ends] == pytest.approx([min(inside), max(inside)], rel=0.05)
     half = np.subtract(*found["interval_delta_e"]["noisy_one"][::-1]) / 2
     assert float(size) == pytest.approx(found["difference"]["noisy_one"], abs=10.0 ** -len(size.partition(".")[2]))
     assert float(error) == pytest.approx(half + found["film_delta_e"]["noisy_one"], rel=0.5)
@@ -64,6 +70,9 @@ def test_compare_prints_answer(compared: tuple[Path, str, str]) -> None:
     assert lines[3].startswith("the same field of 18.8° × 14.1°, f/4 and focus at 1 m, as quiet; one chart, to 32 cycles across, ")
     for words in ("one display of 120 dots across, 23 per degree", "each exposed to 95 % of its own well", "3 pairs of frames"):
         assert words in lines[3]
+    assert "23 per degree, as stated; 116 × 86 are scored; range of viewing: 120 dots, 11.5 to 46 per degree" in lines[3]
+    note = "note: quiet and noisy_one: the verdict is the same on other displays (64 to 120 dots, 11.5 to 46 per degree)"
+    assert lines[4] == note
     assert lines[-1] == f"report: {folder / 'report.html'}"
     assert err == ""
 
@@ -89,12 +98,22 @@ def test_compare_settings_make_the_same_numbers(compared: tuple[Path, str, str],
     """The command in settings.toml, in its folder, gives every number again, bit for bit."""
     folder = compared[0]
     line = (folder / "settings.toml").read_text(encoding="utf-8").splitlines()[1]
-    assert line.startswith("# pixsim compare sensors/quiet.toml sensors/noisy_one.toml --scene csf --match own")
+    assert line.startswith("# pixsim compare sensors/quiet.toml sensors/noisy_one.toml --scene csf --config settings.toml --match")
     monkeypatch.chdir(folder)
     code, out, err = command(line.removeprefix("# pixsim "), "--json", "--out", tmp_path / "again")
     assert code == 0, err
     again, before = json.loads(out), json.loads((folder / "compare.json").read_text(encoding="utf-8"))
-    for name in ("scores", "difference", "interval_delta_e", "probability_a_better", "film_delta_e", "scored_dots", "display"):
+    for name in (
+        "scores",
+        "difference",
+        "interval_delta_e",
+        "probability_a_better",
+        "film_delta_e",
+        "scored_dots",
+        "display",
+        "views",
+        "verdicts",
+    ):
         assert again[name] == before[name], name
     for name in again["names"]:
         assert again["sensors"][name]["camera"] == before["sensors"][name]["camera"]
@@ -196,7 +215,7 @@ def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, s
         assert np.mean(found["sensors"][name]["delta_e"]) == pytest.approx(found["scores"][name][1], rel=1e-12)
     assert found["difference"][b] == pytest.approx(0.75 * own["day"]["difference"][b] + 0.25 * own["night"]["difference"][b])
     assert set(own["day"]) == {
-        *("weight", "scores", "difference", "interval_delta_e", "probability_a_better", "film_delta_e", "delta_e"),
+        *("weight", "scores", "difference", "interval_delta_e", "probability_a_better", "film_delta_e", "delta_e", "views"),
     }  # fmt: skip
     assert found["shown_condition"] == "day"
     assert found["study"] == {"name": "both", "not_used": ["technologies"]}
@@ -246,14 +265,23 @@ def test_compare_study_page_fits_screens(under_study: tuple[Path, str], tmp_path
 # --- the words of an answer ------------------------------------------------------------------------------------------------
 
 
-def result_of(first: list[float], other: list[float], film: float | None) -> Comparison:
-    """A comparison of these ΔE, with this error of the film."""
+CHOSEN = Viewing(600, 23.0)
 
+
+def result_of(first: list[float], other: list[float], film: float | None) -> Comparison:
+    """A comparison of these ΔE on one display, with this error of the film."""
+    return viewed_of({CHOSEN: (first, other)}, film)
+
+
+def viewed_of(
+    values: dict[Viewing, tuple[list[float], list[float]]], film: float | None = 0.0, stated: tuple[str, ...] = ()
+) -> Comparison:
+    """A comparison of these ΔE of a and b under some viewings, the chosen one first."""
     result = Comparison.__new__(Comparison)
-    values: dict[str, Any] = {"names": ("a", "b"), "film_delta_e": {"b": film}, "unconverged": ""}
-    values["differences"] = {"b": np.array(other) - np.array(first)}
-    kind = type("Given", (Comparison,), values)
-    object.__setattr__(result, "__class__", kind)
+    viewed = {name: np.array([pair[number] for pair in values.values()]) for number, name in enumerate("ab")}
+    given: dict[str, Any] = {"names": ("a", "b"), "unconverged": "", "viewed": viewed}
+    given |= {"film_between": lambda *_: film, "prepared": SimpleNamespace(viewing=ViewingRange(tuple(values), stated))}
+    object.__setattr__(result, "__class__", type("Given", (Comparison,), given))
     return result
 
 
@@ -278,6 +306,52 @@ def test_verdict_is_as_sure_as_its_numbers(first: list[float], other: list[float
     assert verdict(result_of(first, other, film), "b") == words
 
 
+A_BY_02, B_BY_02, NEITHER = ([1.0, 1.01], [1.2, 1.211]), ([1.2, 1.211], [1.0, 1.01]), ([1.0, 1.2], [1.1, 1.2])
+A_BY_06 = [1.0, 1.01], [1.6, 1.611]
+FEWER, FEW, NEAR, FAR = Viewing(400, 23.0), Viewing(300, 23.0), Viewing(600, 11.5), Viewing(600, 46.0)
+BY_02 = "by 0.2005 ± 0.0064 ΔE (probability > .999)"
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({CHOSEN: A_BY_02, NEAR: A_BY_06}, f"a is better than b {BY_02}; in the whole range of viewing by 0.2 to 0.6 ΔE"),
+        (
+            {CHOSEN: NEITHER, NEAR: NEITHER},
+            "a and b cannot be told apart: a is better by 0.1 ± 0.6 ΔE (probability .75); nor elsewhere in the range of viewing",
+        ),
+        (  # 0 where √(300 · 600) is
+            {CHOSEN: A_BY_02, FEW: B_BY_02},
+            "which is better depends on the viewing: at 23 per degree a above about 420 dots, b below; on 600 dots at 23 per "
+            f"degree, a is better than b {BY_02}",
+        ),
+        (
+            {CHOSEN: A_BY_02, FEWER: NEITHER, FEW: B_BY_02, NEAR: A_BY_06, FAR: A_BY_02},
+            "which is better depends on the viewing: at 11.5 and 46 per degree a; at 23 per degree a from 600 dots on, neither at "
+            f"400, b up to 300; on 600 dots at 23 per degree, a is better than b {BY_02}",
+        ),
+    ],
+)
+def test_better_without_a_condition_holds_in_the_whole_range(
+    values: dict[Viewing, tuple[list[float], list[float]]], words: str
+) -> None:
+    assert verdict(viewed_of(values), "b") == words
+
+
+def test_stated_display_is_no_range_but_a_note_says_whether_the_verdict_turns() -> None:
+    both = ("dots", "samples_per_deg")
+    turns = viewed_of({CHOSEN: A_BY_02, FEW: B_BY_02, FAR: A_BY_02}, stated=both)
+    assert verdict(turns, "b") == f"a is better than b {BY_02}"
+    assert elsewhere_note(turns, "b") == (
+        "a and b: the verdict depends on the display that was stated; on other displays (300 to 600 dots, 23 to 46 per degree): "
+        "at 23 per degree a above about 420 dots, b below; at 46 per degree a"
+    )
+    assert "the verdict is the same" in elsewhere_note(viewed_of({CHOSEN: A_BY_02, FEW: A_BY_06}, stated=both), "b")
+    dots_only = viewed_of({CHOSEN: A_BY_02, FEW: A_BY_02, FAR: B_BY_02}, stated=("dots",))
+    assert "depends on the viewing: at 23 per degree a; at 46 per degree b; on 600 dots" in verdict(dots_only, "b")
+    assert elsewhere_note(viewed_of({CHOSEN: A_BY_02, FEW: B_BY_02}), "b") == ""
+
+
 @pytest.mark.parametrize(
     ("night", "disagree"),
     [
@@ -290,7 +364,7 @@ def test_headline_names_the_conditions_that_disagree(night: list[float], disagre
     """The weighted mean alone would say that one sensor is better, and that nobody sees it."""
     parts = [result_of([1.0, 1.01], [1.2, 1.21], 0.0), result_of([1.2, 1.21], night, 0.0)]
     for part, name in zip(parts, ("day", "night"), strict=True):
-        part.__dict__["prepared"] = SimpleNamespace(condition=name, weight=0.5)
+        part.__dict__["prepared"] = SimpleNamespace(condition=name, weight=0.5, viewing=part.prepared.viewing)
     both = result_of([1.1, 1.11], [1.1 + (night[0] - 1) / 2, 1.11 + (night[1] - 1.01) / 2], 0.0)
     both.__dict__["conditions"] = tuple(parts)
     words = headline(both, "b")
@@ -346,6 +420,24 @@ def test_compare_page_matches_json(compared: tuple[Path, str, str]) -> None:
     assert "<td>10000</td>" in page, "the well, without an exponent"
 
 
+def test_compare_of_three_ranks_them(compared: tuple[Path, str, str], tmp_path: Path) -> None:
+    """In the terminal, on the page and in JSON; with a table of viewings for each pair, whose verdict is that of two."""
+    third = tmp_path / "worst.toml"
+    third.write_text(SHEET.format(noise_e=400.0, pitch_um=20.0, rows=64), encoding="utf-8")
+    code, out, err = command(f"compare {SMALL}", *write_sheets(tmp_path), third, "--out", tmp_path / "out")
+    assert (code, err) == (0, "")
+    lines, found = out.splitlines(), json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))
+    assert lines[0] == compared[1].splitlines()[0]
+    assert lines[2] == "ranking, the best first, all on one display: quiet; then noisy_one; then worst"
+    assert found["ranking"] == [["quiet"], ["noisy_one"], ["worst"]]
+    assert list(found["pairs"]) == list(found["verdicts"]) == ["noisy_one", "worst"]
+    page = " ".join(text_of(tmp_path / "out").split())
+    assert lines[2] in page
+    for name in ("noisy_one", "worst"):
+        rows = page.partition(f"<caption>{name} − quiet</caption>")[2].partition("</table>")[0]
+        assert rows.count("<tr>") == 1 + len(found["views"][name])
+
+
 def test_compare_lines_state_notes_once(compared: tuple[Path, str, str], tmp_path: Path) -> None:
     """A black level of 0 DN clips noise, which each sensor's note says, on the page and in the terminal.
 
@@ -356,8 +448,8 @@ def test_compare_lines_state_notes_once(compared: tuple[Path, str, str], tmp_pat
     code, out, err = command(f"compare {SMALL} --pixel.black-level-dn 0 --out {tmp_path / 'out'}", *files)
     assert code == 0
     notes = [line for line in out.splitlines() if line.startswith("note: ")]
-    assert [note.split()[1] for note in notes] == ["quiet:", "noisy_one:"]
-    assert all("clips dark noise" in note for note in notes)
+    assert [note.split()[1] for note in notes] == ["quiet:", "noisy_one:", "quiet"]
+    assert all("clips dark noise" in note for note in notes[:2])
     (warned,) = re.findall(r"^warning: (quiet: pixel: snr_max_db = 30, .*)\.$", err, re.MULTILINE)
     assert err.count("warning: ") == 1
     assert json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["notes"] == [

@@ -72,7 +72,7 @@ SHEET = {"pitch_um": 5.0, "full_well_e": 8000, "read_noise_e": 3.0, "dark_curren
 SHEET |= {"prnu": 0.01, "dsnu": 0.3, "bits": 12, "black_level_dn": 60}
 AT_20_C = {name: value for name, value in SHEET.items() if name != "dark_current_e_per_s"}
 AT_20_C |= {"dark_current": {"e_per_s": 2e7, "at_c": 20.0}}
-STACK = {"height_um": 5.0, "index": 1.5, "microlens": "square"}
+STACK = {"height_um": 5.0, "index": 1.5, "microlens": "square", "shift": "none"}  # so that it shades
 COLOUR = {"quantum_efficiencies": bells(0.5)}
 QUICK_FIT = {"develop": {"matrix": "least_squares"}}  # of the colour matrix: the default one takes a quarter of a second
 

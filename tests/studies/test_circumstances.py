@@ -15,7 +15,7 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Study
 from pixsim.studies.circumstances import circumstances_of
-from pixsim.studies.compare import Comparison, prepare
+from pixsim.studies.compare import Comparison, headline, prepare
 
 DAY = {"scene": {"parameters": {"luminance_cd_per_m2": 300.0}}, "exposure": {"max_integration_s": 0.02}}
 NIGHT = {"scene": {"parameters": {"luminance_cd_per_m2": 1.0}}, "display": {"white_cd_per_m2": 1.0}, "camera": {"f_number": 2.0}}
@@ -73,6 +73,15 @@ def test_conditions_are_those_comparisons_bit_for_bit(both: Comparison, alone: l
     assert [part.prepared.weight for part in both.conditions] == [0.75, 0.25]
     assert both.shown.prepared.condition == "day"
     assert [sensor.score for sensor in both.sensors] == [sensor.score for sensor in both.conditions[0].sensors]
+
+
+def test_another_sensor_changes_no_answer_on_a_pair(both: Comparison, files: list[Path], tmp_path: Path) -> None:
+    """In no condition, and in no weighted mean."""
+    third = sheet(tmp_path / "third.toml", 3.0, 25.0, "[40, 40]")
+    among = pixsim.compare([*files, third], study=plan(condition=BOTH), repeats=3, jobs=1)
+    assert among.pair("b").answers() == both.answers()
+    assert [part.answers() for part in among.pair("b").conditions] == [part.answers() for part in both.conditions]
+    assert headline(among, "b") == headline(both, "b")
 
 
 def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison], files: list[Path]) -> None:
@@ -154,7 +163,7 @@ def weighted_of(day: np.ndarray, night: np.ndarray) -> Comparison:
     """A comparison of these ΔE, each (2 sensors, repeats), with weights 3 to 1."""
 
     def of(values: np.ndarray, weight: float) -> Comparison:
-        sensors = tuple(SimpleNamespace(name=name, delta_e=own) for name, own in zip("ab", values, strict=True))
+        sensors = tuple(SimpleNamespace(name=name, viewed=own[None]) for name, own in zip("ab", values, strict=True))
         return Comparison(SimpleNamespace(weight=weight), sensors)  # type: ignore[arg-type]
 
     parts = of(day, 0.75), of(night, 0.25)

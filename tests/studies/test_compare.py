@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import pickle
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,15 +25,17 @@ from pixsim.studies.compare import (
     Comparison,
     Prepared,
     Task,
-    chain_of,
+    chains_of,
     matched_cameras,
     mean_interval,
     prepare,
     probability_above_zero,
+    ranking_words,
     simulate_task,
     stream_key,
     verdict,
 )
+from pixsim.studies.viewing import Viewing, ViewingRange
 
 # A chart without samples, few pixels and dots: a comparison takes 0.2 s.
 SMALL: dict[str, Any] = {"display": {"dots": 48}, "resolution": 128}
@@ -233,10 +237,10 @@ def test_pairing_reduces_variance(tmp_path: Path) -> None:
 def test_frame_of_another_process_is_the_same(noisy: Comparison) -> None:
     """A chain that was sent to a worker gives the same frames, bit for bit."""
     compared = noisy.sensors[2]
-    chain = pickle.loads(pickle.dumps(chain_of(noisy.prepared, compared.sensor, compared.irradiance)))
+    chains = pickle.loads(pickle.dumps(chains_of(noisy.prepared, compared.sensor, compared.irradiance)))
     for repeat in (0, 7):
         task = Task(2, compared.name, repeat, stream_key(noisy.prepared, repeat))
-        assert simulate_task(task, chain) == (task, compared.delta_e[repeat])
+        assert simulate_task(task, chains) == (task, compared.viewed[:, repeat].tolist())
 
 
 def test_mean_interval_is_student_t() -> None:
@@ -276,6 +280,80 @@ def test_interval_covers_and_probability_is_calibrated(repeats: int) -> None:
     assert np.mean(inside) == pytest.approx(0.95, abs=4 * 0.0034)
     uniform = stats.kstest([probability_above_zero(each - 0.1) for each in differences], "uniform")
     assert uniform.pvalue > 1e-4
+
+
+# --- the range of viewing ---------------------------------------------------------------------------------------------
+
+
+def test_range_has_the_dots_of_both_sensors_and_half_and_twice_the_distance(tmp_path: Path) -> None:
+    """Without a stated display: a sensor of 64 columns, one of 150, and a number between, since their ratio is above 1.25."""
+    files = [sheet(tmp_path / "a.toml", pixels="[64, 48]"), sheet(tmp_path / "b.toml", pitch_um=8.0, pixels="[150, 112]")]
+    found = prepared(files).viewing
+    assert found.chosen == Viewing(150, 23.0)
+    assert set(found.viewings) == {Viewing(dots, degree) for dots in (64, 98, 150) for degree in (11.5, 23.0, 46.0)}
+    assert all(found.holds(each) for each in found.viewings)
+    stated = prepared(files, display={"dots": 100}).viewing
+    assert stated.chosen == Viewing(100, 23.0)
+    assert {each for each in stated.viewings if stated.holds(each)} == {Viewing(100, degree) for degree in (11.5, 23.0, 46.0)}
+    assert {each.dots for each in stated.viewings} == {64, 100, 150}
+    assert [(each.dots, each.samples_per_deg) for each in prepared([Path("0.35um"), Path("4t-bsi")]).viewing.viewings[:1]] == [
+        (512, 23.0)
+    ]
+
+
+def test_each_viewing_is_a_comparison_with_that_display(tmp_path: Path) -> None:
+    """The same frames on another display, which only then is stated: bit for bit, with one chart and one film."""
+    files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", pitch_um=9.1, pixels="[140, 120]")]
+    options: dict[str, Any] = {"resolution": 256, "repeats": 2, "jobs": 1, "parameters": {MAX_LP_PER_MM: 25.0}}
+    views = pixsim.compare(files, **options).views("b")
+    assert len(views) == 9
+    for view in views[::4]:
+        alone = pixsim.compare(files, display=view.viewing._asdict(), **options)
+        assert alone.difference["b"] == view.difference
+        assert alone.interval_delta_e["b"] == view.interval_delta_e
+
+
+@pytest.mark.parametrize(("match", "third"), [("view", (9.0, "[140, 140]")), ("lens", (40.0, "[24, 20]"))])
+def test_another_sensor_changes_no_verdict_on_a_pair(match: Any, third: tuple[float, str], tmp_path: Path) -> None:
+    """A finer one has more dots and detail, a small one a wide border and, behind one lens, a narrow field."""
+    files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", pitch_um=16.0, pixels="[80, 70]")]
+    more = sheet(tmp_path / "third.toml", 3.0, *third)
+    options: dict[str, Any] = {"match": match, "resolution": 160, "repeats": 2, "jobs": 1}
+    alone = pixsim.compare(files, **options)
+    among = pixsim.compare([*files, more], **options)
+    assert among.pair("b").answers() == alone.answers()
+    assert {name: own["b"] for name, own in among.answers().items() if name != "scores"} == {
+        name: own["b"] for name, own in alone.answers().items() if name != "scores"
+    }
+    assert among.pair("third").answers() == pixsim.compare([files[0], more], **options).answers()
+    assert among.as_dict()["verdicts"]["b"] == alone.as_dict()["verdicts"]["b"]
+    assert among.scores["b"] != alone.scores["b"], "they are on one display for all"
+
+
+def test_ranking_separates_what_is_sure_under_all_viewings() -> None:
+    """a is best everywhere; b and c change places between two displays; d is worst, on a stated display only."""
+    rows = {"d": (9.0, 0.5), "c": (3.0, 2.5), "a": (1.0, 1.0), "b": (2.0, 3.0)}
+    viewed = {name: np.array([[value, value + 0.01] for value in own]) for name, own in rows.items()}
+    ranges = ViewingRange((Viewing(512, 23.0), Viewing(256, 23.0)))
+    sensors = tuple(SimpleNamespace(name=name, viewed=own, steps=NoFilm()) for name, own in viewed.items())
+
+    def of(viewing: ViewingRange) -> Comparison:
+        return Comparison(SimpleNamespace(viewing=viewing), sensors)  # type: ignore[arg-type]
+
+    assert of(ranges).ranking == (("a", "b", "c", "d"),)
+    assert of(replace(ranges, stated=("dots",))).ranking == (("a",), ("b",), ("c",), ("d",))
+    without = replace(of(ranges), sensors=sensors[1:])
+    assert without.ranking == (("a",), ("b", "c"))
+    assert ranking_words(without) == (
+        "ranking, the best first, all on one display: a; then b and c (whose order depends on the viewing or is not sure)"
+    )
+
+
+class NoFilm:
+    """Steps of a film without error."""
+
+    def error_of_difference(self, other: object) -> float:
+        return 0.0
 
 
 # --- the film's error -------------------------------------------------------------------------------------------------

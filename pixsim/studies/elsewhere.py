@@ -1,0 +1,68 @@
+"""The optimum of a data sheet's sensor on other displays than the chosen one, from the frames of some of its sensors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+from pixsim.base.progress import Progress
+from pixsim.sensor.integration import pixels_along
+from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.evaluations import LEFT_OUT, Fingerprints, evaluate_task, light_of, scenes_of, tasks_of
+from pixsim.studies.preparation import ALLOWED_DOTS, View
+from pixsim.studies.result import Curve, StudyResult, curve_of
+from pixsim.studies.rows import Row
+from pixsim.studies.viewing import OF_VIEWING, SENSORS_VIEWED, OptimumViewed, ViewingRange
+
+DOTS_FACTOR = 2.0  # of the data sheet's dots to those of larger pixels, and of smaller ones to them
+
+
+def viewing_of(result: StudyResult, view: View) -> ViewingRange:
+    """Return the displays of a data sheet's study: half and twice the dots, or half and twice the dots per degree.
+
+    The dots are those of the largest and the smallest pixels at most, and those of a display.
+
+    view : that pixsim chose; dots that it did not choose are stated
+    """
+    study, width_um = result.study, result.camera.die_um[1]
+    display = study.display
+    stated = [name for name in OF_VIEWING if name in display.model_fields_set and (name != "dots" or view.dots is None)]
+    tried_um = [float(pitch_um) for curve in result.curves for pitch_um in (curve.pitch_um[0], curve.pitch_um[-1])]
+    coarse, fine = (pixels_along(width_um, pitch_um) for pitch_um in (max(tried_um), min(tried_um)))
+    low = max(coarse, round(display.dots / DOTS_FACTOR), ALLOWED_DOTS[0])
+    high = min(fine, round(display.dots * DOTS_FACTOR), ALLOWED_DOTS[1])
+    whole = ViewingRange.of(display, stated, (low, high))
+    chosen = whole.chosen
+    ends = {min(low, chosen.dots), max(high, chosen.dots)}
+    one_moves = [
+        each
+        for each in whole.viewings
+        if each.dots == chosen.dots or (each.samples_per_deg == chosen.samples_per_deg and each.dots in ends)
+    ]
+    return replace(whole, viewings=tuple(one_moves))
+
+
+def curves_viewed(result: StudyResult, view: View, workers: Workers, progress: Progress | None = None) -> tuple[Curve, ...]:
+    """Return the curves of a study without axes with their optima on the displays of `viewing_of`.
+
+    Frames that the cache has are shown again. The others are simulated, with the same random numbers.
+    """
+    viewing, camera, irradiance = viewing_of(result, view), result.camera, result.irradiance
+    viewed: dict[str, list[OptimumViewed]] = {curve.technology: [] for curve in result.curves}
+    others = viewing.viewings[1:]
+    for number, each in enumerate(others):
+        study = result.study.model_copy(update={"display": each.display(result.study.display)})
+        scenes, hashes = scenes_of(study, irradiance, camera), Fingerprints(study, camera, irradiance)
+        for curve in result.curves:
+            sensors = {
+                float(pitch_um): min(int(count), SENSORS_VIEWED)
+                for pitch_um, count in zip(curve.pitch_um, curve.sensors, strict=True)
+            }
+            light = partial(light_of, study, scenes, curve.technology)
+            calls = [(task, light) for task in tasks_of(hashes, curve.technology, sensors, ())]
+            rows: list[Row] = [row for rows in results_of(evaluate_task, calls, workers) for row in rows if LEFT_OUT not in row]
+            best = curve_of(study, curve.technology, rows).optimum
+            viewed[curve.technology].append(OptimumViewed(each, viewing.holds(each), best))
+        if progress:
+            progress((number + 1) / len(others))
+    return tuple(replace(curve, viewed=tuple(viewed[curve.technology])) for curve in result.curves)
