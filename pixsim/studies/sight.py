@@ -20,7 +20,8 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.scene.rules import Chart
 from pixsim.sensor.integration import collecting_area_um2, electrons_per_joule
 from pixsim.sensor.pixel import PixelPhysics
-from pixsim.studies.budget import FilmSampling, without_warnings
+from pixsim.studies.budget import without_warnings
+from pixsim.studies.film_error import FilmSampling
 from pixsim.viewer.display import white_header, white_rate
 
 DIGITS = 9  # of the light relative to white; the rest are rounding errors

@@ -25,8 +25,9 @@ from pixsim.scene.convergence import RenderNoise
 from pixsim.scene.film import MAX_ACROSS
 from pixsim.scene.plan import make_plan
 from pixsim.sensor.integration import lights_of
-from pixsim.studies.budget import FINE, FilmSampling, Setup, coarser, film_error, probe
-from pixsim.studies.oversampling import FilmError, film_steps, measure_film, measured_places, parts_of, render_on_film
+from pixsim.studies.budget import Setup, probe
+from pixsim.studies.film_error import FINE, FilmSampling, coarser, film_error, measured_places, parts_of
+from pixsim.studies.oversampling import FilmError, film_steps, measure_film, render_on_film
 from pixsim.studies.result import StudyResult
 
 WIDTH = 4096  # of the films that are taken for the truth
@@ -217,9 +218,9 @@ def test_parts_behind_a_real_lens_have_the_blur_of_their_place(monkeypatch):
     physics, display = pixsim.derive(PIXEL.model_copy(update={"pitch_um": 12.5})), Display(dots=96)
     seen = []
     monkeypatch.setattr("pixsim.studies.oversampling._mean_delta_e", lambda *given: seen.append(given[:2]) or np.zeros(16))
-    monkeypatch.setattr("pixsim.studies.oversampling.MEASURED", 1)
-    monkeypatch.setattr("pixsim.studies.oversampling.MIN_PIXELS", 1)
-    monkeypatch.setattr("pixsim.studies.oversampling.MIN_DOTS", 1)
+    monkeypatch.setattr("pixsim.studies.film_error.MEASURED", 1)
+    monkeypatch.setattr("pixsim.studies.film_error.MIN_PIXELS", 1)
+    monkeypatch.setattr("pixsim.studies.film_error.MIN_DOTS", 1)
     film_steps(texture, camera, physics, Exposure(), display, None)
     whole = texture
     for parts, lights in seen:
@@ -241,7 +242,7 @@ def test_measure_film_parts_agree_with_whole(monkeypatch):
     texture = light(np.random.default_rng(4).choice([0.2, 0.8], (256, 256)).repeat(4, axis=0).repeat(4, axis=1))
     physics, display = pixsim.derive(PIXEL.model_copy(update={"pitch_um": 9.4})), Display(dots=256)
     whole = measure_film(texture, CAMERA, [physics], Exposure(), display)
-    monkeypatch.setattr("pixsim.studies.oversampling.MEASURED", 1 << 17)
+    monkeypatch.setattr("pixsim.studies.film_error.MEASURED", 1 << 17)
     parts = measure_film(texture, CAMERA, [physics], Exposure(), display)
     assert parts.delta_e != whole.delta_e
     # An eighth of the picture, with its own registration of pixels and dots.
