@@ -55,6 +55,7 @@ from pixsim.scene.convergence import RenderNoise, noise_of
 from pixsim.scene.film import largest_film
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
+from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics, derive, largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
@@ -66,7 +67,6 @@ from pixsim.studies.film_error import (
     FilmSampling,
     coarser,
     film_error,
-    finer_film,
     finer_parts,
     merges,
     order_of,
@@ -414,7 +414,7 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     mean = replace(one, delta_e=(one.delta_e + other.delta_e) / 2, sweep_delta_e=(one.sweep_delta_e + other.sweep_delta_e) / 2)
     coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if merges(image.shape, factor)]
     sampling = FilmSampling.of(job.size[1], camera, setup.physics(), setup.display, plan.chart)
-    films, order = film_errors(base, coarse, sampling, finer_effect(image, setup))
+    films, order = film_errors(base, coarse, sampling, finer_effect(image, setup, plan.chart))
     optima = [minimum_um(sensors.pitch_um, delta_e) for delta_e in sensors.sweep_delta_e.T]
     finer_setup = replace(setup, display=finer(setup.display, 2 * setup.display.dots))
     fits = setup.display.raster == "fixed_size" and finer_setup.display.dots <= MAX_DOTS
@@ -459,13 +459,13 @@ def film_errors(
     return (*(difference_of(film, base).plus(last) for film in reversed(coarse)), last), order_of(near.delta_e, far.delta_e)
 
 
-def finer_effect(image: SpectralImage, setup: Setup) -> Effect:
-    """Return the larger change on the films `FINER`, in parts of the picture; none if they would be too large."""
+def finer_effect(image: SpectralImage, setup: Setup, chart: Chart | None) -> Effect:
+    """Return the larger change on the films `FINER`, in the `finer_parts` of a picture."""
     size_um = setup.border_um or max((*setup.pitches_um, setup.pixel.pitch_um))
-    parts = finer_parts(image, size_um, setup.display)
+    parts = finer_parts(image, size_um, setup.display, chart)
     if not parts:
         return NONE
-    own, *films = ([probe(finer_film(part, *film), replace(setup, display=shown)) for part, shown in parts] for film in FINER)
+    own, *films = ([probe(part.finer(*film), replace(setup, display=part.display)) for part in parts] for film in FINER)
     values, optimum_um = _values(own), _optimum_um(own)
     changes = [[step_size(*pair) for pair in zip(values, _values(film), strict=True)] for film in films]
     return Effect(max(map(rms, changes)), max(abs(_optimum_um(film) - optimum_um) for film in films))

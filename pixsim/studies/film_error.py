@@ -3,10 +3,9 @@
 * Cells averaged 2 × 2 and 4 × 4 are the cells of coarser films, with the same samples. Their differences give the order of
   convergence, and the extrapolated error is multiplied by a factor of safety, which is larger if the order is unreliable
   (Roache, J. Fluids Eng. 116 (1994) 405).
-* Where neighbouring samples differ strongly, a film is as good as it seems to its coarser films only by chance: detail may be as
-  wide as a sample, and then none of them cuts through it. Films of one and a half times and of twice the samples across, with the
-  same light over each of the old samples, show what becomes of it. One of them is not enough: both detail and pixels may be in
-  step with it.
+* Detail as wide as a sample escapes them: none of the samples cuts through it. So there are finer films, too, of one and a half
+  times and of twice the samples across, for detail and pixels may be in step with one of them. They show a chart as it is. Of
+  other pictures they show even light within each old sample, the most detail that its neighbours may hide.
 * A film without two samples for each detail counts what it may miss.
 
 Of a large picture parts are measured, spread evenly over it.
@@ -16,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -34,6 +33,7 @@ MIN_CELLS = 4  # across a film
 MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
 FINER = ((1, 1), (3, 2), (2, 1))  # films of more samples: each is repeated, and then averaged
 MEASURED_FINER = MEASURED // 16  # of the film itself: with the finer ones about half of `MEASURED`
+MOST_FINER = 4 * MEASURED_FINER  # cells, where pixels or dots are so large that the parts are, too
 STANDARD_ERRORS = 2.0  # by which the mean over parts may differ from that of the picture
 MIN_ORDER, MAX_ORDER = 1.0, 2.0  # of convergence of cell means: at edges, and where the picture is smooth
 SAFE, UNSURE = 1.25, 3.0  # factors of safety for an order within these bounds, and outside them
@@ -120,14 +120,7 @@ def coarser(image: SpectralImage, factor: int) -> SpectralImage:
     return image.with_planes(np.stack(planes), pitch_um=image.pitch_um * factor, margin=margin)
 
 
-def finer_film(image: SpectralImage, repeated: int, averaged: int = 1) -> SpectralImage:
-    """Return the image on repeated/averaged times as many samples across, as if the light within each old one were even."""
-    planes = image.planes.repeat(repeated, axis=1).repeat(repeated, axis=2)
-    image = image.with_planes(planes, pitch_um=image.pitch_um / repeated)
-    return image if averaged == 1 else coarser(image, averaged)
-
-
-def measured_places(image: SpectralImage, pitch_um: float, display: Display, most: int | None = None) -> list[tuple[slice, slice]]:
+def measured_places(image: SpectralImage, pitch_um: float, display: Display, most: int | None = None) -> list[Place]:
     """Return the rows and columns of the parts of a picture that are measured, whole blocks; none if it is measured whole.
 
     most : of its cells, its pixels, or a quarter of the display's dots that are measured; None means `MEASURED`
@@ -158,17 +151,65 @@ def parts_of(
         yield whole_blocks(image), display
         return
     for rows, columns in places:
-        shown = display.model_copy(update={"dots": round(display.dots * (columns.stop - columns.start) / width)})
-        yield image.with_planes(image.planes[:, rows, columns]), shown
+        yield image.with_planes(image.planes[:, rows, columns]), display_of(display, columns, width)
 
 
-def finer_parts(image: SpectralImage, pitch_um: float, display: Display) -> list[tuple[SpectralImage, Display]]:
-    """Return the parts of a picture that are measured on the films `FINER`, without light from beyond them.
+Place = tuple[slice, slice]
 
-    There are none where pixels or dots are so large that the parts would be, too: they show nothing of the samples.
+
+@dataclass(frozen=True)
+class Part:
+    """Some rows and columns of a picture, without light from beyond them, and a display that shows them at the picture's scale.
+
+    chart : that the whole picture shows, whose means over other samples are known; None for other pictures
     """
-    parts = [(part.with_planes(part.planes), shown) for part, shown in parts_of(image, pitch_um, display, MEASURED_FINER)]
-    return parts if sum(math.prod(part.shape) for part, _ in parts) <= MEASURED else []
+
+    image: SpectralImage
+    display: Display
+    place: Place
+    chart: Chart | None
+
+    def finer(self, repeated: int, averaged: int = 1) -> SpectralImage:
+        """Return the part on repeated/averaged times as many samples across, with even light in each old one but of a chart."""
+        planes = self.image.planes.repeat(repeated, axis=1).repeat(repeated, axis=2)
+        if self.chart is not None and repeated > 1:
+            (height, width), (down, across), (rows, columns) = self.chart.shape, self.chart.texels_per_sample, self.place
+            more = replace(
+                self.chart, shape=(height * repeated, width * repeated), texels_per_sample=(down / repeated, across / repeated)
+            )
+            new = more.picture((_times(rows, repeated), _times(columns, repeated)))
+            old = self.chart.picture(self.place).repeat(repeated, axis=0).repeat(repeated, axis=1)
+            planes *= np.divide(new, old, out=np.ones_like(new), where=old > 0)
+        image = self.image.with_planes(planes, pitch_um=self.image.pitch_um / repeated)
+        return image if averaged == 1 else coarser(image, averaged)
+
+
+def _times(side: slice, factor: int) -> slice:
+    return slice(side.start * factor, side.stop * factor)
+
+
+def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: Chart | None) -> list[Part]:
+    """Return the parts of a picture that are measured on the films `FINER`.
+
+    There are fewer where pixels or dots are large, and none where they have tens of samples across, which show nothing of them.
+
+    chart : that the picture shows, if nothing else
+    """
+    known = chart if chart is not None and chart.beyond is not None and chart.shape == image.shape else None
+    (height, width), places = image.shape, measured_places(image, pitch_um, display, MEASURED_FINER)
+    whole = [(slice(0, height // BLOCK * BLOCK), slice(0, width // BLOCK * BLOCK))]
+    parts = [
+        Part(image.with_planes(image.planes[:, rows, columns]), display_of(display, columns, width), (rows, columns), known)
+        for rows, columns in places or whole
+    ]
+    cells = sum(math.prod(part.image.shape) for part in parts)
+    chosen = parts[:: min(math.ceil(cells / MOST_FINER), PARTS + 1)]  # at most to those of the diagonal
+    return chosen if sum(math.prod(part.image.shape) for part in chosen) <= MOST_FINER else []
+
+
+def display_of(display: Display, columns: slice, width: int) -> Display:
+    """Return the display that shows some columns of a picture as wide as that of the whole picture does."""
+    return display.model_copy(update={"dots": round(display.dots * (columns.stop - columns.start) / width)})
 
 
 def whole_blocks(image: SpectralImage) -> SpectralImage:

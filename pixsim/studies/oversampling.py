@@ -47,9 +47,9 @@ from pixsim.studies.film_error import (
     FINER,
     MIN_PART_CELLS,
     FilmSampling,
+    Part,
     coarser,
     film_error,
-    finer_film,
     finer_parts,
     measured_places,
     parts_of,
@@ -275,8 +275,8 @@ def film_steps(
 ) -> FilmSteps:
     """Return the mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer ones.
 
-    The blur of a real lens depends on the place: a part has it from the whole picture. On the finer films, which would be large, a
-    part has that of the axis, which is mostly the sharpest, so that it shows the most of what lies between samples.
+    The blur of a real lens depends on the place: a part has it from the whole picture. On the finer films that would take too long:
+    they have the diffraction of its pupil alone, which is sharper, so that they show no less of what lies between samples.
 
     largest_um : pitch that sets the size of the parts; None means that of the pixel
     """
@@ -301,23 +301,24 @@ def film_steps(
         delta_e[step] = _mean_delta_e(parts, lights, *settings)
 
     in_threads(measure, range(len(films)), len(films) * cells_at_once(image))
-    return FilmSteps(delta_e, _finer_delta_e(image, size_um, display, *settings), sampling)
+    thin = camera.model_copy(update={"lens": None}), *settings[1:]
+    return FilmSteps(delta_e, _finer_delta_e(finer_parts(image, size_um, display, chart), *thin), sampling)
 
 
-def _finer_delta_e(image: SpectralImage, size_um: float, display: Display, *settings: Any) -> Array:
+def _finer_delta_e(parts: Sequence[Part], *settings: Any) -> Array:
     """Return `FilmSteps.finer_delta_e`.
 
     settings : of `_mean_delta_e`
     """
-    if not (parts := finer_parts(image, size_um, display)):
+    if not parts:
         return np.empty((0, 0))
     delta_e = np.empty((len(FINER), len(parts)))
 
     def measure(film: int) -> None:
-        fine = [(finer_film(part, *FINER[film]), shown) for part, shown in parts]
+        fine = [(part.finer(*FINER[film]), part.display) for part in parts]
         delta_e[film] = _mean_delta_e(fine, [None] * len(parts), *settings)
 
-    in_threads(measure, range(len(FINER)), len(FINER) * sum(math.prod(part.shape) for part, _ in parts))
+    in_threads(measure, range(len(FINER)), len(FINER) * sum(math.prod(part.image.shape) for part in parts))
     return delta_e
 
 
