@@ -34,6 +34,7 @@ MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are
 FINER = ((1, 1), (3, 2), (2, 1))  # films of more samples: each is repeated, and then averaged
 MEASURED_FINER = MEASURED // 16  # of the film itself: with the finer ones about half of `MEASURED`
 MOST_FINER = 4 * MEASURED_FINER  # cells, where pixels or dots are so large that the parts are, too
+SPREAD_STEPS = (1, 3, PARTS + 1)  # from part to part: all, six, and those of the diagonal
 STANDARD_ERRORS = 2.0  # by which the mean over parts may differ from that of the picture
 MIN_ORDER, MAX_ORDER = 1.0, 2.0  # of convergence of cell means: at edges, and where the picture is smooth
 SAFE, UNSURE = 1.25, 3.0  # factors of safety for an order within these bounds, and outside them
@@ -202,9 +203,10 @@ def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: 
         Part(image.with_planes(image.planes[:, rows, columns]), display_of(display, columns, width), (rows, columns), known)
         for rows, columns in places or whole
     ]
-    cells = sum(math.prod(part.image.shape) for part in parts)
-    chosen = parts[:: min(math.ceil(cells / MOST_FINER), PARTS + 1)]  # at most to those of the diagonal
-    return chosen if sum(math.prod(part.image.shape) for part in chosen) <= MOST_FINER else []
+    for step in SPREAD_STEPS:
+        if sum(math.prod(part.image.shape) for part in parts[::step]) <= MOST_FINER:
+            return parts[::step]
+    return []
 
 
 def display_of(display: Display, columns: slice, width: int) -> Display:
