@@ -414,7 +414,7 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     mean = replace(one, delta_e=(one.delta_e + other.delta_e) / 2, sweep_delta_e=(one.sweep_delta_e + other.sweep_delta_e) / 2)
     coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if merges(image.shape, factor)]
     sampling = FilmSampling.of(job.size[1], camera, setup.physics(), setup.display, plan.chart)
-    films, order = film_errors(base, coarse, sampling, finer_effect(image, setup, plan.chart))
+    films, order = film_errors(base, coarse, sampling, finer_effect(image, setup, base, plan.chart))
     optima = [minimum_um(sensors.pitch_um, delta_e) for delta_e in sensors.sweep_delta_e.T]
     finer_setup = replace(setup, display=finer(setup.display, 2 * setup.display.dots))
     fits = setup.display.raster == "fixed_size" and finer_setup.display.dots <= MAX_DOTS
@@ -459,25 +459,25 @@ def film_errors(
     return (*(difference_of(film, base).plus(last) for film in reversed(coarse)), last), order_of(near.delta_e, far.delta_e)
 
 
-def finer_effect(image: SpectralImage, setup: Setup, chart: Chart | None) -> Effect:
-    """Return the larger change on the films `FINER`, in the `finer_parts` of a picture."""
+def finer_effect(image: SpectralImage, setup: Setup, base: Probe, chart: Chart | None) -> Effect:
+    """Return the larger change on the films `FINER`, in the `finer_parts` of a picture, and what it would do to the optimum.
+
+    base : of the whole picture
+    """
     size_um = setup.border_um or max((*setup.pitches_um, setup.pixel.pitch_um))
-    parts = finer_parts(image, size_um, setup.display, chart)
+    parts, whole = finer_parts(image, size_um, setup.display, chart), base.sweep_delta_e.mean(axis=1)
     if not parts:
         return NONE
-    own, *films = ([probe(part.finer(*film), replace(setup, display=part.display)) for part in parts] for film in FINER)
-    values, optimum_um = _values(own), _optimum_um(own)
-    changes = [[step_size(*pair) for pair in zip(values, _values(film), strict=True)] for film in films]
-    return Effect(max(map(rms, changes)), max(abs(_optimum_um(film) - optimum_um) for film in films))
 
+    def values(film: tuple[int, int]) -> Array:
+        """Mean ΔE at the pitches and at the pixel, (pitches + 1, parts)."""
+        probes = [probe(part.finer(*film), replace(setup, display=part.display)) for part in parts]
+        return np.array([[*each.sweep_delta_e.mean(axis=1), each.mean_delta_e] for each in probes]).T
 
-def _values(parts: Sequence[Probe]) -> Array:
-    """Return mean ΔE at the set-up's pitches and at its pixel, (pitches + 1, parts)."""
-    return np.array([[*part.sweep_delta_e.mean(axis=1), part.mean_delta_e] for part in parts]).T
-
-
-def _optimum_um(parts: Sequence[Probe]) -> float:
-    return minimum_um(parts[0].pitch_um, np.mean([part.sweep_delta_e.mean(axis=1) for part in parts], axis=0))
+    own, *films = map(values, FINER)
+    sizes = [rms([step_size(*pair) for pair in zip(own, film, strict=True)]) for film in films]
+    optima = [minimum_um(base.pitch_um, whole + (film - own)[:-1].mean(axis=1)) for film in films]
+    return Effect(max(sizes), max(abs(optimum - minimum_um(base.pitch_um, whole)) for optimum in optima))
 
 
 def interpolation_effect(image: SpectralImage, setup: Setup, base: Probe) -> Effect:
