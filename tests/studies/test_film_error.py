@@ -27,12 +27,12 @@ def stated_and_true(fine: SpectralImage, times: int, camera: Camera, pixel: Pixe
     return stated, abs(probe(film, setup).mean_delta_e - probe(fine, setup).mean_delta_e)
 
 
-def missed(cases: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Those of the stated and true errors in which the true one is larger."""
+def missed(cases: dict[str, tuple[float, float]], usual: float) -> dict[str, tuple[float, float]]:
+    """Those of the stated and true errors whose true one is larger. In the median, stated ones are below `usual` times the true."""
     ratios = [stated / max(true, 1e-3) for stated, true in cases.values()]
     too_small = {name: case for name, case in cases.items() if case[1] > case[0] + ROUNDING}
     print(f"stated over true: {np.percentile(ratios, [0, 25, 50, 75, 100]).round(1)}, missed: {too_small}")
-    assert np.median(ratios) < 15  # they are of use, too
+    assert np.median(ratios) < usual
     return too_small
 
 
@@ -46,19 +46,22 @@ def test_stated_error_holds_for_pictures_that_set_it() -> None:
             f"{scene.__name__}, {width}": stated_and_true(fine, WIDTH // width, CAMERA, PIXEL, Display(dots=512))
             for width in (256, 512, 1024)
         }
-    assert len(missed(cases)) <= 1
+    assert len(missed(cases, 15.0)) <= 1
     textures = {
         f"{across} cells, {film}": stated_and_true(
             light(cells(across, film * times, (0.1, 0.9), seed)), times, CAMERA, PIXEL, Display(dots=512)
         )
         for seed, (film, across, times) in enumerate(SET_CELLS)
     }
-    assert not missed(textures)
+    assert not missed(textures, 6.0)
 
 
 @pytest.mark.slow
 def test_stated_error_holds_for_29_of_30_pictures_that_did_not_set_it() -> None:
-    """A limit that holds in 95 % of pictures misses more than one of 30 with a probability of 45 %, one of 99 % with 4 %."""
+    """A limit that holds in 99 % of pictures misses more than one of 30 with a probability of 4 %, one of 90 % with 82 %.
+
+    From the coarser films alone, seven of them are missed.
+    """
     cases = {
         judge.name: stated_and_true(
             light(judge.picture(judge.film * judge.times), judge.camera), judge.times, judge.camera, judge.pixel, judge.display
@@ -66,7 +69,7 @@ def test_stated_error_holds_for_29_of_30_pictures_that_did_not_set_it() -> None:
         for judge in JUDGES
     }
     assert len(cases) == 30
-    assert len(missed(cases)) <= 1
+    assert len(missed(cases, 25.0)) <= 1
 
 
 @pytest.mark.parametrize("across", [192, 96, 64, 384])
