@@ -16,6 +16,7 @@ from pixsim.base.mapped import release
 NM_PER_MM = 1e6
 OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
 KEPT_TABLES = 320  # one for each wavelength, 80 MiB in all: more than a plan has bands, or none would be kept
+KEPT_WHITE = 64  # of sums over the wavelengths, 16 MiB in all
 
 
 @checks_arguments
@@ -138,8 +139,11 @@ def diffract_sums(
     table, step = _frequencies(max(highest, lowest))
 
     def otf_of(weight: Array) -> Array:
+        lit = np.flatnonzero(weight)
+        if transfer is None and f_number is not None:
+            return _white_table(float(table[-1]), tuple(wavelength_nm[lit].tolist()), tuple(weight[lit].tolist()), f_number)
         otf = np.zeros_like(table)
-        for at in np.flatnonzero(weight):
+        for at in lit:
             nm = float(wavelength_nm[at])
             lens = np.ones_like(table) if f_number is None else _otf_table(float(table[-1]), nm, f_number)
             otf += weight[at] * (lens if transfer is None else lens * transfer(table, nm))
@@ -175,6 +179,16 @@ def _frequencies(highest_cy_per_mm: float) -> tuple[Array, float]:
 def _otf_table(highest_cy_per_mm: float, wavelength_nm: float, f_number: float) -> Array:
     """Return `diffraction_otf` of a table; the spectra of a picture, and its parts, share those of their wavelengths."""
     return diffraction_otf(_frequencies(highest_cy_per_mm)[0], wavelength_nm, f_number)
+
+
+@lru_cache(maxsize=KEPT_WHITE)
+def _white_table(highest_cy_per_mm: float, wavelength_nm: tuple[float, ...], weight: tuple[float, ...], f_number: float) -> Array:
+    """Return Σ weight · `_otf_table`; the parts of a picture share it."""
+    otf = np.zeros(OTF_TABLE_SIZE)
+    for nm, share in zip(wavelength_nm, weight, strict=True):
+        otf += share * _otf_table(highest_cy_per_mm, nm, f_number)
+    otf.flags.writeable = False
+    return otf
 
 
 def _filter(

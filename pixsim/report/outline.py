@@ -15,8 +15,8 @@ from pixsim.sensor.integration import pixels_along, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, derive, physics_of
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import rounded
-from pixsim.studies.budget import FilmSampling, film_error
 from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.oversampling import TOLERATED_SHARE
 from pixsim.studies.preparation import (
     LONG_S,

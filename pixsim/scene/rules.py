@@ -13,6 +13,7 @@ from functools import cached_property, wraps
 from typing import Any, Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array, in_threads, strips
@@ -59,19 +60,28 @@ class Chart:
 
         It shows the middle of a larger chart; beyond the end of a smaller one is nothing.
         """
-        padded = np.pad(self.texels, 1, self.beyond or "edge")
-        down, across = (
-            _cell_weights(count, n, per_sample, which)
+        (down, rows), (across, columns) = (
+            self._shown(_cell_weights(count, n, per_sample, which), n)
             for count, n, per_sample, which in zip(self.shape, self.texels.shape, self.texels_per_sample, part, strict=True)
         )
+        texels = self.texels[np.ix_(rows, columns)]
         picture: Array = zeros((down.shape[0], across.shape[0]))
 
         def compute(rows: slice) -> None:
-            picture[rows] = (across @ (down[rows] @ padded).T).T
+            picture[rows] = (across @ (down[rows] @ texels).T).T
             release(picture[rows])
 
         in_threads(compute, strips(*picture.shape), picture.size)  # the matrices are sparse; strips save memory
         return picture
+
+    def _shown(self, weights: Any, n: int) -> tuple[Any, NDArray[np.intp]]:
+        """Return the weights of those of n texels along an axis that cells show, and their numbers.
+
+        weights : (cells, n + 2), the first and the last of the texels beyond the sides
+        """
+        first, last = (weights.indices.min(), weights.indices.max()) if weights.nnz else (0, 0)
+        numbers = np.arange(first, last + 1) - 1
+        return weights[:, first : last + 1], numbers % n if self.beyond == "wrap" else np.clip(numbers, 0, n - 1)
 
     @cached_property
     def digest(self) -> bytes:

@@ -5,9 +5,7 @@ A short calibration renders a scene twice at its own settings and changes each s
 * render noise: two half renders and their mean. Noise raises ΔE quadratically, so the excess of the halves' ΔE over the
   mean's equals the bias of the mean; the difference between the halves is random.
 * spectral quadrature: the plan bounds the error of mean electrons; scaling all electrons by 1 % gives its effect on ΔE.
-* oversampling: film cells averaged 2 × 2 and 4 × 4 are the cells of coarser films; their differences give the order of
-  convergence. The extrapolated error is multiplied by a factor of safety, which is larger if the order is unreliable
-  (Roache, J. Fluids Eng. 116 (1994) 405), and a film without two samples for each detail counts what it may miss (`film_error`).
+* oversampling: films of half and a quarter of the samples across, and parts of films of more (`studies/film_error.py`).
 * seeds: the scatter of sensors.
 * display raster: a display of twice the dots at the same angle.
 * display interpolation: the next higher order between pixel centres; cubic is compared with the quintic spline.
@@ -35,7 +33,7 @@ from scipy.special import ndtr, stdtrit
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.errors import PixsimError
 from pixsim.base.notes import told_apart, warn
 from pixsim.base.parameters import (
     DEVELOP,
@@ -54,7 +52,7 @@ from pixsim.base.parameters import (
 )
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, noise_of
-from pixsim.scene.film import SAMPLES_PER_DETAIL, details_across, dots_across, largest_film
+from pixsim.scene.film import largest_film
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.rules import Chart
@@ -62,6 +60,18 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics, derive, largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
 from pixsim.studies.evaluations import largest_pixel_um
+from pixsim.studies.film_error import (
+    FINE,
+    FINER,
+    MIN_ORDER,
+    FilmSampling,
+    coarser,
+    film_error,
+    finer_parts,
+    merges,
+    order_of,
+    step_size,
+)
 from pixsim.viewer.score import ImagingChain, SceneCache, Seen, chain_at_pitch, prepare_scene, white_header
 
 SCAN_PITCHES = 9  # of the coarse search for the optimum
@@ -305,15 +315,9 @@ def spread(values: Array) -> float:
 
 SENSORS, PITCHES = 5, 5  # of the calibration: five sensors give their scatter to 35 %
 SCALED_BY = 1e-2
-MIN_ORDER, MAX_ORDER = 1.0, 2.0  # of convergence of cell means: at edges, and where the picture is smooth
-SAFE, UNSURE = 1.25, 3.0  # factors of safety for an order within these bounds, and outside them
-LEFT = 0.05  # of the change between the coarser films
-MISSED, ENOUGH_PER_DETAIL = 0.05, 1.95  # of mean ΔE for each sample that a detail lacks
-UNSEEN, ENOUGH_PER_DOT = 0.4, 0.99  # of mean ΔE, over the samples per dot
 NORMAL_95 = 1.96
 STUDENT_95 = float(stdtrit(SENSORS - 1, 0.975))  # for a scatter estimated from so few sensors: 2.8
 MAX_DOTS = 4096
-MIN_CELLS = 4
 OF_DISPLAY = ("display raster", "display interpolation")
 SOURCES = ("render noise", "spectral quadrature", "oversampling", "seeds", *OF_DISPLAY)
 FINER_INTERPOLATION = {"nearest": "linear", "linear": "cubic", "cubic": "quintic"}
@@ -333,7 +337,7 @@ class Effect:
         return Effect(self.delta_e + other.delta_e, self.optimum_um + other.optimum_um)
 
 
-NOT_KNOWN = Effect(math.nan, math.nan)
+NOT_KNOWN, NONE = Effect(math.nan, math.nan), Effect(0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -408,7 +412,8 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     one, other = halves
     mean = replace(one, delta_e=(one.delta_e + other.delta_e) / 2, sweep_delta_e=(one.sweep_delta_e + other.sweep_delta_e) / 2)
     coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if merges(image.shape, factor)]
-    films, order = film_errors(base, coarse, FilmSampling.of(job.size[1], camera, setup.physics(), setup.display, plan.chart))
+    sampling = FilmSampling.of(job.size[1], camera, setup.physics(), setup.display, plan.chart)
+    films, order = film_errors(base, coarse, sampling, finer_effect(image, setup, base, plan.chart))
     optima = [minimum_um(sensors.pitch_um, delta_e) for delta_e in sensors.sweep_delta_e.T]
     finer_setup = replace(setup, display=finer(setup.display, 2 * setup.display.dots))
     fits = setup.display.raster == "fixed_size" and finer_setup.display.dots <= MAX_DOTS
@@ -437,64 +442,41 @@ def difference_of(one: Probe, other: Probe) -> Effect:
     return Effect(math.sqrt(float(np.mean(gaps**2))), abs(one.optimum_um - other.optimum_um))
 
 
-@dataclass(frozen=True)
-class FilmSampling:
-    """How finely a film samples: samples for each detail that matters (`scene.film.details_across`), and for each dot."""
+def film_errors(
+    base: Probe, coarse: list[Probe], sampling: FilmSampling = FINE, on_finer: Effect = NONE
+) -> tuple[tuple[Effect, ...], float]:
+    """Return the errors of the coarser films and of the film itself, and their order, by `film_error`.
 
-    per_detail: float
-    per_dot: float
-
-    @classmethod
-    def of(cls, width: int, camera: Camera, physics: PixelPhysics, display: Display, chart: Chart | None) -> FilmSampling:
-        of_chart = chart.details if chart else None
-        details, _ = details_across(camera, physics.aperture_side_um, display, physics.pitch_um, of_chart)
-        dots = min(dots_across(camera, display, physics.pitch_um), details)
-        return cls(width / details, width / dots)
-
-    @property
-    def is_fine(self) -> bool:
-        """Whether the film has two samples for each detail and one for each dot, so that it misses nothing."""
-        return self.per_detail >= ENOUGH_PER_DETAIL and self.per_dot >= ENOUGH_PER_DOT
-
-
-FINE = FilmSampling(math.inf, math.inf)
-
-
-def film_errors(base: Probe, coarse: list[Probe], sampling: FilmSampling = FINE) -> tuple[tuple[Effect, ...], float]:
-    """Return the errors of the coarser films and of the film itself, and their order, by `film_error`."""
+    on_finer : `finer_effect`
+    """
     if not coarse:
         return (NOT_KNOWN,), MIN_ORDER
     near = difference_of(coarse[0], base)
-    far = difference_of(coarse[1], coarse[0]) if len(coarse) > 1 else Effect(0.0, 0.0)
-    delta_e = film_error(near.delta_e, far.delta_e, base.mean_delta_e, sampling)
-    last = Effect(delta_e, film_error(near.optimum_um, far.optimum_um))
+    far = difference_of(coarse[1], coarse[0]) if len(coarse) > 1 else NONE
+    delta_e = film_error(near.delta_e, far.delta_e, base.mean_delta_e, sampling, on_finer.delta_e)
+    last = Effect(delta_e, film_error(near.optimum_um, far.optimum_um, finer=on_finer.optimum_um))
     return (*(difference_of(film, base).plus(last) for film in reversed(coarse)), last), order_of(near.delta_e, far.delta_e)
 
 
-def order_of(near: float, far: float) -> float:
-    """Return the order of convergence from a film's changes with half of its samples across, and from there to a quarter."""
-    return min(max(math.log2(far / near), MIN_ORDER), MAX_ORDER) if near > 0 and far > 0 else MIN_ORDER
+def finer_effect(image: SpectralImage, setup: Setup, base: Probe, chart: Chart | None) -> Effect:
+    """Return the larger change on the films `FINER`, in the `finer_parts` of a picture, and what it would do to the optimum.
 
-
-def film_error(near: float, far: float, mean_delta_e: float = 0.0, sampling: FilmSampling = FINE) -> float:
-    """Return an upper limit of a film's error from its own picture.
-
-    It is the largest of Richardson's extrapolation with a factor of safety, and a part of the change between the coarser films,
-    since the last step may be small by chance. A film with fewer than two samples for each detail misses detail that its
-    picture cannot show, so a part of mean ΔE is added; with less than one sample for each dot, up to all of it. The numbers
-    are fitted to pictures with edges and textures (`tests/studies/test_oversampling.py`).
-
-    near, far : changes of mean ΔE (or another result) with half of the samples across, and from there to a quarter
+    base : of the whole picture
     """
-    order = order_of(near, far)
-    converges = near > 0 and far >= near * 2**MIN_ORDER
-    last = near * (SAFE / (2**order - 1) if converges else UNSURE)
-    last = max(last, LEFT * far)
-    if sampling.per_detail < ENOUGH_PER_DETAIL:
-        last += MISSED * (SAMPLES_PER_DETAIL - sampling.per_detail) * mean_delta_e
-    if sampling.per_dot < ENOUGH_PER_DOT:
-        last += UNSEEN / sampling.per_dot * mean_delta_e
-    return last
+    size_um = setup.border_um or max((*setup.pitches_um, setup.pixel.pitch_um))
+    parts, whole = finer_parts(image, size_um, setup.display, chart), base.sweep_delta_e.mean(axis=1)
+    if not parts:
+        return NONE
+
+    def values(film: tuple[int, int]) -> Array:
+        """Mean ΔE at the pitches and at the pixel, (pitches + 1, parts)."""
+        probes = [probe(part.finer(*film), replace(setup, display=part.display)) for part in parts]
+        return np.array([[*each.sweep_delta_e.mean(axis=1), each.mean_delta_e] for each in probes]).T
+
+    own, *films = map(values, FINER)
+    sizes = [rms([step_size(*pair) for pair in zip(own, film, strict=True)]) for film in films]
+    optima = [minimum_um(base.pitch_um, whole + (film - own)[:-1].mean(axis=1)) for film in films]
+    return Effect(max(sizes), max(abs(optimum - minimum_um(base.pitch_um, whole)) for optimum in optima))
 
 
 def interpolation_effect(image: SpectralImage, setup: Setup, base: Probe) -> Effect:
@@ -504,25 +486,6 @@ def interpolation_effect(image: SpectralImage, setup: Setup, base: Probe) -> Eff
         return NOT_KNOWN
     better = display.model_copy(update={"interpolation": FINER_INTERPOLATION[display.interpolation]})
     return difference_of(probe(image, replace(setup, display=better)), base)
-
-
-def merges(shape: tuple[int, int], factor: int) -> bool:
-    """Return whether blocks of factor × factor cells tile a film and leave enough of them for a picture."""
-    return min(shape) >= MIN_CELLS * factor and not any(n % factor for n in shape)
-
-
-def coarser(image: SpectralImage, factor: int) -> SpectralImage:
-    """Return the image averaged over `factor` × `factor` samples, as a coarser film would hold it."""
-    if not merges(image.shape, factor):
-        raise invalid("film", f"{image.shape} samples", f"a multiple of {factor} on each side, at least {MIN_CELLS * factor}")
-
-    whole = image.whole if image.margin % factor == 0 else image
-    height, width = whole.shape
-    blocks = height // factor, factor, width // factor, factor
-    # One plane at a time, to save memory in float64.
-    planes = [plane.reshape(blocks).mean(axis=(1, 3), dtype=float).astype(np.float32) for plane in whole.planes]
-    margin = (height - image.shape[0]) // 2 // factor
-    return image.with_planes(np.stack(planes), pitch_um=image.pitch_um * factor, margin=margin)
 
 
 def brighter(image: SpectralImage, factor: float) -> SpectralImage:
@@ -546,7 +509,7 @@ def effects(calibration: Calibration, width: int, noise: float, bound_e: float, 
 
 def total(budget: dict[str, Effect]) -> Effect:
     """Return the sum of the numerical errors: all but the display's raster and interpolation."""
-    return reduce(Effect.plus, (effect for name, effect in budget.items() if name not in OF_DISPLAY), Effect(0.0, 0.0))
+    return reduce(Effect.plus, (effect for name, effect in budget.items() if name not in OF_DISPLAY), NONE)
 
 
 MAX_SENSORS = 1024  # about a minute of computation

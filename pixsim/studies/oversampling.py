@@ -1,23 +1,23 @@
 """The error of mean ΔE that a film causes, measured in its own picture; and the film that keeps it within a tolerance.
 
-Cells averaged 2 × 2 and 4 × 4 are the cells of coarser films, with the same samples. Their mean ΔE, of the same sensor with the
-same noise, shows how the error falls. Of a large picture 16 parts are measured, spread evenly over it.
+Mean ΔE of the same sensor with the same noise on films of fewer and of more samples (`studies/film_error.py`) shows how large it
+is. Of a large picture 16 parts are measured, spread evenly over it, and smaller ones on the finer films.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import product
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
 
 from pixsim.base import cache
-from pixsim.base.arrays import MEASURED, PARTS, Array, in_threads, spread_parts
+from pixsim.base.arrays import MEASURED, Array, in_threads
 from pixsim.base.parameters import (
     DEVELOP,
     NO_CORRECTION,
@@ -33,7 +33,7 @@ from pixsim.base.parameters import (
 )
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera_lens import LENS_HEADER, tiling_of
+from pixsim.optics.camera_lens import tiling_of
 from pixsim.scene.convergence import RenderNoise, render_until
 from pixsim.scene.film import BLOCK, fitting_width, largest_film
 from pixsim.scene.plan import Plan
@@ -42,13 +42,24 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import ChannelLight, lights_of
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import integration_time_s
-from pixsim.studies.budget import FilmSampling, Settled, Setup, coarser, film_error, sensor_delta_e, without_warnings
+from pixsim.studies.budget import Settled, Setup, sensor_delta_e, without_warnings
+from pixsim.studies.film_error import (
+    FINER,
+    MIN_PART_CELLS,
+    FilmSampling,
+    Part,
+    coarser,
+    film_error,
+    finer_parts,
+    measured_places,
+    parts_of,
+    step_size,
+    whole_blocks,
+)
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.score import Seen, chain_at_pitch, prepare_scene, white_header
 
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
-MIN_PIXELS, MIN_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
-STANDARD_ERRORS = 2.0  # by which the mean over parts may differ from that of the picture
 WORTH_WIDENING = 1.2
 # Of 96 comparisons on coarse films of four charts, 90 % are within 0.35 of both errors together, and 95 % within 0.77.
 NOT_COMMON = 0.5
@@ -207,12 +218,14 @@ def film_for_tolerance(
 
 @dataclass(frozen=True)
 class FilmSteps:
-    """Mean ΔE of one sensor in the parts of a picture, on its film and on coarser ones.
+    """Mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer ones.
 
     delta_e : (films, parts), the film itself first, each next one of half the samples across; no films if it is too small to tell
+    finer_delta_e : (films, parts) of other parts, the film itself first, and then `FINER` ones; no films if they would be too large
     """
 
     delta_e: Array
+    finer_delta_e: Array
     sampling: FilmSampling
 
     def error(self) -> tuple[float, float]:
@@ -220,7 +233,7 @@ class FilmSteps:
         if not self.delta_e.size:
             return math.nan, math.nan
         mean = float(self.delta_e[0].mean())
-        return mean, film_error(*_step_sizes(self.delta_e), mean, self.sampling)
+        return mean, _error_of(self.delta_e, self.finer_delta_e, mean, self.sampling)
 
     def error_of_difference(self, other: FilmSteps) -> float:
         """Return the error of the difference to another sensor's mean ΔE, with the same parts of the same film; NaN if unknown.
@@ -228,22 +241,23 @@ class FilmSteps:
         Most of a film's error is common to both. But the changes of both may be alike by chance, or one of them may miss detail
         alone: at least `NOT_COMMON` of the errors of both together is left. Equal sensors have no error.
         """
-        if self.delta_e.shape != other.delta_e.shape or not self.delta_e.size:
+        pairs = (self.delta_e, other.delta_e), (self.finer_delta_e, other.finer_delta_e)
+        if any(own.shape != others.shape for own, others in pairs) or not self.delta_e.size:
             return math.nan
-        if np.array_equal(self.delta_e, other.delta_e):
+        if all(np.array_equal(own, others) for own, others in pairs):
             return 0.0
         coarser = min((self.sampling, other.sampling), key=lambda sampling: (sampling.per_dot, sampling.per_detail))
         (mean, error), (other_mean, other_error) = self.error(), other.error()
-        of_difference = film_error(*_step_sizes(other.delta_e - self.delta_e), max(mean, other_mean), coarser)
+        steps, finer_steps = (others - own for own, others in pairs)
+        of_difference = _error_of(steps, finer_steps, max(mean, other_mean), coarser)
         return max(of_difference, NOT_COMMON * (error + other_error))
 
 
-def _step_sizes(delta_e: Array) -> tuple[float, float]:
-    """Return the changes from the film to the next coarser one, and from there to the next, with their statistical error."""
-    near, far = delta_e[1] - delta_e[0], delta_e[2] - delta_e[1]
-    spread = STANDARD_ERRORS / math.sqrt(near.size) if near.size > 1 else 0.0
-    sizes = [abs(float(step.mean())) + (spread * float(step.std(ddof=1)) if spread else 0.0) for step in (near, far)]
-    return sizes[0], sizes[1]
+def _error_of(delta_e: Array, finer_delta_e: Array, mean_delta_e: float, sampling: FilmSampling) -> float:
+    """Return `film_error` of the changes from film to film, (films, parts), as of `FilmSteps`."""
+    near, far = (step_size(fine, coarse) for fine, coarse in pairwise(delta_e))
+    finest = max((step_size(finer_delta_e[0], fine) for fine in finer_delta_e[1:]), default=0.0)
+    return film_error(near, far, mean_delta_e, sampling, finest)
 
 
 def film_steps(
@@ -257,16 +271,19 @@ def film_steps(
     correction: Correction = NO_CORRECTION,
     develop: Develop = DEVELOP,
 ) -> FilmSteps:
-    """Return the mean ΔE of one sensor in the parts of a picture, on its film and on coarser ones.
+    """Return the mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer ones.
+
+    The blur of a real lens depends on the place: a part has it from the whole picture. On the finer films that would take too long:
+    they have the diffraction of its pupil alone, which is sharper, so that they show no less of what lies between samples.
 
     largest_um : pitch that sets the size of the parts; None means that of the pixel
     """
     size_um = largest_um or physics.as_read.read_pitch_um
     parts = list(parts_of(image, size_um, display))
     sampling = FilmSampling.of(image.shape[1], camera, physics, display, chart)
-    if min(parts[0][0].shape) < BLOCK * MIN_CELLS:
-        return FilmSteps(np.empty((0, 0)), sampling)
-    # The blur of a real lens depends on the place: a part has it from the whole picture.
+    if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:
+        return FilmSteps(np.empty((0, 0)), np.empty((0, 0)), sampling)
+    settings = camera, physics, exposure, correction, develop
     places = measured_places(image, size_um, display) if tiling_of(image, camera) is not None else []
     whole = whole_blocks(image) if places else image
     films = [(parts, whole)]
@@ -279,10 +296,28 @@ def film_steps(
     def measure(step: int) -> None:
         parts, whole = films[step]
         lights = _cut_lights(lights_of(whole, camera, physics), places, 2**step) if places else [None] * len(parts)
-        delta_e[step] = _mean_delta_e(parts, lights, camera, physics, exposure, correction, develop)
+        delta_e[step] = _mean_delta_e(parts, lights, *settings)
 
     in_threads(measure, range(len(films)), len(films) * cells_at_once(image))
-    return FilmSteps(delta_e, sampling)
+    thin = camera.model_copy(update={"lens": None}), *settings[1:]
+    return FilmSteps(delta_e, _finer_delta_e(finer_parts(image, size_um, display, chart), *thin), sampling)
+
+
+def _finer_delta_e(parts: Sequence[Part], *settings: Any) -> Array:
+    """Return `FilmSteps.finer_delta_e`.
+
+    settings : of `_mean_delta_e`
+    """
+    if not parts:
+        return np.empty((0, 0))
+    delta_e = np.empty((len(FINER), len(parts)))
+
+    def measure(film: int) -> None:
+        fine = [(part.finer(*FINER[film]), part.display) for part in parts]
+        delta_e[film] = _mean_delta_e(fine, [None] * len(parts), *settings)
+
+    in_threads(measure, range(len(FINER)), len(FINER) * sum(math.prod(part.image.shape) for part in parts))
+    return delta_e
 
 
 def cells_at_once(image: SpectralImage) -> int:
@@ -300,45 +335,6 @@ def _cut_lights(
         rows, columns = (slice(side.start // factor, side.stop // factor) for side in place)
         cut.append(tuple(replace(light, rate_e_per_s_um2=light.rate_e_per_s_um2[rows, columns]) for light in lights))
     return cut
-
-
-def measured_places(image: SpectralImage, pitch_um: float, display: Display) -> list[tuple[slice, slice]]:
-    """Return the rows and columns of the parts of a picture that are measured, whole blocks; none if it is measured whole."""
-    height, width = image.shape
-    pixels = height * width * (image.pitch_um / pitch_um) ** 2
-    dots = display.dots**2 * height / width if display.raster == "fixed_size" else pixels
-    thinner = math.sqrt(max(height * width, pixels, 4 * dots) / MEASURED)
-    shortest = min(height, width) / PARTS
-    fewest = max(BLOCK * MIN_CELLS, MIN_PIXELS * pitch_um / image.pitch_um, MIN_DOTS * width / display.dots)
-    thinner = min(thinner, shortest / fewest)
-    if thinner <= 1:
-        return []
-    down, across = (spread_parts(count, int(count / PARTS / thinner) // BLOCK * BLOCK) for count in image.shape)
-    if LENS_HEADER in image.header:  # the parts of coarser films are cut out of pictures of whole blocks
-        down, across = (
-            [slice(*(end // BLOCK * BLOCK for end in (part.start, part.stop))) for part in side] for side in (down, across)
-        )
-    return list(product(down, across))
-
-
-def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterator[tuple[SpectralImage, Display]]:
-    """Yield the parts of a picture that are measured, whole blocks each, with displays that show them at the same scale."""
-    width = image.shape[1]
-    if not (places := measured_places(image, pitch_um, display)):
-        yield whole_blocks(image), display
-        return
-    for rows, columns in places:
-        shown = display.model_copy(update={"dots": round(display.dots * (columns.stop - columns.start) / width)})
-        yield image.with_planes(image.planes[:, rows, columns]), shown
-
-
-def whole_blocks(image: SpectralImage) -> SpectralImage:
-    """Return a picture without the last rows and columns that make no whole block."""
-    rows, columns = (count // BLOCK * BLOCK for count in image.shape)
-    if (rows, columns) == image.shape:
-        return image
-    more = 2 * image.margin
-    return image.with_planes(image.whole.planes[:, : rows + more, : columns + more], margin=image.margin)
 
 
 def _mean_delta_e(

@@ -20,7 +20,8 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.scene.rules import Chart
 from pixsim.sensor.integration import collecting_area_um2, electrons_per_joule
 from pixsim.sensor.pixel import PixelPhysics
-from pixsim.studies.budget import FilmSampling, without_warnings
+from pixsim.studies.budget import without_warnings
+from pixsim.studies.film_error import FilmSampling
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.score import Seen, white_header
 

@@ -22,7 +22,8 @@ from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
-from pixsim.studies.budget import brighter, coarser
+from pixsim.studies.budget import brighter
+from pixsim.studies.film_error import coarser
 
 PIXEL = Pixel(pitch_um=6.5)
 CHART = """

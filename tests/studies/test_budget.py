@@ -18,9 +18,7 @@ from pixsim.report.wording import budget_lines
 from pixsim.studies import budget
 from pixsim.studies.budget import (
     FINEST_NOISE,
-    MAX_ORDER,
     MAX_SENSORS,
-    MIN_ORDER,
     SOURCES,
     Calibration,
     Effect,
@@ -28,18 +26,17 @@ from pixsim.studies.budget import (
     Setup,
     brighter,
     choose,
-    coarser,
     difference_of,
     effects,
     film_errors,
     interpolation_effect,
-    merges,
     options_of,
     probe,
     rounded_down,
     total,
     widths_of,
 )
+from pixsim.studies.film_error import MAX_ORDER, MIN_ORDER, coarser, merges
 from pixsim.viewer.display import interpolation_mtf
 
 NO_OPTIMUM = math.nan

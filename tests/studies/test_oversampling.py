@@ -12,200 +12,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers.commands import command
+from helpers.film_pictures import CAMERA, PIXEL, light
 from helpers.tiny import tiny
 
 import pixsim
-from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, LensOptions, Pixel
+from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, LensOptions
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
-from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.report.wording import film_words, optimum_line
 from pixsim.scene.convergence import RenderNoise
 from pixsim.scene.film import MAX_ACROSS
 from pixsim.scene.plan import make_plan
 from pixsim.sensor.integration import lights_of
-from pixsim.studies.budget import FINE, FilmSampling, Setup, coarser, film_error, probe
-from pixsim.studies.oversampling import FilmError, film_steps, measure_film, measured_places, parts_of, render_on_film
+from pixsim.studies.film_error import coarser, measured_places
+from pixsim.studies.oversampling import FilmError, film_steps, measure_film, render_on_film
 from pixsim.studies.result import StudyResult
 
-WIDTH = 4096  # of the films that are taken for the truth
-CAMERA = Camera(die_mm=2.4, focal_length_mm=4.0, f_number=2.8)
-PIXEL = Pixel(
-    technology="none", pitch_um=3.75, full_well_e=10500, read_noise_e=2.3, dark_current_e_per_s=3, quantum_efficiency=0.62, bits=12,
-    black_level_dn=64,
-)  # fmt: skip
-
-
-def light(picture: Array, camera: Camera = CAMERA, white_cd_per_m2: float = 1000.0) -> SpectralImage:
-    """Irradiance of a picture of relative luminance, under light of equal energy."""
-    nm = np.arange(410.0, 700.0, 20.0)
-    pitch_um = 1e3 * camera.die_mm / picture.shape[1]
-    unit = SpectralImage(nm, 20.0, pitch_um, factors=(np.ones((1, nm.size)), np.zeros((1, 1, 1))))
-    lux = white_cd_per_m2 * float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
-    spectrum = np.full(nm.size, lux / unit.luminous_weight().sum())
-    header = {"luminance_cd_per_m2": white_cd_per_m2, "lamp_w_per_m2_sr_nm": spectrum.tolist()}
-    return SpectralImage(nm, 20.0, pitch_um, factors=(spectrum[None], picture[None].astype(np.float32)), header=header)
-
-
-# --- Ten scenes with edges and textures, as exact or nearly exact means over the cells of the finest film ---
-
-
-def covered(inside: Callable[[Array, Array], Array], points: int = 3) -> Array:
-    """Means over cells from `points` × `points` points in each."""
-    offsets = (np.arange(points) + 0.5) / points
-    axis = np.arange(WIDTH)
-    total = np.zeros((WIDTH, WIDTH), np.float32)
-    for down in offsets:
-        for across in offsets:
-            total += inside((axis[None, :] + across) / WIDTH, (axis[:, None] + down) / WIDTH)
-    return total / points**2
-
-
-def edge() -> Array:
-    return covered(lambda x, y: 0.1 + 0.9 * (x - 0.5 > (0.5 - y) * math.tan(math.radians(5))))
-
-
-def star() -> Array:
-    return covered(lambda x, y: 0.025 + 0.975 * (np.sin(72 * np.arctan2(0.5 - y, x - 0.5)) > 0))
-
-
-def tiled_floor() -> Array:
-    return covered(lambda x, y: 0.2 + 0.6 * ((np.floor(3 * (x - 0.5) / (y + 0.08)) + np.floor(3 / (y + 0.08))) % 2))
-
-
-def turned_checkerboard() -> Array:
-    return covered(lambda x, y: 0.1 + 0.8 * ((np.floor((x + 0.13 * y) * 97.3) + np.floor((y - 0.13 * x) * 97.3)) % 2))
-
-
-def zone_plate() -> Array:
-    return covered(lambda x, y: 0.5 + 0.45 * np.cos(900 * math.pi * ((x - 0.5) ** 2 + (y - 0.5) ** 2)), 2)
-
-
-def woven() -> Array:
-    def cloth(x: Array, y: Array) -> Array:
-        return (
-            0.4 + 0.16 * np.sign(np.sin(620 * math.pi * (x + 0.02 * np.sin(9 * y)))) + 0.15 * np.sin(574 * math.pi * (y + 0.3 * x))
-        )
-
-    return covered(cloth, 2)
-
-
-def print_like() -> Array:
-    rng, page = np.random.default_rng(1), np.full((WIDTH, WIDTH), 0.9, np.float32)
-    for _ in range(60_000):
-        sides = rng.permutation([int(rng.integers(2, 40)), int(rng.integers(2, 12))])
-        row, column = (int(rng.integers(0, WIDTH - side)) for side in sides)
-        page[row : row + sides[0], column : column + sides[1]] = rng.choice([0.03, 0.05, 0.1])
-    return page
-
-
-def fallen_leaves() -> Array:
-    """Opaque discs whose areas fall with the inverse square of their radii, as in natural scenes."""
-    rng, ground = np.random.default_rng(2), np.full((WIDTH, WIDTH), 0.4, np.float32)
-    for _ in range(12_000):
-        radius, (x, y) = min(6 / math.sqrt(1 - rng.random()), 500.0), rng.random(2) * WIDTH
-        rows, columns = (slice(max(int(c - radius), 0), min(int(c + radius + 2), WIDTH)) for c in (y, x))
-        down, across = np.arange(rows.start, rows.stop) + 0.5 - y, np.arange(columns.start, columns.stop) + 0.5 - x
-        cover = np.clip(radius - np.hypot(down[:, None], across[None, :]) + 0.5, 0, 1)
-        ground[rows, columns] += cover * (rng.random() * 0.9 + 0.03 - ground[rows, columns])
-    return ground
-
-
-def fractal() -> Array:
-    """A texture whose power falls with the square of the frequency, as in natural scenes."""
-    rng = np.random.default_rng(3)
-    frequency = WIDTH * np.hypot(np.fft.fftfreq(WIDTH)[:, None], np.fft.rfftfreq(WIDTH)[None, :])
-    frequency[0, 0] = np.inf
-    values = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((WIDTH, WIDTH))) / frequency)
-    return np.clip(0.4 + 0.15 * values / values.std(), 0.01, 1)
-
-
-def barcodes() -> Array:
-    rng = np.random.default_rng(5)
-
-    def lines() -> Array:
-        return rng.uniform(0.05, 0.95, WIDTH)[np.searchsorted(np.cumsum(rng.integers(1, 60, WIDTH)), np.arange(WIDTH), "right")]
-
-    return np.sqrt(lines()[None, :] * lines()[:, None])
-
-
-SCENES = (edge, star, tiled_floor, turned_checkerboard, zone_plate, woven, print_like, fallen_leaves, fractal, barcodes)
-FILMS = (256, 512, 1024)
-DISPLAY = Display(dots=512)
-
-
-@pytest.mark.slow
-def test_measure_film_error_covers_truth_of_ten_scenes():
-    """The truth is a film of 4096 with the same samples. At most one of the 30 errors may be larger than stated.
-
-    Rounding to the display's codes and the ADC's moves mean ΔE by up to 3e-4. The errors are of use too: half of those stated
-    are below 15 times the true ones (or 0.001), and a film that has two samples for each detail is mostly found fine enough.
-    """
-    setup, physics = Setup(CAMERA, PIXEL, Exposure(), DISPLAY), pixsim.derive(PIXEL)
-    missed, times = [], []
-    for scene in SCENES:
-        fine = light(scene())
-        truth = probe(fine, setup).mean_delta_e
-        for width in FILMS:
-            film = coarser(fine, WIDTH // width)
-            stated = measure_film(film, CAMERA, [physics], Exposure(), DISPLAY).largest_delta_e
-            error = abs(probe(film, setup).mean_delta_e - truth)
-            times.append(stated / max(error, 1e-3))
-            if error > stated + 3e-4:
-                missed.append((scene.__name__, width, stated, error))
-    print(f"stated over true: {np.percentile(times, [0, 25, 50, 75, 100]).round(1)}, missed: {missed}")
-    assert len(times) == 30
-    assert len(missed) <= 1, missed
-    assert np.median(times) < 15
-
-
-# --- The formula ---
-
-
-@pytest.mark.parametrize("order", [1.0, 1.5, 2.0, 3.0])
-def test_film_error_of_power_law_is_above_truth(order):
-    near, far = (0.01 * (2 ** (order * steps) - 2 ** (order * (steps - 1))) for steps in (1, 2))
-    assert 0.01 <= film_error(near, far) <= 0.01 * (1.25 if order <= 2 else 4) * 1.001
-
-
-def test_film_error_limits():
-    assert film_error(0.0, 0.0) == 0
-    assert film_error(0.01, 0.005) == pytest.approx(0.03)  # does not converge: three times the last step
-    assert film_error(0.0, 0.1) == pytest.approx(0.005)  # a last step that is small by chance
-    few = FilmSampling(per_detail=1.0, per_dot=1.0)
-    assert film_error(0.0, 0.0, 2.0, few) == pytest.approx(0.05 * 2.0)
-    assert film_error(0.0, 0.0, 2.0, FilmSampling(0.25, 0.5)) == pytest.approx((0.05 * 1.75 + 0.8) * 2.0)
-    assert film_error(0.0, 0.0, 2.0, FINE) == 0
-
-
 # --- Parts of large pictures ---
-
-
-@pytest.mark.parametrize("factored", [True, False])
-def test_parts_of_large_picture_are_whole_blocks_at_one_scale(factored):
-    fine = light(np.random.default_rng(1).random((1536, 2048)).astype(np.float32))
-    if not factored:
-        fine = SpectralImage(
-            fine.wavelength_nm[:2],
-            20.0,
-            fine.pitch_um,
-            data=fine.factors[1][0][:, :, None].repeat(2, axis=2),
-            header=fine.header | {"lamp_w_per_m2_sr_nm": fine.header["lamp_w_per_m2_sr_nm"][:2]},
-        )
-    parts = list(parts_of(fine, 0.5, Display(dots=2048)))
-    assert len(parts) == 16
-    for part, display in parts:
-        assert not any(side % 4 for side in part.shape)
-        assert display.dots / part.shape[1] == pytest.approx(2048 / 2048, rel=0.02)
-        assert (part.factors is not None) == factored
-    assert sum(math.prod(part.shape) for part, _ in parts) < 0.5 * math.prod(fine.shape)
-
-
-def test_parts_of_small_picture_is_whole():
-    ((part, display),) = parts_of(light(np.ones((65, 67))), 20.0, Display(dots=64))
-    assert part.shape == (64, 64)
-    assert display.dots == 64
 
 
 def test_parts_behind_a_real_lens_have_the_blur_of_their_place(monkeypatch):
@@ -216,13 +39,16 @@ def test_parts_behind_a_real_lens_have_the_blur_of_their_place(monkeypatch):
     texture.header.update({LENS_HEADER: asdict(Tiling(300.0, 160.0, 0.0))})
     physics, display = pixsim.derive(PIXEL.model_copy(update={"pitch_um": 12.5})), Display(dots=96)
     seen = []
-    monkeypatch.setattr("pixsim.studies.oversampling._mean_delta_e", lambda *given: seen.append(given[:2]) or np.zeros(16))
-    monkeypatch.setattr("pixsim.studies.oversampling.MEASURED", 1)
-    monkeypatch.setattr("pixsim.studies.oversampling.MIN_PIXELS", 1)
-    monkeypatch.setattr("pixsim.studies.oversampling.MIN_DOTS", 1)
+    monkeypatch.setattr("pixsim.studies.oversampling._mean_delta_e", lambda *given: seen.append(given[:3]) or np.zeros(16))
+    monkeypatch.setattr("pixsim.studies.film_error.MEASURED", 1)
+    monkeypatch.setattr("pixsim.studies.film_error.MIN_PIXELS", 1)
+    monkeypatch.setattr("pixsim.studies.film_error.MIN_DOTS", 1)
     film_steps(texture, camera, physics, Exposure(), display, None)
     whole = texture
-    for parts, lights in seen:
+    on_finer = seen[3:]
+    assert on_finer
+    assert all(lights[0] is None and camera.lens is None for _, lights, camera in on_finer)
+    for parts, lights, _ in seen[:3]:
         right = lights_of(whole, camera, physics)[0].rate_e_per_s_um2
         (part, _), (corner,) = parts[0], lights[0]
         places = measured_places(texture, 12.5, display)[0]
@@ -241,7 +67,7 @@ def test_measure_film_parts_agree_with_whole(monkeypatch):
     texture = light(np.random.default_rng(4).choice([0.2, 0.8], (256, 256)).repeat(4, axis=0).repeat(4, axis=1))
     physics, display = pixsim.derive(PIXEL.model_copy(update={"pitch_um": 9.4})), Display(dots=256)
     whole = measure_film(texture, CAMERA, [physics], Exposure(), display)
-    monkeypatch.setattr("pixsim.studies.oversampling.MEASURED", 1 << 17)
+    monkeypatch.setattr("pixsim.studies.film_error.MEASURED", 1 << 17)
     parts = measure_film(texture, CAMERA, [physics], Exposure(), display)
     assert parts.delta_e != whole.delta_e
     # An eighth of the picture, with its own registration of pixels and dots.

@@ -1,0 +1,186 @@
+"""The error of a film from its own picture: it covers the truth, also of pictures that did not set its numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.film_pictures import CAMERA, JUDGES, PIXEL, SCENES, SET_CELLS, WIDTH, cells, light
+
+import pixsim
+from pixsim.base.parameters import Camera, Display, Exposure, Pixel
+from pixsim.light.spectral import SpectralImage
+from pixsim.scene.rules import Chart
+from pixsim.studies.budget import Setup, probe
+from pixsim.studies.film_error import FINE, FINER, FilmSampling, coarser, film_error, finer_parts, parts_of
+from pixsim.studies.oversampling import film_steps, measure_film
+
+ROUNDING = 3e-4  # by which rounding to the display's codes and the ADC's moves mean ΔE
+
+
+def stated_and_true(fine: SpectralImage, times: int, camera: Camera, pixel: Pixel, display: Display) -> tuple[float, float]:
+    """The stated error of a film, and that against a film of `times` as many samples across."""
+    setup, film = Setup(camera, pixel, Exposure(), display), coarser(fine, times)
+    stated = measure_film(film, camera, [pixsim.derive(pixel)], Exposure(), display).largest_delta_e
+    return stated, abs(probe(film, setup).mean_delta_e - probe(fine, setup).mean_delta_e)
+
+
+def missed(cases: dict[str, tuple[float, float]], usual: float) -> dict[str, tuple[float, float]]:
+    """Those of the stated and true errors whose true one is larger. In the median, stated ones are below `usual` times the true."""
+    ratios = [stated / max(true, 1e-3) for stated, true in cases.values()]
+    too_small = {name: case for name, case in cases.items() if case[1] > case[0] + ROUNDING}
+    print(f"stated over true: {np.percentile(ratios, [0, 25, 50, 75, 100]).round(1)}, missed: {too_small}")
+    assert np.median(ratios) < usual
+    return too_small
+
+
+@pytest.mark.slow
+def test_stated_error_holds_for_pictures_that_set_it() -> None:
+    """Ten scenes on films of 256, 512 and 1024, and textures. A fabric of 620 threads on 256 samples is one of those missed."""
+    cases = {}
+    for scene in SCENES:
+        fine = light(scene())
+        cases |= {
+            f"{scene.__name__}, {width}": stated_and_true(fine, WIDTH // width, CAMERA, PIXEL, Display(dots=512))
+            for width in (256, 512, 1024)
+        }
+    assert len(missed(cases, 20.0)) <= 1
+    textures = {
+        f"{across} cells, {film}": stated_and_true(
+            light(cells(across, film * times, (0.1, 0.9), seed)), times, CAMERA, PIXEL, Display(dots=512)
+        )
+        for seed, (film, across, times) in enumerate(SET_CELLS)
+    }
+    assert not missed(textures, 10.0)
+
+
+@pytest.mark.slow
+def test_stated_error_holds_for_29_of_30_pictures_that_did_not_set_it() -> None:
+    """A limit that holds in 99 % of pictures misses more than one of 30 with a probability of 4 %, one of 90 % with 82 %.
+
+    From the coarser films alone, seven of them are missed.
+    """
+    cases = {
+        judge.name: stated_and_true(
+            light(judge.picture(judge.film * judge.times), judge.camera), judge.times, judge.camera, judge.pixel, judge.display
+        )
+        for judge in JUDGES
+    }
+    assert len(cases) == 30
+    assert len(missed(cases, 25.0)) <= 1
+
+
+@pytest.mark.parametrize("across", [192, 96, 64, 384])
+def test_stated_error_holds_where_cells_are_in_step_with_samples(across: int) -> None:
+    """Cells of one, two, three and half a sample: no sample cuts through a cell, and coarser films cannot tell."""
+    fine, pixel = light(cells(across, 1152, (0.35, 0.65), 7)), PIXEL.model_copy(update={"pitch_um": 12.5})
+    stated, true = stated_and_true(fine, 6, CAMERA, pixel, Display(dots=96))
+    assert true > 0.01
+    assert true < stated < 20 * true
+
+
+# --- The formula ---
+
+
+@pytest.mark.parametrize("order", [1.0, 1.5, 2.0, 3.0])
+def test_film_error_of_power_law_is_above_truth(order: float) -> None:
+    near, far = (0.01 * (2 ** (order * steps) - 2 ** (order * (steps - 1))) for steps in (1, 2))
+    assert 0.01 <= film_error(near, far) <= 0.01 * (1.25 if order <= 2 else 4) * 1.001
+
+
+def test_film_error_limits() -> None:
+    assert film_error(0.0, 0.0) == 0
+    assert film_error(0.01, 0.005) == pytest.approx(0.03)  # does not converge: three times the last step
+    assert film_error(0.0, 0.1) == pytest.approx(0.005)  # a last step that is small by chance
+    assert film_error(0.01, 0.005, finer=0.1) == pytest.approx(0.16)  # all coarser films are alike by chance
+    few = FilmSampling(per_detail=1.0, per_dot=1.0)
+    assert film_error(0.0, 0.0, 2.0, few) == pytest.approx(0.05 * 2.0)
+    assert film_error(0.0, 0.0, 2.0, FilmSampling(0.25, 0.5)) == pytest.approx((0.05 * 1.75 + 0.8) * 2.0)
+    assert film_error(0.0, 0.0, 2.0, FINE) == 0
+
+
+# --- Finer films ---
+
+
+def test_finer_film_of_even_samples_is_their_area_means() -> None:
+    picture = np.random.default_rng(5).random((32, 32)).astype(np.float32)
+    (part,) = finer_parts(light(picture), 1.0, Display(dots=8), None)
+    same, half_more, twice = (part.finer(*film).factors[1][0] for film in FINER)
+    np.testing.assert_array_equal(same, picture)
+    np.testing.assert_array_equal(twice, picture.repeat(2, axis=0).repeat(2, axis=1))
+    weights = np.array([[1, 0], [0.5, 0.5], [0, 1]])  # of two samples in three new ones
+    blocks = picture.reshape(16, 2, 16, 2)
+    np.testing.assert_allclose(half_more, np.einsum("ai,bj,risj->rasb", weights, weights, blocks).reshape(48, 48), rtol=1e-6)
+
+
+def chart_light(chart: Chart) -> SpectralImage:
+    """Of a chart that is half as bright at the right end as at the left one."""
+    return light(chart.picture() * np.linspace(1, 0.5, chart.shape[1]))
+
+
+@pytest.mark.parametrize("shape", [(96, 96), (512, 768)])
+def test_finer_film_of_chart_shows_the_chart(shape: tuple[int, int]) -> None:
+    """Its own means over the new samples, whole and in parts, under the light that falls off across the picture."""
+    texels = np.random.default_rng(6).uniform(0.0, 1.0, (300, 500))
+    chart = Chart(texels, (300 / shape[0], 500 / shape[1]), shape)
+    parts = finer_parts(chart_light(chart), 4.0, Display(dots=64), chart)
+    fine = chart_light(replace(chart, shape=(2 * shape[0], 2 * shape[1]), texels_per_sample=(150 / shape[0], 250 / shape[1])))
+    assert len(parts) == (16 if shape[0] == 512 else 1)
+    for part in parts:
+        rows, columns = (slice(2 * side.start, 2 * side.stop) for side in part.place)
+        np.testing.assert_allclose(part.finer(2).planes[0], fine.planes[0][rows, columns], rtol=0.006)  # the light's fall-off
+
+
+def test_finer_films_of_chart_find_its_error_closer_than_even_samples() -> None:
+    """Its texels are as wide as samples, but it is linear between them: the light within a sample is not even."""
+    texels = np.random.default_rng(8).choice([0.3, 0.7], (192, 192))
+    chart, pixel, display = Chart(texels, (1.0, 1.0), (192, 192)), PIXEL.model_copy(update={"pitch_um": 12.5}), Display(dots=96)
+    film, physics, setup = light(chart.picture()), pixsim.derive(pixel), Setup(CAMERA, pixel, Exposure(), display)
+    fine = light(replace(chart, shape=(1152, 1152), texels_per_sample=(1 / 6, 1 / 6)).picture())
+    true = abs(probe(film, setup).mean_delta_e - probe(fine, setup).mean_delta_e)
+    own, even = (
+        float(np.abs(np.diff(film_steps(film, CAMERA, physics, Exposure(), display, shown).finer_delta_e[[1, 0, 2], 0])).max())
+        for shown in (chart, None)
+    )
+    assert true > ROUNDING
+    assert true < film_error(0.0, 0.0, finer=own) < 10 * true
+    assert own < even / 2
+
+
+def test_finer_parts_are_few_where_pixels_are_large() -> None:
+    image = light(np.broadcast_to(np.float32(0.5), (4096, 4096)))
+    display = Display(dots=512)
+    sizes = [[part.image.shape for part in finer_parts(image, pitch_um, display, None)] for pitch_um in (2.0, 8.0, 12.0, 40.0)]
+    assert [len(size) for size in sizes] == [16, 6, 4, 0]
+    assert all(sum(math.prod(shape) for shape in size) <= 1 << 19 for size in sizes)
+
+
+# --- Parts of large pictures ---
+
+
+@pytest.mark.parametrize("factored", [True, False])
+def test_parts_of_large_picture_are_whole_blocks_at_one_scale(factored):
+    fine = light(np.random.default_rng(1).random((1536, 2048)).astype(np.float32))
+    if not factored:
+        fine = SpectralImage(
+            fine.wavelength_nm[:2],
+            20.0,
+            fine.pitch_um,
+            data=fine.factors[1][0][:, :, None].repeat(2, axis=2),
+            header=fine.header | {"lamp_w_per_m2_sr_nm": fine.header["lamp_w_per_m2_sr_nm"][:2]},
+        )
+    parts = list(parts_of(fine, 0.5, Display(dots=2048)))
+    assert len(parts) == 16
+    for part, display in parts:
+        assert not any(side % 4 for side in part.shape)
+        assert display.dots / part.shape[1] == pytest.approx(2048 / 2048, rel=0.02)
+        assert (part.factors is not None) == factored
+    assert sum(math.prod(part.shape) for part, _ in parts) < 0.5 * math.prod(fine.shape)
+
+
+def test_parts_of_small_picture_is_whole():
+    ((part, display),) = parts_of(light(np.ones((65, 67))), 20.0, Display(dots=64))
+    assert part.shape == (64, 64)
+    assert display.dots == 64
