@@ -231,8 +231,8 @@ class _ChildTracer:
         result: NDArray[np.float32] = self._ask(request, (film["crop_height"], film["crop_width"]))
         return result
 
-    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, samples: int, seed: int) -> NDArray[np.float32]:
-        request = {"scene": scene, "rows": rows, "sampler": sampler, "samples": samples, "seed": seed}
+    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+        request = {"scene": scene, "rows": rows, "sampler": sampler, "spp": spp, "seed": seed}
         passes = self.job.passes[scene]
         assert passes is not None
         result: NDArray[np.float32] = self._ask(request, (rows[1] - rows[0], self.job.size[1]), len(passes.pulses))

@@ -17,6 +17,7 @@ from pixsim.base import cache, mapped
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import digest_of
 from pixsim.base.mapped import release, zeros
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, content_hash
@@ -28,6 +29,7 @@ from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.child import child_tracer
+from pixsim.scene.contents import named_files
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
@@ -214,7 +216,8 @@ class Renderer:
             for (index, name), (table, values) in equal_steps.items()
         )
         passes = tuple(passes_of(light.fit) for light in plan.lights)
-        self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables, self.field, passes)
+        files = tuple(digest_of(path) for path in named_files(state))
+        self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables, self.field, passes, files)
         self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
         self.begun = False  # whether there is a run of the variant
@@ -305,34 +308,33 @@ class Renderer:
                 release(planes[rows])
             mirror_margins(planes, self.margin, self.plan.ends)
             pictures.append(planes)
-        return pictures, min(work.spp for work in works)
+        return pictures, works[0].spp
 
     def _work(self, scene: int, asked: int) -> Work:
         """Divide the traces of a light: its passes together, or a pass at a time; strips; averages of shorter renders.
 
         asked : samples per film cell and pass; most samplers round the number up, to stratify them
         """
-        light, passes, sampler = self.plan.lights[scene], self.job.passes[scene], self.plan.sampler
-        scalar = self.job.variant.startswith("scalar")  # which has no kernels
-        together = 1 if passes is None or scalar else len(passes.groups)
-        renders = -(-asked * together // SPP_PER_RENDER)
-        samples = self.tracer.sample_count(sampler, -(-asked * together // renders))
-        borders = self._strip_borders(samples, SAMPLES_TOGETHER if together > 1 else SAMPLES_PER_KERNEL)
-        parts_of_film = [slice(*pair) for pair in pairwise(borders)]
-        if together > 1:
-            whole = list(range(len(light.fit.pulses)))
-            parts = [
-                Part(rows, whole, partial(self.tracer.trace_together, scene, (rows.start, rows.stop), sampler, samples))
-                for rows in parts_of_film
-            ]
-            return Work(renders, renders * (samples // together), parts)
-        parts = []
+        light, sampler = self.plan.lights[scene], self.plan.sampler
+        renders = -(-asked // SPP_PER_RENDER)
+        spp = self.tracer.sample_count(sampler, -(-asked // renders))
+        # Scalar variants have no kernels that passes could share.
+        together = self.job.passes[scene] is not None and not self.job.variant.startswith("scalar")
+        samples, most = (spp * len(light.fit.passes), SAMPLES_TOGETHER) if together else (spp, SAMPLES_PER_KERNEL)
+        parts: list[Part] = []
+        strips_of_film = [slice(*borders) for borders in pairwise(self._strip_borders(samples, most))]
+        if together:
+            pulses = list(range(len(light.fit.pulses)))
+            for rows in strips_of_film:
+                trace = partial(self.tracer.trace_together, scene, (rows.start, rows.stop), sampler, spp)
+                parts.append(Part(rows, pulses, trace))
+            return Work(renders, renders * spp, parts)
         for channels in light.fit.passes:
             responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
-            for rows in parts_of_film:
+            for rows in strips_of_film:
                 crop = film(responses, self.field, rows.start, rows.stop)
-                parts.append(Part(rows, channels, partial(self.tracer.trace, scene, crop, sampler, samples)))
-        return Work(renders, renders * samples, parts)
+                parts.append(Part(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp)))
+        return Work(renders, renders * spp, parts)
 
     def _exact(self) -> Pictures:
         """Return the pictures of a chart from its texels. Every pulse has the spectrum of the lamp, so they are all alike."""

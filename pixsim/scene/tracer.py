@@ -5,6 +5,7 @@ A job and its requests are of plain numbers and texts, so that they can be sent 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -35,7 +36,7 @@ class Lamps:
 
 @dataclass(frozen=True)
 class Passes:
-    """The passes of a light that are traced together, the samples of each film cell divided among them.
+    """The passes of a light that are traced together.
 
     step_nm : of the grid from 360 to 830 nm on which the pulses are
     pulses : (index of the first node, values) of spectral responses of unit area
@@ -65,19 +66,18 @@ class Passes:
             row[first : first + len(values)] = values
         return whole
 
-    def means(self, values: list[NDArray[np.float32]], samples: int) -> NDArray[np.float32]:
-        """Return the mean of each pulse in each cell, (cells, pulses), whatever the number of threads.
+    def means(self, values: list[NDArray[np.float32]], spp: int) -> NDArray[np.float32]:
+        """Return the mean of each pulse in each cell, (cells, pulses): the same on any number of threads.
 
-        values : (cells · samples,) at each of the four wavelengths; one pass after another in each cell
+        values : (cells · passes · spp,) at each of the four wavelengths
         """
         count = len(self.groups)
-        first = np.arange(count) * samples // count
-        sums, numbers = np.zeros((len(self.pulses), values[0].size // samples)), np.zeros(len(self.pulses))
+        sums, numbers = np.zeros((len(self.pulses), values[0].size // (count * spp))), np.zeros(len(self.pulses))
         for lane, of_lane in zip(self.lanes.T, values, strict=True):
-            of_pass = np.add.reduceat(of_lane.reshape(-1, samples), first, axis=1, dtype=np.float64)
-            for pulse, total, number in zip(lane, of_pass.T, np.diff([*first, samples]), strict=True):
-                sums[pulse] += total
-                numbers[pulse] += number
+            means = of_lane.reshape(-1, count, spp).mean(axis=2, dtype=np.float64)
+            for pulse, mean in zip(lane, means.T, strict=True):
+                sums[pulse] += mean
+                numbers[pulse] += 1
         return (sums / numbers[:, None]).T.astype(np.float32)
 
 
@@ -93,6 +93,7 @@ class Job:
     tables : (node, property, spectrum) of the tables of surfaces that a spectrum takes the place of
     size : (rows, columns) of the film for passes that are traced together
     passes : of each scene; None where each pass has a film of its own
+    files : digests of the files that the text names
     """
 
     variant: str
@@ -104,6 +105,12 @@ class Job:
     tables: tuple[tuple[int, str, dict[str, Any]], ...]
     size: tuple[int, int] = (1, 1)
     passes: tuple[Passes | None, ...] = ()
+    files: tuple[str, ...] = ()
+
+    @property
+    def of_scenes(self) -> tuple[object, ...]:
+        """What Mitsuba's scenes and integrators depend on."""
+        return self.variant, self.text, self.files, self.lamps, self.integrator, self.tables
 
 
 class Tracer(Protocol):
@@ -115,11 +122,11 @@ class Tracer(Protocol):
     def trace(self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
         """Return a picture (rows, columns, channels) of a scene of the job; `film` describes the plugin."""
 
-    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, samples: int, seed: int) -> NDArray[np.float32]:
-        """Return rows of the pictures of all pulses of a scene's `Passes`, (rows, columns, pulses).
+    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+        """Return rows of the pictures of all pulses of a scene's `Passes`, (rows, columns, pulses); `spp` of each pass."""
 
-        samples : of each film cell, divided among the passes: a number that `sample_count` returns, at least one a pass
-        """
+
+_loaded: tuple[tuple[object, ...], list[tuple[Any, Any]]] | None = None  # of the last job
 
 
 class OwnTracer:
@@ -134,12 +141,19 @@ class OwnTracer:
     def _scalar(self) -> bool:
         return self.job.variant.startswith("scalar")
 
-    @cached_property
+    @property
     def loaded(self) -> list[tuple[Any, Any]]:
-        """Mitsuba's scene and integrator for each group of lamps."""
-        with speaking_mitsuba(self.job.variant) as mi:
-            built = [self._build(mi, lamps) for lamps in self.job.lamps]
-            return [(scene, self._integrator(mi, scene)) for scene in built]
+        """Mitsuba's scene and integrator for each group of lamps: those of the last job in this process, if it has the same.
+
+        A kernel holds what all scenes in memory are made of, so that others beside them would make it larger and another one.
+        """
+        global _loaded
+        if _loaded is None or _loaded[0] != self.job.of_scenes:
+            _loaded = None
+            with speaking_mitsuba(self.job.variant) as mi:
+                built = [self._build(mi, lamps) for lamps in self.job.lamps]
+                _loaded = self.job.of_scenes, [(scene, self._integrator(mi, scene)) for scene in built]
+        return _loaded[1]
 
     @cached_property
     def _lens(self) -> dict[str, Any]:
@@ -195,7 +209,7 @@ class OwnTracer:
             self._sensor = mi.load_dict(self._lens | parts), described
         return self._sensor[0]
 
-    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, samples: int, seed: int) -> NDArray[np.float32]:
+    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
         """As `Tracer` has it. Pulses, passes, rows and seed are data of one kernel: other values compile nothing."""
         passes, (height, width) = self.job.passes[scene], self.job.size
         assert passes is not None
@@ -203,21 +217,22 @@ class OwnTracer:
             import drjit as dr
 
             film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
-            sensor, (world, integrator) = self._sensor_with(mi, film, sampler, samples), self.loaded[scene]
+            sensor, (world, integrator) = self._sensor_with(mi, film, sampler, spp), self.loaded[scene]
             if scene not in self._tables:
                 self._tables[scene] = _tables(mi, passes)
             lanes, shifts, density, share = self._tables[scene]
-            cells = (rows[1] - rows[0]) * width
+            count, cells = len(passes.groups), (rows[1] - rows[0]) * width
             draws = sensor.sampler().clone()
-            draws.set_samples_per_wavefront(samples)
-            draws.seed(dr.opaque(mi.UInt32, seed), cells * samples)
-            index = dr.arange(mi.UInt32, cells * samples)
-            cell = index // samples
-            group = ((index - cell * samples + 1) * len(passes.groups) - 1) // samples
-            row = cell // width
+            draws.set_samples_per_wavefront(spp)
+            draws.seed(dr.opaque(mi.UInt32, seed), cells * count * spp)
+            index = dr.arange(mi.UInt32, cells * count * spp)
+            sequence = index // spp  # of samples that the sampler stratifies: those of a pass in a cell
+            cell = sequence // count
+            group, row = sequence - cell * count, cell // width
             corner = mi.Vector2f(cell - row * width, row + dr.opaque(mi.UInt32, rows[0]))
-            # In the order of Mitsuba's own integrators, whose samplers stratify by it.
-            place = (corner + draws.next_2d()) * mi.ScalarVector2f(1 / width, 1 / height)
+            # In the order of Mitsuba's own integrators.
+            inside = _spread(mi, index - sequence * spp, spp, group, count, cell, dr.opaque(mi.UInt32, seed), draws.next_2d())
+            place = (corner + inside) * mi.ScalarVector2f(1 / width, 1 / height)
             aperture = draws.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
             time_s = sensor.shutter_open()
             if sensor.shutter_open_time() > 0:
@@ -232,8 +247,28 @@ class OwnTracer:
             ray.wavelengths = mi.Spectrum(*wavelengths_nm)
             light = _radiance(mi, integrator, world, draws, mi.RayDifferential3f(ray))
             dr.eval(light)
-            pictures = passes.means([np.array(light[lane]) for lane in range(WAVELENGTHS)], samples)
+            pictures = passes.means([np.array(light[lane]) for lane in range(WAVELENGTHS)], spp)
             return pictures.reshape(rows[1] - rows[0], width, -1)
+
+
+def _spread(mi: Any, number: Any, spp: int, group: Any, count: int, cell: Any, seed: Any, jitter: Any) -> Any:
+    """Return places in film cells, (x, y) from 0 to 1, that are stratified in each pass and over all passes together.
+
+    As in Kensler's correlated multi-jittered sampling (Pixar technical memo 13-01), the `spp` samples of a pass have one in each
+    part of a cell, and one in each of `spp` rows and columns. The `count` passes share out each of these rows and columns.
+    """
+    rows = max(divisor for divisor in range(1, math.isqrt(spp) + 1) if spp % divisor == 0)
+    columns = spp // rows
+    row = number // columns
+    column = number - row * columns
+    shifts = mi.sample_tea_32(cell, seed)
+    beside, above = (row + group + shifts[0]) % rows, (column + group + shifts[1]) % columns
+    shares = [
+        mi.sample_tea_32(cell * spp + place, shift)[0]
+        for place, shift in ((column * rows + beside, shifts[0]), (row * columns + above, shifts[1]))
+    ]
+    x, y = ((mi.Float((group + share) % count) + own) / count for share, own in zip(shares, jitter, strict=True))
+    return mi.Vector2f((column + (beside + x) / rows) / columns, (row + (above + y) / columns) / rows)
 
 
 def _tables(mi: Any, passes: Passes) -> tuple[Any, ...]:
