@@ -8,14 +8,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.light.spectral import LOW_NM, grid_nm
-from pixsim.scene.mitsuba import children, nodes_of, parse, plain, speaking_mitsuba
+from pixsim.scene.mitsuba import children, drjit, nodes_of, parse, plain, speaking_mitsuba
 
 SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
 WAVELENGTHS = 4  # of a ray in Mitsuba's spectral variants
@@ -214,8 +213,7 @@ class OwnTracer:
         passes, (height, width) = self.job.passes[scene], self.job.size
         assert passes is not None
         with speaking_mitsuba(self.job.variant) as mi:
-            import drjit as dr
-
+            dr = drjit()
             film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
             sensor, (world, integrator) = self._sensor_with(mi, film, sampler, spp), self.loaded[scene]
             if scene not in self._tables:
@@ -285,7 +283,7 @@ def _inverted(mi: Any, density: Any, share: Any, pulse: Any, at: Any, step_nm: f
 
     density : of all pulses, per step: a share of the area, so that it is `share` in a step of constant density
     """
-    dr: Any = import_module("drjit")  # its search has no types
+    dr = drjit()
     nodes = grid_nm(step_nm).size
     first = pulse * nodes
     above = dr.binary_search(1, nodes - 1, lambda node: dr.gather(mi.Float, share, first + node) <= at)
@@ -300,12 +298,9 @@ def _inverted(mi: Any, density: Any, share: Any, pulse: Any, at: Any, step_nm: f
 
 def _radiance(mi: Any, integrator: Any, world: Any, sampler: Any, ray: Any) -> Any:
     """Return the radiance at the wavelengths of rays, as the integrator's own render estimates it."""
-    from mitsuba.ad.integrators.common import ADIntegrator
-
-    if not isinstance(integrator, ADIntegrator):
+    if not isinstance(integrator, mi.ad.integrators.common.ADIntegrator):
         return integrator.sample(world, sampler, ray)[0]
-    import drjit as dr
-
+    dr = drjit()
     # Written in Python, for derivatives; they are not asked for.
     nothing = {"depth": mi.UInt32(0), "δL": None, "δaovs": None, "state_in": None, "active": mi.Bool(True)}
     return integrator.sample(mode=dr.ADMode.Primal, scene=world, sampler=sampler, ray=ray, **nothing)[0]
