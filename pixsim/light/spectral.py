@@ -6,10 +6,12 @@ Pictures are stored upright: row 0 is the top of the scene and column 0 its left
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from hashlib import blake2b
 from importlib import resources
 from typing import Any
 
@@ -161,6 +163,17 @@ class SpectralImage:
         self.within = np.asarray(within[0], float), np.asarray(within[1], float)
         if not self.within[0].shape == self.within[1].shape == (self.wavelength_nm.size, self.within[0].shape[-1]):
             raise invalid("within", f"{self.within[0].shape} and {self.within[1].shape}", "nodes and shares, each of shape (B, n)")
+
+    def digest(self) -> str:
+        """Return a hash of everything that the light is made of, 32 hexadecimal digits; arrays can change in place."""
+        found = blake2b(repr((self.pitch_um, self.margin)).encode(), digest_size=16)
+        found.update(json.dumps(self.header, sort_keys=True, default=repr).encode())
+        light = (self.data,) if self.factors is None else self.factors
+        given = (self._given,) if self.margin else ()
+        for array in (self.wavelength_nm, self.band_width_nm, *self.within, *light, *given):
+            found.update(f"{array.dtype}{array.shape}".encode())
+            found.update(np.ascontiguousarray(array).data)
+        return found.hexdigest()
 
     def _set_margin(self, given: NDArray[np.float32]) -> None:
         """Keep the pictures that are given, and without their margin."""

@@ -83,6 +83,10 @@ class Pulse:
     values: Array = field(repr=False)
 
     @property
+    def step_nm(self) -> float:
+        return (self.high_nm - self.low_nm) / (self.values.size - 1)
+
+    @property
     def nodes_nm(self) -> Array:
         return np.linspace(self.low_nm, self.high_nm, self.values.size)
 

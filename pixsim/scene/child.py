@@ -198,7 +198,7 @@ class _ChildTracer:
     def __init__(self, job: Job, ends_at_s: float | None) -> None:
         self.job, self.ends_at_s = job, ends_at_s
 
-    def _ask(self, request: dict[str, Any], picture: tuple[int, int] | None = None) -> Any:
+    def _ask(self, request: dict[str, Any], picture: tuple[int, int] | None = None, most_channels: int = MAX_CHANNELS) -> Any:
         with _starting:
             child = _usable_child(self.job.variant == CUDA)
         with child.lock:
@@ -210,7 +210,7 @@ class _ChildTracer:
             if picture is None:
                 return reply
             match reply.get("shape"):
-                case [int(rows), int(columns), int(channels)] if (rows, columns) == picture and 1 <= channels <= MAX_CHANNELS:
+                case [int(rows), int(columns), int(channels)] if (rows, columns) == picture and 1 <= channels <= most_channels:
                     shape = rows, columns, channels
                 case _:
                     raise _crashed(None, child.on_card)
@@ -229,4 +229,11 @@ class _ChildTracer:
     def trace(self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
         request = {"scene": scene, "film": film, "sampler": sampler, "spp": spp, "seed": seed}
         result: NDArray[np.float32] = self._ask(request, (film["crop_height"], film["crop_width"]))
+        return result
+
+    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+        request = {"scene": scene, "rows": rows, "sampler": sampler, "spp": spp, "seed": seed}
+        passes = self.job.passes[scene]
+        assert passes is not None
+        result: NDArray[np.float32] = self._ask(request, (rows[1] - rows[0], self.job.size[1]), len(passes.pulses))
         return result

@@ -46,6 +46,13 @@ def import_mitsuba(variant: str) -> Any:
     return mi
 
 
+def drjit() -> Any:
+    """Return Dr.Jit, whose types vary with Mitsuba's variant; call `import_mitsuba` first."""
+    import drjit as dr
+
+    return dr
+
+
 def read_bitmap(path: Path, variant: str) -> NDArray[Any]:
     """Read a picture as stored, (H, W, channels). Raises PixsimError if Mitsuba cannot."""
     with speaking_mitsuba(variant) as mi:

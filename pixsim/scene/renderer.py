@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,21 +17,23 @@ from pixsim.base import cache, mapped
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import digest_of
 from pixsim.base.mapped import release, zeros
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
-from pixsim.light.spectral import RINGS, WHOLE, SpectralImage
+from pixsim.light.spectral import LOW_NM, RINGS, WHOLE, SpectralImage
 from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
-from pixsim.scene.bands import Pulse
+from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.child import child_tracer
+from pixsim.scene.contents import named_files
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
-from pixsim.scene.tracer import Job, Lamps, OwnTracer, Tracer, regular
+from pixsim.scene.tracer import Job, Lamps, OwnTracer, Passes, Tracer, regular
 from pixsim.scene.tree import parse_tree
 
 
@@ -45,6 +47,15 @@ def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, botto
 
 def film_response(pulse: Pulse) -> dict[str, Any]:
     return regular(pulse.low_nm, pulse.high_nm, pulse.values)
+
+
+def passes_of(fit: Fit) -> Passes | None:
+    """Return the passes of a light; None if there is one, or none, which nothing can be shared with."""
+    if len(fit.passes) < 2:
+        return None
+    step_nm = fit.pulses[0].step_nm
+    pulses = tuple((round((pulse.low_nm - LOW_NM) / step_nm), tuple(pulse.values.tolist())) for pulse in fit.pulses)
+    return Passes(step_nm, pulses, tuple(map(tuple, fit.passes)))
 
 
 Pictures = list[NDArray[np.float32]]
@@ -101,6 +112,7 @@ class CachedRenders:
 Picture = NDArray[np.float32] | Array
 # Samples per kernel, about 1.5 s on two cores; Ctrl-C and progress are handled between kernels.
 SAMPLES_PER_KERNEL = 1 << 25
+SAMPLES_TOGETHER = 1 << 22  # of passes in one kernel: their light takes 16 bytes a sample, and a path more time than a chart
 CELLS_PER_KERNEL = 1 << 23  # memory for their sums, in float32 and float64; fewer samples than 4 in a cell are rare
 SCALAR_STRIPS = 16
 SAMPLES_PER_STRIP = 1 << 16  # of scalar variants; with fewer, the start of a render takes longer than the samples
@@ -111,6 +123,22 @@ ALLOWED_SPP = (1, 1 << 20)
 SEED_STRIDE = 2654435761
 LEVEL_STRIDE = 1000003
 LEVEL_FACTOR = 4  # keeps sample counts for which the result is the same bit for bit on any number of threads
+
+
+class Part(NamedTuple):
+    """Rows of a film, the pulses whose pictures a trace gives, and the trace of a seed: (rows, columns, pulses)."""
+
+    rows: slice
+    pulses: list[int]
+    trace: Callable[[int], NDArray[np.float32]]
+
+
+class Work(NamedTuple):
+    """Parts of the pictures of a light, each the average of some renders; `spp`: samples per film cell and pass."""
+
+    renders: int
+    spp: int
+    parts: list[Part]
 
 
 @checks_arguments
@@ -187,7 +215,9 @@ class Renderer:
             (index, name, regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
             for (index, name), (table, values) in equal_steps.items()
         )
-        self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables)
+        passes = tuple(passes_of(light.fit) for light in plan.lights)
+        files = tuple(digest_of(path) for path in named_files(state))
+        self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables, self.field, passes, files)
         self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
         self.begun = False  # whether there is a run of the variant
@@ -255,36 +285,56 @@ class Renderer:
         return result
 
     def _rendered(self, index: int, level: int, progress: Progress | None) -> tuple[Pictures, int]:
-        """Render each strip of each pass as an average of renders in float64, with consecutive seeds."""
+        """Render each strip as an average of renders in float64, with consecutive seeds."""
         if self.plan.exact:
             return self._exact(), 0
-        pictures, number = [], 0
-        # Long renders are averages of shorter ones. Most samplers round the number of samples up, to stratify them.
         asked = self.plan.spp * LEVEL_FACTOR**level
         if level:
             asked = next((count for count in SAMPLE_COUNTS if count >= asked), asked)
-        renders = -(-asked // SPP_PER_RENDER)
-        spp = self.tracer.sample_count(self.plan.sampler, -(-asked // renders))
-        parts = [slice(*borders) for borders in pairwise(self._strip_borders(spp))]
-        first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * self.plan.passes * renders * len(parts)
-        for scene, light in enumerate(self.plan.lights):
+        works = [self._work(scene, asked) for scene in range(len(self.plan.lights))]
+        count, number = sum(work.renders * len(work.parts) for work in works), 0
+        first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * count
+        pictures = []
+        for light, work in zip(self.plan.lights, works, strict=True):
             planes: NDArray[np.float32] = zeros((*self.field, len(light.fit.pulses)), np.float32)
-            for channels in light.fit.passes:
-                responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
-                for rows in parts:
-                    total = np.zeros((rows.stop - rows.start, self.field[1], len(channels)))
-                    crop = film(responses, self.field, rows.start, rows.stop)
-                    for _ in range(renders):
-                        seed = (first + number) % 2**32
-                        total += _checked(self.tracer.trace(scene, crop, self.plan.sampler, spp, seed), len(channels)) / renders
-                        number += 1
-                        if progress:
-                            progress(number / (self.plan.passes * renders * len(parts)))
-                    planes[rows, :, list(channels)] = total
-                    release(planes[rows])
+            for rows, channels, trace in work.parts:
+                total = np.zeros((rows.stop - rows.start, self.field[1], len(channels)))
+                for _ in range(work.renders):
+                    total += _checked(trace((first + number) % 2**32), len(channels)) / work.renders
+                    number += 1
+                    if progress:
+                        progress(number / count)
+                planes[rows, :, channels] = total
+                release(planes[rows])
             mirror_margins(planes, self.margin, self.plan.ends)
             pictures.append(planes)
-        return pictures, renders * spp
+        return pictures, works[0].spp
+
+    def _work(self, scene: int, asked: int) -> Work:
+        """Divide the traces of a light: its passes together, or a pass at a time; strips; averages of shorter renders.
+
+        asked : samples per film cell and pass; most samplers round the number up, to stratify them
+        """
+        light, sampler = self.plan.lights[scene], self.plan.sampler
+        renders = -(-asked // SPP_PER_RENDER)
+        spp = self.tracer.sample_count(sampler, -(-asked // renders))
+        # Scalar variants have no kernels that passes could share.
+        together = self.job.passes[scene] is not None and not self.job.variant.startswith("scalar")
+        samples, most = (spp * len(light.fit.passes), SAMPLES_TOGETHER) if together else (spp, SAMPLES_PER_KERNEL)
+        parts: list[Part] = []
+        strips_of_film = [slice(*borders) for borders in pairwise(self._strip_borders(samples, most))]
+        if together:
+            pulses = list(range(len(light.fit.pulses)))
+            for rows in strips_of_film:
+                trace = partial(self.tracer.trace_together, scene, (rows.start, rows.stop), sampler, spp)
+                parts.append(Part(rows, pulses, trace))
+            return Work(renders, renders * spp, parts)
+        for channels in light.fit.passes:
+            responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
+            for rows in strips_of_film:
+                crop = film(responses, self.field, rows.start, rows.stop)
+                parts.append(Part(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp)))
+        return Work(renders, renders * spp, parts)
 
     def _exact(self) -> Pictures:
         """Return the pictures of a chart from its texels. Every pulse has the spectrum of the lamp, so they are all alike."""
@@ -293,14 +343,14 @@ class Renderer:
         mirror_margins(picture, self.margin, self.plan.ends)
         return [np.broadcast_to(picture[:, :, None], (*picture.shape, len(light.fit.pulses))) for light in self.plan.lights]
 
-    def _strip_borders(self, spp: int) -> list[int]:
+    def _strip_borders(self, spp: int, samples_per_kernel: int) -> list[int]:
         """Return the rows that divide a render into parts, so that Ctrl-C works between them."""
         height, width = self.field
         samples = height * width * spp
         if self.job.variant.startswith("scalar"):
             parts = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP))
         else:
-            parts = max(-(-samples // SAMPLES_PER_KERNEL), -(-height * width // CELLS_PER_KERNEL))
+            parts = max(-(-samples // samples_per_kernel), -(-height * width // CELLS_PER_KERNEL))
         return np.linspace(0, height, min(parts, height) + 1).astype(int).tolist()
 
     def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:

@@ -431,7 +431,10 @@ def decide_samples(
     """
     subject, sampler = "texture samples", "multijitter"
     if full or explicit:
-        return most, sampler, Decision(subject, True, f"{most} per film cell, as set in the {'scene' if full else 'options'}")
+        reason = f"{most} per film cell, as set in the {'scene' if full else 'options'}"
+        if not full and chart is None and most < MIN_OF_A_PATH:
+            sampler, reason = "independent", f"{reason}; of so few, multijitter would be biased"
+        return most, sampler, Decision(subject, True, reason)
     shared = f", shared by the {finer:.3g} cells of this finer film" if finer > 1 else ""
     if chart is None:
         # Passes have different seeds, and the sum over bands averages their noise.

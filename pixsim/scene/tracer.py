@@ -5,6 +5,7 @@ A job and its requests are of plain numbers and texts, so that they can be sent 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -12,9 +13,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.scene.mitsuba import children, nodes_of, parse, plain, speaking_mitsuba
+from pixsim.light.spectral import LOW_NM, grid_nm
+from pixsim.scene.mitsuba import children, drjit, nodes_of, parse, plain, speaking_mitsuba
 
 SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
+WAVELENGTHS = 4  # of a ray in Mitsuba's spectral variants
 OF_THE_LENS = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")  # properties that the camera states
 
 
@@ -31,6 +34,53 @@ class Lamps:
 
 
 @dataclass(frozen=True)
+class Passes:
+    """The passes of a light that are traced together.
+
+    step_nm : of the grid from 360 to 830 nm on which the pulses are
+    pulses : (index of the first node, values) of spectral responses of unit area
+    groups : the pulses of each pass, 1, 2 or 4, of which some may be the same
+    """
+
+    step_nm: float
+    pulses: tuple[tuple[int, tuple[float, ...]], ...]
+    groups: tuple[tuple[int, ...], ...]
+
+    @property
+    def lanes(self) -> NDArray[np.intp]:
+        """The pulse of each of the four wavelengths of a ray, (passes, 4)."""
+        return np.array([np.resize(group, WAVELENGTHS) for group in self.groups])
+
+    @property
+    def shifts(self) -> NDArray[np.float64]:
+        """Shares of a pulse's area that lie between its first wavelength and each of the four, (passes, 4): they are stratified."""
+        same = self.lanes[:, :, None] == self.lanes[:, None, :]
+        return np.tril(same, -1).sum(axis=2) / same.sum(axis=2)
+
+    @property
+    def densities(self) -> NDArray[np.float64]:
+        """The pulses on the whole grid, (pulses, nodes) nm⁻¹."""
+        whole = np.zeros((len(self.pulses), grid_nm(self.step_nm).size))
+        for row, (first, values) in zip(whole, self.pulses, strict=True):
+            row[first : first + len(values)] = values
+        return whole
+
+    def means(self, values: list[NDArray[np.float32]], spp: int) -> NDArray[np.float32]:
+        """Return the mean of each pulse in each cell, (cells, pulses): the same on any number of threads.
+
+        values : (cells · passes · spp,) at each of the four wavelengths
+        """
+        count = len(self.groups)
+        sums, numbers = np.zeros((len(self.pulses), values[0].size // (count * spp))), np.zeros(len(self.pulses))
+        for lane, of_lane in zip(self.lanes.T, values, strict=True):
+            means = of_lane.reshape(-1, count, spp).mean(axis=2, dtype=np.float64)
+            for pulse, mean in zip(lane, means.T, strict=True):
+                sums[pulse] += mean
+                numbers[pulse] += 1
+        return (sums / numbers[:, None]).T.astype(np.float32)
+
+
+@dataclass(frozen=True)
 class Job:
     """A scene to trace, under one group of lamps after another.
 
@@ -40,6 +90,9 @@ class Job:
     lens : type of the sensor, and properties in place of those in `OF_THE_LENS`
     integrator : plugin and its parameters, or None for that of the scene
     tables : (node, property, spectrum) of the tables of surfaces that a spectrum takes the place of
+    size : (rows, columns) of the film for passes that are traced together
+    passes : of each scene; None where each pass has a film of its own
+    files : digests of the files that the text names
     """
 
     variant: str
@@ -49,6 +102,14 @@ class Job:
     lens: dict[str, Any]
     integrator: dict[str, Any] | None
     tables: tuple[tuple[int, str, dict[str, Any]], ...]
+    size: tuple[int, int] = (1, 1)
+    passes: tuple[Passes | None, ...] = ()
+    files: tuple[str, ...] = ()
+
+    @property
+    def of_scenes(self) -> tuple[object, ...]:
+        """What Mitsuba's scenes and integrators depend on."""
+        return self.variant, self.text, self.files, self.lamps, self.integrator, self.tables
 
 
 class Tracer(Protocol):
@@ -60,6 +121,12 @@ class Tracer(Protocol):
     def trace(self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
         """Return a picture (rows, columns, channels) of a scene of the job; `film` describes the plugin."""
 
+    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+        """Return rows of the pictures of all pulses of a scene's `Passes`, (rows, columns, pulses); `spp` of each pass."""
+
+
+_loaded: tuple[tuple[object, ...], list[tuple[Any, Any]]] | None = None  # of the last job
+
 
 class OwnTracer:
     """Traces in this process."""
@@ -67,17 +134,25 @@ class OwnTracer:
     def __init__(self, job: Job) -> None:
         self.job = job
         self._sensor: tuple[Any, Any] = None, None  # the last one, and what describes it
+        self._tables: dict[int, tuple[Any, ...]] = {}  # in Mitsuba, of the passes of each scene
 
     @property
     def _scalar(self) -> bool:
         return self.job.variant.startswith("scalar")
 
-    @cached_property
+    @property
     def loaded(self) -> list[tuple[Any, Any]]:
-        """Mitsuba's scene and integrator for each group of lamps."""
-        with speaking_mitsuba(self.job.variant) as mi:
-            built = [self._build(mi, lamps) for lamps in self.job.lamps]
-            return [(scene, self._integrator(mi, scene)) for scene in built]
+        """Mitsuba's scene and integrator for each group of lamps: those of the last job in this process, if it has the same.
+
+        A kernel holds what all scenes in memory are made of, so that others beside them would make it larger and another one.
+        """
+        global _loaded
+        if _loaded is None or _loaded[0] != self.job.of_scenes:
+            _loaded = None
+            with speaking_mitsuba(self.job.variant) as mi:
+                built = [self._build(mi, lamps) for lamps in self.job.lamps]
+                _loaded = self.job.of_scenes, [(scene, self._integrator(mi, scene)) for scene in built]
+        return _loaded[1]
 
     @cached_property
     def _lens(self) -> dict[str, Any]:
@@ -121,13 +196,114 @@ class OwnTracer:
 
     def trace(self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
         with speaking_mitsuba(self.job.variant) as mi:
-            described = film, sampler, spp
-            if self._sensor[1] != described:
-                parts = {"sampler": {"type": sampler, "sample_count": spp}, "film": film}
-                self._sensor = mi.load_dict(self._lens | parts), described
+            sensor = self._sensor_with(mi, film, sampler, spp)
             world, integrator = self.loaded[scene]
-            rendered = mi.render(world, sensor=self._sensor[0], integrator=integrator, spp=spp, seed=seed)
+            rendered = mi.render(world, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
             return np.array(rendered, np.float32)
+
+    def _sensor_with(self, mi: Any, film: dict[str, Any], sampler: str, spp: int) -> Any:
+        described = film, sampler, spp
+        if self._sensor[1] != described:
+            parts = {"sampler": {"type": sampler, "sample_count": spp}, "film": film}
+            self._sensor = mi.load_dict(self._lens | parts), described
+        return self._sensor[0]
+
+    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+        """As `Tracer` has it. Pulses, passes, rows and seed are data of one kernel: other values compile nothing."""
+        passes, (height, width) = self.job.passes[scene], self.job.size
+        assert passes is not None
+        with speaking_mitsuba(self.job.variant) as mi:
+            dr = drjit()
+            film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
+            sensor, (world, integrator) = self._sensor_with(mi, film, sampler, spp), self.loaded[scene]
+            if scene not in self._tables:
+                self._tables[scene] = _tables(mi, passes)
+            lanes, shifts, density, share = self._tables[scene]
+            count, cells = len(passes.groups), (rows[1] - rows[0]) * width
+            draws = sensor.sampler().clone()
+            draws.set_samples_per_wavefront(spp)
+            draws.seed(dr.opaque(mi.UInt32, seed), cells * count * spp)
+            index = dr.arange(mi.UInt32, cells * count * spp)
+            sequence = index // spp  # of samples that the sampler stratifies: those of a pass in a cell
+            cell = sequence // count
+            group, row = sequence - cell * count, cell // width
+            corner = mi.Vector2f(cell - row * width, row + dr.opaque(mi.UInt32, rows[0]))
+            # In the order of Mitsuba's own integrators.
+            inside = _spread(mi, index - sequence * spp, spp, group, count, cell, dr.opaque(mi.UInt32, seed), draws.next_2d())
+            place = (corner + inside) * mi.ScalarVector2f(1 / width, 1 / height)
+            aperture = draws.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
+            time_s = sensor.shutter_open()
+            if sensor.shutter_open_time() > 0:
+                time_s += draws.next_1d() * sensor.shutter_open_time()
+            at = draws.next_1d()
+            ray, _ = sensor.sample_ray(time_s, 0.5, place, aperture)
+            wavelengths_nm = []
+            for lane in range(WAVELENGTHS):
+                pulse = dr.gather(mi.UInt32, lanes, group * WAVELENGTHS + lane)
+                shifted = at + dr.gather(mi.Float, shifts, group * WAVELENGTHS + lane)
+                wavelengths_nm.append(_inverted(mi, density, share, pulse, shifted - dr.floor(shifted), passes.step_nm))
+            ray.wavelengths = mi.Spectrum(*wavelengths_nm)
+            light = _radiance(mi, integrator, world, draws, mi.RayDifferential3f(ray))
+            dr.eval(light)
+            pictures = passes.means([np.array(light[lane]) for lane in range(WAVELENGTHS)], spp)
+            return pictures.reshape(rows[1] - rows[0], width, -1)
+
+
+def _spread(mi: Any, number: Any, spp: int, group: Any, count: int, cell: Any, seed: Any, jitter: Any) -> Any:
+    """Return places in film cells, (x, y) from 0 to 1, that are stratified in each pass and over all passes together.
+
+    As in Kensler's correlated multi-jittered sampling (Pixar technical memo 13-01), the `spp` samples of a pass have one in each
+    part of a cell, and one in each of `spp` rows and columns. The `count` passes share out each of these rows and columns.
+    """
+    rows = max(divisor for divisor in range(1, math.isqrt(spp) + 1) if spp % divisor == 0)
+    columns = spp // rows
+    row = number // columns
+    column = number - row * columns
+    shifts = mi.sample_tea_32(cell, seed)
+    beside, above = (row + group + shifts[0]) % rows, (column + group + shifts[1]) % columns
+    shares = [
+        mi.sample_tea_32(cell * spp + place, shift)[0]
+        for place, shift in ((column * rows + beside, shifts[0]), (row * columns + above, shifts[1]))
+    ]
+    x, y = ((mi.Float((group + share) % count) + own) / count for share, own in zip(shares, jitter, strict=True))
+    return mi.Vector2f((column + (beside + x) / rows) / columns, (row + (above + y) / columns) / rows)
+
+
+def _tables(mi: Any, passes: Passes) -> tuple[Any, ...]:
+    """Return lanes, shifts, densities and the share of each pulse's area up to each node, as flat arrays of Dr.Jit."""
+    density = passes.densities
+    running = np.cumsum((density[:, 1:] + density[:, :-1]) / 2, axis=1)
+    share = np.concatenate([np.zeros((len(density), 1)), running / running[:, -1:]], axis=1)
+    numbers = (np.ascontiguousarray(array.ravel(), np.float32) for array in (passes.shifts, density / running[:, -1:], share))
+    return mi.UInt32(np.ascontiguousarray(passes.lanes.ravel(), np.uint32)), *(mi.Float(array) for array in numbers)
+
+
+def _inverted(mi: Any, density: Any, share: Any, pulse: Any, at: Any, step_nm: float) -> Any:
+    """Return the wavelength up to which a pulse, linear between its nodes, has a share `at` (0 to 1) of its area, in nm.
+
+    density : of all pulses, per step: a share of the area, so that it is `share` in a step of constant density
+    """
+    dr = drjit()
+    nodes = grid_nm(step_nm).size
+    first = pulse * nodes
+    above = dr.binary_search(1, nodes - 1, lambda node: dr.gather(mi.Float, share, first + node) <= at)
+    before = first + above - 1
+    left, right = dr.gather(mi.Float, density, before), dr.gather(mi.Float, density, before + 1)
+    missing = dr.maximum(at - dr.gather(mi.Float, share, before), 0.0)
+    # The root of left·x + (right - left)·x²/2 = missing, in the form without cancellation; 0/0 where nothing is missing.
+    root = left + dr.safe_sqrt(dr.square(left) + 2 * (right - left) * missing)
+    inside = dr.select(root > 0, dr.minimum(2 * missing / root, 1.0), 0.0)
+    return LOW_NM + step_nm * (mi.Float(above) - 1 + inside)
+
+
+def _radiance(mi: Any, integrator: Any, world: Any, sampler: Any, ray: Any) -> Any:
+    """Return the radiance at the wavelengths of rays, as the integrator's own render estimates it."""
+    if not isinstance(integrator, mi.ad.integrators.common.ADIntegrator):
+        return integrator.sample(world, sampler, ray)[0]
+    dr = drjit()
+    # Written in Python, for derivatives; they are not asked for.
+    nothing = {"depth": mi.UInt32(0), "δL": None, "δaovs": None, "state_in": None, "active": mi.Bool(True)}
+    return integrator.sample(mode=dr.ADMode.Primal, scene=world, sampler=sampler, ray=ray, **nothing)[0]
 
 
 def regular(low_nm: float, high_nm: float, values: Any) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.errors import PixsimError
-from pixsim.scene.tracer import Job, Lamps, OwnTracer
+from pixsim.scene.tracer import Job, Lamps, OwnTracer, Passes
 
 
 def job_of(content: dict[str, Any]) -> Job:
@@ -22,7 +22,8 @@ def job_of(content: dict[str, Any]) -> Job:
         of and Lamps({int(node): (name, picture) for node, (name, picture) in of["pictures"].items()}, of["neutral"])
         for of in content["lamps"]
     ]
-    return Job(**{**content, "lamps": tuple(lamps)})
+    passes = [of and Passes(of["step_nm"], of["pulses"], of["groups"]) for of in content["passes"]]
+    return Job(**{**content, "lamps": tuple(lamps), "passes": tuple(passes)})
 
 
 def answer(tracer: OwnTracer | None, request: dict[str, Any], pictures: int) -> tuple[OwnTracer, dict[str, Any]]:
@@ -31,9 +32,9 @@ def answer(tracer: OwnTracer | None, request: dict[str, Any], pictures: int) -> 
         tracer = OwnTracer(job_of(request["job"]))
         return tracer, {"scenes": len(tracer.loaded)}
     assert tracer is not None
-    if "samples" in request:
-        return tracer, {"samples": tracer.sample_count(request["sampler"], request["samples"])}
-    picture = np.ascontiguousarray(tracer.trace(**request))
+    if "seed" not in request:
+        return tracer, {"samples": tracer.sample_count(**request)}
+    picture = np.ascontiguousarray(tracer.trace(**request) if "film" in request else tracer.trace_together(**request))
     os.ftruncate(pictures, picture.nbytes)
     left, at = picture.data.cast("B"), 0
     while at < len(left):

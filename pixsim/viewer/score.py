@@ -17,7 +17,19 @@ from pixsim.base.arrays import Array, mixed, stream, strips
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, check_develop
+from pixsim.base.parameters import (
+    DEVELOP,
+    NO_CORRECTION,
+    Camera,
+    Correction,
+    Develop,
+    Display,
+    Exposure,
+    Pixel,
+    Record,
+    check_develop,
+    content_hash,
+)
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import ideal_light
 from pixsim.sensor.collection import (
@@ -30,7 +42,7 @@ from pixsim.sensor.collection import (
 )
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
-from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, centred_pixels, lights_of
+from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, centred_pixels, electrons_per_joule, lights_of
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.readout import (
     MAX_BLACK,
@@ -785,8 +797,12 @@ def make_imaging_chain(
     full: bool = False,
     correction: Correction = NO_CORRECTION,
     develop: Develop = DEVELOP,
+    *,
+    keep: bool = False,
 ) -> ImagingChain:
     """Return the imaging chain up to the noise.
+
+    keep : whether the chain stays in memory, with the last few others, for the same light and settings
 
     Warns if the render used another camera, the scene's white is estimated (`white_header`), the display clips the scene, numbers
     of a data sheet contradict one another, or the model of the pixel's stack is doubtful.
@@ -802,9 +818,43 @@ def make_imaging_chain(
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
     if white := white_header([Seen(irradiance, camera, physics)], display):
         display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})
-    light = prepare_scene(irradiance, camera, physics, display, full)
-    warn_of_clipping(light.beyond_white)
-    return chain_at_pitch(light, physics, exposure, correction, develop)
+    key = _key_of_chain(irradiance, camera, physics, (exposure, display, correction, develop), full) if keep else None
+    if key is None or key not in _kept_chains:
+        light = prepare_scene(irradiance, camera, physics, display, full)
+        found = chain_at_pitch(light, physics, exposure, correction, develop), light.beyond_white
+    else:
+        found = _kept_chains.pop(key)
+    if key is not None:
+        _keep_chain(key, *found)
+    warn_of_clipping(found[1])
+    return found[0]
+
+
+KEPT_CHAINS, MOST_KEPT_BYTES = 8, 1 << 27
+MOST_DIGESTED_BYTES = 1 << 27  # of light; a tenth of a second
+_kept_chains: dict[str, tuple[ImagingChain, float]] = {}  # the last one last; with `PreparedScene.beyond_white`
+
+
+def _key_of_chain(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, settings: Sequence[Record], full: bool
+) -> str | None:
+    """Return a key for all that a chain depends on; None for light that takes long to read, and angles that a file has."""
+    light = irradiance.data if irradiance.factors is None else irradiance.factors[1]
+    if light.nbytes > MOST_DIGESTED_BYTES or camera.chief_ray_angle is not None:
+        return None
+    responses = [electrons_per_joule(channel, irradiance).tolist() for channel in physics.channels]
+    charge = physics.charge.content_hash if physics.charge else ""
+    records = [record.model_dump(mode="json") for record in (camera, physics.pixel, *settings)]
+    return content_hash([irradiance.digest(), records, physics.technology.content, repr(physics), responses, charge, full])
+
+
+def _keep_chain(key: str, chain: ImagingChain, beyond_white: float) -> None:
+    """Keep a chain as the last one, and drop the first ones if they are too many or too large."""
+    _kept_chains[key] = chain, beyond_white
+    sizes = [each.signal_e_per_s.nbytes + 3 * each.screen.ideal.nbytes for each, _ in _kept_chains.values()]
+    while len(sizes) > KEPT_CHAINS or sum(sizes) > MOST_KEPT_BYTES:
+        _kept_chains.pop(next(iter(_kept_chains)), None)
+        sizes.pop(0)
 
 
 @checks_arguments
@@ -829,7 +879,8 @@ def evaluate(
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
 
-    Where neither the display nor the scene states its white, it is estimated, with a warning, as in `pixsim run`.
+    Where neither the display nor the scene states its white, it is estimated, with a warning, as in `pixsim run`. What frames of one
+    sensor and one light share is kept for the next calls.
 
     Raises PixsimError if the pitch is too small or larger than the die, if white has no luminance, or the sensor no response to it.
 
@@ -843,11 +894,12 @@ def evaluate(
     correction, develop = correction or NO_CORRECTION, develop or DEVELOP
     given = Configuration(derive(pixel), pixel, exposure, correction, develop, display, camera, light=irradiance)
     warn_of_unused_settings({"": [given]})
-    chain = make_imaging_chain(irradiance, camera, pixel, exposure, display, full, correction, develop)
+    chain = make_imaging_chain(irradiance, camera, pixel, exposure, display, full, correction, develop, keep=True)
     score = chain.simulate("evaluate", seed)
     time_s = score.frame.integration_s
     causes = causes_of(irradiance.header, score.physics, chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal))
-    return replace(score, light=LightError.of(irradiance.header, causes=causes))
+    # The ideal picture is that of the chain, which stays.
+    return replace(score, ideal=score.ideal.copy(), light=LightError.of(irradiance.header, causes=causes))
 
 
 DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones

@@ -33,6 +33,32 @@ def chart(n: int, header: bool = True) -> SpectralImage:
     return SpectralImage(NM, 10.0, 2713.6 / n, factors=(6e-6 * d65(NM), picture[None]), header=message)
 
 
+# --- What calls share ---
+
+
+def test_evaluate_keeps_what_calls_share_and_sees_changed_light(monkeypatch):
+    prepared = []
+    prepare = score.prepare_scene
+    monkeypatch.setattr(score, "prepare_scene", lambda *given, **named: prepared.append(given) or prepare(*given, **named))
+    score._kept_chains.clear()
+    light, pixel = chart(96), Pixel(pitch_um=28.0)
+    settings = CAMERA, pixel, Exposure(), Display(dots=96)
+    first = score.evaluate(light, *settings, seed=1)
+    first.ideal[:] = 0.0  # of the caller
+    again, other = score.evaluate(chart(96), *settings, seed=1), score.evaluate(light, *settings, seed=2)
+    assert len(prepared) == 1, "equal light in another object is the same light"
+    assert again.mean_delta_e == first.mean_delta_e != other.mean_delta_e
+    assert again.ideal.max() > 0.5
+    light.factors[1][:] = light.factors[1][:, ::-1]  # in place: the same values elsewhere
+    flipped = score.evaluate(light, *settings, seed=1)
+    assert len(prepared) == 2
+    score._kept_chains.clear()
+    assert score.evaluate(light, *settings, seed=1).mean_delta_e == flipped.mean_delta_e != first.mean_delta_e
+    for number in range(2 * score.KEPT_CHAINS):
+        score.evaluate(light, CAMERA, pixel, Exposure(max_integration_s=0.01 * (number + 1)), Display(dots=96))
+    assert len(score._kept_chains) == score.KEPT_CHAINS
+
+
 # --- Percentiles ---
 
 
