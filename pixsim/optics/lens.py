@@ -55,7 +55,7 @@ WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
 FOCUS_STEP_MM = 1e-3
 FAINTEST_F_NUMBER = 1000.0  # with an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding
 VIRTUAL = 0.01  # of the focal length: the image may lie as far in front of the last surface, as within a cover glass
-LIMIT_FIELDS, LIMIT_STEPS, LIMIT_DEG = 33, 12, 0.1  # of the search for the largest field that can be traced, and its digits
+LIMIT_FIELDS, LIMIT_STEPS, LIMIT_PER_DEG = 33, 12, 10  # of the search for the largest field that can be traced, in tenths
 TOLD_FIELDS = 8  # from the axis to the largest, at which a note looks for light
 INSIDE = 1 + 1e-12  # of the stop's edge
 Bases = tuple[Array, Array]  # monomials odd in x, and those even in x
@@ -266,7 +266,7 @@ def _largest_field(lens: Lens) -> tuple[float, str]:
             low, high = (low, middle) if lost(np.array([middle]))[0] else (middle, high)
         nearest = lens._nearest_chief(high, lens.primary_nm)
         reason = f"beyond, the chief ray {lens._failure(high, lens.primary_nm, 0.0, nearest)}"
-        limit = math.floor(low / LIMIT_DEG) * LIMIT_DEG if low > LIMIT_DEG else low
+        limit = math.floor(low * LIMIT_PER_DEG) / LIMIT_PER_DEG or low
     if not reason:
         return wanted, ""
     return limit, f"fields to {stated:g}{unit} are limited to {limit:.4g}°, since {reason}"
@@ -324,7 +324,7 @@ def _light_words(lens: Lens, other: Lens) -> str:
     if not (own[0] and changed[0] and lit.size):
         return "No light would reach the axis" if own[0] else "Light would reach the axis, which none does"
     at = int(lit[-1])
-    beyond = f", and no light {'from' if own[at:].all() else 'beyond'} {fields[at + 1]:.4g}° on" if at + 1 < fields.size else ""
+    beyond = f", and 0 from {fields[at + 1]:.4g}° on" if at + 1 < fields.size and own[at + 1] else ""
     return (
         f"Relative illumination would be {changed[at] / changed[0]:.3f}, not {own[at] / own[0]:.3f}, at {fields[at]:.4g}°{beyond}"
     )

@@ -812,6 +812,10 @@ def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
         at = f"{where}, line {glass.number}: GLAS"
         got = f"an object in the medium {_medium_words(at, glass)}"
         raise invalid(at, got, "an object in air", "Delete the line to have the lens in air, which is another lens.")
+    curved = (line := block.first("CURV")) is not None and _zmx_number(where, line)
+    if _kind(block) != "STANDARD" or curved:
+        got = f"an object of the type {one_line(_kind(block))}{' that is curved' if curved else ''}"
+        raise invalid(where, got, "a plane object, STANDARD")
     line = block.first("DISZ")
     if line is None or not line.words or line.words[0].upper() == "INFINITY":
         return math.inf
