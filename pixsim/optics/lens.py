@@ -55,7 +55,7 @@ WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
 FOCUS_STEP_MM = 1e-3
 FAINTEST_F_NUMBER = 1000.0  # with an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding
 VIRTUAL = 0.01  # of the focal length: the image may lie as far in front of the last surface, as within a cover glass
-LIMIT_FIELDS, LIMIT_STEPS, LIMIT_PER_DEG = 33, 12, 10  # of the search for the largest field that can be traced, in tenths
+LIMIT_FIELDS, LIMIT_PER_DEG = 33, 10  # of the search for the largest field that can be traced, in tenths
 TOLD_FIELDS = 8  # from the axis to the largest, at which a note looks for light
 INSIDE = 1 + 1e-12  # of the stop's edge
 Bases = tuple[Array, Array]  # monomials odd in x, and those even in x
@@ -168,9 +168,9 @@ def lens_of(prescription: Prescription) -> Lens:
     notes = list(prescription.notes)
     largest_deg, limit = _largest_field(lens)
     notes += [f"{lens._named}: {limit}"] if limit else []
-    lens = replace(lens, max_field_deg=largest_deg)
+    lens = lens.with_same_rays(max_field_deg=largest_deg)
     if prescription.vignetting:
-        lens = replace(lens, vignetting=_vignetting(lens, prescription.vignetting))
+        lens = lens.with_same_rays(vignetting=_vignetting(lens, prescription.vignetting))
     for note in (*notes, *_notes_of_stopped_light(lens)):
         warn(note)
     return lens
@@ -248,24 +248,25 @@ def _largest_field(lens: Lens) -> tuple[float, str]:
     limit = min(wanted, STEEPEST_DEG)
     nm = np.unique(lens.prescription.wavelengths_nm)
 
-    def lost(fields: Array) -> NDArray[np.bool_]:
+    def traced(fields: Array) -> float:
+        """Return the last field before the first whose chief ray is lost at one of the wavelengths."""
         rays, _ = lens._chief_or_nan(np.repeat(fields, nm.size), np.tile(nm, fields.size))
-        return np.asarray(~np.isfinite(rays.path_mm[:, 0]).reshape(fields.size, nm.size).all(axis=1))
+        found = np.isfinite(rays.path_mm[:, 0]).reshape(fields.size, nm.size).all(axis=1)
+        return float(fields[-1] if found.all() else fields[max(int(np.argmin(found)) - 1, 0)])
 
     while limit:
-        fields = np.linspace(0.0, limit, LIMIT_FIELDS)
-        missing = lost(fields)
-        if not missing.any():
+        step, low = limit, 0.0
+        while step > 1 / LIMIT_PER_DEG and low < limit:  # finer and finer, behind the last that is traced
+            fields = np.linspace(low, min(low + step, limit), LIMIT_FIELDS)
+            step, low = step / (LIMIT_FIELDS - 1), traced(fields)
+        if low == limit:
             break
-        first = int(np.argmax(missing))
-        if not first:
+        if not low:
             return 0.0, ""  # the axis, whose failure is told where it is traced
-        low, high = float(fields[first - 1]), float(fields[first])
-        for _ in range(LIMIT_STEPS):
-            middle = (low + high) / 2
-            low, high = (low, middle) if lost(np.array([middle]))[0] else (middle, high)
-        nearest = lens._nearest_chief(high, lens.primary_nm)
-        reason = f"beyond, the chief ray {lens._failure(high, lens.primary_nm, 0.0, nearest)}"
+        lost_at = min(low + step, limit)
+        reason = (
+            f"beyond, the chief ray {lens._failure(lost_at, lens.primary_nm, 0.0, lens._nearest_chief(lost_at, lens.primary_nm))}"
+        )
         limit = math.floor(low * LIMIT_PER_DEG) / LIMIT_PER_DEG or low
     if not reason:
         return wanted, ""
@@ -292,34 +293,44 @@ def _vignetting(lens: Lens, rows: tuple[Vignetting, ...]) -> tuple[tuple[float, 
 def _notes_of_stopped_light(lens: Lens) -> tuple[str, ...]:
     """Return notes on light that fixed semi-diameters and vignetting factors would stop, or do stop."""
     prescription, notes = lens.prescription, []
+    if not (prescription.fixed or lens.vignetting or prescription.spare_vignetting):
+        return ()
+    fields, own = _light(lens)
+
+    def words(other: Lens) -> str:
+        return _light_words(fields, own, _light(other)[1])
+
     if prescription.fixed:
         surfaces = tuple(
             replace(one, clips=one.clips or index in prescription.fixed) for index, one in enumerate(prescription.surfaces)
         )
-        clipped = replace(lens, prescription=replace(prescription, surfaces=surfaces, fixed=()))
+        clipped = lens.with_same_rays(prescription=replace(prescription, surfaces=surfaces, fixed=()))
         notes.append(
             f"{lens._named}: fixed semi-diameters of {len(prescription.fixed)} surfaces stop no rays, since they are no apertures."
-            f' {_light_words(lens, clipped)} if they did: lens.semi_diameters = "clip"'
+            f' {words(clipped)} if they did: lens.semi_diameters = "clip"'
         )
     if prescription.vignetting and lens.vignetting:
         notes.append(
-            f"{lens._named}: its vignetting factors are used. {_light_words(lens, replace(lens, vignetting=()))} without them: "
+            f"{lens._named}: its vignetting factors are used. {words(lens.with_same_rays(vignetting=()))} without them: "
             'lens.vignetting_factors = "ignore"'
         )
     if prescription.spare_vignetting:
         rows = _vignetting(lens, prescription.spare_vignetting)
         notes.append(
             f"{lens._named}: its vignetting factors are not used, so that nothing is cut twice. "
-            f'{_light_words(lens, replace(lens, vignetting=rows))} with them: lens.vignetting_factors = "use"'
+            f'{words(lens.with_same_rays(vignetting=rows))} with them: lens.vignetting_factors = "use"'
         )
     return tuple(notes)
 
 
-def _light_words(lens: Lens, other: Lens) -> str:
-    """Return the relative illumination of a lens and of another, at the largest field at which both have light."""
+def _light(lens: Lens) -> tuple[Array, Array]:
+    """Return fields from the axis to the largest, and the light there as an area of directions."""
     fields = np.linspace(0.0, lens.max_field_deg, TOLD_FIELDS + 1 if lens.max_field_deg else 1)
-    nm = np.full(fields.size, lens.primary_nm)
-    own, changed = (one._outline(fields, nm, SPOKES_OF_OUTLINE).area for one in (lens, other))
+    return fields, lens._outline(fields, np.full(fields.size, lens.primary_nm), SMOOTH_SPOKES).area
+
+
+def _light_words(fields: Array, own: Array, changed: Array) -> str:
+    """Return the relative illumination of a lens and of another, at the largest field at which both have light."""
     lit = np.flatnonzero((own > 0) & (changed > 0))
     if not (own[0] and changed[0] and lit.size):
         return "No light would reach the axis" if own[0] else "Light would reach the axis, which none does"
@@ -349,6 +360,13 @@ class Lens:
     object_distance_mm: float = math.inf
     # Not shown, so that the text of a lens without it, and what is derived from it, stays.
     vignetting: tuple[tuple[float, float, float, float], ...] = field(default=(), repr=False)
+
+    def with_same_rays(self, **changes: Any) -> Lens:
+        """Return the lens with other fields or other light stopped, which keeps what is known of the way of its rays."""
+        changed = replace(self, **changes)
+        for known in ("_chief_heights", "_aims", "_known_indices", "stop_semi_diameter_mm"):
+            vars(changed)[known] = getattr(self, known)
+        return changed
 
     @property
     def fingerprint(self) -> str:
@@ -711,11 +729,14 @@ class Lens:
         return where if "surface" in where else "no ray in front of the lens reaches"
 
     @checks_arguments
-    def wavefront(self, field_deg: ArrayLike, wavelength_nm: ArrayLike, stop_x: ArrayLike, stop_y: ArrayLike) -> Wavefront:
+    def wavefront(
+        self, field_deg: ArrayLike, wavelength_nm: ArrayLike, stop_x: ArrayLike, stop_y: ArrayLike, aimed: float = AIMED
+    ) -> Wavefront:
         """Return rays of fields and wavelengths through points of the stop, in the image plane.
 
         field_deg, wavelength_nm : broadcast together, then in one line, (C,)
         stop_x, stop_y : over the stop's radius, broadcast together, then in one line, (P,)
+        aimed : distance in which rays meet their points, over the stop's radius, at most; a larger one takes less time
 
         Raises PixsimError if a chief ray does not reach the image.
         """
@@ -729,7 +750,7 @@ class Lens:
 
         def compute(number: int) -> None:
             some = blocks[number]
-            parts[number] = self._block(fields[some], wavelengths[some], x, y, terms[some], bases, _part(chief, some))
+            parts[number] = self._block(fields[some], wavelengths[some], x, y, terms[some], bases, _part(chief, some), aimed)
 
         in_threads(compute, range(len(blocks)), fields.size * x.size * len(self.prescription.surfaces))
         if len(blocks) == 1:
@@ -738,19 +759,19 @@ class Lens:
         return Wavefront(*(np.concatenate([getattr(parts[number], name) for number in range(len(blocks))]) for name in names))
 
     def _block(
-        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, terms: Array, bases: Bases, chief: Rays
+        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, terms: Array, bases: Bases, chief: Rays, aimed: float
     ) -> Wavefront:
         across, along = (_polynomials(terms[..., axis], basis) for axis, basis in enumerate(bases))
         rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         semi = self.stop_semi_diameter_mm
         off = np.maximum(np.abs(at_x / semi - x), np.abs(at_y / semi - y))
-        if np.any(~(off <= AIMED)):  # the polynomial is not good enough; its derivatives are
+        if np.any(~(off <= aimed)):  # the polynomial is not good enough; its derivatives are
             inverse = np.empty((*across.shape, 2, 2))
             for by, slopes in enumerate(_slopes(x, y)):
                 for axis, basis in enumerate(slopes):
                     inverse[..., axis, by] = _polynomials(terms[..., axis], basis)
             solved = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse)
-            across, along = (np.where(off <= AIMED, kept, new) for kept, new in zip((across, along), solved, strict=True))
+            across, along = (np.where(off <= aimed, kept, new) for kept, new in zip((across, along), solved, strict=True))
             rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         return self._wavefront_of(rays, at_x, at_y, chief, field_deg, wavelength_nm)
 

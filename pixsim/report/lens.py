@@ -40,6 +40,8 @@ PSF_SAMPLES = 3  # of the width λN along a side
 MOST_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
 MOST_WIDTHS = 300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
 GRID, LINE_BINS = 81, 4096  # of rays across the stop, and of their line spread functions
+RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
+MOST_TRACED = 5e6  # rays of such a grid times surfaces, about a second: 81 across for three wavelengths and 28 surfaces
 SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
 DRAWN_FIELDS = (0.0, 0.7, 1.0)
 DRAWN_HEIGHTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # in the stop
@@ -182,15 +184,15 @@ def lens_data(
     fields = np.linspace(0.0, largest, FIELDS) if largest else np.zeros(1)
     curve = np.linspace(0.0, largest, CURVE_FIELDS) if largest else np.zeros(1)
     x, y = spot_points()
-    lit = lens.projected_solid_angle_sr(fields[:, None], wavelengths) > 0
-    dark = np.asarray(~lit.any(axis=1))
+    illumination = lens.projected_solid_angle_sr(curve, primary)
+    dark = np.asarray(illumination[:: (CURVE_FIELDS - 1) // (FIELDS - 1)] <= 0)
     if dark[0]:
         got = "no light on the axis"
         raise invalid(f"lens '{lens.prescription.name}'", got, "light on the axis", "Check its clear apertures and semi-diameters.")
     spots = []
-    for angle, lit_at in zip(fields, lit, strict=True):
+    for angle, none in zip(fields, dark, strict=True):
         waves = lens.wavefront(angle, wavelengths, x, y)
-        seen = waves.passed & np.isfinite(waves.opd_waves) & lit_at[:, None]
+        seen = waves.passed & np.isfinite(waves.opd_waves) & ~none
         off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, primary).height_mm
         spots.append(Spot(*(np.where(seen, 1e3 * part, np.nan) for part in (waves.x_mm, waves.y_mm + off))))
     asked = asked_frequencies(pitch_um)
@@ -220,7 +222,7 @@ def lens_data(
         "image_height_mm": chief.height_mm,
         "chief_ray_angle_deg": chief.angle_deg,
         "distortion": lens.distortion(np.maximum(curve, NEAR_AXIS * largest)) if largest else np.zeros(1),
-        "relative_illumination": lens.relative_illumination(curve),
+        "relative_illumination": illumination / illumination[0],
         "tangential_focus_mm": tangential,
         "sagittal_focus_mm": sagittal,
         "lateral_colour_um": 1e3 * (ends[:, 1] - ends[:, 0]),
@@ -276,14 +278,15 @@ def ray_spreads(
     lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, frequency_lp_per_mm: Array
 ) -> tuple[list[Array], Array]:
     """Return PSFs of rays, as `point_spreads` does, and MTFs (F, 2, n): those of the rays times the limit of diffraction."""
-    grid = np.linspace(-1, 1, GRID)
+    rays = GRID**2 * field_deg.size * wavelength_nm.size * len(lens.prescription.surfaces)
+    grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(MOST_TRACED / rays))))
     x, y = (part[np.hypot(*np.meshgrid(grid, grid)) <= 1] for part in np.meshgrid(grid, grid))
     f_number = lens.first_order(lens.primary_nm).f_number
     limit = np.mean([diffraction_otf(frequency_lp_per_mm, float(nm), f_number) for nm in wavelength_nm], axis=0)
     edges = (np.arange(MOST_SAMPLES + 2) - (MOST_SAMPLES + 1) / 2) * pitch_um
     psfs, mtf = [], []
     for angle in field_deg:
-        waves = lens.wavefront(angle, wavelength_nm, x, y)
+        waves = lens.wavefront(angle, wavelength_nm, x, y, RAYS_AIMED)
         seen = waves.passed & np.isfinite(waves.opd_waves)
         off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, lens.primary_nm).height_mm
         across, along = 1e3 * waves.x_mm[seen], 1e3 * (waves.y_mm + off)[seen]
@@ -765,7 +768,7 @@ def chosen_lens(
     if f_number is not None:
         lens = lens.stopped_down(f_number)
     if field_deg is not None:
-        lens = replace(lens, max_field_deg=field_deg)
+        lens = lens.with_same_rays(max_field_deg=field_deg)
     if refocus is not None or object_distance_m is not None:
         distance = lens.object_distance_mm if object_distance_m is None else 1e3 * object_distance_m
         lens = lens.refocused(refocus or "axis", distance)  # type: ignore[arg-type]

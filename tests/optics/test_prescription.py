@@ -381,9 +381,8 @@ def test_all_unknown_glasses_are_named_at_once(tmp_path: Path) -> None:
     lines = str(raised.value).splitlines()
     assert "got 3 surfaces of unknown glass" in lines[0]
     assert "lens.glass_catalogues" in lines[0]
-    assert [re.findall(r"unknown glass '(\w+)'.*write GLAS ___BLANK 1 0 (1\.5\d+)", line)[0][0] for line in lines[1:]] == [
-        "OLD1", "OLD1", "OLD2"
-    ]  # fmt: skip
+    found = [re.findall(r"unknown glass '(\w+)'.*write GLAS ___BLANK 1 0 1\.5\d+", line) for line in lines[1:]]
+    assert found == [["OLD1"], ["OLD1"], ["OLD2"]]
     inline = TOML.replace('"HIKARI:SK16"', '"OLD1"').replace('"SCHOTT:F2"', '"OLD2"')
     with pytest.raises(pixsim.PixsimError, match=r"got \d surfaces whose glass is not known") as raised:
         load(tmp_path, inline, "lens.toml")
