@@ -487,7 +487,6 @@ UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "INCHES": 25.4, "M"
 STEP = {"STANDARD": 0, "EVENASPH": 2, "ODDASPHE": 1, "XASPHERE": 2, "XOSPHERE": 1}  # of the powers of r of an asphere's terms
 EXTENDED = ("XASPHERE", "XOSPHERE")  # terms in XDAT: their number, the radius that r is taken over, and the terms
 NULL = "COORDBRK"  # a coordinate break, which changes nothing if its numbers are 0
-TILTS = 5  # PARM 1 to 5 of a coordinate break: two decentres and three tilts
 GRADIENTS = ("GRIN", "GRADIUM", "GRADIENT")
 TRACED = f"{', '.join(STEP)}, and {NULL} of zeros"
 HOW_TRACED = "pixsim traces centred spheres, conics and aspheres of powers of r."
@@ -856,61 +855,64 @@ def _check_traced(path: Path, blocks: Sequence[_Block]) -> None:
     found: list[tuple[str, str, str, str]] = []
     medium = ""
     for block in blocks:
-        found += [(block.place(path), *each) for each in _untraced(block, block.place(path), medium)]
+        where = block.place(path)
+        found += [(f"{where}{at}", got, expected, hint) for at, got, expected, hint in _untraced(block, where, medium)]
         medium = _glass_name(block) if _kind(block) != NULL else medium
     if len(found) == 1:
         where, got, expected, hint = found[0]
         raise invalid(where, got, expected, hint)
     if found:
-        where = f"'{path}': {len(found)} surfaces or parts of them"
-        got = "; ".join(f"{each.partition(', ')[2]}: {what}" for each, what, _, _ in found)
-        raise invalid(where, got, "; ".join(dict.fromkeys(expected for _, _, expected, _ in found)), HOW_TRACED)
+        got = "; ".join(f"{where.partition(', ')[2]}: {what}" for where, what, _, _ in found)
+        expected = "; ".join(dict.fromkeys(expected for _, _, expected, _ in found))
+        raise invalid(f"'{path}': {len(found)} surfaces or parts of them", got, expected, HOW_TRACED)
 
 
 def _glass_name(block: _Block) -> str:
     return next((line.words[0].upper() for line in block.all("GLAS") if line.words and line.words[0].upper() != "AIR"), "")
 
 
-def _untraced(block: _Block, where: str, medium: str) -> Iterator[tuple[str, str, str]]:
-    """Yield what of a surface is not traced, what is allowed, and a hint.
+def _untraced(block: _Block, where: str, medium: str) -> Iterator[tuple[str, str, str, str]]:
+    """Yield what of a surface is not traced: its line, what it is, what is allowed, and a hint.
 
     medium : name of the glass in front of it
     """
     kind = _kind(block)
     if kind == NULL:
-        moved = [term.words for term in block.all("PARM") if 1 <= _zmx_number(where, term) <= TILTS and _zmx_number(where, term, 1)]
-        curved = (line := block.first("CURV")) is not None and _zmx_number(where, line)
-        if curved or _glass_name(block) not in ("", medium):
-            yield f"{NULL} with a curvature or a glass of its own", TRACED, HOW_TRACED
+        names = ("decentre x", "decentre y", "tilt x", "tilt y", "tilt z")
+        terms = [(_zmx_number(where, term), _zmx_number(where, term, 1)) for term in block.all("PARM")]
+        moved = [f"{names[int(number) - 1]} {value:g}" for number, value in terms if 1 <= number <= len(names) and value]
+        if (line := block.first("CURV")) and _zmx_number(where, line):
+            moved.append("with a curvature")
+        if _glass_name(block) not in ("", medium):
+            moved.append("with a glass of its own")
         if moved:
-            names = ("decentre x", "decentre y", "tilt x", "tilt y", "tilt z")
-            what = ", ".join(f"{names[int(float(words[0])) - 1]} {float(words[1]):g}" for words in moved)
-            yield f"{NULL}, a tilted or decentred axis ({what})", TRACED, HOW_TRACED
+            yield "", f"{NULL}, a tilted or decentred axis ({', '.join(moved)})", TRACED, HOW_TRACED
     elif kind not in STEP:
         what = ", a gradient index" if kind.startswith(GRADIENTS) else ""
-        yield f"the surface type {one_line(kind)}{what}", TRACED, HOW_TRACED
+        yield "", f"the surface type {one_line(kind)}{what}", TRACED, HOW_TRACED
     for glass in block.all("GLAS"):
         if glass.words and glass.words[0].upper() == "MIRROR":
-            yield f"line {glass.number}: GLAS 'MIRROR', a mirror", "refracting surfaces: pixsim traces no mirrors", ""
+            expected = "refracting surfaces: pixsim traces no mirrors"
+            yield f", line {glass.number}: GLAS", f"'{one_line(glass.words[0])}', a mirror", expected, ""
     if any(line.words[:1] not in ([], ["0"]) for line in block.all("IGNR")):
-        yield "a surface that Zemax ignores (IGNR)", "surfaces in use", "Delete it in the lens data editor."
+        yield "", "a surface that Zemax ignores (IGNR)", "surfaces in use", "Delete it in the lens data editor."
     for tilt in block.all("SCBD"):
         if any(_is_number(word) and float(word) for word in tilt.words[1:]):
-            yield f"line {tilt.number}: a tilted or decentred surface (SCBD)", "surfaces on the axis", ""
+            yield f", line {tilt.number}", "a tilted or decentred surface (SCBD)", "surfaces on the axis", ""
     for other in block.all(*OTHER_APERTURES):
-        what = f"line {other.number}: {other.keyword}, a {OTHER_APERTURES[other.keyword]}"
-        yield what, "discs: CLAP or FLAP", ""
+        yield f", line {other.number}", f"{other.keyword}, a {OTHER_APERTURES[other.keyword]}", "discs: CLAP or FLAP", ""
     for decentre in block.all("OBDC"):
         if any(_zmx_number(where, decentre, place, 0.0) for place in (0, 1)):
-            yield f"line {decentre.number}: a decentred aperture (OBDC)", "apertures on the axis", ""
+            yield f", line {decentre.number}", "a decentred aperture (OBDC)", "apertures on the axis", ""
     for aperture in block.all("CLAP", "FLAP"):
         if _zmx_number(where, aperture, 0, 0.0):
-            yield f"line {aperture.number}: {aperture.keyword} with a hole inside", "full discs, from radius 0", ""
-    terms, extra = ([term for term in block.all(name) if _zmx_number(where, term, 1, 0.0)] for name in ("PARM", "XDAT"))
-    if kind in EXTENDED and (terms or not extra):
-        got = f"{kind} {'with terms in both PARM and XDAT' if extra else 'without XDAT'}, which programs read in several ways"
-        expected = "XDAT 1 with the number of terms, 2 with the radius, and the terms from 3 on"
-        yield got, expected, "Save the lens again in OpticStudio."
+            yield f", line {aperture.number}", f"{aperture.keyword} with a hole inside", "full discs, from radius 0", ""
+    if kind in EXTENDED:
+        stated, extra = ([term for term in block.all(name) if _zmx_number(where, term, 1, 0.0)] for name in ("PARM", "XDAT"))
+        if stated or not extra:
+            got = f"{kind} {'with terms in both PARM and XDAT' if extra else 'without XDAT'}, which programs read in several ways"
+            expected = "XDAT 1 with the number of terms, 2 with the radius, and the terms from 3 on"
+            yield "", got, expected, "Save the lens again in OpticStudio."
 
 
 def _is_number(word: str) -> bool:

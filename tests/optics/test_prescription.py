@@ -183,12 +183,12 @@ def test_missing_stop_of_toml_is_named(tmp_path: Path) -> None:
 
 WRONG_ZMX = {
     "  STOP\n|": "stop of .*: got no surface",
-    "GLAS N-BAK1 0|GLAS MIRROR 0": r"surface 2 \(line 75\): got line 82: GLAS 'MIRROR', a mirror",
+    "GLAS N-BAK1 0|GLAS MIRROR 0": r"surface 2 \(line 75\), line 82: GLAS: got 'MIRROR', a mirror",
     "GLAS N-BAK1 0|GLAS N-BAK1_MOLD 0": r"surface 2 \(line 75\), line 82: GLAS: got the unknown glass 'N-BAK1_MOLD'",
     "GLAS N-BAK1 0|GLAS J-LAK14 0": r"not in the catalogues that the file names \(SCHOTT\)",
     "GLAS N-BAK1 0 0 1.572500121386|GLAS ___BLANK 1 0 x": "GLAS: got 'x'; allowed: a finite number",
     "TYPE STANDARD\n  CURV 7.0|TYPE GRINSUR1\n  CURV 7.0": r"surface 2 \(line 75\): got .* GRINSUR1, a gradient index",
-    "TYPE STANDARD\n  CURV 7.0|TYPE COORDBRK\n  CURV 7.0": "COORDBRK with a curvature or a glass of its own",
+    "TYPE STANDARD\n  CURV 7.0|TYPE COORDBRK\n  CURV 7.0": r"COORDBRK, a tilted or decentred axis \(with a curvature, with a glass",
     "SURF 0\n  TYPE STANDARD|SURF 0\n  TYPE EVENASPH": "surface 0 .*: got an object of the type EVENASPH",
     "SURF 1\n  TYPE STANDARD|SURF 1\n  TYPE COORDBRK\n  PARM 3 2.5": r"COORDBRK, a tilted or decentred axis \(tilt x 2.5\)",
     "TYPE STANDARD\n  CURV 7.0|TYPE XPOLYNOM\n  CURV 7.0": "the surface type XPOLYNOM",
@@ -383,7 +383,7 @@ def test_all_unknown_glasses_are_named_at_once(tmp_path: Path) -> None:
     assert "lens.glass_catalogues" in lines[0]
     found = [re.findall(r"unknown glass '(\w+)'.*write GLAS ___BLANK 1 0 1\.5\d+", line) for line in lines[1:]]
     assert found == [["OLD1"], ["OLD1"], ["OLD2"]]
-    inline = TOML.replace('"HIKARI:SK16"', '"OLD1"').replace('"SCHOTT:F2"', '"OLD2"')
+    inline = TOML.replace('glass = "HIKARI:SK16"', 'glass = "OLD1"').replace('glass = "SCHOTT:F2"', 'glass = "OLD2"')
     with pytest.raises(pixsim.PixsimError, match=r"got \d surfaces whose glass is not known") as raised:
         load(tmp_path, inline, "lens.toml")
     assert {"OLD1", "OLD2"} <= set(re.findall(r"'(OLD\d)'", str(raised.value)))
