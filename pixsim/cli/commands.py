@@ -606,7 +606,10 @@ def lens(
     vignetting_factors: Annotated[str | None, field_option(LensOptions, "vignetting_factors")] = None,
     glass_catalogues: Annotated[
         list[str] | None,
-        Parameter(help="A glass catalogue of yours as Zemax has it, as my.agf, before pixsim's table; give it once for each."),
+        Parameter(
+            help="A glass catalogue of yours as Zemax has it, as my.agf, before pixsim's table; give it once for each.",
+            metavar="FILE",
+        ),
     ] = None,
     unknown_glass: Annotated[str | None, field_option(LensOptions, "unknown_glass")] = None,
     out: Out = None,

@@ -362,7 +362,10 @@ class Lens:
     vignetting: tuple[tuple[float, float, float, float], ...] = field(default=(), repr=False)
 
     def with_same_rays(self, **changes: Any) -> Lens:
-        """Return the lens with other fields or other light stopped, which keeps what is known of the way of its rays."""
+        """Return the lens with other fields or other light stopped, which keeps what is known of the way of its rays.
+
+        changes : fields of the lens: `max_field_deg`, `vignetting`, or a `prescription` whose surfaces stop other rays
+        """
         changed = replace(self, **changes)
         for known in ("_chief_heights", "_aims", "_known_indices", "stop_semi_diameter_mm"):
             vars(changed)[known] = getattr(self, known)
@@ -736,7 +739,7 @@ class Lens:
 
         field_deg, wavelength_nm : broadcast together, then in one line, (C,)
         stop_x, stop_y : over the stop's radius, broadcast together, then in one line, (P,)
-        aimed : distance in which rays meet their points, over the stop's radius, at most; a larger one takes less time
+        aimed : ratio of the distance in which rays meet their points, at most, to the stop's radius; a larger one takes less time
 
         Raises PixsimError if a chief ray does not reach the image.
         """
