@@ -29,6 +29,7 @@ from pixsim.base.parameters import (
     Spread,
     Study,
     as_chief_ray_angles,
+    as_file_names,
     as_quantum_efficiency,
     explain,
     is_case_name,
@@ -158,7 +159,7 @@ def settings_layer(path: Path) -> Layer:
     lens = table.get("lens")
     if isinstance(lens, dict) and "file" in lens:
         named: dict[str, Any] = {"file": resolve_file(path, lens["file"])}
-        if isinstance(catalogues := lens.get("glass_catalogues"), list):
+        if isinstance(catalogues := as_file_names(lens.get("glass_catalogues")), list):
             named["glass_catalogues"] = [resolve_file(path, name) for name in catalogues]
         table = {**table, "lens": lens | named}
     scene = table.get("scene")

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
 MAX_WAVELENGTHS = 24  # of `lens`, as in design programs
+MANY_TO_TRACE = 150  # surfaces times wavelengths of a lens, which take more than about 5 s
 SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
 
 
@@ -649,8 +650,10 @@ def lens(
         chosen = chosen_lens(own, focal_length_mm, f_number, field_deg, refocus, object_distance_m)
     folder = out or DEFAULT_OUT / f"lens-{Path(file).stem}"
     check_replaceable(folder, FILES)
+    surfaces, wavelengths = len(chosen.prescription.surfaces), len(wavelength_nm or chosen.prescription.wavelengths_nm)
+    of_many = f" {surfaces} surfaces at {wavelengths} wavelengths" if surfaces * wavelengths > MANY_TO_TRACE else ""
     with stages() as stage:
-        stage("trace")
+        stage(f"trace{of_many}")
         data = lens_data(chosen, wavelength_nm, pitch_um, notes)
         stage("report")
         report = write_lens(data, folder)

@@ -49,6 +49,7 @@ OUTLINE_STEPS, OUTLINE_REACH = (0.7, 0.85, 1.0, 1.15), 10.0  # of the distance t
 MIDDLE_STEPS = 3  # each finds a 20th of the one before: slivers of 1e-4 of a pupil
 SMOOTH_SPOKES = 64  # where only the stop cuts; 1e-6 of the area
 MAX_SPOKES = 4096
+QUICK_STEPS, QUICK_VALUE = 5, 1e-5  # times the step between edges, and of the width at an edge
 ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = 60, 1e-12, 1e-11  # of edges in direction cosines, and of field angles in degrees
 STEEPEST_DEG, FIELDS_TRIED = 89.0, 179
 WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
@@ -326,7 +327,7 @@ def _notes_of_stopped_light(lens: Lens) -> tuple[str, ...]:
 def _light(lens: Lens) -> tuple[Array, Array]:
     """Return fields from the axis to the largest, and the light there as an area of directions."""
     fields = np.linspace(0.0, lens.max_field_deg, TOLD_FIELDS + 1 if lens.max_field_deg else 1)
-    return fields, lens._outline(fields, np.full(fields.size, lens.primary_nm), SMOOTH_SPOKES).area
+    return fields, lens._outline(fields, np.full(fields.size, lens.primary_nm), SMOOTH_SPOKES, quick=True).area
 
 
 def _light_words(fields: Array, own: Array, changed: Array) -> str:
@@ -579,7 +580,15 @@ class Lens:
         return list(terms)
 
     def _solved(
-        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, across: Array, along: Array, inverse: Array
+        self,
+        field_deg: Array,
+        wavelength_nm: Array,
+        x: Array,
+        y: Array,
+        across: Array,
+        along: Array,
+        inverse: Array,
+        aimed: float = AIMED,
     ) -> tuple[Array, Array]:
         """Return points of the entrance pupil (C, P) in mm whose rays meet points (P,) of the stop; NaN if there are none.
 
@@ -594,7 +603,7 @@ class Lens:
 
         error = misses(across, along)
         for _ in range(AIM_STEPS):
-            moving = np.abs(error).max(axis=-1) > AIMED / 10
+            moving = np.abs(error).max(axis=-1) > aimed / 10
             if not moving.any():
                 break
             step = np.where(moving[..., None], -(inverse * error[..., None, :]).sum(axis=-1), 0.0)
@@ -607,7 +616,7 @@ class Lens:
             usable = moving & np.isfinite(update).all(axis=(-1, -2))
             inverse = inverse + np.where(usable[..., None, None], update, 0.0)
             error = after
-        lost = ~(np.abs(error).max(axis=-1) <= AIMED)
+        lost = ~(np.abs(error).max(axis=-1) <= aimed)
         return np.where(lost, np.nan, across), np.where(lost, np.nan, along)
 
     # Real rays -----------------------------------------------------------------------------------------------------------
@@ -773,7 +782,7 @@ class Lens:
             for by, slopes in enumerate(_slopes(x, y)):
                 for axis, basis in enumerate(slopes):
                     inverse[..., axis, by] = _polynomials(terms[..., axis], basis)
-            solved = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse)
+            solved = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse, aimed)
             across, along = (np.where(off <= aimed, kept, new) for kept, new in zip((across, along), solved, strict=True))
             rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         return self._wavefront_of(rays, at_x, at_y, chief, field_deg, wavelength_nm)
@@ -864,7 +873,8 @@ class Lens:
         _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
         return self._outline(fields, wavelengths, spokes)
 
-    def _outline(self, field_deg: Array, wavelength_nm: Array, spokes: int) -> Outline:
+    def _outline(self, field_deg: Array, wavelength_nm: Array, spokes: int, quick: bool = False) -> Outline:
+        """Return `outline`; a quick one, for notes, is within 1e-5 where no edge lies behind another."""
         chief = self._chief(field_deg, wavelength_nm)
         height, chief_cosine = chief.y[:, 0], chief.m[:, 0]
         angle = (np.arange(spokes // 2) + 0.5) * (2 * np.pi / spokes) - np.pi / 2  # the half with x > 0
@@ -887,14 +897,15 @@ class Lens:
         edge = np.where((edge > near) & (edge < horizon), edge, near)
         high = OUTLINE_STEPS[0] * edge
         above = excess(high)
-        for share in (*OUTLINE_STEPS[1:], *np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, OUTLINE_STEPS[-1] - OUTLINE_STEPS[-2])[1:]):
+        further = (QUICK_STEPS if quick else 1) * (OUTLINE_STEPS[-1] - OUTLINE_STEPS[-2])
+        for share in (*OUTLINE_STEPS[1:], *np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, further)[1:]):
             inside = (above <= 0) & (high < horizon)
             if not inside.any():
                 break
             low, below = np.where(inside, high, low), np.where(inside, above, below)
             high = np.where(inside, np.minimum(horizon, share * edge), high)
             above = np.where(inside, excess(high), above)
-        radius = np.where(dark[:, None], 0.0, _root(excess, low, below, high, above))
+        radius = np.where(dark[:, None], 0.0, _root(excess, low, below, high, above, QUICK_VALUE if quick else ROOT_VALUE))
         both = np.concatenate([radius, radius[:, ::-1]], axis=1)  # the mirror image: x < 0, from +y back to -y
         return Outline(np.stack([np.zeros_like(centre), centre], axis=-1), both, chief_cosine)
 
@@ -1212,15 +1223,18 @@ class Outline:
         return np.asarray(np.square(self.radius).mean(axis=1) * np.pi)
 
 
-def _root(function: Callable[[Array], Array], low: Array, below: Array, high: Array, above: Array) -> Array:
+def _root(
+    function: Callable[[Array], Array], low: Array, below: Array, high: Array, above: Array, enough: float = ROOT_VALUE
+) -> Array:
     """Return roots (...) of a function: regula falsi of Illinois; halving where it is infinite.
 
     low, high : brackets; where there is no sign change, an end of the last bracket is returned
     below, above : values there, at most 0 and above 0
+    enough : size of a value that is taken for 0
     """
     side, at, value = np.zeros(low.shape), low, below
     for _ in range(ROOT_STEPS):
-        going = (high - low > ROOT_WIDTH) & (np.abs(value) > ROOT_VALUE)
+        going = (high - low > ROOT_WIDTH) & (np.abs(value) > enough)
         if not going.any():
             break
         with np.errstate(all="ignore"):

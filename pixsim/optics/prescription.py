@@ -497,7 +497,7 @@ OTHER_APERTURES = {
     **dict.fromkeys(("UDAP", "UDAD", "USAP"), "user aperture"),
 }  # fmt: skip
 FIELD_KINDS: dict[int, FieldOfView] = {0: "angle_deg", 1: "object_height", 2: "paraxial_image_height", 3: "real_image_height"}
-MOST_FIELDS = 12
+USUAL_FIELDS, MOST_FIELDS = 12, 200  # of older files, in which the places of unused ones are filled up, and of any
 FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")  # of vignetting: decentres, compressions, angle
 FAR = 1e10  # where an object is at infinity, as OpticStudio takes it
 HOW_TO_GIVE_ZMX = "Or give n_d and V_d in its line: GLAS ___BLANK 1 0 1.5168 64.17."
@@ -940,7 +940,7 @@ def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> S
         if beyond := [number for number in terms if number > count]:
             where = where.partition(", ")[2]
             notes.append(f"{where}: XDAT 1 states {count} terms; {len(beyond)} beyond are not used, as in OpticStudio")
-        asphere = [(step * number, value / radius ** (step * number)) for number, value in terms.items() if number <= count]
+        asphere = [(step * number, _over_power(value, radius, step * number)) for number, value in terms.items() if number <= count]
     elif step:
         for term in block.all("PARM"):
             index, value = _zmx_number(where, term), _zmx_number(where, term, 1)
@@ -951,6 +951,14 @@ def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> S
     for aperture in apertures:
         semi = _zmx_number(where, aperture, 1, semi)
     return Surface(curvature, thickness, glass, conic, tuple(sorted(asphere)), semi or None, bool(apertures and semi))
+
+
+def _over_power(value: float, radius: float, power: int) -> float:
+    """Return value/radius^power, infinite where that is too large."""
+    try:
+        return value * radius**-power
+    except (OverflowError, ZeroDivisionError):
+        return math.inf
 
 
 def _fixed(blocks: Sequence[_Block], surfaces: Sequence[Surface], stop: int) -> tuple[int, ...]:
@@ -1064,16 +1072,17 @@ def _zmx_fields(path: Path, head: _Block) -> tuple[int, list[tuple[float, float]
     where, line = f"'{path}'", head.first("FTYP")
     kind = int(_zmx_number(where, line, 0, 0.0)) if line else 0
     # Behind the first numbers are those of fields that are not in use.
-    count = int(_zmx_number(where, line, 2, MOST_FIELDS)) if line else MOST_FIELDS
+    count = int(_zmx_number(where, line, 2, USUAL_FIELDS)) if line else USUAL_FIELDS
     values = [_list(path, head, *names) for names in (("XFLN", "XFLD"), ("YFLN", "YFLD"))]
     return kind, list(zip(*values, strict=True))[: min(max(count, 0), MOST_FIELDS)], line
 
 
 def _list(path: Path, head: _Block, keyword: str, older: str = "") -> list[float]:
-    """Return `MOST_FIELDS` numbers of a list in the head."""
+    """Return `MOST_FIELDS` numbers of a list in the head; 0 behind its end."""
     found = head.first(keyword) or (head.first(older) if older else None)
-    values = [_zmx_number(f"'{path}'", found, place) for place in range(len(found.words))] if found else []
-    return [*values, *([0.0] * MOST_FIELDS)][:MOST_FIELDS]
+    places = range(min(len(found.words), MOST_FIELDS)) if found else ()
+    values = [_zmx_number(f"'{path}'", found, place) for place in places if found]
+    return [*values, *([0.0] * (MOST_FIELDS - len(values)))]
 
 
 def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldOfView, float]:

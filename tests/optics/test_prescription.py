@@ -475,10 +475,15 @@ def test_extended_odd_asphere_is_the_odd_one(tmp_path: Path) -> None:
         ("XDAT|XDUT", "XASPHERE without XDAT, which programs read in several ways"),
         ("  XDAT 1 3|  PARM 2 2.5E-06\n  XDAT 1 3", "XASPHERE with terms in both PARM and XDAT"),
         ("XDAT 2 1 |XDAT 2 0 ", "XDAT 2, the radius that r is taken over: got 0"),
+        ("XDAT 2 1 |XDAT 2 1e-200 ", "A4 = inf; allowed: finite terms"),
+        ("XDAT 2 1 |XDAT 2 1e200 ", None),
     ],
 )
-def test_extended_asphere_that_programs_read_in_several_ways_is_refused(tmp_path: Path, change: str, message: str) -> None:
+def test_extended_asphere_that_programs_read_in_several_ways_is_refused(tmp_path: Path, change: str, message: str | None) -> None:
     old, _, new = change.partition("|")
+    if message is None:  # terms that are nothing
+        same(load(tmp_path, (WILD / "xas.zmx").read_text().replace(old, new)), wild("air.zmx"), 10.0)
+        return
     with pytest.raises(pixsim.PixsimError, match=message):
         load(tmp_path, (WILD / "xas.zmx").read_text().replace(old, new))
 
@@ -679,6 +684,13 @@ def test_solved_thicknesses_follow_the_configuration(tmp_path: Path) -> None:
 def finite(field: str = "FTYP 0 0 3 1 0 0 0", aperture: str = "FNUM 4 0", distance: str = "150") -> str:
     text = AIR.replace("DISZ INFINITY", f"DISZ {distance}").replace("FTYP 0 0 3 1 0 0 0", field).replace("FNUM 4 0", aperture)
     return text.replace("DISZ 46.5", "DISZ 70")
+
+
+def test_more_than_twelve_fields_are_read(tmp_path: Path) -> None:
+    many = AIR.replace("FTYP 0 0 3 1", "FTYP 0 0 14 1").replace(
+        "YFLN 0 7 10 0 0 0 0 0 0 0 0 0", f"YFLN {' '.join(map(str, range(14)))}"
+    )
+    assert load(tmp_path, many).max_field_deg == 13.0
 
 
 def test_object_heights_are_read(tmp_path: Path) -> None:
