@@ -29,12 +29,14 @@ from pixsim.base.parameters import (
     Spread,
     Study,
     as_chief_ray_angles,
+    as_file_names,
     as_quantum_efficiency,
     explain,
     is_case_name,
     merge,
     missing_of_data_sheet,
     nested,
+    replaced_by_lens,
     setting_path,
 )
 from pixsim.base.schema import KEY, SCHEMA, check_not_newer, of_another
@@ -110,7 +112,15 @@ def packaged(folder: str) -> Mapping[str, Path]:
 
 
 def checked(record: type[BaseModel], layers: Sequence[Layer]) -> Any:
-    """Merge layers and validate the record. Raises PixsimError that lists every problem with the file that it comes from."""
+    """Merge layers and validate the record. Raises PixsimError that lists every problem with the file that it comes from.
+
+    Warns of what a file states of a thin lens if a later layer names a real one.
+    """
+    for index, layer in enumerate(layers):
+        replaced = dict.fromkeys(name for later in layers[index + 1 :] for name in replaced_by_lens(layer.table, later.table))
+        if replaced and layer.source:
+            stated = ", ".join(f"camera.{name}" for name in replaced)
+            warn(f"{stated} of {layer.source} is not used: the real lens, lens.file, has its own")
     try:
         return record.model_validate(merged(layers))
     except ValidationError as error:
@@ -148,7 +158,10 @@ def settings_layer(path: Path) -> Layer:
         table = {**table, "camera": camera | {"chief_ray_angle": resolve_file(path, camera["chief_ray_angle"])}}
     lens = table.get("lens")
     if isinstance(lens, dict) and "file" in lens:
-        table = {**table, "lens": lens | {"file": resolve_file(path, lens["file"])}}
+        named: dict[str, Any] = {"file": resolve_file(path, lens["file"])}
+        if isinstance(catalogues := as_file_names(lens.get("glass_catalogues")), list):
+            named["glass_catalogues"] = [resolve_file(path, name) for name in catalogues]
+        table = {**table, "lens": lens | named}
     scene = table.get("scene")
     if isinstance(scene, dict) and "chart" in scene:
         table = {**table, "scene": scene | {"chart": resolve_file(path, scene["chart"])}}
@@ -395,6 +408,8 @@ def settings_text(record: Record, command: str, uncertainty: Uncertainty | None 
         condition["set"] = _without_files(condition["set"])
     if "file" in table.get("lens", {}):
         table["lens"]["file"] = whole_path(table["lens"]["file"])
+        if catalogues := table["lens"].get("glass_catalogues"):
+            table["lens"]["glass_catalogues"] = [whole_path(name) for name in catalogues]
     if "technologies" in table:
         table["technologies"] = [whole_path(name) for name in table["technologies"]]
     for by_name in ("process", "sensors"):

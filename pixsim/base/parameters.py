@@ -665,9 +665,27 @@ RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
 }
 
 
+OF_THIN_LENS = ("focal_length_mm", "chief_ray_angle")  # of [camera], which a real lens has itself
+
+
+def replaced_by_lens(base: dict[str, Any], over: dict[str, Any]) -> list[str]:
+    """Return the fields of [camera] in `base` that a real lens in `over` replaces."""
+    lens, camera, own = over.get("lens"), base.get("camera"), over.get("camera")
+    if not (isinstance(lens, dict) and lens.get("file") and isinstance(camera, dict)):
+        return []
+    return [
+        name for name in OF_THIN_LENS if camera.get(name) is not None and not (isinstance(own, dict) and own.get(name) is not None)
+    ]
+
+
 def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Merge nested tables; values of `over` replace those of `base`, in [pixel] under whatever word the base states them."""
+    """Merge nested tables; values of `over` replace those of `base`, in [pixel] under whatever word the base states them.
+
+    A real lens replaces the focal length and the chief rays of `base` too.
+    """
     merged = dict(base)
+    if replaced := replaced_by_lens(base, over):
+        merged["camera"] = {name: value for name, value in base["camera"].items() if name not in replaced}
     for key, value in over.items():
         old = merged.get(key)
         if isinstance(old, dict) and isinstance(value, dict) and key not in RESPONSES:
@@ -1207,6 +1225,15 @@ FASTEST_WORKING_F_NUMBER = 0.5
 CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
 
 
+def as_file_names(value: Any) -> Any:
+    """Names of files, from a list or from text with commas, as an option has it."""
+    return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
+
+
+# How a lens's file is read, where it leaves a choice.
+READING = ("configuration", "semi_diameters", "vignetting_factors", "glass_catalogues", "unknown_glass")
+
+
 class LensOptions(Record):
     """A real lens, traced from its prescription, in place of the thin lens of the camera."""
 
@@ -1224,11 +1251,29 @@ class LensOptions(Record):
     ideal: Literal["distorted", "undistorted"] = Field(
         "distorted", description="ideal image: 'distorted' as the lens does at one wavelength, or 'undistorted'"
     )
+    configuration: Annotated[int, Field(ge=1)] | None = Field(
+        None, description="configuration of a .zmx file, from 1: a focal length of a zoom, or a focus (absent: the active one)"
+    )
+    semi_diameters: Literal["ignore", "clip"] = Field(
+        "ignore",
+        description="semi-diameters that a .zmx file fixes without an aperture: 'ignore', or 'clip' rays at refracting surfaces",
+    )
+    vignetting_factors: Literal["use", "ignore"] | None = Field(
+        None, description="vignetting factors of a .zmx file: 'use' or 'ignore' (absent: use, unless apertures stop rays)"
+    )
+    glass_catalogues: Annotated[tuple[str, ...], BeforeValidator(as_file_names)] = Field(
+        (), description="glass catalogues of yours as Zemax has them, as my.agf; they go before pixsim's table"
+    )
+    unknown_glass: Literal["error", "model"] = Field(
+        "error", description="a glass that no catalogue has: an 'error', or the 'model' of the n_d and V_d that the file states"
+    )
 
     @model_serializer(mode="wrap")
     def _nothing_without_file(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without a real lens settings are written, and hashed, as if there were no such table."""
-        return {} if self.file is None else dict(handler(self))
+        """Without a real lens settings are written, and hashed, as if there were no such table; so are ways of reading unused."""
+        table = {} if self.file is None else dict(handler(self))
+        unused = {name for name in READING if getattr(self, name) == LensOptions.model_fields[name].default}
+        return {name: value for name, value in table.items() if name not in unused}
 
     @model_validator(mode="after")
     def _has_a_file(self) -> Self:

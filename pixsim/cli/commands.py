@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from cyclopts import Parameter
 
 from pixsim.base.caller import command_line
-from pixsim.base.config import read_toml, study_layers
+from pixsim.base.config import checked, read_toml, study_layers
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes
-from pixsim.base.parameters import Run
+from pixsim.base.parameters import Layer, LensOptions, Run
 from pixsim.cli import options as common
-from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, given, say, show, stages
+from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, field_option, given, say, show, stages
 from pixsim.cli.process import interruption
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
 MAX_WAVELENGTHS = 24  # of `lens`, as in design programs
+MANY_TO_TRACE = 150  # surfaces times wavelengths of a lens, which take more than about 5 s
 SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
 
 
@@ -603,6 +604,17 @@ def lens(
         Parameter(help="Wavelengths of equal weight, as --wavelength-nm 450 --wavelength-nm 550 [default: the file's]."),
     ] = None,
     pitch_um: Annotated[float | None, Parameter(help="Pixel pitch, whose Nyquist frequency joins 10, 30 and 60 lp/mm.")] = None,
+    configuration: Annotated[str | None, field_option(LensOptions, "configuration")] = None,
+    semi_diameters: Annotated[str | None, field_option(LensOptions, "semi_diameters")] = None,
+    vignetting_factors: Annotated[str | None, field_option(LensOptions, "vignetting_factors")] = None,
+    glass_catalogues: Annotated[
+        list[str] | None,
+        Parameter(
+            help="A glass catalogue of yours as Zemax has it, as my.agf, before pixsim's table; give it once for each.",
+            metavar="FILE",
+        ),
+    ] = None,
+    unknown_glass: Annotated[str | None, field_option(LensOptions, "unknown_glass")] = None,
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -614,11 +626,11 @@ def lens(
 
     Example: pixsim lens my_lens.zmx --focal-length-mm 4.2 --f-number 2.8 --refocus field
 
-    The lens is as in its file, with the object at infinity, unless the options change it. Writes report.html, summary.json and
+    The lens is as in its file unless the options change it. Writes report.html, summary.json and
     figures/*.svg and *.csv.
     """
     import_less()
-    from pixsim.optics.lens import load_lens
+    from pixsim.optics.lens import read_lens
     from pixsim.report.lens import FILES, chosen_lens, lens_data, lens_lines, write_lens
 
     positive = [("--focal-length-mm", focal_length_mm), ("--f-number", f_number), ("--object-distance-m", object_distance_m)]
@@ -629,12 +641,22 @@ def lens(
         raise invalid("--wavelength-nm", f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}")
     if field_deg is not None and not 0 <= field_deg < 90:
         raise invalid("--field-deg", f"{field_deg:g}", "0 to below 90 degrees")
-    chosen = chosen_lens(load_lens(file), focal_length_mm, f_number, field_deg, refocus, object_distance_m)
+    reading = given(
+        {
+            "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
+            "glass_catalogues": glass_catalogues, "unknown_glass": unknown_glass,
+        }
+    )  # fmt: skip
+    with collected_notes() as notes:
+        own = read_lens(file, checked(LensOptions, [Layer({"file": file, **reading})]))
+        chosen = chosen_lens(own, focal_length_mm, f_number, field_deg, refocus, object_distance_m)
     folder = out or DEFAULT_OUT / f"lens-{Path(file).stem}"
     check_replaceable(folder, FILES)
+    surfaces, wavelengths = len(chosen.prescription.surfaces), len(wavelength_nm or chosen.prescription.wavelengths_nm)
+    of_many = f" {surfaces} surfaces at {wavelengths} wavelengths" if surfaces * wavelengths > MANY_TO_TRACE else ""
     with stages() as stage:
-        stage("trace")
-        data = lens_data(chosen, wavelength_nm, pitch_um)
+        stage(f"trace{of_many}")
+        data = lens_data(chosen, wavelength_nm, pitch_um, notes)
         stage("report")
         report = write_lens(data, folder)
     show(data.as_dict(), json, "\n".join([*lens_lines(data), f"report: {report}"]))

@@ -33,7 +33,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "colour": {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5},
     "demosaic": "bilinear",
     "quantum_efficiency_includes": "microlens", "quantum_efficiency_f_number": 8.0, "quantum_efficiency_pitch_um": 1.4,
-    "white_cd_per_m2": 1000.0, "lens.file": "phone",
+    "white_cd_per_m2": 1000.0, "lens.file": "phone", "configuration": 1, "vignetting_factors": "use",
     "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],
     "sensors": {"my_sensor.toml": {"pitch_um": 3.75, "technology": "4t-bsi"}},
     "sources": {"pixel.bits": "data sheet, page 3"}, "quick": {"repeats": 4},

@@ -22,7 +22,7 @@ from pydantic import TypeAdapter, ValidationError
 from pixsim.base import cache
 from pixsim.base.arrays import WORTH_THREADS, Array, in_threads
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, TracedLens, content_hash
+from pixsim.base.parameters import READING, Camera, CameraOptions, LensOptions, TracedLens, content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.diffraction import white_otf
 from pixsim.optics.field_blur import (
@@ -44,7 +44,7 @@ from pixsim.optics.field_blur import (
     tiles_reach_um,
     transform_of,
 )
-from pixsim.optics.lens import Lens, load_lens
+from pixsim.optics.lens import Lens, read_lens
 from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.thin_lens import irradiance_factor
 
@@ -89,7 +89,7 @@ def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) 
         if getattr(given, name) is not None:
             raise invalid(f"camera.{name}", f"a value beside lens.file = '{chosen.file}'", "that of the lens", instead)
     file = str(Path(chosen.file).resolve()) if Path(chosen.file).is_file() else chosen.file
-    own = load_lens(file)
+    own = read_lens(file, chosen)
     field_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
     focal_mm, f_number = own.first_order(own.primary_nm).focal_length_mm, own.first_order(own.primary_nm).f_number
     if chosen.focal_length_mm is None:
@@ -104,7 +104,8 @@ def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) 
         ideal=chosen.ideal,
         f_number=float(f"{f_number:.9g}") if given.f_number is None else given.f_number,
         field_mm=field_mm,
-        content=content_hash(repr(own)),
+        content=content_hash(own.fingerprint),
+        **{name: getattr(chosen, name) for name in READING},
     )
     traced = traced_lens(lens, camera.object_distance_m)
     object_mm = 1e3 * camera.object_distance_m
@@ -140,8 +141,8 @@ def traced_lens(lens: TracedLens, object_distance_m: float) -> Lens:
 
     Raises PixsimError if its file is another than when the camera was made.
     """
-    own = load_lens(lens.file)
-    if content_hash(repr(own)) != lens.content:
+    own = read_lens(lens.file, lens)
+    if content_hash(own.fingerprint) != lens.content:
         raise invalid("lens.file", f"'{lens.file}', which has changed since this light was made", "the same prescription")
     scaled = own.scaled(lens.focal_length_mm / own.first_order(own.primary_nm).focal_length_mm)
     try:

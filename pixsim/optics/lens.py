@@ -15,9 +15,9 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, fields as dataclass_fields, replace
-from functools import cache, cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields as dataclass_fields, replace
+from functools import cache, cached_property, lru_cache
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -26,9 +26,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, in_threads
-from pixsim.base.errors import invalid
+from pixsim.base.config import checked
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.notes import warn
+from pixsim.base.parameters import Layer, LensOptions
 from pixsim.optics.glass import AIR, Glass
-from pixsim.optics.prescription import Prescription, read_prescription
+from pixsim.optics.prescription import Prescription, Vignetting, read_prescription
 from pixsim.optics.pupil import Directions
 from pixsim.optics.ray_trace import Rays, at_plane, met, paraxial, rays_from, refracted, trace, turned_round
 
@@ -43,12 +46,18 @@ BLOCK = 1 << 15  # rays at a time: with fewer, threads take longer to take turns
 SPOKES_OF_OUTLINE = 256  # of light at an image point: 1e-5 of the area if clear apertures cut corners
 OUTLINE_START = 0.1  # of 1/N, in direction cosines: a fifth of a pupil's half width
 OUTLINE_STEPS, OUTLINE_REACH = (0.7, 0.85, 1.0, 1.15), 10.0  # of the distance to the foretold edge
+MIDDLE_STEPS = 3  # each finds a 20th of the one before: slivers of 1e-4 of a pupil
 SMOOTH_SPOKES = 64  # where only the stop cuts; 1e-6 of the area
 MAX_SPOKES = 4096
+QUICK_STEPS, QUICK_VALUE = 5, 1e-5  # times the step between edges, and of the width at an edge
 ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = 60, 1e-12, 1e-11  # of edges in direction cosines, and of field angles in degrees
 STEEPEST_DEG, FIELDS_TRIED = 89.0, 179
 WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
 FOCUS_STEP_MM = 1e-3
+FAINTEST_F_NUMBER = 1000.0  # with an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding
+VIRTUAL = 0.01  # of the focal length: the image may lie as far in front of the last surface, as within a cover glass
+LIMIT_FIELDS, LIMIT_PER_DEG = 33, 10  # of the search for the largest field that can be traced, in tenths
+TOLD_FIELDS = 8  # from the axis to the largest, at which a note looks for light
 INSIDE = 1 + 1e-12  # of the stop's edge
 Bases = tuple[Array, Array]  # monomials odd in x, and those even in x
 
@@ -111,40 +120,226 @@ class Wavefront:
 
 
 @checks_arguments
-def load_lens(file: str | os.PathLike[str]) -> Lens:
+def load_lens(
+    file: str | os.PathLike[str],
+    configuration: int | None = None,
+    semi_diameters: Literal["ignore", "clip"] = "ignore",
+    vignetting_factors: Literal["use", "ignore"] | None = None,
+    glass_catalogues: Sequence[str | os.PathLike[str]] = (),
+    unknown_glass: Literal["error", "model"] = "error",
+) -> Lens:
     """Load a lens: a packaged one by its name (cooke_triplet, double_gauss, phone, singlet), or a `.toml` or `.zmx` file.
 
-    The lens is as the file has it: the object at infinity, the file's image plane and scale.
+    The lens is as the file has it: its object, image plane and scale. Where a file leaves a choice, a warning says which was made.
 
     file : name or path
+    configuration : of a .zmx file, from 1; the active one by default
+    semi_diameters : whether those that a .zmx file fixes without an aperture "clip" rays at refracting surfaces
+    vignetting_factors : of a .zmx file, "use" or "ignore"; by default they are used unless apertures stop rays
+    glass_catalogues : AGF files, which go before the packaged glasses
+    unknown_glass : "model" takes the n_d and V_d that the file states for a glass that no catalogue has
 
     Raises PixsimError for a file that is missing, damaged or binary, and for what pixsim does not trace, as an unknown glass.
 
     >>> round(float(load_lens("cooke_triplet").first_order(550.0).focal_length_mm), 6)
     49.999783
     """
-    return lens_of(read_prescription(os.fspath(file)))
+    table = {
+        "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
+        "glass_catalogues": tuple(os.fspath(name) for name in glass_catalogues), "unknown_glass": unknown_glass,
+    }  # fmt: skip
+    return read_lens(os.fspath(file), checked(LensOptions, [Layer({"file": os.fspath(file), **table})]))
+
+
+def read_lens(file: str, options: LensOptions) -> Lens:
+    """Return the lens of a file. Raises PixsimError as `load_lens` does.
+
+    options : how to read the file; their `file` and how the lens is used are not looked at
+    """
+    return lens_of(read_prescription(file, options))
 
 
 def lens_of(prescription: Prescription) -> Lens:
-    """Return the lens of a prescription. Raises PixsimError if it has no focus, or if its axial rays do not get through."""
+    """Return the lens of a prescription. Raises PixsimError if it makes no real image, or if its axial rays do not get through.
+
+    Warns of the prescription's notes, of light that its fixed semi-diameters and vignetting factors would stop or do stop, and of
+    fields that cannot be traced.
+    """
+    lens = _without_fields(prescription)
+    notes = list(prescription.notes)
+    largest_deg, limit = _largest_field(lens)
+    notes += [f"{lens._named}: {limit}"] if limit else []
+    lens = lens.with_same_rays(max_field_deg=largest_deg)
+    if prescription.vignetting:
+        lens = lens.with_same_rays(vignetting=_vignetting(lens, prescription.vignetting))
+    for note in (*notes, *_notes_of_stopped_light(lens)):
+        warn(note)
+    return lens
+
+
+def _without_fields(prescription: Prescription) -> Lens:
+    """Return the lens of a prescription without its fields. Raises PixsimError as `lens_of` does."""
     bare = Lens(prescription, 1.0, 0.0)
+    what = f"lens '{prescription.name}'"
     focal = bare.first_order(prescription.primary_nm).focal_length_mm
     if not 0 < focal < math.inf:
-        got = f"a focal length of {focal:g} mm"
-        raise invalid(f"lens '{prescription.name}'", got, "a positive focal length, of a lens that makes a real image")
+        word = "afocal, with" if math.isinf(focal) else "virtual, with"
+        expected = "a positive focal length, of a lens that makes a real image"
+        raise invalid(what, f"no real image: {word} a focal length of {focal:g} mm", expected)
+    distance = prescription.object_distance_mm
+    if math.isfinite(distance):
+        distance += bare._entrance_pupil_mm
+        if not distance > 0:
+            raise invalid(what, f"an entrance pupil {-distance:g} mm in front of the object", "one behind the object")
     value = prescription.aperture_value
-    if prescription.aperture == "f_number":
+    if prescription.aperture == "f_number" or (prescription.aperture == "working_f_number" and math.isinf(distance)):
         value = focal / value
+    elif prescription.aperture == "working_f_number":
+        start = np.array([prescription.object_distance_mm]), np.array([1.0])
+        indices = bare._indices(np.array([prescription.primary_nm]))
+        value = distance / (value * abs(float(paraxial(prescription.surfaces, indices, *start)[1].flat[0])))
+    elif prescription.aperture == "object_numerical_aperture":
+        if not (value < 1 and math.isfinite(distance)):
+            expected = "below 1, of an object at a finite distance"
+            raise invalid(what, f"a numerical aperture of {value:g}, with the object at {distance:g} mm", expected)
+        value = 2 * distance * math.tan(math.asin(value))
     elif prescription.aperture == "stop_diameter":
         value = value / abs(bare._front(prescription.primary_nm)[0])
-    lens = Lens(prescription, value, 0.0)
+    f_number = focal / value
+    if f_number > FAINTEST_F_NUMBER:
+        got = f"no real image: afocal, with a focal length of {focal:.4g} mm at f/{f_number:.4g}"
+        raise invalid(what, got, f"an image at f/{FAINTEST_F_NUMBER:g} or less")
+    lens = Lens(prescription, value, 0.0, distance)
+    trailing = 0.0  # from the last surface that refracts to the last vertex
+    for before, one in pairwise(reversed(prescription.surfaces)):
+        if before.glass != AIR or one.glass != AIR:
+            break
+        trailing += one.thickness_mm
+    back = lens._paraxial_focus_mm() + prescription.surfaces[-1].thickness_mm
+    if not -VIRTUAL * focal <= back + trailing < math.inf:
+        got = f"no real image: a back focal length of {back:.5g} mm"
+        raise invalid(what, got, "a focus behind the last surface", "A lens that makes a virtual image needs another behind it.")
     lens.stop_semi_diameter_mm  # noqa: B018 raises if the marginal ray does not reach the stop
-    if prescription.field_of_view == "angle_deg":
-        return replace(lens, max_field_deg=prescription.field_value)
-    if prescription.field_of_view == "paraxial_image_height":
-        return replace(lens, max_field_deg=math.degrees(math.atan(prescription.field_value / focal)))
-    return replace(lens, max_field_deg=lens.field_of_height(prescription.field_value, prescription.primary_nm))
+    return lens
+
+
+def _field_deg(lens: Lens, value: float) -> float:
+    """Return the field angle of a field in the unit of the prescription. Raises PixsimError for image heights without a field."""
+    kind = lens.prescription.field_of_view
+    if kind == "angle_deg":
+        return value
+    if kind == "object_height":
+        return math.degrees(math.atan(value / lens.object_distance_mm))
+    if kind == "paraxial_image_height":
+        return math.degrees(math.atan(value / abs(lens.paraxial_height_mm)))
+    return lens.field_of_height(value, lens.primary_nm)
+
+
+def _largest_field(lens: Lens) -> tuple[float, str]:
+    """Return the largest field of a prescription in degrees, or the largest below it that can be traced, and a note on that."""
+    stated = lens.prescription.field_value
+    unit = "°" if lens.prescription.field_of_view == "angle_deg" else " mm"
+    try:
+        wanted = _field_deg(lens, stated)
+    except PixsimError:  # an image height beyond the chief rays
+        wanted = float(lens._imaged(lens.primary_nm)[0][-1])
+        reason = "no chief ray has such an image height"
+    else:
+        reason = f"fields are traced below {STEEPEST_DEG:g}°" if wanted > STEEPEST_DEG else ""
+    limit = min(wanted, STEEPEST_DEG)
+    nm = np.unique(lens.prescription.wavelengths_nm)
+
+    def traced(fields: Array) -> float:
+        """Return the last field before the first whose chief ray is lost at one of the wavelengths."""
+        rays, _ = lens._chief_or_nan(np.repeat(fields, nm.size), np.tile(nm, fields.size))
+        found = np.isfinite(rays.path_mm[:, 0]).reshape(fields.size, nm.size).all(axis=1)
+        return float(fields[-1] if found.all() else fields[max(int(np.argmin(found)) - 1, 0)])
+
+    while limit:
+        step, low = limit, 0.0
+        while step > 1 / LIMIT_PER_DEG and low < limit:  # finer and finer, behind the last that is traced
+            fields = np.linspace(low, min(low + step, limit), LIMIT_FIELDS)
+            step, low = step / (LIMIT_FIELDS - 1), traced(fields)
+        if low == limit:
+            break
+        if not low:
+            return 0.0, ""  # the axis, whose failure is told where it is traced
+        lost_at = min(low + step, limit)
+        reason = (
+            f"beyond, the chief ray {lens._failure(lost_at, lens.primary_nm, 0.0, lens._nearest_chief(lost_at, lens.primary_nm))}"
+        )
+        limit = math.floor(low * LIMIT_PER_DEG) / LIMIT_PER_DEG or low
+    if not reason:
+        return wanted, ""
+    return limit, f"fields to {stated:g}{unit} are limited to {limit:.4g}°, since {reason}"
+
+
+def _vignetting(lens: Lens, rows: tuple[Vignetting, ...]) -> tuple[tuple[float, float, float, float], ...]:
+    """Return `Lens.vignetting`: rows that act on the stop. Fields that cannot be traced are left out."""
+    semi = lens.stop_semi_diameter_mm
+    upright = math.copysign(1.0, lens._front(lens.primary_nm)[0])
+    found = []
+    for row in rows:
+        try:
+            at_deg = _field_deg(lens, row.field_value)
+        except PixsimError:
+            continue
+        found.append((at_deg, upright * row.decentre * semi, row.across * semi, row.along * semi))
+    if not found or found[0][0]:
+        found.insert(0, (0.0, 0.0, semi, semi))
+    return tuple(found)
+
+
+@lru_cache(maxsize=32)
+def _notes_of_stopped_light(lens: Lens) -> tuple[str, ...]:
+    """Return notes on light that fixed semi-diameters and vignetting factors would stop, or do stop."""
+    prescription, notes = lens.prescription, []
+    if not (prescription.fixed or lens.vignetting or prescription.spare_vignetting):
+        return ()
+    fields, own = _light(lens)
+
+    def words(other: Lens) -> str:
+        return _light_words(fields, own, _light(other)[1])
+
+    if prescription.fixed:
+        surfaces = tuple(
+            replace(one, clips=one.clips or index in prescription.fixed) for index, one in enumerate(prescription.surfaces)
+        )
+        clipped = lens.with_same_rays(prescription=replace(prescription, surfaces=surfaces, fixed=()))
+        notes.append(
+            f"{lens._named}: fixed semi-diameters of {len(prescription.fixed)} surfaces stop no rays, since they are no apertures."
+            f' {words(clipped)} if they did: lens.semi_diameters = "clip"'
+        )
+    if prescription.vignetting and lens.vignetting:
+        notes.append(
+            f"{lens._named}: its vignetting factors are used. {words(lens.with_same_rays(vignetting=()))} without them: "
+            'lens.vignetting_factors = "ignore"'
+        )
+    if prescription.spare_vignetting:
+        rows = _vignetting(lens, prescription.spare_vignetting)
+        notes.append(
+            f"{lens._named}: its vignetting factors are not used, so that nothing is cut twice. "
+            f'{words(lens.with_same_rays(vignetting=rows))} with them: lens.vignetting_factors = "use"'
+        )
+    return tuple(notes)
+
+
+def _light(lens: Lens) -> tuple[Array, Array]:
+    """Return fields from the axis to the largest, and the light there as an area of directions."""
+    fields = np.linspace(0.0, lens.max_field_deg, TOLD_FIELDS + 1 if lens.max_field_deg else 1)
+    return fields, lens._outline(fields, np.full(fields.size, lens.primary_nm), SMOOTH_SPOKES, quick=True).area
+
+
+def _light_words(fields: Array, own: Array, changed: Array) -> str:
+    """Return the relative illumination of a lens and of another, at the largest field at which both have light."""
+    lit = np.flatnonzero((own > 0) & (changed > 0))
+    if not (own[0] and changed[0] and lit.size):
+        return "No light would reach the axis" if own[0] else "Light would reach the axis, which none does"
+    at = int(lit[-1])
+    beyond = f", and 0 from {fields[at + 1]:.4g}° on" if at + 1 < fields.size and own[at + 1] else ""
+    return (
+        f"Relative illumination would be {changed[at] / changed[0]:.3f}, not {own[at] / own[0]:.3f}, at {fields[at]:.4g}°{beyond}"
+    )
 
 
 @checks_fields
@@ -156,12 +351,36 @@ class Lens:
     entrance_pupil_diameter_mm : of the paraxial entrance pupil at the primary wavelength
     max_field_deg : the largest field angle for which the lens is made
     object_distance_mm : of the object plane from the entrance pupil
+    vignetting : rows of what light of a field fills of the stop, an ellipse: the field in degrees, from the axis on, the height of
+        its centre there, and its semi-axes across and along the field's direction, in mm; linear in between
     """
 
     prescription: Prescription
     entrance_pupil_diameter_mm: float
     max_field_deg: float
     object_distance_mm: float = math.inf
+    # Not shown, so that the text of a lens without it, and what is derived from it, stays.
+    vignetting: tuple[tuple[float, float, float, float], ...] = field(default=(), repr=False)
+
+    def with_same_rays(self, **changes: Any) -> Lens:
+        """Return the lens with other fields or other light stopped, which keeps what is known of the way of its rays.
+
+        changes : fields of the lens: `max_field_deg`, `vignetting`, or a `prescription` whose surfaces stop other rays
+        """
+        changed = replace(self, **changes)
+        for known in ("_chief_heights", "_aims", "_known_indices", "stop_semi_diameter_mm"):
+            vars(changed)[known] = getattr(self, known)
+        return changed
+
+    @property
+    def fingerprint(self) -> str:
+        """A text that differs for lenses that trace otherwise."""
+        return repr(self) + (repr(self.vignetting) if self.vignetting else "")
+
+    @property
+    def _named(self) -> str:
+        """Its name, for notes."""
+        return f"lens '{self.prescription.name}'"
 
     @cached_property
     def _chief_heights(self) -> dict[tuple[float, float], float]:
@@ -361,7 +580,15 @@ class Lens:
         return list(terms)
 
     def _solved(
-        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, across: Array, along: Array, inverse: Array
+        self,
+        field_deg: Array,
+        wavelength_nm: Array,
+        x: Array,
+        y: Array,
+        across: Array,
+        along: Array,
+        inverse: Array,
+        aimed: float = AIMED,
     ) -> tuple[Array, Array]:
         """Return points of the entrance pupil (C, P) in mm whose rays meet points (P,) of the stop; NaN if there are none.
 
@@ -376,7 +603,7 @@ class Lens:
 
         error = misses(across, along)
         for _ in range(AIM_STEPS):
-            moving = np.abs(error).max(axis=-1) > AIMED / 10
+            moving = np.abs(error).max(axis=-1) > aimed / 10
             if not moving.any():
                 break
             step = np.where(moving[..., None], -(inverse * error[..., None, :]).sum(axis=-1), 0.0)
@@ -389,7 +616,7 @@ class Lens:
             usable = moving & np.isfinite(update).all(axis=(-1, -2))
             inverse = inverse + np.where(usable[..., None, None], update, 0.0)
             error = after
-        lost = ~(np.abs(error).max(axis=-1) <= AIMED)
+        lost = ~(np.abs(error).max(axis=-1) <= aimed)
         return np.where(lost, np.nan, across), np.where(lost, np.nan, along)
 
     # Real rays -----------------------------------------------------------------------------------------------------------
@@ -514,11 +741,14 @@ class Lens:
         return where if "surface" in where else "no ray in front of the lens reaches"
 
     @checks_arguments
-    def wavefront(self, field_deg: ArrayLike, wavelength_nm: ArrayLike, stop_x: ArrayLike, stop_y: ArrayLike) -> Wavefront:
+    def wavefront(
+        self, field_deg: ArrayLike, wavelength_nm: ArrayLike, stop_x: ArrayLike, stop_y: ArrayLike, aimed: float = AIMED
+    ) -> Wavefront:
         """Return rays of fields and wavelengths through points of the stop, in the image plane.
 
         field_deg, wavelength_nm : broadcast together, then in one line, (C,)
         stop_x, stop_y : over the stop's radius, broadcast together, then in one line, (P,)
+        aimed : ratio of the distance in which rays meet their points, at most, to the stop's radius; a larger one takes less time
 
         Raises PixsimError if a chief ray does not reach the image.
         """
@@ -532,7 +762,7 @@ class Lens:
 
         def compute(number: int) -> None:
             some = blocks[number]
-            parts[number] = self._block(fields[some], wavelengths[some], x, y, terms[some], bases, _part(chief, some))
+            parts[number] = self._block(fields[some], wavelengths[some], x, y, terms[some], bases, _part(chief, some), aimed)
 
         in_threads(compute, range(len(blocks)), fields.size * x.size * len(self.prescription.surfaces))
         if len(blocks) == 1:
@@ -541,21 +771,21 @@ class Lens:
         return Wavefront(*(np.concatenate([getattr(parts[number], name) for number in range(len(blocks))]) for name in names))
 
     def _block(
-        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, terms: Array, bases: Bases, chief: Rays
+        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, terms: Array, bases: Bases, chief: Rays, aimed: float
     ) -> Wavefront:
         across, along = (_polynomials(terms[..., axis], basis) for axis, basis in enumerate(bases))
         rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         semi = self.stop_semi_diameter_mm
         off = np.maximum(np.abs(at_x / semi - x), np.abs(at_y / semi - y))
-        if np.any(~(off <= AIMED)):  # the polynomial is not good enough; its derivatives are
+        if np.any(~(off <= aimed)):  # the polynomial is not good enough; its derivatives are
             inverse = np.empty((*across.shape, 2, 2))
             for by, slopes in enumerate(_slopes(x, y)):
                 for axis, basis in enumerate(slopes):
                     inverse[..., axis, by] = _polynomials(terms[..., axis], basis)
-            solved = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse)
-            across, along = (np.where(off <= AIMED, kept, new) for kept, new in zip((across, along), solved, strict=True))
+            solved = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse, aimed)
+            across, along = (np.where(off <= aimed, kept, new) for kept, new in zip((across, along), solved, strict=True))
             rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
-        return self._wavefront_of(rays, at_x, at_y, chief, wavelength_nm)
+        return self._wavefront_of(rays, at_x, at_y, chief, field_deg, wavelength_nm)
 
     @checks_arguments
     def unaimed_wavefront(self, field_deg: ArrayLike, wavelength_nm: ArrayLike, x_mm: ArrayLike, y_mm: ArrayLike) -> Wavefront:
@@ -571,9 +801,9 @@ class Lens:
         _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
         _, x, y = _in_line(x_mm=x_mm, y_mm=y_mm)
         chief, _, _ = self._to_image(fields, wavelengths, np.zeros((1, 1)), np.zeros((1, 1)))
-        return self._wavefront_of(*self._to_image(fields, wavelengths, x[None], y[None]), chief, wavelengths)
+        return self._wavefront_of(*self._to_image(fields, wavelengths, x[None], y[None]), chief, fields, wavelengths)
 
-    def _wavefront_of(self, rays: Rays, at_x: Array, at_y: Array, chief: Rays, wavelength_nm: Array) -> Wavefront:
+    def _wavefront_of(self, rays: Rays, at_x: Array, at_y: Array, chief: Rays, field_deg: Array, wavelength_nm: Array) -> Wavefront:
         """Return the wavefront of rays (C, P) in the image plane, which met the stop at these points, against chief rays (C, 1)."""
         index = np.asarray(self._indices(wavelength_nm)[-1])
         off_x, off_y = rays.x, rays.y - chief.y
@@ -587,16 +817,26 @@ class Lens:
             back = along_ray + (square / (radius + root) if math.isfinite(from_image) else 0.0)
         opd = (chief.path_mm - rays.path_mm + index * back) / (MM_PER_NM * wavelength_nm[:, None])
         semi, cosines = self.stop_semi_diameter_mm, np.stack([rays.l, rays.m], axis=-1)
-        return Wavefront(opd, rays.passed, off_x, off_y, cosines, at_x / semi, at_y / semi, chief.y[:, 0], chief.m[:, 0])
+        passed = rays.passed
+        if self.vignetting:
+            passed = passed & (self._width_at_stop(field_deg, at_x, at_y) <= INSIDE)
+        return Wavefront(opd, passed, off_x, off_y, cosines, at_x / semi, at_y / semi, chief.y[:, 0], chief.m[:, 0])
 
     # Light at a point of the image ---------------------------------------------------------------------------------------
 
-    def _widths(self, height_mm: Array, wavelength_nm: Array, across: Array, along: Array) -> Array:
+    def _width_at_stop(self, field_deg: Array, x_mm: Array, y_mm: Array) -> Array:
+        """Return how far from its middle light of fields (C,) is in the stop, over what `vignetting` lets pass there, (C, P)."""
+        at_deg, *columns = np.array(self.vignetting).T
+        centre, across, along = (np.interp(np.abs(field_deg), at_deg, column)[:, None] for column in columns)
+        centre = centre * np.where(field_deg < 0, -1.0, 1.0)[:, None]
+        return np.asarray(np.hypot(x_mm / across, (y_mm - centre) / along))
+
+    def _widths(self, field_deg: Array, height_mm: Array, wavelength_nm: Array, across: Array, along: Array) -> Array:
         """Return how far from the axis light of some directions is at its widest place, over what may pass there, (C, P).
 
         1 at the edge of the stop or of a clear aperture; infinite for a ray that misses a surface or is totally reflected.
 
-        height_mm : (C,) of the image point
+        field_deg, height_mm : (C,) of the image point
         across, along : (C, P), direction cosines of the light in image space, which is traced backwards
         """
         surfaces = turned_round(self.prescription.surfaces)
@@ -613,6 +853,8 @@ class Lens:
                 limits.append(surface.semi_diameter_mm)
             if limits:
                 widest = np.maximum(widest, np.hypot(rays.x, rays.y) / min(limits))
+            if number == last and self.vignetting:
+                widest = np.maximum(widest, self._width_at_stop(field_deg, rays.x, rays.y))
         return np.where(np.isfinite(rays.n) & np.isfinite(widest), widest, np.inf)
 
     @checks_arguments
@@ -631,7 +873,8 @@ class Lens:
         _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
         return self._outline(fields, wavelengths, spokes)
 
-    def _outline(self, field_deg: Array, wavelength_nm: Array, spokes: int) -> Outline:
+    def _outline(self, field_deg: Array, wavelength_nm: Array, spokes: int, quick: bool = False) -> Outline:
+        """Return `outline`; a quick one, for notes, is within 1e-5 where no edge lies behind another."""
         chief = self._chief(field_deg, wavelength_nm)
         height, chief_cosine = chief.y[:, 0], chief.m[:, 0]
         angle = (np.arange(spokes // 2) + 0.5) * (2 * np.pi / spokes) - np.pi / 2  # the half with x > 0
@@ -642,7 +885,7 @@ class Lens:
 
         def excess(radius: Array) -> Array:
             along = [part[: radius.shape[1]] for part in (cosine, sine)]
-            return self._widths(height, wavelength_nm, radius * along[0], centre[:, None] + radius * along[1]) - 1
+            return self._widths(field_deg, height, wavelength_nm, radius * along[0], centre[:, None] + radius * along[1]) - 1
 
         horizon = -centre[:, None] * sine + np.sqrt(1 - (centre[:, None] * cosine) ** 2)
         # Outwards in steps to the first edge, which a small step foretells: beyond it, strong aspheres may let rays through again.
@@ -654,14 +897,15 @@ class Lens:
         edge = np.where((edge > near) & (edge < horizon), edge, near)
         high = OUTLINE_STEPS[0] * edge
         above = excess(high)
-        for share in (*OUTLINE_STEPS[1:], *np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, OUTLINE_STEPS[-1] - OUTLINE_STEPS[-2])[1:]):
+        further = (QUICK_STEPS if quick else 1) * (OUTLINE_STEPS[-1] - OUTLINE_STEPS[-2])
+        for share in (*OUTLINE_STEPS[1:], *np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, further)[1:]):
             inside = (above <= 0) & (high < horizon)
             if not inside.any():
                 break
             low, below = np.where(inside, high, low), np.where(inside, above, below)
             high = np.where(inside, np.minimum(horizon, share * edge), high)
             above = np.where(inside, excess(high), above)
-        radius = np.where(dark[:, None], 0.0, _root(excess, low, below, high, above))
+        radius = np.where(dark[:, None], 0.0, _root(excess, low, below, high, above, QUICK_VALUE if quick else ROOT_VALUE))
         both = np.concatenate([radius, radius[:, ::-1]], axis=1)  # the mirror image: x < 0, from +y back to -y
         return Outline(np.stack([np.zeros_like(centre), centre], axis=-1), both, chief_cosine)
 
@@ -673,12 +917,24 @@ class Lens:
         with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
             middle = (np.nanmin(along, axis=1) + np.nanmax(along, axis=1)) / 2
         candidates = np.concatenate([middle[:, None], chief_cosine[:, None], along], axis=1)
-        width = self._widths(height, wavelength_nm, np.zeros_like(candidates), candidates)
+        width = self._widths(field_deg, height, wavelength_nm, np.zeros_like(candidates), candidates)
         width[:, 2:] += 1e-3  # the middle, where it passes
         best = np.argmin(width, axis=1)
         rows = np.arange(best.size)
         chosen = np.where(width[:, 0] < 1, middle, candidates[rows, best])
-        return np.where(width[rows, best] < 1, chosen, np.nan)
+        least = width[rows, best]
+        # What is left of a pupil may lie between two of the rays: the width has one minimum along a line.
+        spread = np.ptp(np.where(np.isfinite(along), along, chosen[:, None]), axis=1)
+        for part in range(1, MIDDLE_STEPS + 1):
+            thin = ~(least < 1) & np.isfinite(chosen)
+            if not thin.any():
+                break
+            step = spread / (grid.size - 1) ** part
+            finer = (chosen[:, None] + step[:, None] * np.linspace(-1, 1, grid.size))[thin]
+            found = self._widths(field_deg[thin], height[thin], wavelength_nm[thin], np.zeros_like(finer), finer)
+            at = np.argmin(found, axis=1)
+            chosen[thin], least[thin] = finer[np.arange(at.size), at], found[np.arange(at.size), at]
+        return np.where(least < 1, chosen, np.nan)
 
     @checks_arguments
     def projected_solid_angle_sr(self, field_deg: ArrayLike, wavelength_nm: ArrayLike) -> Array:
@@ -692,7 +948,7 @@ class Lens:
         Raises PixsimError if a chief ray does not reach the image.
         """
         shape, fields, wavelengths = _conditions(field_deg, wavelength_nm)
-        corners = any(surface.clips for surface in self.prescription.surfaces)
+        corners = bool(self.vignetting) or any(surface.clips for surface in self.prescription.surfaces)
         area = self._outline(fields, wavelengths, SPOKES_OF_OUTLINE if corners else SMOOTH_SPOKES).area
         return np.asarray(area.reshape(shape)[()])
 
@@ -849,7 +1105,10 @@ class Lens:
         if not factor > 0:
             raise invalid("factor", f"{factor:g}", "a finite number above 0")
         scaled = self.prescription.scaled(factor)
-        return replace(self, prescription=scaled, entrance_pupil_diameter_mm=factor * self.entrance_pupil_diameter_mm)
+        rows = tuple((at_deg, factor * centre, factor * x, factor * y) for at_deg, centre, x, y in self.vignetting)
+        return replace(
+            self, prescription=scaled, entrance_pupil_diameter_mm=factor * self.entrance_pupil_diameter_mm, vignetting=rows
+        )
 
     @checks_arguments
     def stopped_down(self, f_number: float) -> Lens:
@@ -964,15 +1223,18 @@ class Outline:
         return np.asarray(np.square(self.radius).mean(axis=1) * np.pi)
 
 
-def _root(function: Callable[[Array], Array], low: Array, below: Array, high: Array, above: Array) -> Array:
+def _root(
+    function: Callable[[Array], Array], low: Array, below: Array, high: Array, above: Array, enough: float = ROOT_VALUE
+) -> Array:
     """Return roots (...) of a function: regula falsi of Illinois; halving where it is infinite.
 
     low, high : brackets; where there is no sign change, an end of the last bracket is returned
     below, above : values there, at most 0 and above 0
+    enough : size of a value that is taken for 0
     """
     side, at, value = np.zeros(low.shape), low, below
     for _ in range(ROOT_STEPS):
-        going = (high - low > ROOT_WIDTH) & (np.abs(value) > ROOT_VALUE)
+        going = (high - low > ROOT_WIDTH) & (np.abs(value) > enough)
         if not going.any():
             break
         with np.errstate(all="ignore"):

@@ -1,8 +1,9 @@
 """Prescriptions of lenses: surfaces, glasses, stop and aperture, read from a file of pixsim (`.toml`) or of Zemax (`.zmx`).
 
 Lengths are in mm, light travels along +z. Surfaces are centred and rotationally symmetric, in the order in which light meets
-them: z = c r²/(1 + √(1 - (1+k) c² r²)) + Σ A_j r^j. The object is at infinity, the image plane follows the last thickness.
-What a file asks for and this does not describe is an error that names the line and the surface; nothing is substituted.
+them: z = c r²/(1 + √(1 - (1+k) c² r²)) + Σ A_j r^j. The object is a plane in air, the image plane follows the last thickness.
+What a file asks for and this does not describe is an error that names the line and the surface; nothing is substituted. Where a
+file leaves a choice, `LensOptions` makes it, and a note says which was made.
 """
 
 from __future__ import annotations
@@ -12,19 +13,33 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from pixsim.base.config import checked, packaged, read_toml
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
-from pixsim.base.files import read_bytes, read_text
-from pixsim.base.parameters import Layer, Record
-from pixsim.optics.glass import AIR, FORMULAS, Glass, abbe_glass, constant_glass, find_glass
+from pixsim.base.files import read_text
+from pixsim.base.parameters import Layer, LensOptions, Record
+from pixsim.optics.glass import (
+    AIR,
+    FORMULAS,
+    Glass,
+    abbe_glass,
+    catalogue,
+    code_glass,
+    constant_glass,
+    find_glass,
+    lines_of,
+    read_catalogue,
+    shifted,
+    text_of,
+)
 
 MAX_BYTES = 4 << 20  # of a file; prescriptions have some kB
 MAX_SURFACES = 200
-MAX_POWER = 30  # of an asphere
+MAX_POWER = 60  # of an asphere
+STEEPEST_FIELD_DEG = 180.0  # that a file may state; `lens` limits fields to what it can trace
 LONGEST_MM = 1e6
 AGREEMENT = 1e-9  # of a radius with its curvature
 
@@ -67,16 +82,42 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class Vignetting:
+    """The part of the pupil that light of a field fills: an ellipse, as vignetting factors describe it.
+
+    field_value : of the field, in what `Prescription.field_value` is in
+    decentre : of the ellipse, along the field's direction, over the pupil's radius
+    across, along : semi-axes across and along the field's direction, over the pupil's radius
+    """
+
+    field_value: float
+    decentre: float = 0.0
+    across: float = 1.0
+    along: float = 1.0
+
+
+Aperture = Literal["entrance_pupil_diameter", "stop_diameter", "f_number", "working_f_number", "object_numerical_aperture"]
+FieldOfView = Literal["angle_deg", "object_height", "paraxial_image_height", "real_image_height"]
+
+
+@dataclass(frozen=True)
 class Prescription:
-    """A lens as its file describes it, with the object at infinity.
+    """A lens as its file describes it.
 
     name, title, source : for reports
     surfaces : in the order of the light, without object and image plane
     stop : index of the surface that is the stop, from 0
-    aperture : what `aperture_value` is: the diameter of the paraxial entrance pupil or of the stop in mm, or the f-number
-    field_of_view : what `field_value` is: the largest field angle in degrees, or the largest paraxial or real image height in mm
+    aperture : what `aperture_value` is: the diameter of the paraxial entrance pupil or of the stop in mm, the f-number, that of the
+        paraxial light in the image, or the numerical aperture in front of the lens
+    field_of_view : what `field_value` is: the largest field angle in degrees, or the largest object height, or paraxial or real
+        image height, in mm
     wavelengths_nm : of the file
     primary_nm : the wavelength of first-order data, and of the reference spheres' radius
+    object_distance_mm : from the object plane to the first vertex
+    vignetting : of fields, by `field_value`; empty without, and where not used
+    spare_vignetting : what the file states of it and is not used
+    fixed : surfaces, from 0, whose semi-diameter the file fixes without an aperture, and which stop no rays
+    notes : what a user should know of how the file was read
     """
 
     name: str
@@ -84,20 +125,35 @@ class Prescription:
     source: str
     surfaces: tuple[Surface, ...]
     stop: int
-    aperture: Literal["entrance_pupil_diameter", "stop_diameter", "f_number"]
+    aperture: Aperture
     aperture_value: float
-    field_of_view: Literal["angle_deg", "paraxial_image_height", "real_image_height"]
+    field_of_view: FieldOfView
     field_value: float
     wavelengths_nm: tuple[float, ...]
     primary_nm: float
+    # Not shown, so that the text of a lens without them, and what is derived from it, stays.
+    object_distance_mm: float = field(default=math.inf, repr=False)
+    vignetting: tuple[Vignetting, ...] = field(default=(), repr=False)
+    spare_vignetting: tuple[Vignetting, ...] = field(default=(), repr=False)
+    fixed: tuple[int, ...] = field(default=(), repr=False)
+    notes: tuple[str, ...] = field(default=(), repr=False)
 
     def scaled(self, factor: float) -> Prescription:
         """Return the prescription with every length times `factor`, above 0."""
+        of_aperture = factor if self.aperture.endswith("_diameter") else 1.0
+        of_field = 1.0 if self.field_of_view == "angle_deg" else factor
+
+        def at(rows: tuple[Vignetting, ...]) -> tuple[Vignetting, ...]:
+            return tuple(replace(row, field_value=row.field_value * of_field) for row in rows)
+
         return replace(
             self,
             surfaces=tuple(surface.scaled(factor) for surface in self.surfaces),
-            aperture_value=self.aperture_value * (1 if self.aperture == "f_number" else factor),
-            field_value=self.field_value * (1 if self.field_of_view == "angle_deg" else factor),
+            aperture_value=self.aperture_value * of_aperture,
+            field_value=self.field_value * of_field,
+            object_distance_mm=self.object_distance_mm * factor,
+            vignetting=at(self.vignetting),
+            spare_vignetting=at(self.spare_vignetting),
         )
 
     @property
@@ -106,8 +162,10 @@ class Prescription:
         return tuple(dict.fromkeys(surface.glass for surface in self.surfaces if surface.glass != AIR))
 
 
-def read_prescription(file: str) -> Prescription:
+def read_prescription(file: str, options: LensOptions | None = None) -> Prescription:
     """Read a packaged prescription by its name, or a user's by the path of its `.toml` or `.zmx` file.
+
+    options : how to read it where the file leaves a choice; their `file` is not looked at
 
     Raises PixsimError for an unknown name, for a file that is missing, damaged, binary or too large, and for what pixsim does
     not trace: mirrors, gradient indices, tilted, diffractive or free-form surfaces, unknown glasses, a missing stop.
@@ -117,9 +175,35 @@ def read_prescription(file: str) -> Prescription:
     kind = path.suffix.lower()
     if kind not in READERS:
         what = f"'{file}'" if kind or not file else f"the unknown lens '{file}'"
-        hint = did_you_mean(file, known)
+        hint = HOW_TO_EXPORT.get(kind) or did_you_mean(file, known)
         raise invalid("lens", what, f"{', '.join(known)}; or the path of a {' or '.join(READERS)} file", hint)
-    return READERS[kind](path)
+    options = options or LensOptions()
+    own: dict[str, Glass] = {}
+    for name in options.glass_catalogues:
+        for full, glass in read_catalogue(Path(name)).items():
+            own.setdefault(full, glass)
+    prescription = READERS[kind](path, options, own)
+    if own and not any(glass.name.partition(", n_d ")[0] in own for glass in prescription.glasses):
+        note = f"lens '{prescription.name}': lens.glass_catalogues change nothing: no glass of the lens is theirs"
+        return replace(prescription, notes=(*prescription.notes, note))
+    return prescription
+
+
+IN_OPTICSTUDIO = "In OpticStudio, save it as .zmx (File, Save As)."
+OF_CODE_V = "Open it in OpticStudio (File, Convert File Formats) and save it as .zmx, or write its surfaces as .toml: docs/lens.md."
+# Other files of lenses -> how to get one that is read.
+HOW_TO_EXPORT = {
+    ".zos": f"That is OpticStudio's own format. {IN_OPTICSTUDIO}",
+    ".zar": "That is an archive of OpticStudio. Open it there (File, Load Archive), and save the lens as .zmx (File, Save As).",
+    ".zda": f"That is data of a Zemax session. {IN_OPTICSTUDIO}",
+    ".seq": f"That is a file of CODE V. {OF_CODE_V}",
+    ".len": f"That is a file of CODE V or OSLO. {OF_CODE_V}",
+    ".osd": f"That is a file of OSLO. {OF_CODE_V}",
+    ".otx": f"That is a file of another program. {OF_CODE_V}",
+    ".roa": "That is a file of rayoptics. Write its surfaces as .toml: docs/lens.md.",
+    ".json": "Write its surfaces as .toml: docs/lens.md.",
+    ".agf": "That is a glass catalogue: name it in lens.glass_catalogues, beside the lens.",
+}
 
 
 def _checked(prescription: Prescription, where: str, place: Callable[[int], str]) -> Prescription:
@@ -150,8 +234,13 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
     allowed = f"above 0, at most {LONGEST_MM:g}"
     if not 0 < prescription.aperture_value <= LONGEST_MM:
         raise invalid(f"aperture of {where}", f"{prescription.aperture_value:g}", allowed)
-    if not 0 <= prescription.field_value <= (89.0 if prescription.field_of_view == "angle_deg" else LONGEST_MM):
-        raise invalid(f"largest field of {where}", f"{prescription.field_value:g}", "0 to 89 degrees, or a finite image height")
+    if not 0 <= prescription.field_value <= (STEEPEST_FIELD_DEG if prescription.field_of_view == "angle_deg" else LONGEST_MM):
+        expected = f"0 to {STEEPEST_FIELD_DEG:g} degrees, or a finite height"
+        raise invalid(f"largest field of {where}", f"{prescription.field_value:g}", expected)
+    if not prescription.object_distance_mm > 0:
+        raise invalid(
+            f"object of {where}", f"{prescription.object_distance_mm:g} mm in front of the lens", "above 0, or at infinity"
+        )
     if not prescription.wavelengths_nm:
         raise invalid(f"wavelengths of {where}", "none", "at least one")
     return prescription
@@ -167,7 +256,7 @@ Positive = Annotated[float, Field(gt=0, le=LONGEST_MM)]
 class GlassTable(Record):
     """A glass of a prescription file: a dispersion formula, or n_d and V_d, or one index."""
 
-    formula: int | None = Field(None, description="number of the formula at refractiveindex.info: 1, 2, 3 or 5")
+    formula: int | None = Field(None, description="number of the formula at refractiveindex.info: 1 to 5, or 7")
     coefficients: tuple[float, ...] | None = Field(None, description="of the formula, for wavelengths in µm")
     range_um: tuple[float, float] | None = Field(None, description="shortest and longest wavelength")
     n_d: Annotated[float, Field(ge=1, le=10)] | None = Field(None, description="index at 587.56 nm, with v_d")
@@ -240,7 +329,7 @@ class FieldsTable(Record):
     """Fields of a prescription file."""
 
     type: Literal["angle_deg"] = "angle_deg"
-    max_deg: Annotated[float, Field(ge=0, lt=90)] = Field(examples=["max_deg = 20"])
+    max_deg: Annotated[float, Field(ge=0, le=STEEPEST_FIELD_DEG)] = Field(examples=["max_deg = 20"])
     angles_deg: tuple[float, ...] = ()
 
 
@@ -281,8 +370,12 @@ class PrescriptionFile(Record):
 HOW_TO_GIVE_TOML = 'Give the numbers of another glass in a table [glass."NAME"]: formula and coefficients, n_d and v_d, or n.'
 
 
-def _read_toml(path: Path) -> Prescription:
+def _read_toml(path: Path, options: LensOptions, own: Mapping[str, Glass]) -> Prescription:
     table = read_toml(path)
+    if options.configuration not in (None, 1):
+        raise invalid("lens.configuration", options.configuration, f"1: '{path}' has one configuration, as every .toml file")
+    unused = [name for name in ("semi_diameters", "vignetting_factors") if getattr(options, name) in ("clip", "use", "ignore")]
+    unused = [name for name in unused if (name, getattr(options, name)) != ("semi_diameters", "ignore")]
     heads = [
         number
         for number, line in enumerate(read_text(path, "lens", "a readable TOML file", MAX_BYTES).split("\n"), 1)
@@ -299,14 +392,24 @@ def _read_toml(path: Path) -> Prescription:
         before = re.escape(f"{path}: ")
         located = re.sub(rf"(?:{before})?surface\.(\d+)\.?", lambda found: f"{place(int(found[1]))}: ", str(error))
         raise PixsimError(located.replace(": : ", ": ")) from None
-    if file.object_distance_mm != math.inf:
-        got = f"{file.object_distance_mm:g}"
-        raise invalid(f"'{path}': object_distance_mm", got, "inf", "The camera's object distance sets the focus.")
     stops = {index for index, surface in enumerate(file.surface) if surface.stop}
     if file.stop_surface is not None:
         stops.add(file.stop_surface - 1)
     stop = _one_stop(stops, f"'{path}'", len(file.surface), "Give its number, from 1, as stop_surface.")
-    surfaces = tuple(_toml_surface(surface, file.glass, place(index)) for index, surface in enumerate(file.surface))
+    found: list[Glass | PixsimError] = []
+    for index, one in enumerate(file.surface):
+        try:
+            found.append(_toml_glass(one.glass, file.glass, place(index), own))
+        except PixsimError as error:
+            found.append(error)
+    glasses = [one for one in found if isinstance(one, Glass)]
+    if unknown := [one for one in found if isinstance(one, PixsimError)]:
+        many = [f"'{path}': got {len(unknown)} surfaces whose glass is not known."] if len(unknown) > 1 else []
+        raise PixsimError("\n".join([*many, *map(str, unknown)]))
+    surfaces = tuple(
+        _toml_surface(surface, glass, place(index))
+        for index, (surface, glass) in enumerate(zip(file.surface, glasses, strict=True))
+    )
     value = file.aperture.f_number if file.aperture.type == "f_number" else file.aperture.value_mm
     if value is None:
         missing = "f_number" if file.aperture.type == "f_number" else "value_mm"
@@ -324,6 +427,8 @@ def _read_toml(path: Path) -> Prescription:
         field_value=file.fields.max_deg,
         wavelengths_nm=tuple(to_nm * value for value in file.wavelengths.values),
         primary_nm=to_nm * file.wavelengths.primary,
+        object_distance_mm=file.object_distance_mm,
+        notes=tuple(f"lens '{one_line(path.stem)}': lens.{name} changes nothing in a .toml file" for name in unused),
     )
     return _checked(prescription, f"'{path}'", place)
 
@@ -335,7 +440,7 @@ def _one_stop(stops: set[int], where: str, count: int, hint: str) -> int:
     return stops.pop()
 
 
-def _toml_surface(table: SurfaceTable, glasses: Mapping[str, GlassTable], where: str) -> Surface:
+def _toml_surface(table: SurfaceTable, glass: Glass, where: str) -> Surface:
     curvature, radius = table.curvature_per_mm, table.radius_mm
     if radius is not None:
         of_radius = 0.0 if math.isinf(radius) else 1 / radius if radius else math.inf
@@ -353,42 +458,64 @@ def _toml_surface(table: SurfaceTable, glasses: Mapping[str, GlassTable], where:
             raise invalid(f"{where}: asphere", f"the term '{one_line(name)}'", f"A2 to A{MAX_POWER}, by the power of r")
         if value:
             asphere.append((int(name[1:]), value))
-    if isinstance(table.glass, GlassTable):
-        glass = table.glass.glass(table.glass.words, where)
-    elif not isinstance(table.glass, str):
-        if not 1 <= table.glass <= 10:
-            raise invalid(f"{where}: glass", f"{table.glass:g}", "an index from 1 to 10, or a name")
-        glass = constant_glass(f"n = {table.glass:g}", table.glass)
-    elif table.glass in glasses:
-        glass = glasses[table.glass].glass(one_line(table.glass), where)
-    elif table.glass.lower() == "air":
-        glass = AIR
-    else:
-        _refuse_mirror(table.glass, f"{where}: glass")
-        glass = find_glass(table.glass, f"{where}: glass", hint=HOW_TO_GIVE_TOML)
     return Surface(curvature, table.thickness_mm, glass, table.conic, tuple(sorted(asphere)), table.semi_diameter_mm, table.clips)
 
 
-def _refuse_mirror(glass: str, where: str) -> None:
-    if glass.upper() == "MIRROR":
-        raise invalid(where, f"'{one_line(glass)}', a mirror", "refracting surfaces: pixsim traces no mirrors")
+def _toml_glass(given: str | float | GlassTable, glasses: Mapping[str, GlassTable], where: str, own: Mapping[str, Glass]) -> Glass:
+    if isinstance(given, GlassTable):
+        return given.glass(given.words, where)
+    if not isinstance(given, str):
+        if not 1 <= given <= 10:
+            raise invalid(f"{where}: glass", f"{given:g}", "an index from 1 to 10, or a name")
+        return constant_glass(f"n = {given:g}", given)
+    if given in glasses:
+        return glasses[given].glass(one_line(given), where)
+    if given.lower() == "air":
+        return AIR
+    if given.upper() == "MIRROR":
+        raise invalid(f"{where}: glass", f"'{one_line(given)}', a mirror", "refracting surfaces: pixsim traces no mirrors")
+    if code := code_glass(given):
+        return code
+    near = did_you_mean(given, [*own, *catalogue()])
+    other = f"{near} It is another glass, so nothing is substituted. " if near else ""
+    return find_glass(given, f"{where}: glass", hint=other + HOW_TO_GIVE_TOML, own=own)
 
 
 # Zemax -----------------------------------------------------------------------------------------------------------------------
 
 UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "INCHES": 25.4, "M": 1e3, "METER": 1e3, "METERS": 1e3}
-STEP = {"STANDARD": 0, "EVENASPH": 2, "ODDASPHE": 1}  # of the powers of r of an asphere's PARM 1, 2, 3 …
+STEP = {"STANDARD": 0, "EVENASPH": 2, "ODDASPHE": 1, "XASPHERE": 2, "XOSPHERE": 1}  # of the powers of r of an asphere's terms
+EXTENDED = ("XASPHERE", "XOSPHERE")  # terms in XDAT: their number, the radius that r is taken over, and the terms
+NULL = "COORDBRK"  # a coordinate break, which changes nothing if its numbers are 0
 GRADIENTS = ("GRIN", "GRADIUM", "GRADIENT")
+TRACED = f"{', '.join(STEP)}, and {NULL} of zeros"
+HOW_TRACED = "pixsim traces centred spheres, conics and aspheres of powers of r."
 # Apertures that are not a centred disc.
 OTHER_APERTURES = {
     "SQAP": "rectangular aperture", "ELAP": "elliptical aperture", "OBSC": "central obscuration", "SPID": "spider",
     "SQOB": "rectangular obscuration", "ELOB": "elliptical obscuration", "UDOB": "user obscuration",
     **dict.fromkeys(("UDAP", "UDAD", "USAP"), "user aperture"),
 }  # fmt: skip
-FIELD_KINDS: dict[int, Literal["angle_deg", "paraxial_image_height", "real_image_height"]] = {
-    0: "angle_deg", 2: "paraxial_image_height", 3: "real_image_height",
-}  # fmt: skip
-HOW_TO_GIVE_ZMX = "Or give n_d and V_d in its line: GLAS ___BLANK 1 0 1.5168 64.17"
+FIELD_KINDS: dict[int, FieldOfView] = {0: "angle_deg", 1: "object_height", 2: "paraxial_image_height", 3: "real_image_height"}
+USUAL_FIELDS, MOST_FIELDS = 12, 200  # of older files, in which the places of unused ones are filled up, and of any
+FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")  # of vignetting: decentres, compressions, angle
+FAR = 1e10  # where an object is at infinity, as OpticStudio takes it
+HOW_TO_GIVE_ZMX = "Or give n_d and V_d in its line: GLAS ___BLANK 1 0 1.5168 64.17."
+OWN_CATALOGUE = 'A maker\'s catalogue is read with lens.glass_catalogues = ["my.agf"].'
+PLACEHOLDER = (1.5, 40.0)  # n_d and V_d that Zemax writes where it knows none
+CATALOGUE_GLASS, MODEL_GLASS, SHIFTED_GLASS = 0, 1, 4  # what a GLAS line says of its glass
+FIXED = ("1", "2")  # flags of a semi-diameter: typed, and picked up from another surface
+# Keywords of the head of a file. Files that others wrote have them anywhere, and surfaces without indentation.
+HEAD = frozenset(
+    re.findall(
+        r"\w+",
+        """
+        VERS MODE NAME NOTE PFIL LANG UNIT ENPD ENVD FNUM OBNA FLOA GFAC GCAT RAIM PUSH PUPD SDMA OMMA FTYP ROPD HYPR PICB
+        XFLN YFLN XFLD YFLD FWGN FWGT VDXN VDYN VCXN VCYN VANN WAVM WAVL WWGN WWGT PWAV POLS GLRS GSTD NSCD COFN DBDT LUID
+        MNUM
+        """,
+    )
+)
 
 
 @dataclass
@@ -414,34 +541,20 @@ class _Block:
     def first(self, keyword: str) -> _Line | None:
         return next(self.all(keyword), None)
 
+    def place(self, path: Path) -> str:
+        return f"'{path}', surface {self.number} (line {self.line})"
 
-def zmx_text(path: Path) -> str:
-    """Return the text of a .zmx file, in UTF-16 or UTF-8, or in the code page of old versions (for comments only).
-
-    Raises PixsimError if it is not readable, too large or binary.
-    """
-    expected = "a Zemax prescription, which is text"
-    content = read_bytes(path, "lens", expected, MAX_BYTES)
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        encodings = ["utf-16"]
-    elif content[1:2] == b"\0":
-        encodings = ["utf-16-le"]
-    elif content[:1] == b"\0":
-        encodings = ["utf-16-be"]
-    else:
-        encodings = ["utf-8-sig", "latin-1"]
-    for encoding in encodings:
-        try:
-            text = content.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        if not re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text):
-            return text
-    raise invalid("lens", f"'{path}', a binary file", f"{expected} in UTF-8 or UTF-16")
+    def put(self, keyword: str, value: str, place: int = 0) -> None:
+        """Set a word of the first line of a keyword, which is added if it is not there."""
+        if self.first(keyword) is None:
+            self.lines.append(_Line(self.line, keyword, []))
+        line = next(self.all(keyword))
+        line.words += ["0"] * (place + 1 - len(line.words))
+        line.words[place] = value
 
 
-def _read_zmx(path: Path) -> Prescription:
-    head, blocks = _blocks(path)
+def _read_zmx(path: Path, options: LensOptions, own: Mapping[str, Glass]) -> Prescription:
+    head, blocks, operands = _blocks(path)
     if len(blocks) < 3:
         raise invalid(f"'{path}'", f"{len(blocks)} surfaces (lines SURF)", "an object, at least one surface, and an image plane")
     if (mode := head.first("MODE")) and mode.words[:1] not in ([], ["SEQ"]):
@@ -454,45 +567,226 @@ def _read_zmx(path: Path) -> Prescription:
             got = f"UNIT {one_line(name) or 'without a unit'}"
             raise invalid(f"'{path}', line {unit.number}", got, ", ".join(UNITS_MM))
         scale = UNITS_MM[name]
-
-    def place(index: int) -> str:
-        return f"'{path}', surface {blocks[index + 1].number} (line {blocks[index + 1].line})"
-
-    makers = [word for line in head.all("GCAT") for word in line.words]
-    _check_infinite(path, blocks[0])
-    surfaces = tuple(_zmx_surface(block, place(index), makers) for index, block in enumerate(blocks[1:-1]))
+    notes: list[str] = []
+    solved = _configured(path, head, blocks, operands, options.configuration, notes)
+    _check_traced(path, blocks[1:-1])
+    stated_distance = _zmx_object(path, head, blocks[0])
+    object_distance = stated_distance if stated_distance < FAR else math.inf
     _check_image(path, blocks[-1])
+    glasses = _zmx_glasses(path, head, blocks[1:-1], options, own, notes)
+    surfaces = [_zmx_surface(block, block.place(path), glass, notes) for block, glass in zip(blocks[1:-1], glasses, strict=True)]
     stops = {index for index, block in enumerate(blocks[1:-1]) if block.first("STOP")}
     stop = _one_stop(stops, f"'{path}'", len(surfaces), "Write a line STOP under its SURF.")
+    fixed = _fixed(blocks[1:-1], surfaces, stop)
+    if options.semi_diameters == "clip":
+        if not fixed:
+            notes.append('lens.semi_diameters = "clip" changes nothing: the file fixes no semi-diameter without an aperture')
+        surfaces = [replace(surface, clips=surface.clips or index in fixed) for index, surface in enumerate(surfaces)]
+        fixed = ()
     aperture, value = _zmx_aperture(path, head, surfaces[stop])
-    kind, largest = _zmx_field(path, head)
+    kind, largest = _zmx_field(path, head, stated_distance)
     wavelengths, primary = _zmx_wavelengths(path, head)
+    for index in solved:
+        surfaces[index] = replace(surfaces[index], thickness_mm=_focus(surfaces[: index + 1], object_distance, primary))
+    factors = _zmx_vignetting(path, head, notes)
+    if kind == "angle_deg" and math.isfinite(stated_distance) and _zmx_fields(path, head)[0]:  # object heights far away
+        factors = tuple(replace(row, field_value=math.degrees(math.atan2(row.field_value, stated_distance))) for row in factors)
+    if options.vignetting_factors and not factors:
+        notes.append("lens.vignetting_factors changes nothing: the file has none")
+    used = (options.vignetting_factors or ("ignore" if any(surface.clips for surface in surfaces) else "use")) == "use"
     title = next((" ".join(line.words) for line in head.all("NAME") if line.words), path.stem)
     prescription = Prescription(
-        one_line(path.stem), one_line(title, 200), f"file '{path.name}'", surfaces, stop, aperture, value, kind, largest,
-        wavelengths, primary,
+        one_line(path.stem), one_line(title, 200), f"file '{path.name}'", tuple(surfaces), stop, aperture, value, kind, largest,
+        wavelengths, primary, object_distance, factors if used else (), () if used else factors, fixed,
+        tuple(f"lens '{one_line(path.stem)}': {note}" for note in notes),
     )  # fmt: skip
-    return _checked(prescription.scaled(scale), f"'{path}'", place)
+    return _checked(prescription.scaled(scale), f"'{path}'", lambda index: blocks[index + 1].place(path))
 
 
-def _blocks(path: Path) -> tuple[_Block, list[_Block]]:
-    """Return the head of a .zmx file, with the lines behind the surfaces, and its surfaces."""
-    head, blocks = _Block(), list[_Block]()
-    for number, text in enumerate(zmx_text(path).splitlines(), 1):
-        keyword, *words = text.split() or [""]
-        if keyword == "SURF":
-            if words != [str(len(blocks))]:
-                got = f"SURF {one_line(' '.join(words))}"
-                raise invalid(f"'{path}', line {number}", got, f"SURF {len(blocks)}, the next surface")
+# Operands of several configurations -> the line of a surface that they set.
+OF_SURFACE = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI", "GLSS": "GLAS", "SDIA": "DIAM"}
+# Those that set a number of a list in the head, by the number of the field.
+OF_LIST = {"XFIE": ("XFLN", "XFLD"), "YFIE": ("YFLN", "YFLD"), **{f"F{name[:3]}": (name, name) for name in FACTORS}}
+# Those that change no ray: comments, weights, coatings, labels.
+WITHOUT_EFFECT = frozenset(
+    re.findall(
+        r"\w+",
+        """
+        MOFF HOLD MCOM NCOM LTTL FLWT WLWT CWGT COTN CHZN MCHI GCRS
+        """,
+    )
+)
+# The others that Zemax has.
+OTHER_OPERANDS = frozenset(
+    re.findall(
+        r"\w+",
+        """
+        AFOC APDF APDT APDX APDY APMN APMX APTP CADX CADY CATX CATY CATZ CAOR CBDX CBDY CBTX CBTY CBTZ CBOR CPCN CROR CRSR
+        CSP1 CSP2 EDVA FLTP GPEX GPEY GPIU GPJU GPJX GPJY GPPX GPPY GQPO IGNR IGNM MABB MCSD MDPG MIND MTFU NCOT NGLS NPAR
+        NPOS NPRO PRAM PRES PAR1 PAR2 PAR3 PAR4 PAR5 PAR6 PAR7 PAR8 PSCX PSCY PSCZ PSHX PSHY PSHZ PSP1 PSP2 PSP3 PUCN PXAR
+        PYAR PZAR RAAM SATP SWCN TCEX TELE TEMP TSP1 TSP2 TSP3 UDAF
+        """,
+    )
+)
+SET_HERE = frozenset({*OF_SURFACE, *OF_LIST, "APER", "STPS", "WAVE", "PRWV"})
+SOLVES = ("MAZH", "TCOM", "TOLE")  # of a thickness: the focus of the axial ray, the sum of two, and of all from a surface on
+
+
+def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
+    """Return the head of a .zmx file, its surfaces, and the operands of its configurations.
+
+    A keyword of the head belongs there wherever it stands; another one to the surface above, if it is indented or no line is.
+    """
+    text = lines_of(text_of(path, "lens", "a Zemax prescription, which is text", MAX_BYTES))
+    words_of = [line.split() for line in text]
+    first = next((index for index, words in enumerate(words_of) if words[:1] and words[0].upper() == "SURF"), None)
+    if first is None:
+        raise invalid("lens", f"'{path}' without a line SURF", "a sequential Zemax prescription")
+    flat = not any(words and line[0].isspace() for line, words in zip(text[first:], words_of[first:], strict=True))
+    head, blocks, operands = _Block(), dict[int, _Block](), list[_Line]()
+    block, configurations = None, 0
+    for number, (line, words) in enumerate(zip(text, words_of, strict=True), 1):
+        if not words:
+            continue
+        one = _Line(number, words[0].upper(), words[1:])
+        if one.keyword == "SURF":
+            at = int(one.words[0]) if one.words and re.fullmatch(r"\d{1,6}", one.words[0]) else -1
+            if at < 0 or at in blocks:
+                what = f"SURF {one_line(' '.join(one.words))}{' a second time' * (at in blocks)}"
+                raise invalid(f"'{path}', line {number}", what, "SURF with the number of each surface, from 0, once")
             if len(blocks) > MAX_SURFACES + 1:
                 raise invalid(f"'{path}', line {number}", "more surfaces", f"at most {MAX_SURFACES}")
-            blocks.append(_Block(line=number, number=len(blocks)))
-        elif keyword:
-            inside = text[0].isspace() and blocks
-            (blocks[-1] if inside else head).lines.append(_Line(number, keyword, words))
-    if not blocks:
-        raise invalid("lens", f"'{path}' without a line SURF", "a sequential Zemax prescription")
-    return head, blocks
+            block = blocks[at] = _Block(line=number, number=at)
+        elif one.keyword == "MNUM":
+            head.lines.append(one)
+            configurations = int(one.words[0]) if one.words and one.words[0].isdigit() else 0
+        elif configurations and _is_operand(one, configurations):
+            operands.append(one)
+        elif block is None or one.keyword in HEAD or not (flat or line[0].isspace()):
+            head.lines.append(one)
+        else:
+            block.lines.append(one)
+    missing = [number for number in range(len(blocks)) if number not in blocks]
+    if missing:
+        got = f"surfaces {', '.join(map(str, sorted(blocks)[:20]))}"
+        raise invalid(f"'{path}'", got, f"SURF 0 to SURF {len(blocks) - 1}, without a gap: SURF {missing[0]} is missing")
+    return head, [blocks[number] for number in range(len(blocks))], operands
+
+
+def _is_operand(line: _Line, configurations: int) -> bool:
+    """Whether a line is an operand: its name, what it acts on, and the number of a configuration."""
+    if line.keyword not in SET_HERE | WITHOUT_EFFECT | OTHER_OPERANDS or len(line.words) < 2:
+        return False
+    return all(word.isdigit() for word in line.words[:2]) and 1 <= int(line.words[1]) <= configurations
+
+
+def _configured(
+    path: Path, head: _Block, blocks: list[_Block], operands: Sequence[_Line], wanted: int | None, notes: list[str]
+) -> list[int]:
+    """Change the lines of a file to those of a configuration, and return the surfaces (from 0) whose thickness is to be solved.
+
+    Raises PixsimError if there is no such configuration, or if it changes what pixsim does not read.
+    """
+    stated = head.first("MNUM")
+    count, active = (max(1, int(_zmx_number(f"'{path}'", stated, place, 1.0))) if stated else 1 for place in (0, 1))
+    if wanted is None:
+        if count > 1:
+            notes.append(f"the file has {count} configurations; read is number {active}, the active one. "
+                         f"lens.configuration = {1 + active % count} reads another")  # fmt: skip
+        return []
+    if wanted > count:
+        what = "its only one" if count == 1 else f"of '{path}'"
+        raise invalid("lens.configuration", wanted, f"1{f' to {count}' * (count > 1)}, {what}")
+    if wanted == active:
+        return []
+    values: dict[tuple[str, str], dict[int, _Line]] = {}
+    for line in operands:
+        values.setdefault((line.keyword, line.words[0]), {})[int(line.words[1])] = line
+    unread = []
+    for (keyword, at), of in values.items():
+        one = of.get(wanted)
+        if one is None or keyword in WITHOUT_EFFECT:
+            continue
+        value = one.words[2] if len(one.words) > 2 else ""
+        before = of[active].words[2:3] if active in of else None
+        if keyword in SET_HERE:
+            _set(path, head, blocks, one, value)
+        elif before != [value]:
+            unread.append(f"{keyword} {at} (line {one.number})")
+    if unread:
+        expected = f"operands {', '.join(sorted(SET_HERE))}"
+        hint = f"Make configuration {wanted} the active one in OpticStudio, and save the lens again."
+        raise invalid(f"'{path}': configuration {wanted}", ", ".join(unread), expected, hint)
+    solved = []
+    for index, block in enumerate(blocks[1:-1], 1):
+        for line in block.all(*SOLVES):
+            where = f"{block.place(path)}, line {line.number}"
+            if line.keyword == "MAZH":
+                if _zmx_number(where, line, 0, 0.0) or _zmx_number(where, line, 1, 0.0):
+                    got = f"MAZH {' '.join(line.words[:2])}, a thickness solved for another height than 0 or a real ray"
+                    raise invalid(where, got, "MAZH 0 0, the paraxial focus", "Make the configuration the active one.")
+                solved.append(index - 1)
+            else:
+                start = int(_zmx_number(where, line))
+                between = range(start, index) if line.keyword == "TOLE" else (start,)
+                if not 0 <= start < index:
+                    raise invalid(f"{where}: {line.keyword}", start, f"a surface before {index}")
+                sizes = [_zmx_number(where, size) if (size := blocks[one].first("DISZ")) else 0.0 for one in between]
+                block.put("DISZ", repr(_zmx_number(where, line, 1) - sum(sizes)))
+    return solved
+
+
+def _set(path: Path, head: _Block, blocks: list[_Block], line: _Line, value: str) -> None:
+    """Set what an operand sets. Raises PixsimError if there is no such surface, field or wavelength."""
+    where, keyword, at = f"'{path}', line {line.number}", line.keyword, int(line.words[0])
+    if keyword != "GLSS":
+        _zmx_number(where, replace(line, words=[value.replace("INFINITY", "0")] if keyword == "THIC" else [value]))
+    if keyword in OF_SURFACE or keyword == "STPS":
+        surface = int(float(value)) if keyword == "STPS" else at
+        if not 0 <= surface < len(blocks):
+            raise invalid(f"{where}: {keyword}", f"surface {surface}", f"0 to {len(blocks) - 1}")
+        if keyword == "STPS":
+            for block in blocks:
+                block.lines = [one for one in block.lines if one.keyword != "STOP"]
+            blocks[surface].put("STOP", "")
+        elif keyword == "GLSS":
+            blocks[surface].lines = [one for one in blocks[surface].lines if one.keyword != "GLAS"]
+            if value not in ("", '""'):
+                blocks[surface].lines.append(_Line(line.number, "GLAS", [value, "0"]))
+        else:
+            blocks[surface].put(OF_SURFACE[keyword], value)
+            if keyword == "SDIA" and (semi := blocks[surface].first("DIAM")) and semi.words[1:2] == []:
+                blocks[surface].put("DIAM", FIXED[0], 1)
+    elif keyword in OF_LIST:
+        if not 1 <= at <= MOST_FIELDS:
+            raise invalid(f"{where}: {keyword}", f"field {at}", f"1 to {MOST_FIELDS}")
+        name, older = OF_LIST[keyword]
+        head.put(older if head.first(name) is None and head.first(older) else name, value, at - 1)
+    elif keyword == "APER":
+        stated = next((name for name in ("ENPD", "FNUM", "OBNA") if head.first(name)), None)
+        if stated is None:
+            raise invalid(f"{where}: APER", "an aperture that floats by the size of the stop (FLOA)", "ENPD, FNUM or OBNA")
+        head.put(stated, value)
+    elif keyword == "PRWV":
+        head.put("PWAV", value)
+    else:
+        of_wave = next((one for one in head.all("WAVM") if one.words[:1] == [str(at)]), None)
+        if of_wave is None:
+            raise invalid(f"{where}: WAVE", f"wavelength {at}", "one of the lines WAVM")
+        of_wave.words[1:2] = [value]
+
+
+def _focus(surfaces: Sequence[Surface], object_distance: float, primary_nm: float) -> float:
+    """Return where the paraxial axial ray meets the axis behind surfaces, in their unit."""
+    infinite = math.isinf(object_distance)
+    height, angle, index = (1.0, 0.0, 1.0) if infinite else (object_distance, 1.0, 1.0)
+    for number, surface in enumerate(surfaces):
+        if number:
+            height += surfaces[number - 1].thickness_mm / index * angle
+        behind = float(surface.glass.index(primary_nm))
+        angle -= height * surface.paraxial_curvature_per_mm * (behind - index)
+        index = behind
+    return -height / angle * index if angle else math.inf
 
 
 def _zmx_number(where: str, line: _Line, place: int = 0, default: float | None = None) -> float:
@@ -505,114 +799,343 @@ def _zmx_number(where: str, line: _Line, place: int = 0, default: float | None =
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise invalid(f"{where}, line {line.number}: {line.keyword}", f"'{one_line(text)}'", "a finite number")
+        hint = "A number has a decimal point." if re.fullmatch(r"[-+]?\d+,\d+(e[-+]?\d+)?", text, re.IGNORECASE) else ""
+        raise invalid(f"{where}, line {line.number}: {line.keyword}", f"'{one_line(text)}'", "a finite number", hint)
     return value
 
 
-def _check_infinite(path: Path, block: _Block) -> None:
-    distance = block.first("DISZ")
-    if distance and distance.words[:1] != ["INFINITY"]:
-        at = _zmx_number(f"'{path}'", distance)
-        if abs(at) < 1e10:  # as OpticStudio takes larger ones
-            hint = "Write DISZ INFINITY under SURF 0. The camera's object distance sets the focus."
-            raise invalid(f"'{path}', surface 0 (line {block.line})", f"an object at {at:g}", "an object at infinity", hint)
+def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
+    """Return the distance of the object from the first surface, in the unit of the file."""
+    where = block.place(path)
+    if (glass := block.first("GLAS")) and glass.words and glass.words[0].upper() != "AIR":
+        at = f"{where}, line {glass.number}: GLAS"
+        got = f"an object in the medium {_medium_words(at, glass)}"
+        raise invalid(at, got, "an object in air", "Delete the line to have the lens in air, which is another lens.")
+    curved = (line := block.first("CURV")) is not None and _zmx_number(where, line)
+    if _kind(block) != "STANDARD" or curved:
+        got = f"an object of the type {one_line(_kind(block))}{' that is curved' if curved else ''}"
+        raise invalid(where, got, "a plane object, STANDARD")
+    line = block.first("DISZ")
+    if line is None or not line.words or line.words[0].upper() == "INFINITY":
+        return math.inf
+    distance = _zmx_number(where, line)
+    if distance <= 0:
+        hint = "Write DISZ INFINITY under SURF 0, or a distance above 0. The camera's object distance sets the focus."
+        raise invalid(where, f"an object at {distance:g}", "a real object, in front of the lens", hint)
+    telecentric = head.first("FTYP")
+    if distance < FAR and telecentric and _zmx_number(f"'{path}'", telecentric, 1, 0.0):
+        where = f"'{path}', line {telecentric.number}: FTYP"
+        raise invalid(where, "telecentric object space", "an entrance pupil at a finite distance")
+    return distance
+
+
+def _medium_words(where: str, line: _Line) -> str:
+    if line.words[0] == "___BLANK" or line.words[1:2] == ["1"]:
+        return f"n_d {_zmx_number(where, line, 3, 0.0):g}, V_d {_zmx_number(where, line, 4, 0.0):g}"
+    return f"'{one_line(line.words[0])}'"
 
 
 def _check_image(path: Path, block: _Block) -> None:
-    where = f"'{path}', surface {block.number} (line {block.line})"
+    where = block.place(path)
     kind = block.first("TYPE")
     if (curvature := block.first("CURV")) and _zmx_number(where, curvature):
         raise invalid(where, f"an image of curvature {curvature.words[0]}", "a plane image")
-    if kind and kind.words[:1] != ["STANDARD"]:
+    if kind and kind.words and kind.words[0].upper() != "STANDARD":
         raise invalid(where, f"an image of the type {one_line(' '.join(kind.words))}", "a plane image, STANDARD")
     if (glass := block.first("GLAS")) and glass.words:
         raise invalid(where, f"the glass {one_line(glass.words[0])} behind the image plane", "an image plane in air")
 
 
-def _zmx_surface(block: _Block, where: str, makers: Sequence[str]) -> Surface:
-    """Return a surface in the unit of the file."""
-    kind = next((line.words[0] for line in block.all("TYPE") if line.words), "STANDARD")
-    if kind not in STEP:
-        what = "a gradient index" if kind.startswith(GRADIENTS) else "a tilted or decentred axis" if kind == "COORDBRK" else ""
-        got = f"the surface type {one_line(kind)}{what and ', '}{what}"
-        raise invalid(where, got, ", ".join(STEP), "pixsim traces centred spheres, conics and aspheres of powers of r.")
+def _kind(block: _Block) -> str:
+    return next((line.words[0].upper() for line in block.all("TYPE") if line.words), "STANDARD")
+
+
+def _check_traced(path: Path, blocks: Sequence[_Block]) -> None:
+    """Raise PixsimError that names all surfaces that pixsim does not trace."""
+    found: list[tuple[str, str, str, str]] = []
+    medium = ""
+    for block in blocks:
+        where = block.place(path)
+        found += [(f"{where}{at}", got, expected, hint) for at, got, expected, hint in _untraced(block, where, medium)]
+        medium = _glass_name(block) if _kind(block) != NULL else medium
+    if len(found) == 1:
+        where, got, expected, hint = found[0]
+        raise invalid(where, got, expected, hint)
+    if found:
+        got = "; ".join(f"{where.partition(', ')[2]}: {what}" for where, what, _, _ in found)
+        expected = "; ".join(dict.fromkeys(expected for _, _, expected, _ in found))
+        raise invalid(f"'{path}': {len(found)} surfaces or parts of them", got, expected, HOW_TRACED)
+
+
+def _glass_name(block: _Block) -> str:
+    return next((line.words[0].upper() for line in block.all("GLAS") if line.words and line.words[0].upper() != "AIR"), "")
+
+
+def _untraced(block: _Block, where: str, medium: str) -> Iterator[tuple[str, str, str, str]]:
+    """Yield what of a surface is not traced: its line, what it is, what is allowed, and a hint.
+
+    medium : name of the glass in front of it
+    """
+    kind = _kind(block)
+    if kind == NULL:
+        names = ("decentre x", "decentre y", "tilt x", "tilt y", "tilt z")
+        terms = [(_zmx_number(where, term), _zmx_number(where, term, 1)) for term in block.all("PARM")]
+        moved = [f"{names[int(number) - 1]} {value:g}" for number, value in terms if 1 <= number <= len(names) and value]
+        if (line := block.first("CURV")) and _zmx_number(where, line):
+            moved.append("with a curvature")
+        if _glass_name(block) not in ("", medium):
+            moved.append("with a glass of its own")
+        if moved:
+            yield "", f"{NULL}, a tilted or decentred axis ({', '.join(moved)})", TRACED, HOW_TRACED
+    elif kind not in STEP:
+        what = ", a gradient index" if kind.startswith(GRADIENTS) else ""
+        yield "", f"the surface type {one_line(kind)}{what}", TRACED, HOW_TRACED
+    for glass in block.all("GLAS"):
+        if glass.words and glass.words[0].upper() == "MIRROR":
+            expected = "refracting surfaces: pixsim traces no mirrors"
+            yield f", line {glass.number}: GLAS", f"'{one_line(glass.words[0])}', a mirror", expected, ""
     if any(line.words[:1] not in ([], ["0"]) for line in block.all("IGNR")):
-        raise invalid(where, "a surface that Zemax ignores (IGNR)", "surfaces in use", "Delete it in the lens data editor.")
+        yield "", "a surface that Zemax ignores (IGNR)", "surfaces in use", "Delete it in the lens data editor."
+    for tilt in block.all("SCBD"):
+        if any(_is_number(word) and float(word) for word in tilt.words[1:]):
+            yield f", line {tilt.number}", "a tilted or decentred surface (SCBD)", "surfaces on the axis", ""
     for other in block.all(*OTHER_APERTURES):
-        raise invalid(
-            f"{where}, line {other.number}", f"{other.keyword}, a {OTHER_APERTURES[other.keyword]}", "discs: CLAP or FLAP"
-        )
+        yield f", line {other.number}", f"{other.keyword}, a {OTHER_APERTURES[other.keyword]}", "discs: CLAP or FLAP", ""
     for decentre in block.all("OBDC"):
         if any(_zmx_number(where, decentre, place, 0.0) for place in (0, 1)):
-            raise invalid(f"{where}, line {decentre.number}", "a decentred aperture (OBDC)", "apertures on the axis")
+            yield f", line {decentre.number}", "a decentred aperture (OBDC)", "apertures on the axis", ""
+    for aperture in block.all("CLAP", "FLAP"):
+        if _zmx_number(where, aperture, 0, 0.0):
+            yield f", line {aperture.number}", f"{aperture.keyword} with a hole inside", "full discs, from radius 0", ""
+    if kind in EXTENDED:
+        stated, extra = ([term for term in block.all(name) if _zmx_number(where, term, 1, 0.0)] for name in ("PARM", "XDAT"))
+        if stated or not extra:
+            got = f"{kind} {'with terms in both PARM and XDAT' if extra else 'without XDAT'}, which programs read in several ways"
+            expected = "XDAT 1 with the number of terms, 2 with the radius, and the terms from 3 on"
+            yield "", got, expected, "Save the lens again in OpticStudio."
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
+
+
+def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> Surface:
+    """Return a surface in the unit of the file."""
+    kind = _kind(block)
     curvature, thickness, conic = (
         _zmx_number(where, line) if (line := block.first(keyword)) else 0.0 for keyword in ("CURV", "DISZ", "CONI")
     )
-    asphere = []
-    for term in block.all("PARM"):
-        index, value = _zmx_number(where, term), _zmx_number(where, term, 1)
-        if value and STEP[kind]:
-            asphere.append((STEP[kind] * int(index), value))
-    glass = AIR
-    if (line := block.first("GLAS")) and line.words:
-        name = line.words[0]
-        at = f"{where}, line {line.number}: GLAS"
-        _refuse_mirror(name, at)
-        if name == "___BLANK" or line.words[1:2] == ["1"]:
-            n_d, v_d = _zmx_number(where, line, 3), _zmx_number(where, line, 4)
-            if not 1 <= n_d <= 10 or v_d < 0:
-                raise invalid(at, f"n_d = {n_d:g}, V_d = {v_d:g}", "n_d from 1 to 10 and V_d not below 0")
-            glass = abbe_glass(model_name(n_d, v_d), n_d, v_d) if v_d else constant_glass(f"n = {n_d:g}", n_d)
-        else:
-            glass = find_glass(one_line(name), at, makers, HOW_TO_GIVE_ZMX)
+    if kind == NULL:
+        return Surface(0.0, thickness, glass)
+    step, asphere = STEP[kind], []
+    if kind in EXTENDED:
+        extra = {int(_zmx_number(where, line)): _zmx_number(where, line, 1) for line in block.all("XDAT")}
+        count, radius = int(extra.get(1, 0.0)), extra.get(2, 0.0)
+        if not radius > 0:
+            raise invalid(f"{where}: XDAT 2, the radius that r is taken over", f"{radius:g}", "above 0")
+        terms = {number - 2: value for number, value in extra.items() if number > 2 and value}
+        if beyond := [number for number in terms if number > count]:
+            where = where.partition(", ")[2]
+            notes.append(f"{where}: XDAT 1 states {count} terms; {len(beyond)} beyond are not used, as in OpticStudio")
+        asphere = [(step * number, _over_power(value, radius, step * number)) for number, value in terms.items() if number <= count]
+    elif step:
+        for term in block.all("PARM"):
+            index, value = _zmx_number(where, term), _zmx_number(where, term, 1)
+            if value:
+                asphere.append((step * int(index), value))
     apertures = list(block.all("CLAP", "FLAP"))
     semi = next((_zmx_number(where, line) for line in block.all("DIAM")), 0.0)
     for aperture in apertures:
-        if _zmx_number(where, aperture, 0, 0.0):
-            got = f"{aperture.keyword} with a hole inside"
-            raise invalid(f"{where}, line {aperture.number}", got, "full discs, from radius 0")
         semi = _zmx_number(where, aperture, 1, semi)
     return Surface(curvature, thickness, glass, conic, tuple(sorted(asphere)), semi or None, bool(apertures and semi))
 
 
-def _zmx_aperture(path: Path, head: _Block, stop: Surface) -> tuple[Any, float]:
+def _over_power(value: float, radius: float, power: int) -> float:
+    """Return value/radius^power, infinite where that is too large."""
+    try:
+        return value * radius**-power
+    except (OverflowError, ZeroDivisionError):
+        return math.inf
+
+
+def _fixed(blocks: Sequence[_Block], surfaces: Sequence[Surface], stop: int) -> tuple[int, ...]:
+    """Return the refracting surfaces, but the stop, whose semi-diameter is fixed without an aperture."""
+    found, before = [], AIR
+    for index, (block, surface) in enumerate(zip(blocks, surfaces, strict=True)):
+        fixed = any(line.words[1:2] in ([flag] for flag in FIXED) for line in block.all("DIAM"))
+        if fixed and surface.semi_diameter_mm and surface.glass != before and index != stop and not surface.clips:
+            found.append(index)
+        before = surface.glass
+    return tuple(found)
+
+
+def _zmx_glasses(
+    path: Path, head: _Block, blocks: Sequence[_Block], options: LensOptions, own: Mapping[str, Glass], notes: list[str]
+) -> list[Glass]:
+    """Return the medium behind each surface. Raises PixsimError that names all glasses that are not known."""
+    makers = [word for line in head.all("GCAT") for word in line.words]
+    glasses: list[Glass] = []
+    unknown: list[tuple[_Block, _Line, PixsimError]] = []
+    modelled: list[str] = []
+    for block in blocks:
+        line = block.first("GLAS")
+        if _kind(block) == NULL:  # in the medium that it stands in
+            glasses.append(glasses[-1] if glasses else AIR)
+            continue
+        if line is None or not line.words or line.words[0].upper() == "AIR":
+            glasses.append(AIR)
+            continue
+        try:
+            glasses.append(_zmx_glass(line, f"{block.place(path)}, line {line.number}: GLAS", makers, own))
+        except PixsimError as error:
+            numbers = _own_numbers(line)
+            if options.unknown_glass == "model" and numbers:
+                name = one_line(line.words[0])
+                glasses.append(abbe_glass(f"{name} by {model_name(*numbers)}", *numbers))
+                modelled.append(f"{name} (surface {block.number})")
+            else:
+                unknown.append((block, line, error))
+                glasses.append(AIR)
+    if modelled:
+        notes.append(f"glasses that no catalogue has are models of the n_d and V_d in their lines: {', '.join(modelled)}")
+    if len(unknown) == 1:
+        _, line, reason = unknown[0]
+        raise PixsimError(f"{reason} {_ready(line)} {OWN_CATALOGUE}")
+    if unknown:
+        listed = [
+            f"surface {block.number}, line {line.number}: {_reason(reason)}. {_ready(line)}" for block, line, reason in unknown
+        ]
+        raise PixsimError("\n".join([f"'{path}': got {len(unknown)} surfaces of unknown glass. {OWN_CATALOGUE}", *listed]))
+    return glasses
+
+
+def _reason(error: PixsimError) -> str:
+    return str(error).partition(": got ")[2].partition("; allowed")[0] or str(error)
+
+
+def _own_numbers(line: _Line) -> tuple[float, float] | None:
+    """Return n_d and V_d that a GLAS line states beside the name, if they are the glass's own."""
+    words = line.words[3:5]
+    if len(words) < 2 or not all(map(_is_number, words)):
+        return None
+    n_d, v_d = map(float, words)
+    return (n_d, v_d) if 1 < n_d <= 10 and v_d > 0 and (n_d, v_d) != PLACEHOLDER else None
+
+
+def _ready(line: _Line) -> str:
+    """Return how to take the numbers that a GLAS line states."""
+    if numbers := _own_numbers(line):
+        ready = f"GLAS ___BLANK 1 0 {numbers[0]:g} {numbers[1]:g}"
+        return f'Its line states n_d and V_d: write {ready} in its place, or set lens.unknown_glass = "model".'
+    return f"Its line states no n_d and V_d of its own. {HOW_TO_GIVE_ZMX}"
+
+
+def _zmx_glass(line: _Line, at: str, makers: Sequence[str], own: Mapping[str, Glass]) -> Glass:
+    name, mode = one_line(line.words[0]), line.words[1] if len(line.words) > 1 else "0"
+    if name == "___BLANK" or mode == str(MODEL_GLASS):
+        n_d, v_d = _zmx_number(at, line, 3), _zmx_number(at, line, 4)
+        if not 1 <= n_d <= 10 or v_d < 0:
+            raise invalid(at, f"n_d = {n_d:g}, V_d = {v_d:g}", "n_d from 1 to 10 and V_d not below 0")
+        return abbe_glass(model_name(n_d, v_d), n_d, v_d) if v_d else constant_glass(f"n = {n_d:g}", n_d)
+    if glass := code_glass(name):
+        return glass
+    glass = find_glass(name, at, makers, own=own, numbers=_own_numbers(line))
+    if mode == str(SHIFTED_GLASS):
+        return shifted(glass, _zmx_number(at, line, 9, 0.0), _zmx_number(at, line, 10, 0.0))
+    return glass
+
+
+def _zmx_aperture(path: Path, head: _Block, stop: Surface) -> tuple[Aperture, float]:
     where = f"'{path}'"
     if line := head.first("ENPD"):
         return "entrance_pupil_diameter", _zmx_number(where, line)
     if line := head.first("FNUM"):
+        return "working_f_number" if _zmx_number(where, line, 1, 0.0) else "f_number", _zmx_number(where, line)
+    if line := head.first("OBNA"):
         if _zmx_number(where, line, 1, 0.0):
-            raise invalid(f"{where}, line {line.number}", "a working f-number", "FNUM with 0: for an object at infinity")
-        return "f_number", _zmx_number(where, line)
+            got = "OBNA of an angle"
+            raise invalid(f"{where}, line {line.number}", got, "OBNA with 0: the numerical aperture, or ENPD or FNUM")
+        return "object_numerical_aperture", _zmx_number(where, line)
     if head.first("FLOA"):
         if stop.semi_diameter_mm is None:
             raise invalid(f"aperture of {where}", "FLOA, and no DIAM of the stop", "a stop with a size")
         return "stop_diameter", 2 * stop.semi_diameter_mm
-    raise invalid(f"aperture of {where}", "none", "ENPD (entrance pupil), FNUM (f-number) or FLOA (size of the stop)")
+    expected = "ENPD (entrance pupil), FNUM (f-number), OBNA (numerical aperture) or FLOA (size of the stop)"
+    raise invalid(f"aperture of {where}", "none", expected)
 
 
-def _zmx_field(path: Path, head: _Block) -> tuple[Any, float]:
+def _zmx_fields(path: Path, head: _Block) -> tuple[int, list[tuple[float, float]], _Line | None]:
+    """Return the kind of the fields, the fields in use, and the line of their kind."""
     where, line = f"'{path}'", head.first("FTYP")
     kind = int(_zmx_number(where, line, 0, 0.0)) if line else 0
     # Behind the first numbers are those of fields that are not in use.
-    count = int(_zmx_number(where, line, 2, 12.0)) if line else 12
-    values: list[list[float]] = []
-    for keyword, older in (("XFLN", "XFLD"), ("YFLN", "YFLD")):
-        found = head.first(keyword) or head.first(older)
-        values.append([_zmx_number(where, found, place) for place in range(len(found.words))] if found else [])
-    x, y = ([*axis[: max(count, 0)], *([0.0] * 12)][:12] for axis in values)
-    largest = max(math.hypot(*pair) for pair in zip(x, y, strict=True))
+    count = int(_zmx_number(where, line, 2, USUAL_FIELDS)) if line else USUAL_FIELDS
+    values = [_list(path, head, *names) for names in (("XFLN", "XFLD"), ("YFLN", "YFLD"))]
+    return kind, list(zip(*values, strict=True))[: min(max(count, 0), MOST_FIELDS)], line
+
+
+def _list(path: Path, head: _Block, keyword: str, older: str = "") -> list[float]:
+    """Return `MOST_FIELDS` numbers of a list in the head; 0 behind its end."""
+    found = head.first(keyword) or (head.first(older) if older else None)
+    places = range(min(len(found.words), MOST_FIELDS)) if found else ()
+    values = [_zmx_number(f"'{path}'", found, place) for place in places if found]
+    return [*values, *([0.0] * (MOST_FIELDS - len(values)))]
+
+
+def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldOfView, float]:
+    kind, fields, line = _zmx_fields(path, head)
+    largest = max((math.hypot(*pair) for pair in fields), default=0.0)
+    where = f"'{path}', line {line.number if line else 0}: FTYP"
     if kind not in FIELD_KINDS:
         if largest:
-            number = line.number if line else 0
-            raise invalid(f"{where}, line {number}", f"FTYP {kind}, fields as object heights", "angles or image heights")
+            raise invalid(where, kind, "0 (angles), 1 (object heights), 2 or 3 (paraxial or real image heights)")
         kind = 0
+    if FIELD_KINDS[kind] == "object_height" and object_distance >= FAR:
+        if largest and math.isinf(object_distance):
+            raise invalid(where, "object heights of an object at infinity", "angles (FTYP 0), or a finite DISZ under SURF 0")
+        return "angle_deg", math.degrees(math.atan2(largest, object_distance))
     return FIELD_KINDS[kind], largest
+
+
+def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignetting, ...]:
+    """Return what light of each field fills of the pupil, by rising fields; empty if no field has factors."""
+    kind, fields, _ = _zmx_fields(path, head)
+    factors = list(zip(*(_list(path, head, keyword) for keyword in FACTORS), strict=True))
+    rows: dict[float, Vignetting] = {}
+    unused = []
+    for number, ((x, y), (dx, dy, cx, cy, turned)) in enumerate(zip(fields, factors, strict=False), 1):
+        size = math.hypot(x, y)
+        towards = (x / size, y / size) if size else (0.0, 1.0)
+        if not (cx < 1 and cy < 1 and abs(dx) < 1 and abs(dy) < 1):
+            raise invalid(f"'{path}': vignetting factors of field {number}", f"{(dx, dy, cx, cy)}", "numbers below 1")
+        along = dx * towards[0] + dy * towards[1]
+        off_axis = abs(dx * towards[1] - dy * towards[0]) > FACTORS_ZERO
+        round_ = abs(cx - cy) <= FACTORS_ZERO
+        if off_axis or (not round_ and (turned or (size and 0.0 not in (x, y)))) or (not size and (along or not round_)):
+            unused.append(number)  # an ellipse that is not symmetric to the plane of the field
+            continue
+        semi = (1 - cx, 1 - cy) if not x else (1 - cy, 1 - cx)
+        # A higher object sends its light down.
+        rows.setdefault(size, Vignetting(size, -along if FIELD_KINDS.get(kind) == "object_height" else along, *semi))
+    if unused:
+        what = ", ".join(map(str, unused))
+        notes.append(f"vignetting factors of the fields {what} are not used: they are not symmetric to the plane of their field")
+    found = tuple(rows[size] for size in sorted(rows))
+    return found if any(row != Vignetting(row.field_value) for row in found) else ()
+
+
+FACTORS_ZERO = 1e-9
 
 
 def _zmx_wavelengths(path: Path, head: _Block) -> tuple[tuple[float, ...], float]:
     """Return the wavelengths in nm and the primary one. Newer files fill up to 24 with .55; the count is in FTYP."""
     where = f"'{path}'"
     lines = list(head.all("WAVM"))
+    if all(line.words and line.words[0].isdigit() for line in lines):
+        lines.sort(key=lambda line: int(line.words[0]))
     values = [1e3 * _zmx_number(where, line, 1) for line in lines]
     if not values and (older := head.first("WAVL")):
         values = [1e3 * _zmx_number(where, older, place) for place in range(len(older.words))]
@@ -627,4 +1150,5 @@ def _zmx_wavelengths(path: Path, head: _Block) -> tuple[tuple[float, ...], float
     return tuple(used), used[main - 1]
 
 
-READERS: dict[str, Callable[[Path], Prescription]] = {".toml": _read_toml, ".zmx": _read_zmx}
+Reader = Callable[[Path, LensOptions, Mapping[str, Glass]], Prescription]
+READERS: dict[str, Reader] = {".toml": _read_toml, ".zmx": _read_zmx}

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import one_line
+from pixsim.base.errors import invalid, one_line
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.field_blur import Light, even_window, fit_wavefronts, periodic_psf
@@ -33,11 +34,14 @@ NEAR_AXIS = 1e-3  # of the largest field: distortion on the axis is its limit, n
 SPOT_RINGS = 6  # of rays: 1, 6, 12 … in each
 FREQUENCIES = (10.0, 30.0, 60.0)  # lp/mm
 MTF_POINTS = 61
+MTF_LINES = ("tangential", "sagittal")
 PSF_SPOTS = 6  # rms radii along a side of a PSF
 PSF_SAMPLES = 3  # of the width λN along a side
 MOST_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
 MOST_WIDTHS = 300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
 GRID, LINE_BINS = 81, 4096  # of rays across the stop, and of their line spread functions
+RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
+MOST_TRACED = 5e6  # rays of such a grid times surfaces, about a second: 81 across for three wavelengths and 28 surfaces
 SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
 DRAWN_FIELDS = (0.0, 0.7, 1.0)
 DRAWN_HEIGHTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # in the stop
@@ -72,6 +76,7 @@ class LensData:
     field_deg : (F,) of spots, PSFs and MTFs
     spots : one of each field
     psfs : (n, n) of each field, means over squares of `psf_pitch_um`; the chief ray of the primary wavelength in the middle
+    dark : (F,), whether no light reaches the image of a field: its spot and MTF are NaN, its PSF 0
     geometric : whether aberrations are so large that PSFs and MTFs are those of rays, times the limit of diffraction
     frequency_lp_per_mm : (n,)
     mtf : (F, 2, n), tangential and sagittal
@@ -79,6 +84,7 @@ class LensData:
     curve_deg : (n,) of the curves over the field
     curves : name -> values (n,)
     pitch_um : of the pixel whose Nyquist frequency is looked at
+    notes : of how the file was read
     """
 
     lens: Lens
@@ -88,6 +94,7 @@ class LensData:
     spots: Sequence[Spot]
     psfs: Sequence[Array]
     psf_pitch_um: float
+    dark: NDArray[np.bool_]
     geometric: bool
     frequency_lp_per_mm: Array
     mtf: Array
@@ -95,6 +102,7 @@ class LensData:
     curve_deg: Array
     curves: dict[str, Array]
     pitch_um: float | None
+    notes: Sequence[str] = ()
 
     @property
     def primary(self) -> FirstOrder:
@@ -126,7 +134,7 @@ class LensData:
                 "rms_wavefront_waves": float(rms),
                 **{name: float(np.interp(angle, self.curve_deg, values)) for name, values in self.curves.items()},
                 "mtf": [
-                    {"lp_per_mm": f, "tangential": float(self.mtf_at(f)[i, 0]), "sagittal": float(self.mtf_at(f)[i, 1])}
+                    {"lp_per_mm": f, **plain({name: float(self.mtf_at(f)[i, axis]) for axis, name in enumerate(MTF_LINES)})}
                     for f in self.asked_lp_per_mm
                 ],
             }
@@ -150,6 +158,7 @@ class LensData:
             "first_order": [plain(each) for each in first],
             "glasses": [{"name": glass.name, "source": glass.source} for glass in lens.prescription.glasses],
             "fields": [plain(each) for each in fields],
+            "notes": list(self.notes),
         }
 
 
@@ -158,11 +167,14 @@ def asked_frequencies(pitch_um: float | None) -> tuple[float, ...]:
     return FREQUENCIES if pitch_um is None else tuple(sorted({*FREQUENCIES, 500 / pitch_um}))
 
 
-def lens_data(lens: Lens, wavelength_nm: Sequence[float] | None = None, pitch_um: float | None = None) -> LensData:
+def lens_data(
+    lens: Lens, wavelength_nm: Sequence[float] | None = None, pitch_um: float | None = None, notes: Sequence[str] = ()
+) -> LensData:
     """Trace a lens.
 
     wavelength_nm : of equal weight; those of its file by default
     pitch_um : of a pixel whose Nyquist frequency is looked at
+    notes : of how the file was read
 
     Raises PixsimError if a wavelength is outside the range of a glass, or if chief rays do not reach the image.
     """
@@ -172,10 +184,15 @@ def lens_data(lens: Lens, wavelength_nm: Sequence[float] | None = None, pitch_um
     fields = np.linspace(0.0, largest, FIELDS) if largest else np.zeros(1)
     curve = np.linspace(0.0, largest, CURVE_FIELDS) if largest else np.zeros(1)
     x, y = spot_points()
+    illumination = lens.projected_solid_angle_sr(curve, primary)
+    dark = np.asarray(illumination[:: (CURVE_FIELDS - 1) // (FIELDS - 1)] <= 0)
+    if dark[0]:
+        got = "no light on the axis"
+        raise invalid(f"lens '{lens.prescription.name}'", got, "light on the axis", "Check its clear apertures and semi-diameters.")
     spots = []
-    for angle in fields:
+    for angle, none in zip(fields, dark, strict=True):
         waves = lens.wavefront(angle, wavelengths, x, y)
-        seen = waves.passed & np.isfinite(waves.opd_waves)
+        seen = waves.passed & np.isfinite(waves.opd_waves) & ~none
         off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, primary).height_mm
         spots.append(Spot(*(np.where(seen, 1e3 * part, np.nan) for part in (waves.x_mm, waves.y_mm + off))))
     asked = asked_frequencies(pitch_um)
@@ -183,15 +200,20 @@ def lens_data(lens: Lens, wavelength_nm: Sequence[float] | None = None, pitch_um
     cutoff = float(cutoff_cy_per_mm(shortest, f_number))
     highest = max(1.1 * max(asked), min(cutoff, 1.5 * max(asked), 150.0))
     frequency = np.unique(np.concatenate([np.linspace(0.0, highest, MTF_POINTS), asked]))
-    side = PSF_SPOTS * max(spot.rms_um for spot in spots)
+    dark = dark | np.array([math.isnan(spot.rms_um) for spot in spots])  # or too little light for a ray
+    side = PSF_SPOTS * max(spot.rms_um for spot, none in zip(spots, dark, strict=True) if not none)
     geometric = side > MOST_WIDTHS * 1e-3 * shortest * f_number
     pitch = min(max(1e-3 * shortest * f_number / PSF_SAMPLES, side / MOST_SAMPLES), 500 / min(highest, 1.05 * cutoff))
+    seen_fields = fields[~dark]
     if geometric:
         pitch = side / MOST_SAMPLES
-        psfs, mtf = ray_spreads(lens, fields, wavelengths, pitch, frequency)
+        psfs, mtf = ray_spreads(lens, seen_fields, wavelengths, pitch, frequency)
     else:
-        psfs = point_spreads(lens, fields, wavelengths, pitch, side)
+        psfs = point_spreads(lens, seen_fields, wavelengths, pitch, side)
         mtf = np.array([[line_mtf(psf.sum(axis=1 - axis), pitch, frequency) for axis in (0, 1)] for psf in psfs])
+    for index in np.flatnonzero(dark):  # in rising order, so that each is put at its place
+        psfs.insert(int(index), np.zeros_like(psfs[0]))
+        mtf = np.insert(mtf, index, np.nan, axis=0)
     mtf[..., frequency > cutoff] = 0.0  # where samples of the PSF would repeat lower frequencies
     chief = lens.chief_ray(curve, primary)
     tangential, sagittal = lens.foci_mm(curve, primary)
@@ -200,15 +222,16 @@ def lens_data(lens: Lens, wavelength_nm: Sequence[float] | None = None, pitch_um
         "image_height_mm": chief.height_mm,
         "chief_ray_angle_deg": chief.angle_deg,
         "distortion": lens.distortion(np.maximum(curve, NEAR_AXIS * largest)) if largest else np.zeros(1),
-        "relative_illumination": lens.relative_illumination(curve),
+        "relative_illumination": illumination / illumination[0],
         "tangential_focus_mm": tangential,
         "sagittal_focus_mm": sagittal,
         "lateral_colour_um": 1e3 * (ends[:, 1] - ends[:, 0]),
     }
     first = [lens.first_order(float(nm)) for nm in wavelengths]
     return LensData(
-        lens, wavelengths, first, fields, spots, psfs, pitch, geometric, frequency, mtf, rms_wavefronts(lens, fields), curve,
-        {name: np.asarray(values) for name, values in curves.items()}, pitch_um,
+        lens, wavelengths, first, fields, spots, psfs, pitch, dark, geometric, frequency, mtf,
+        np.where(dark, np.nan, rms_wavefronts(lens, fields)), curve,
+        {name: np.asarray(values) for name, values in curves.items()}, pitch_um, notes,
     )  # fmt: skip
 
 
@@ -228,9 +251,10 @@ def rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
     for opd, passed, cosines in zip(waves.opd_waves, waves.passed, waves.cosines, strict=True):
         seen = passed & np.isfinite(opd)
         basis = np.column_stack([np.ones(int(seen.sum())), cosines[seen]])
-        found.append(
-            float(np.std(opd[seen] - basis @ np.linalg.lstsq(basis, opd[seen], rcond=None)[0])) if seen.any() else math.nan
+        residual = (
+            opd[seen] - basis @ np.linalg.lstsq(basis, opd[seen], rcond=None)[0] if seen.sum() > basis.shape[1] else [math.nan]
         )
+        found.append(float(np.std(residual)))
     return np.array(found)
 
 
@@ -254,14 +278,15 @@ def ray_spreads(
     lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, frequency_lp_per_mm: Array
 ) -> tuple[list[Array], Array]:
     """Return PSFs of rays, as `point_spreads` does, and MTFs (F, 2, n): those of the rays times the limit of diffraction."""
-    grid = np.linspace(-1, 1, GRID)
+    rays = GRID**2 * field_deg.size * wavelength_nm.size * len(lens.prescription.surfaces)
+    grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(MOST_TRACED / rays))))
     x, y = (part[np.hypot(*np.meshgrid(grid, grid)) <= 1] for part in np.meshgrid(grid, grid))
     f_number = lens.first_order(lens.primary_nm).f_number
     limit = np.mean([diffraction_otf(frequency_lp_per_mm, float(nm), f_number) for nm in wavelength_nm], axis=0)
     edges = (np.arange(MOST_SAMPLES + 2) - (MOST_SAMPLES + 1) / 2) * pitch_um
     psfs, mtf = [], []
     for angle in field_deg:
-        waves = lens.wavefront(angle, wavelength_nm, x, y)
+        waves = lens.wavefront(angle, wavelength_nm, x, y, RAYS_AIMED)
         seen = waves.passed & np.isfinite(waves.opd_waves)
         off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, lens.primary_nm).height_mm
         across, along = 1e3 * waves.x_mm[seen], 1e3 * (waves.y_mm + off)[seen]
@@ -406,8 +431,8 @@ def ends_words(what: str, field_deg: Sequence[float], values: Sequence[float], u
 
 def half_words(data: LensData) -> str:
     """Return where the lower MTF, tangential or sagittal, falls to one half on the axis and in the worst field, as a sentence."""
-    ends = []
-    for mtf in data.mtf.min(axis=1):
+    ends, lit_deg = [], data.field_deg[~data.dark]
+    for mtf in data.mtf[~data.dark].min(axis=1):
         below = np.flatnonzero(mtf < 0.5)
         ends.append(float(data.frequency_lp_per_mm[below[0]]) if below.size else math.inf)
     if math.isinf(min(ends)):
@@ -416,7 +441,7 @@ def half_words(data: LensData) -> str:
     worst = int(np.argmin(ends))
     if not worst:
         return f"The lower MTF falls to one half {words[0]} on the axis, and nowhere earlier."
-    return f"The lower MTF falls to one half {words[0]} on the axis, and earliest {words[worst]} at {data.field_deg[worst]:.3g}°."
+    return f"The lower MTF falls to one half {words[0]} on the axis, and earliest {words[worst]} at {lit_deg[worst]:.3g}°."
 
 
 def spot_plate(data: LensData) -> Plate:
@@ -434,10 +459,11 @@ def spot_plate(data: LensData) -> Plate:
             table["wavelength_nm"] += [float(nm)] * x.size
             table["x_um"] += x.tolist()
             table["y_um"] += y.tolist()
-            most = max(most, float(np.nanmax(np.abs([x, y]), initial=0.0)))
+            most = max(most, float(np.max(np.abs([x, y]), initial=0.0, where=np.isfinite([x, y]))))
         turn = np.linspace(0, 2 * np.pi, 73)
         axes.plot(airy * np.cos(turn), airy * np.sin(turn), color="black", lw=0.9, label="Airy disc")
-        axes.set_title(f"{angle:.3g}°: rms {spot.rms_um:.3g} µm", fontsize=9)
+        rms = "no light" if data.dark[index] else f"rms {spot.rms_um:.3g} µm"
+        axes.set_title(f"{angle:.3g}°: {rms}", fontsize=9)
         axes.set_aspect("equal")
         axes.grid(alpha=0.25)
         axes.set_xlabel("x (µm)")
@@ -459,7 +485,7 @@ def how(data: LensData) -> str:
 def psf_plate(data: LensData) -> Plate:
     """Show the point spread functions of some fields on one scale."""
     shown = shown_fields(data)
-    largest = max(data.spots[index].rms_um for index in shown)
+    largest = max(data.spots[index].rms_um for index in shown if not data.dark[index])
     half = max(SHOWN_HALF_WIDTHS * largest, 4e-3 * data.lens.primary_nm * data.primary.f_number)
     figure, panels = panels_of(len(shown), 2.7, shared=True)
     table: dict[str, Column] = {}
@@ -473,10 +499,11 @@ def psf_plate(data: LensData) -> Plate:
     for axes, index, picture in zip(panels, shown, pictures, strict=True):
         middle = len(picture) // 2
         cut = picture[middle - reach : middle + reach + 1, middle - reach : middle + reach + 1]
-        axes.imshow(np.sqrt(cut / cut.max()), cmap="viridis", vmin=0, vmax=1, origin="lower", extent=(-side, side, -side, side))
-        axes.set_title(f"{data.field_deg[index]:.3g}°", fontsize=9)
+        cut = cut / max(float(cut.max()), np.finfo(float).tiny)
+        axes.imshow(np.sqrt(cut), cmap="viridis", vmin=0, vmax=1, origin="lower", extent=(-side, side, -side, side))
+        axes.set_title(f"{data.field_deg[index]:.3g}°{': no light' * bool(data.dark[index])}", fontsize=9)
         axes.set_xlabel("x (µm)")
-        coarse = coarse_table(cut / cut.max(), f"psf_{data.field_deg[index]:.4g}_deg")
+        coarse = coarse_table(cut, f"psf_{data.field_deg[index]:.4g}_deg")
         table |= coarse
     panels[0].set_ylabel("y (µm)")
     areas = [float((psf >= psf.max() / 2).sum()) * data.psf_pitch_um**2 if psf.any() else math.nan for psf in data.psfs]
@@ -536,7 +563,7 @@ def mtf_over_field(data: LensData) -> Plate:
     below(figure, axes, len(data.asked_lp_per_mm))
     finest = data.asked_lp_per_mm[-1]
     lowest = data.mtf_at(finest).min(axis=1)
-    at = int(lowest.argmin())
+    at = int(np.nanargmin(lowest))
     caption = (
         f"At {finest:.4g} lp/mm, the MTF is least at an image height of {height[at]:.3g} mm: {lowest[at]:.2f}. MTF against image "
         "height. Solid: tangential; dashed: sagittal."
@@ -663,13 +690,13 @@ def field_rows(data: LensData) -> Rows:
         ("field (°)", "height (mm)", "chief ray (°)", "distortion (%)", "illumination", "rms spot (µm)", "rms wavefront (waves)",
          *(f"MTF at {f:.4g}/mm" for f in data.asked_lp_per_mm))
     ]  # fmt: skip
-    for each in data.as_dict()["fields"]:
+    for each, dark in zip(data.as_dict()["fields"], data.dark, strict=True):
         rows.append((
             f"{each['field_deg']:.4g}", f"{each['height_mm']:.4g}", f"{each['chief_ray_angle_deg']:.4g}",
             f"{100 * each['distortion']:.3g}", f"{each['relative_illumination']:.3f}",
             "–" if each["rms_spot_um"] is None else f"{each['rms_spot_um']:.3g}",
             "–" if each["rms_wavefront_waves"] is None else f"{each['rms_wavefront_waves']:.3g}",
-            *(f"{mtf['tangential']:.2f} / {mtf['sagittal']:.2f}" for mtf in each["mtf"]),
+            *("–" if dark else f"{mtf['tangential']:.2f} / {mtf['sagittal']:.2f}" for mtf in each["mtf"]),
         ))  # fmt: skip
     return rows
 
@@ -717,7 +744,7 @@ def write_lens(data: LensData, out: Path) -> Path:
             "title": title_of(data), "lens": data.lens, "plates": shown, "first_order": first_order_rows(data),
             "surfaces": surface_rows(data), "fields": field_rows(data), "glasses": data.lens.prescription.glasses,
             "loss": 100 * (1 - data.lens.fresnel_transmittance(data.lens.primary_nm)), "versions": versions(),
-            "wavelengths": ", ".join(f"{nm:.5g}" for nm in data.wavelength_nm),
+            "notes": data.notes, "wavelengths": ", ".join(f"{nm:.5g}" for nm in data.wavelength_nm),
         }  # fmt: skip
         write_page(folder / "report.html", "lens.html.j2", page)
     return out / "report.html"
@@ -736,12 +763,13 @@ def chosen_lens(
     Raises PixsimError as the methods of `Lens` do.
     """
     if focal_length_mm is not None:
-        lens = lens.scaled(focal_length_mm / lens.first_order(lens.primary_nm).focal_length_mm)
+        factor = focal_length_mm / lens.first_order(lens.primary_nm).focal_length_mm
+        lens = replace(lens.scaled(factor), object_distance_mm=factor * lens.object_distance_mm)
     if f_number is not None:
         lens = lens.stopped_down(f_number)
     if field_deg is not None:
-        lens = replace(lens, max_field_deg=field_deg)
+        lens = lens.with_same_rays(max_field_deg=field_deg)
     if refocus is not None or object_distance_m is not None:
-        distance = math.inf if object_distance_m is None else 1e3 * object_distance_m
+        distance = lens.object_distance_mm if object_distance_m is None else 1e3 * object_distance_m
         lens = lens.refocused(refocus or "axis", distance)  # type: ignore[arg-type]
     return lens

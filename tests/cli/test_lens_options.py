@@ -1,5 +1,6 @@
 """Real lenses on the command line, in TOML and in Python: one setting however it is spelt, and one error for what is wrong."""
 
+import json
 import os
 import re
 from pathlib import Path
@@ -175,7 +176,7 @@ def test_units_are_obeyed_by_every_route(folder: Path, unit: str, size_mm: float
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        ("lens phone --field-deg 85", "field_deg: got 42.5, where the chief ray misses surface 5"),
+        ("lens phone --field-deg 85", "field_deg: got 37.1875, where the chief ray misses surface 9"),
         ("lens phone --wavelength-nm 900", "wavelength_nm: got 900; allowed: 400 to 750, where the glass"),
         ("lens cooke_triplet --f-number 2", "allowed: at least 4.99"),
     ],
@@ -194,3 +195,92 @@ def test_a_lens_may_be_named_shortly_beside_its_other_options() -> None:
     code, _, err = command("plan csf --lens phone --lens.refocus field --camera.f-number 1")
     assert code == 2
     assert "the widest of 'phone'" in err
+
+
+WILD = Path(__file__).parents[1] / "data" / "lenses" / "wild"
+FIXED_NOTE = "lens 'fixed': fixed semi-diameters of 2 surfaces stop no rays, since they are no apertures"
+
+
+def test_an_option_or_a_later_file_replaces_the_thin_lens_of_a_file(folder: Path) -> None:
+    """With a note; in one file, or among the options, it stays a contradiction."""
+    (folder / "sheet.toml").write_text(
+        "[camera]\nfocal_length_mm = 4.0\n[pixel]\ntechnology = '4t-bsi'\npitch_um = 4\n", encoding="utf-8"
+    )
+    (folder / "lens.toml").write_text("[lens]\nfile = 'phone'\n", encoding="utf-8")
+    plan = "plan csf -D resolution=16 --config sheet.toml"
+    plain = command("plan csf -D resolution=16 --pixel.technology 4t-bsi --pixel.pitch-um 4 --lens phone")
+    for words in (["--lens", "phone"], ["--config", "lens.toml"]):
+        code, out, err = command(plan, *words)
+        assert (code, out) == plain[:2], err
+        assert "camera.focal_length_mm of sheet.toml is not used: the real lens, lens.file, has its own" in err
+    contradiction = "camera.focal_length_mm: got a value beside lens.file = 'phone'"
+    (folder / "both.toml").write_text("[camera]\nfocal_length_mm = 4.0\n[lens]\nfile = 'phone'\n", encoding="utf-8")
+    for words in (
+        ["--config", "both.toml"],
+        ["--lens", "phone", "--camera.focal-length-mm", "4"],
+        ["--config", "lens.toml", "--camera.focal-length-mm", "4"],
+    ):
+        code, out, err = command("plan csf -D resolution=16", *words)
+        assert (code, out) == (2, "")
+        assert contradiction in re.sub(r"\s+", " ", err)
+
+
+def test_reading_options_reach_the_camera(folder: Path) -> None:
+    """By the command line, a file, and Python; catalogues lie beside the file that names them."""
+    (folder / "sub").mkdir()
+    lines = (
+        "NM BK7 2 517642 1.5168 64.2 0 1",
+        "CD 1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653",
+        "LD .3 2.5",
+    )
+    (folder / "sub" / "my.agf").write_text("\n".join(lines), encoding="utf-8")
+    bk7 = str(WILD / "bk7.zmx")
+    (folder / "sub" / "run.toml").write_text(f"[lens]\nfile = {bk7!r}\nglass_catalogues = ['my.agf']\n", encoding="utf-8")
+    by_file = command("plan csf -D resolution=16 --config sub/run.toml")
+    by_option = command("plan csf -D resolution=16", "--lens", bk7, "--lens.glass-catalogues", "sub/my.agf")
+    assert by_file[0] == by_option[0] == 0, by_file[2] + by_option[2]
+    scene, camera = load_scene("csf", resolution=16), CameraOptions()
+    mine = scene.camera(camera, LensOptions(file=bk7, glass_catalogues=("sub/my.agf",)))
+    model = scene.camera(camera, LensOptions(file=bk7, unknown_glass="model"))
+    air = scene.camera(camera, LensOptions(file=str(WILD / "air.zmx")))
+    assert mine.focal_length_mm == pytest.approx(air.focal_length_mm, rel=1e-12)
+    assert mine.focal_length_mm != model.focal_length_mm
+    assert mine.lens_options.glass_catalogues == ("sub/my.agf",)
+    assert "configuration" not in air.lens.model_dump()
+
+
+def test_notes_of_a_file_are_told_by_every_command(folder: Path) -> None:
+    fixed = str(WILD / "fixed.zmx")
+    assert FIXED_NOTE in command("plan csf -D resolution=16", "--lens", fixed)[2]
+    code, out, err = command("lens", fixed, "--json", "--out", "out")
+    assert code == 0
+    assert FIXED_NOTE in err
+    assert [note.startswith(FIXED_NOTE) for note in json.loads(out)["notes"]] == [True]
+    assert "and 0 from 20° on if they did" in (folder / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_fields_without_light_have_a_dash(folder: Path) -> None:
+    """No MTF, no spot, and no warning of another library."""
+    code, out, err = command("lens", str(WILD / "fixed.zmx"), "--semi-diameters", "clip", "--out", "out")
+    assert code == 0
+    assert "warning" not in err
+    last = [line.split() for line in out.splitlines() if line.split()[:1] == ["20"]]
+    assert [row[4:] for row in last] == [["0.000", "–", "–", "–", "–", "–"]]
+    dark = json.loads((folder / "out" / "summary.json").read_text(encoding="utf-8"))["fields"][-1]
+    assert (dark["rms_spot_um"], dark["rms_wavefront_waves"], dark["mtf"][0]["tangential"]) == (None, None, None)
+    assert "NaN" not in (folder / "out" / "summary.json").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("--configuration 4", "lens.configuration: got 4; allowed: 1 to 3"),
+        ("--configuration two", "configuration: got 'two'"),
+        ("--semi-diameters yes", "semi_diameters: got 'yes'; allowed: 'ignore' or 'clip'"),
+        ("--glass-catalogues none.agf", "none.agf"),
+    ],
+)
+def test_wrong_reading_options_are_named(folder: Path, words: str, named: str) -> None:
+    code, out, err = command("lens", str(WILD / "zoom.zmx"), *words.split())
+    assert (code, out) == (2, "")
+    assert named in re.sub(r"\s+", " ", err)

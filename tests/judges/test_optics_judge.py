@@ -1,11 +1,13 @@
-"""The lens against a camera simulator, a path tracer, the Airy pattern and numerical quadrature.
+"""The lens against a camera simulator, a path tracer, a lens design program, the Airy pattern and numerical quadrature.
 
 Sources:
 * ISETCam (Stanford; tests/data/isetcam_optics/README.md): illuminance at the centre, MTF of a diffraction-limited lens;
 * the Airy pattern (Born & Wolf, Principles of Optics, 8.5.2): first dark ring at the first zero of J₁, 3.83171 = π·1.21967,
   inside it 1 - J₀²(3.83171) = 83.78 % of the light;
 * the solid-angle integral over the lens, by Gauss-Legendre quadrature, for Foote's closed form;
-* a Mitsuba render of a luminous disc over a white plane (path tracer, depth 2): E = π times the plane's radiance.
+* a Mitsuba render of a luminous disc over a white plane (path tracer, depth 2): E = π times the plane's radiance;
+* first-order data of the Cooke triplet at 550 nm that a user read from OpticStudio 2026 R1 (optiland issue 710). What is quoted
+  there as 11.512 mm is where the entrance pupil lies; its diameter is 10 mm.
 
 Gates:
 * Illuminance: ISETCam is lower by 1.07e-4 per unit of f-number ±5 %, with an intercept of 0 ± 3e-5 and residuals up to 1e-5.
@@ -17,6 +19,8 @@ Gates:
 * Quadrature ±1e-9: both sides are accurate to 13 digits.
 * Mitsuba ±1e-4 at f/4 (noise 3e-5 or less, float32 geometry 3e-6), ±3e-4 at f/0.5 (noise 5e-5; a cone of 45°). cos⁴ instead
   of Foote is 0.3 % off at f/4 and 12°.
+* OpticStudio ±1e-9 of the length, for numbers of 10 digits; its exit pupil ±2e-8: two other programs and pixsim agree on that to
+  1e-15 with each other, and differ from it by up to 1.1e-8.
 * pixsim's picture of a flat field ±1e-4 of the same disc: its bands have an error up to 3e-5 of the luminance (measured 4e-6).
 """
 
@@ -149,6 +153,37 @@ def airy(f_number: float = 4.0, samples: int = 801, pitch_um: float = 0.1) -> tu
     return dark_um / (0.55 * 4.0), float((ring * radius * light).sum() * 2 * np.pi / 64 / pitch_um**2)
 
 
+# mm from the first surface, and from the image plane.
+OPTICSTUDIO = {
+    "focal length": 49.99978307,
+    "entrance pupil, behind the first surface": 11.51215867,
+    "rear focus, from the image": 0.2070775590,
+    "rear principal plane, from the image": -49.79270551,
+}
+OPTICSTUDIO_EXIT_PUPIL = {"exit pupil, diameter": 10.23372956, "exit pupil, from the image": -50.96134802}
+
+
+def triplet_mm(wavelength_nm: float) -> dict[str, float]:
+    """The same lengths of pixsim's Cooke triplet."""
+    lens = pixsim.load_lens("cooke_triplet")
+    first = lens.first_order(wavelength_nm)
+    focus = first.back_focal_length_mm - lens.prescription.surfaces[-1].thickness_mm
+    return {
+        "focal length": first.focal_length_mm,
+        "entrance pupil, behind the first surface": first.entrance_pupil_from_first_vertex_mm,
+        "rear focus, from the image": focus,
+        "rear principal plane, from the image": focus - first.focal_length_mm,
+        "exit pupil, diameter": first.exit_pupil_diameter_mm,
+        "exit pupil, from the image": first.exit_pupil_from_image_mm,
+    }
+
+
+def from_opticstudio(values_mm: dict[str, float], wavelength_nm: float = 550.0) -> list[float]:
+    """Relative differences of pixsim's lengths; those of the focus are relative to the focal length."""
+    own = triplet_mm(wavelength_nm)
+    return [(own[name] - value) / (own["focal length"] if "focus" in name else value) for name, value in values_mm.items()]
+
+
 def rows(full: bool = False) -> list[dict[str, object]]:
     short, slope, at_zero, left = isetcam_line()
     zero, inside = airy()
@@ -166,6 +201,8 @@ def rows(full: bool = False) -> list[dict[str, object]]:
         row("E/L, f/0.5 to f/1000, 0 to 60°", "solid angle, quadrature", -1e-9, 1e-9, integral),
         row("E/L, f/4, 0 to 45°", path, -1e-4, 1e-4, [from_disc(*disc) for disc in DISCS]),
         row("picture of a flat field, f/4, centre and border", path, -1e-4, 1e-4, picture_from_disc()),
+        row("first-order data of the Cooke triplet, 550 nm", "OpticStudio", -1e-9, 1e-9, from_opticstudio(OPTICSTUDIO)),
+        row("… its exit pupil", "OpticStudio", -2e-8, 2e-8, from_opticstudio(OPTICSTUDIO_EXIT_PUPIL)),
     ]
     if full:
         table.append(row("E/L, f/0.5, 0 and 31°", path, -3e-4, 3e-4, [from_disc(*disc) for disc in FAST_DISCS]))
@@ -175,6 +212,11 @@ def rows(full: bool = False) -> list[dict[str, object]]:
 @pytest.mark.parametrize("full", [False, pytest.param(True, marks=pytest.mark.judges_full)])
 def test_rows_pass(full):
     assert not_met(rows(full)) == []
+
+
+def test_opticstudio_other_wavelength_fails():
+    for nm in (549.9, 550.1):  # a tenth of a nanometre
+        assert abs(from_opticstudio(OPTICSTUDIO, nm)[0]) > 1e-8
 
 
 @pytest.mark.parametrize(("f_number", "angle_deg"), QUADRATURE)
