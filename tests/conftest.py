@@ -59,7 +59,7 @@ def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="session")
 def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     """A study of one technology with the comparison to the paper, on a display slightly larger than a detail."""
-    return pixsim.study(tiny(**merge(WHOLE_CHART, {"display": {"dots": 120}}), paper=True), tmp_path_factory.mktemp("tiny"), jobs=1)
+    return pixsim.study(tiny(**merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 512}), paper=True), tmp_path_factory.mktemp("tiny"), jobs=1)
 
 
 @pytest.fixture

@@ -879,8 +879,8 @@ def evaluate(
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
 
-    Where neither the display nor the scene states its white, it is estimated, with a warning, as in `pixsim run`. What the frames of
-    one sensor and one light share is kept for the next calls.
+    Where neither the display nor the scene states its white, it is estimated, with a warning, as in `pixsim run`. What the frames
+    of one sensor and one light share is kept for the next calls.
 
     Raises PixsimError if the pitch is too small or larger than the die, if white has no luminance, or the sensor no response to it.
 

@@ -134,7 +134,8 @@ def test_prepare_scores_one_part_of_the_scene(match: str, tmp_path: Path) -> Non
     coarse, fine = made.sensors
     assert made.finest == "fine"
     assert made.settings.display.dots == fine.pixels[1]  # those of the common field
-    assert made.border == max(sensor.pixel.pitch_um / (1e3 * sensor.camera.die_mm) for sensor in made.sensors)
+    widest = max(sensor.pixel.pitch_um / (1e3 * sensor.camera.die_mm) for sensor in made.sensors)
+    assert made.border == pytest.approx(1.5 * widest, rel=1e-12)
     cycles = [float(sensor.scene.parameters[MAX_LP_PER_MM]) * sensor.camera.die_mm for sensor in made.sensors]
     assert cycles[0] == pytest.approx(cycles[1], rel=1e-11)
     assert cycles[1] == pytest.approx(fine.camera.die_mm * 1e3 / (2 * 7.7), rel=1e-11)  # its Nyquist frequency
