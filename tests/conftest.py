@@ -59,7 +59,8 @@ def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="session")
 def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     """A study of one technology with the comparison to the paper, on a display slightly larger than a detail."""
-    return pixsim.study(tiny(**merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 512}), paper=True), tmp_path_factory.mktemp("tiny"), jobs=1)
+    own = merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 512, "paper": True})
+    return pixsim.study(tiny(**own), tmp_path_factory.mktemp("tiny"), jobs=1)
 
 
 @pytest.fixture

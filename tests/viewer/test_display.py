@@ -262,7 +262,7 @@ def test_dot_edges_um_one_to_one_has_no_border():
 
 
 def test_dot_edges_um_border_too_wide_raises():
-    with pytest.raises(PixsimError, match=r"pixel\.pitch_um: got pixels whose border of 400 µm.*allowed: a border.* below 333\.9 µm"):
+    with pytest.raises(PixsimError, match=r"pixel\.pitch_um: got pixels whose border of 400 µm.* allowed: a .* below 333\.9 µm"):
         displays.dot_edges_um((678.4, 678.4), 400.0, SMALL, 400.0)
 
 
