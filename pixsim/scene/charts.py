@@ -19,7 +19,6 @@ from pixsim.base import cache
 from pixsim.base.arguments import brief, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import files_are_finished
 from pixsim.base.locks import temporary_folder_of_process
 from pixsim.base.parameters import content_hash
 from pixsim.light.exr import fill_channels, write_channels, writing
@@ -196,9 +195,8 @@ def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> No
     """
     if Path(path).suffix.lower() != ".exr":
         raise invalid("chart file", f"'{path}'", "a name that ends in .exr")
-    with writing(path) as unfinished:
+    with writing(path, last=True) as unfinished:
         fill_channels(unfinished, {"Y": texels}, {})
-        files_are_finished()
 
 
 @checks_arguments

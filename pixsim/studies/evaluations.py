@@ -12,6 +12,7 @@ import errno
 import math
 import os
 import shutil
+import stat
 import threading
 from collections.abc import Callable, Collection, Container, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -27,7 +28,7 @@ import numpy as np
 from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import opened, replacing
+from pixsim.base.files import digest_of, kind_of, opened, replacing
 from pixsim.base.notes import warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, channels_of, content_hash, pixel_of
 from pixsim.base.progress import Progress
@@ -113,14 +114,15 @@ class ResultsFile:
                 raise invalid("results", f"'{self.path}' ({error.strerror})", allowed) from None
 
     def check_replaceable(self) -> None:
-        """Raise PixsimError if the file has content and does not begin with the columns of a study: it is another program's."""
+        """Raise PixsimError if the file is a link, or does not begin with the columns of a study: it is another program's."""
         if not os.path.lexists(self.path):
             return
-        allowed = "the rows of a study, or no such file"
+        allowed, hint = "the rows of a study, or no such file", "Choose another folder with --out, or move the file away."
+        if not stat.S_ISREG(mode := self.path.lstat().st_mode):
+            raise invalid("results", f"'{self.path}', {kind_of(mode)}", allowed, hint)
         with opened(self.path, "results", allowed) as file:
             first = file.readline(MAX_LINE)
         if first and not first.startswith(",".join(COLUMNS[:3]).encode()):
-            hint = "Choose another folder with --out, or move the file away."
             raise invalid("results", f"'{self.path}', not written by pixsim", allowed, hint)
 
     def _is_whole(self, row: Row) -> bool:
@@ -131,7 +133,7 @@ class ResultsFile:
             return False
 
     def resume(self, is_expected: Callable[[Row], bool]) -> RowStore:
-        """Return the expected rows by key. If there are others, copy the file to FILE.old; leave only the expected rows.
+        """Return the expected rows by key. If there are others, copy the file (`_back_up`); leave only the expected rows.
 
         Warns of a file of another schema: its rows are not mixed with those of this one, but computed again.
         """
@@ -143,35 +145,46 @@ class ResultsFile:
                 has_others = True
                 done.pop(row["key"], None)
         has_content = self.path.is_file() and self.path.stat().st_size > len(self._text([self._head])) + 1
-        if self.another_schema is not None:
-            kept = f"They are kept in '{self.path.name}.old', and computed again."
-            warn(f"results: rows of '{self.path}' state {of_another(self.another_schema)}. {kept}")
         if has_content and (has_others or not done or self.another_schema is not None):
-            self._back_up()
+            backup = self._back_up()
+            if self.another_schema is not None:
+                kept = f"They are kept in '{backup}', and computed again."
+                warn(f"results: rows of '{self.path}' state {of_another(self.another_schema)}. {kept}")
         self.write(done.values())
         return done
 
     def finish(self, parts: Sequence[StoredRows]) -> None:
-        """Leave only the rows of these parts in the file, copied to FILE.old first if it holds others."""
+        """Leave only the rows of these parts in the file, copied first (`_back_up`) if it holds others."""
         keys = {key for rows in parts for key in rows.keys}
         if any(row["key"] not in keys for row in self._whole_rows()):
             self._back_up()
         self.write(row for rows in parts for row in rows)
 
-    def _back_up(self) -> None:
-        shutil.copyfile(self.path, self.path.with_name(self.path.name + ".old"))
+    def _back_up(self) -> str:
+        """Copy the file to FILE.old, or FILE.old2 and so on if there are such copies of other content; return the name."""
+        with self._clear_write_errors(), opened(self.path, "results", "the rows of a study", MAX_BYTES) as content:
+            digest = digest_of(self.path)
+            copy, number = self.path.with_name(f"{self.path.name}.old"), 1
+            while os.path.lexists(copy):
+                if stat.S_ISREG(copy.lstat().st_mode) and digest_of(copy) == digest:
+                    return copy.name
+                number += 1
+                copy = self.path.with_name(f"{self.path.name}.old{number}")
+            with replacing(copy, named=False) as partial, partial.open("wb") as file:
+                shutil.copyfileobj(content, file)
+            return copy.name
 
     def write(self, rows: Iterable[Row]) -> None:
         """Replace the file, completely or not at all."""
         left = chain([self._head], rows)
-        with self._clear_write_errors(), replacing(self.path) as partial, partial.open("wb") as file:
+        with self._clear_write_errors(), replacing(self.path, named=False) as partial, partial.open("wb") as file:
             while some := list(islice(left, ROWS_AT_ONCE)):
                 file.write(self._text(some))
 
     def append(self, rows: Collection[Row]) -> None:
         """Append all of the rows, or none if writing fails."""
         text = self._text(rows)
-        with self._clear_write_errors(), self.path.open("ab", buffering=0) as file:
+        with self._clear_write_errors(), open(self.path, "ab", 0, opener=not_through_links) as file:
             before = file.tell()
             try:
                 if file.write(text) != len(text):
@@ -197,6 +210,11 @@ class ResultsFile:
 
     def _text(self, rows: Iterable[Row]) -> bytes:
         return csv_text([*(row[name] for name in self.columns), row.get(KEY, str(SCHEMA))] for row in rows).encode()
+
+
+def not_through_links(path: str, flags: int) -> int:
+    """Open a file that is not a link, as `os.open`."""
+    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
 
 
 FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola
