@@ -18,6 +18,7 @@ import platform
 import re
 import shutil
 import stat
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -28,7 +29,16 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
-from pixsim.base.locks import PARTIAL_FILE, PARTIAL_FOLDER, locked_folder, remove_leftovers, temporary_folder, unfinished
+from pixsim.base.locks import (
+    PARTIAL_FILE,
+    PARTIAL_FOLDER,
+    locked_folder,
+    remove_leftovers,
+    temporary_folder,
+    temporary_folder_of_process,
+    unfinished,
+)
+from pixsim.base.notes import MachineWarning, warn
 from pixsim.base.schema import KEY, check_not_newer, with_schema
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
@@ -199,6 +209,33 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
             with suppress(OSError):  # it is not empty, or was never created
                 path.rmdir()
         raise
+
+
+def private_folder(name: str) -> Path:
+    """A folder of the cache for what is run as code; where others could write there, one for this process alone, with a warning.
+
+    Raises OSError if it cannot be made.
+    """
+    root = cache_folder()
+    root.mkdir(parents=True, exist_ok=True)
+    with suppress(FileExistsError):
+        (root / name).mkdir(0o700)
+    fault = "is a link or a file"
+    with suppress(PixsimError), subfolder(root, [name]) as descriptor, tempfile.TemporaryFile(dir=root / name) as made:
+        status = os.fstat(descriptor)
+        if status.st_uid != os.fstat(made.fileno()).st_uid:
+            fault = "belongs to another user"
+        elif status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            fault = "can be written by others"
+        else:
+            return root / name
+    alone = temporary_folder_of_process() / name
+    alone.mkdir(0o700, exist_ok=True)
+    text = (
+        f"'{root / name}' {fault}: {name} are kept for this command only; remove it, or set {FOLDER_VARIABLE} to a folder of yours"
+    )
+    warn(text, MachineWarning)
+    return alone
 
 
 # Of a disk that is full or fails, not of a wrong name.

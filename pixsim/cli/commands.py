@@ -50,8 +50,8 @@ def run_command(tokens: Sequence[str]) -> None:
             stream.reconfigure(errors="backslashreplace")
     arguments = common.verbosity.parse(tokens)
     check_current_folder()
-    common.set_cache_folders()
     warnings.showwarning = lambda message, *_, **__: common.verbosity.note(f"warning: {message}")
+    common.set_cache_folders()
     interruption.begin()
     try:
         # Notes also of the settings, before a result collects its own.
@@ -836,8 +836,9 @@ def cache(
     Example: pixsim cache --clear
 
     The key of an entry is the hash of all its inputs, so that entries are never out of date; clearing only frees space.
-    PIXSIM_CACHE_DIR sets the folder, PIXSIM_CACHE_GIB its size limit (default 4; 0 disables the cache). The least recently
-    used entries are removed first. Mitsuba's kernels and Matplotlib's fonts are in the same folder, as kinds of their own.
+    Files that pixsim did not write stay. PIXSIM_CACHE_DIR sets the folder, PIXSIM_CACHE_GIB its size limit (default 4; 0 disables
+    the cache). The least recently used entries are removed first. Mitsuba's kernels and Matplotlib's fonts are in the same folder,
+    as kinds of their own.
     """
     from pixsim.base import cache as entry_cache
 
@@ -849,6 +850,8 @@ def cache(
     lines = [f"{summary['folder']}: {summary['size_bytes'] / MIB:.1f} MiB of {summary['limit_bytes'] / MIB:.0f}"]
     for name, total in summary["kinds"].items():
         lines.append(f"  {name:<12} {total['entries']:>6} entries {total['size_bytes'] / MIB:>10.1f} MiB")
+    if summary["foreign_bytes"]:
+        lines.append(f"  {summary['foreign_bytes'] / MIB:.1f} MiB of other files, or of another release, which pixsim leaves alone")
     if freed is not None:
         summary["freed_bytes"] = freed
         lines.insert(0, f"removed {freed / MIB:.1f} MiB")
@@ -866,8 +869,8 @@ def cache_summary(kind: str | None = None) -> dict[str, Any]:
             total["entries"] += 1
             total["size_bytes"] += entry.size_bytes
     size_bytes, limit_bytes = sum(total["size_bytes"] for total in kinds.values()), entry_cache.limit_bytes()
-    folder = str(entry_cache.folder())
-    return {"folder": folder, "limit_bytes": limit_bytes, "size_bytes": size_bytes, "kinds": dict(sorted(kinds.items()))}
+    found = {"folder": str(entry_cache.folder()), "limit_bytes": limit_bytes, "size_bytes": size_bytes}
+    return {**found, "kinds": dict(sorted(kinds.items())), "foreign_bytes": entry_cache.foreign_bytes()}
 
 
 @app.command

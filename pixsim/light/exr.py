@@ -146,9 +146,9 @@ FLOAT = 2
 BLOCK_BYTES = 1 << 22  # a block and its sources fit into a processor's cache
 
 
-def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], header: dict[str, Any]) -> None:
-    """Write float32 channels to a losslessly compressed EXR, which is moved into place when complete."""
-    with writing(path) as unfinished:
+def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], header: dict[str, Any], *, named: bool = True) -> None:
+    """Write float32 channels to a losslessly compressed EXR, which is moved into place when complete; `named` is of `replacing`."""
+    with writing(path, named=named) as unfinished:
         fill_channels(unfinished, channels, header)
 
 
