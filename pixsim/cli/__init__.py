@@ -13,6 +13,7 @@ import gc
 import os
 import sys
 
+from pixsim.base.children import leave_current_folder
 from pixsim.cli.process import discard_output, interruption, leave, open_closed_streams
 
 TYPE_CHECKING = False
@@ -25,6 +26,7 @@ OK, UNEXPECTED, INVALID_INPUT = 0, 1, 2
 
 def command() -> NoReturn:
     """Run `main` as a process of its own."""
+    leave_current_folder()  # before anything else is imported
     interruption.guard()
     gc.disable()  # a tenth of the time of the imports; `stages` enables it
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # pydantic looks for them in all installed packages

@@ -218,7 +218,7 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     path, label = cache.folder() / KIND / f"{key}.exr", {cache.ENTRY: cache.label_of(KIND, key)}
     if not (cache.is_entry(path) or cache.can_hold(KIND)):
         path = temporary_folder_of_process() / path.name
-    if cache.is_entry(path) or path.parent.name != KIND and path.is_file():
+    if cache.is_entry(path) or (path.parent.name != KIND and path.is_file()):
         with suppress(OSError):  # a read-only cache works too
             os.utime(path, follow_symlinks=False)
     else:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pixsim.base import cache
+from pixsim.base.children import safe_variables
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import disk_faults_named
 from pixsim.base.lazy import import_less
@@ -296,7 +297,7 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
     """
     from joblib import Parallel, delayed, parallel_config
 
-    with temporary_folder() as folder, closing(SharedFiles(folder, [make for _, make in calls.values()])) as files:
+    with safe_children(), temporary_folder() as folder, closing(SharedFiles(folder, [make for _, make in calls.values()])) as files:
         makers = {index: make for index, (_, make) in calls.items()}
         left = Counter(map(id, makers.values()))
 
@@ -407,6 +408,33 @@ def watch_parent(parent: int) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
     threading.Thread(target=run, name="pixsim parent", daemon=True).start()
+
+
+_blocks, _before = 0, dict[str, str | None]()  # of `safe_children`: how many run, and the variables before the first one
+_changing = threading.Lock()
+
+
+@contextmanager
+def safe_children() -> Iterator[None]:
+    """Give `safe_variables` to all processes that are started meanwhile, also by joblib's threads and its trackers.
+
+    Blocks of several threads may overlap. A user's own modules reach the workers with the path of this process.
+    """
+    global _blocks
+    with _changing:
+        if not _blocks:
+            _before.update({name: os.environ.get(name) for name in safe_variables()})
+            os.environ |= safe_variables()
+        _blocks += 1
+    try:
+        yield
+    finally:
+        with _changing:
+            _blocks -= 1
+            if not _blocks:
+                for name, value in _before.items():
+                    os.environ.pop(name, None)
+                    os.environ |= {} if value is None else {name: value}
 
 
 @contextmanager
