@@ -23,7 +23,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder, publishing, write_json
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import BITS_OF_PICTURES, SUFFIXES, layout_of, number_of, read_picture
-from pixsim.show.figures import COLOURS, new_figure
+from pixsim.show.figures import COLOURS, new_figure, own_style
 from pixsim.show.pages import Plate
 
 BINS_A_PIXEL = 4  # ISO 12233
@@ -380,6 +380,7 @@ def sfr_line(result: dict[str, Any]) -> str:
     )
 
 
+@own_style()
 def sfr_plate(edge: EdgeResponse, pitch_um: float | None) -> Plate:
     """Plot of the SFR against frequency, with Nyquist frequency and MTF50."""
     figure = new_figure(5.2, 3.4)
@@ -402,6 +403,7 @@ def sfr_plate(edge: EdgeResponse, pitch_um: float | None) -> Plate:
     return Plate("sfr", "Edge-based spatial frequency response (ISO 12233).", figure, table)
 
 
+@own_style()
 def edge_plate(edge: EdgeResponse, unit: str) -> Plate:
     """Plot of the edge spread function."""
     figure = new_figure(5.2, 3.0)

@@ -19,7 +19,7 @@ from pixsim.optics.glass import AIR
 from pixsim.optics.lens import FirstOrder, Lens
 from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.ray_trace import sag_and_slope
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style
 from pixsim.show.pages import Column, Plate, coarse_table, plain, write_figures, write_page
 
 if TYPE_CHECKING:
@@ -331,6 +331,7 @@ def below(figure: Figure, axes: Axes, columns: int) -> None:
     )
 
 
+@own_style()
 def layout(data: LensData) -> Plate:
     """Draw the surfaces and rays of three fields in the y-z plane."""
     lens, surfaces = data.lens, data.lens.prescription.surfaces
@@ -419,6 +420,7 @@ def half_words(data: LensData) -> str:
     return f"The lower MTF falls to one half {words[0]} on the axis, and earliest {words[worst]} at {data.field_deg[worst]:.3g}°."
 
 
+@own_style()
 def spot_plate(data: LensData) -> Plate:
     """Draw the spots of some fields on one scale, with the diameter of the Airy disc."""
     shown = shown_fields(data)
@@ -456,6 +458,7 @@ def how(data: LensData) -> str:
     return "of rays and the limit of diffraction, since aberrations are large" if data.geometric else "with diffraction"
 
 
+@own_style()
 def psf_plate(data: LensData) -> Plate:
     """Show the point spread functions of some fields on one scale."""
     shown = shown_fields(data)
@@ -488,6 +491,7 @@ def psf_plate(data: LensData) -> Plate:
     return Plate("psf", caption, figure, table)
 
 
+@own_style()
 def mtf_plate(data: LensData) -> Plate:
     """Plot the MTF of some fields against frequency, and the limit of diffraction."""
     figure, (axes,) = panels_of(1, 4.4, legend_below=True)
@@ -515,6 +519,7 @@ def mtf_plate(data: LensData) -> Plate:
     return Plate("mtf", caption, figure, table)
 
 
+@own_style()
 def mtf_over_field(data: LensData) -> Plate:
     """Plot the MTF at the asked frequencies against image height."""
     figure, (axes,) = panels_of(1, 4.0, legend_below=True)
@@ -544,6 +549,7 @@ def mtf_over_field(data: LensData) -> Plate:
     return Plate("mtf_over_field", caption, figure, table)
 
 
+@own_style()
 def curve_figure(
     data: LensData, panels: Sequence[tuple[str, Sequence[tuple[str, Array, str]]]], across: tuple[str, Array]
 ) -> tuple[Figure, list[Axes]]:
@@ -596,6 +602,7 @@ def illumination_plate(data: LensData) -> Plate:
     return Plate("illumination", caption, figure, {name: values.tolist() for name, values in table.items()})
 
 
+@own_style()
 def colour_plate(data: LensData) -> Plate:
     """Plot the lateral colour against the field, and the paraxial focus against wavelength."""
     low, high = data.wavelength_nm.min(), data.wavelength_nm.max()

@@ -34,6 +34,7 @@ from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
 from pixsim.sensor.technology import file_label, labels_of
+from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.pages import html_cell
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.circumstances import Circumstances, circumstances_of
@@ -654,10 +655,9 @@ class Comparison:
             },
         }
 
+    @own_style()
     def plot(self) -> Figure:
         """Return a Matplotlib figure of mean ΔE: a row for each sensor, with its frames and the 95 % interval of their mean."""
-        from pixsim.show.figures import literal, new_figure
-
         figure = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * len(self.sensors))
         axes = figure.add_subplot()
         for row, (name, (low, mean, high)) in enumerate(self.scores.items()):

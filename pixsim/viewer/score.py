@@ -41,7 +41,7 @@ from pixsim.sensor.readout import (
     least_black_level_dn,
     sample_sensor,
 )
-from pixsim.show.figures import new_figure
+from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import html_cell, rounded, rows_csv, set_words
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
@@ -120,6 +120,7 @@ class Score:
             **gamut,
         }
 
+    @own_style()
     def plot(self) -> Figure:
         """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map with its scale."""
         figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
