@@ -57,6 +57,36 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f"Did you mean '{by_folded[similar[0]]}'?" if similar else ""
 
 
+PLAIN_WORD = re.compile(r"[A-Za-z0-9_.+,-]{1,24}")
+
+
+def excerpt(text: str, typed: bool = False) -> str:
+    """What a message says of a text in a file: the file can be another than the user believes, such as a key.
+
+    typed : whether the user has typed it on the command line; only then it is quoted
+
+    >>> excerpt("N-BK7"), excerpt("N-BK7", typed=True)
+    ('a text of 5 characters', "'N-BK7'")
+    """
+    if typed:
+        return f"'{one_line(text)}'"
+    return f"a text of {len(text)} character{'s' * (len(text) > 1)}" if text else "nothing"
+
+
+def quoted(name: str, typed: bool = False) -> str:
+    """`excerpt` of a name, as of a glass, a type or a channel, in a file that was recognised as its format: plain ones are quoted.
+
+    >>> quoted("N-BK7"), quoted("two words")
+    ("'N-BK7'", 'a text of 9 characters')
+    """
+    return excerpt(name, typed or PLAIN_WORD.fullmatch(name) is not None)
+
+
+def names_in(texts: Iterable[str]) -> list[str]:
+    """Names of channels or arrays of a file that was recognised as its format, without quotes, as `excerpt` has them."""
+    return [text if PLAIN_WORD.fullmatch(text) else f"({excerpt(text)})" for text in texts]
+
+
 MAX_LABEL = 60  # characters of a label
 
 

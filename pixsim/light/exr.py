@@ -62,7 +62,7 @@ def _judge(path: Path, file: IO[bytes]) -> None:
             raise _damaged(path, f"a header without {needed}")
     layout = attributes.get("type", b"").rstrip(b"\0")
     if layout not in (b"", b"scanlineimage", b"tiledimage"):
-        raise invalid("EXR file", f"'{path}' of type {layout.decode('utf-8', 'replace')!r}", "scanlineimage or tiledimage")
+        raise invalid("EXR file", f"'{path}' of another type", "scanlineimage or tiledimage")
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
     width, height = right - left + 1, bottom - top + 1
     count = _channel_count(attributes["channels"])

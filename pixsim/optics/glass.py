@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import did_you_mean, invalid
+from pixsim.base.errors import PLAIN_WORD, did_you_mean, excerpt, invalid, names_in
 
 LINES_UM = {"F": 0.4861327, "d": 0.5875618, "C": 0.6562725}  # of hydrogen and helium, which define n_d and V_d
 CAUCHY_UM = (0.4, 0.75)  # where two numbers describe a glass well enough to be used
@@ -48,10 +48,10 @@ class Glass:
         """Raise PixsimError if the formula is unknown or the coefficients do not fit it."""
         if self.formula not in FORMULAS:
             allowed = ", ".join(f"{number} ({name})" for number, name in FORMULAS.items())
-            raise invalid(f"formula of glass '{self.name}'", self.formula, allowed)
+            raise invalid(f"formula of glass {named(self.name)}", self.formula, allowed)
         if len(self.coefficients) % 2 != 1 or not all(map(math.isfinite, self.coefficients)):
             got = f"{len(self.coefficients)} numbers" if all(map(math.isfinite, self.coefficients)) else "infinity or NaN"
-            raise invalid(f"coefficients of glass '{self.name}'", got, "an odd number of finite numbers: c1, then pairs")
+            raise invalid(f"coefficients of glass {named(self.name)}", got, "an odd number of finite numbers: c1, then pairs")
 
     def index(self, wavelength_nm: ArrayLike) -> Array:
         """Return the refractive index relative to air at wavelengths (...) in nm, in their shape.
@@ -64,7 +64,7 @@ class Glass:
         inside = (wavelength_um >= low * (1 - 1e-12)) & (wavelength_um <= high * (1 + 1e-12)) & (wavelength_um > 0)
         if not np.all(inside):
             got = f"{1e3 * float(wavelength_um[~inside].flat[0]):.6g}"
-            expected = f"{1e3 * low:g} to {1e3 * high:g}, where the glass '{self.name}' of the lens is known"
+            expected = f"{1e3 * low:g} to {1e3 * high:g}, where the glass {named(self.name)} of the lens is known"
             raise invalid("wavelength_nm", got, expected, "Leave these wavelengths out, or take another glass.")
         first, *rest = self.coefficients
         pairs = list(zip(rest[::2], rest[1::2], strict=True))
@@ -79,7 +79,7 @@ class Glass:
         if not np.all((n >= INDEX_RANGE[0]) & (n <= INDEX_RANGE[1])):
             got = f"{n.flat[np.argmin((n >= INDEX_RANGE[0]) & (n <= INDEX_RANGE[1]))]:g}"
             raise invalid(
-                f"index of glass '{self.name}'", got, f"{INDEX_RANGE[0]:g} to {INDEX_RANGE[1]:g}", "Check its coefficients."
+                f"index of glass {named(self.name)}", got, f"{INDEX_RANGE[0]:g} to {INDEX_RANGE[1]:g}", "Check its coefficients."
             )
         return np.asarray(n)
 
@@ -116,6 +116,12 @@ def catalogue() -> Mapping[str, Glass]:
     return MappingProxyType(glasses)
 
 
+def named(name: str) -> str:
+    """The name of a glass for a message; that of the maker may stand before it."""
+    maker, _, own = name.rpartition(":")
+    return f"'{name}'" if PLAIN_WORD.fullmatch(own) and (not maker or PLAIN_WORD.fullmatch(maker)) else excerpt(name)
+
+
 def find_glass(name: str, where: str, makers: Sequence[str] = (), hint: str = "") -> Glass:
     """Return a glass of the packaged table by its full name, or by the maker's name of it.
 
@@ -134,14 +140,15 @@ def find_glass(name: str, where: str, makers: Sequence[str] = (), hint: str = ""
         if makers:
             listed = [full for maker in makers for full in found if full.partition(":")[0] == maker.upper()]
             if found and not listed:
-                got = f"'{name}', which is not in the catalogues that the file names ({', '.join(makers)})"
+                listing = ", ".join(names_in(makers))
+                got = f"{named(name)}, which is not in the catalogues that the file names ({listing})"
                 raise invalid(where, got, ", ".join(found), "Glasses of one name differ between makers: name the right catalogue.")
             found = listed[:1]
     if len(found) > 1:
-        raise invalid(where, f"'{name}', which several makers have", ", ".join(found))
+        raise invalid(where, f"{named(name)}, which several makers have", ", ".join(found))
     if not found:
         near = did_you_mean(wanted, [*known, *(full.partition(":")[2] for full in known)])
         other = f"{near} It is another glass, so nothing is substituted." if near else ""
-        got = f"the unknown glass '{name}'"
+        got = f"the unknown glass {named(name)}"
         raise invalid(where, got, f"the {len(known)} glasses of pixsim's table", " ".join(filter(None, (other, hint))))
     return known[found[0]]

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from pixsim.base.config import checked, packaged, read_toml
-from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
+from pixsim.base.errors import PixsimError, did_you_mean, excerpt, invalid, names_in, one_line, quoted
 from pixsim.base.files import read_bytes, read_text
 from pixsim.base.parameters import Layer, Record
 from pixsim.optics.glass import AIR, FORMULAS, Glass, abbe_glass, constant_glass, find_glass
@@ -137,7 +137,7 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
             if not abs(value) <= LONGEST_MM:
                 raise invalid(f"{place(index)}: {name}", f"{value:g}", f"finite, at most {LONGEST_MM:g} in size")
         if surface.thickness_mm < 0 and surface.glass != AIR:
-            got = f"{surface.thickness_mm:g} in the glass '{surface.glass.name}'"
+            got = f"{surface.thickness_mm:g} in the glass {quoted(surface.glass.name)}"
             raise invalid(f"{place(index)}: thickness_mm", got, "0 or more in glass; negative in air only")
         if surface.semi_diameter_mm is not None and not 0 < surface.semi_diameter_mm <= LONGEST_MM:
             got = f"{surface.semi_diameter_mm:g}"
@@ -189,7 +189,7 @@ class GlassTable(Record):
         whole = [what for what, values in given.items() if None not in values]
         begun = [what for what, values in given.items() if any(value is not None for value in values)]
         if len(whole) != 1 or begun != whole:
-            raise invalid(f"{where}: glass '{name}'", " and ".join(begun) or "neither", f"exactly one of: {'; '.join(given)}")
+            raise invalid(f"{where}: glass {quoted(name)}", " and ".join(begun) or "neither", f"exactly one of: {'; '.join(given)}")
         if self.n is not None:
             return constant_glass(name, self.n)
         if self.n_d is not None and self.v_d is not None:
@@ -197,11 +197,11 @@ class GlassTable(Record):
         low, high = self.range_um or (0.0, math.inf)
         if not 0 <= low < high:
             raise invalid(
-                f"{where}: range_um of glass '{name}'", f"{low:g} to {high:g}", "two wavelengths in µm, the shorter first"
+                f"{where}: range_um of glass {quoted(name)}", f"{low:g} to {high:g}", "two wavelengths in µm, the shorter first"
             )
         if self.formula not in FORMULAS:
             allowed = ", ".join(f"{number} ({what})" for number, what in FORMULAS.items())
-            raise invalid(f"{where}: formula of glass '{name}'", self.formula, allowed)
+            raise invalid(f"{where}: formula of glass {quoted(name)}", self.formula, allowed)
         return Glass(name, self.formula, self.coefficients or (), (low, high), one_line(self.source, 200))
 
 
@@ -294,7 +294,7 @@ def _read_toml(path: Path) -> Prescription:
         return f"'{path}', surface {index + 1}{line}"
 
     try:
-        file: PrescriptionFile = checked(PrescriptionFile, [Layer(table, str(path))])
+        file: PrescriptionFile = checked(PrescriptionFile, [Layer(table, str(path), named=True)])
     except PixsimError as error:  # pydantic counts surfaces from 0
         before = re.escape(f"{path}: ")
         located = re.sub(rf"(?:{before})?surface\.(\d+)\.?", lambda found: f"{place(int(found[1]))}: ", str(error))
@@ -350,7 +350,7 @@ def _toml_surface(table: SurfaceTable, glasses: Mapping[str, GlassTable], where:
     asphere = []
     for name, value in table.asphere.items():
         if not re.fullmatch(r"A\d{1,2}", name):
-            raise invalid(f"{where}: asphere", f"the term '{one_line(name)}'", f"A2 to A{MAX_POWER}, by the power of r")
+            raise invalid(f"{where}: asphere", f"a term that is {excerpt(name)}", f"A2 to A{MAX_POWER}, by the power of r")
         if value:
             asphere.append((int(name[1:]), value))
     if isinstance(table.glass, GlassTable):
@@ -371,7 +371,7 @@ def _toml_surface(table: SurfaceTable, glasses: Mapping[str, GlassTable], where:
 
 def _refuse_mirror(glass: str, where: str) -> None:
     if glass.upper() == "MIRROR":
-        raise invalid(where, f"'{one_line(glass)}', a mirror", "refracting surfaces: pixsim traces no mirrors")
+        raise invalid(where, "'MIRROR', a mirror", "refracting surfaces: pixsim traces no mirrors")
 
 
 # Zemax -----------------------------------------------------------------------------------------------------------------------
@@ -445,13 +445,13 @@ def _read_zmx(path: Path) -> Prescription:
     if len(blocks) < 3:
         raise invalid(f"'{path}'", f"{len(blocks)} surfaces (lines SURF)", "an object, at least one surface, and an image plane")
     if (mode := head.first("MODE")) and mode.words[:1] not in ([], ["SEQ"]):
-        got = f"MODE {one_line(' '.join(mode.words))}"
+        got = f"MODE with {excerpt(' '.join(mode.words))}"
         raise invalid(f"'{path}', line {mode.number}", got, "MODE SEQ, sequential surfaces")
     scale = 1.0
     if unit := head.first("UNIT"):
         name = unit.words[0].upper() if unit.words else ""
         if name not in UNITS_MM:
-            got = f"UNIT {one_line(name) or 'without a unit'}"
+            got = f"UNIT with {excerpt(name)}"
             raise invalid(f"'{path}', line {unit.number}", got, ", ".join(UNITS_MM))
         scale = UNITS_MM[name]
 
@@ -482,7 +482,7 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block]]:
         keyword, *words = text.split() or [""]
         if keyword == "SURF":
             if words != [str(len(blocks))]:
-                got = f"SURF {one_line(' '.join(words))}"
+                got = f"SURF {words[0]}" if len(words) == 1 and re.fullmatch(r"[0-9]{1,6}", words[0]) else "SURF without a number"
                 raise invalid(f"'{path}', line {number}", got, f"SURF {len(blocks)}, the next surface")
             if len(blocks) > MAX_SURFACES + 1:
                 raise invalid(f"'{path}', line {number}", "more surfaces", f"at most {MAX_SURFACES}")
@@ -499,13 +499,13 @@ def _zmx_number(where: str, line: _Line, place: int = 0, default: float | None =
     """Return a number of a line, by its place behind the keyword. Raises PixsimError if it is no finite number."""
     if place >= len(line.words) and default is not None:
         return default
-    text = line.words[place] if place < len(line.words) else "nothing"
+    text = line.words[place] if place < len(line.words) else ""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise invalid(f"{where}, line {line.number}: {line.keyword}", f"'{one_line(text)}'", "a finite number")
+        raise invalid(f"{where}, line {line.number}: {line.keyword}", excerpt(text), "a finite number")
     return value
 
 
@@ -522,11 +522,11 @@ def _check_image(path: Path, block: _Block) -> None:
     where = f"'{path}', surface {block.number} (line {block.line})"
     kind = block.first("TYPE")
     if (curvature := block.first("CURV")) and _zmx_number(where, curvature):
-        raise invalid(where, f"an image of curvature {curvature.words[0]}", "a plane image")
+        raise invalid(where, f"an image of curvature {float(curvature.words[0]):g}", "a plane image")
     if kind and kind.words[:1] != ["STANDARD"]:
-        raise invalid(where, f"an image of the type {one_line(' '.join(kind.words))}", "a plane image, STANDARD")
+        raise invalid(where, f"an image of the type {quoted(' '.join(kind.words))}", "a plane image, STANDARD")
     if (glass := block.first("GLAS")) and glass.words:
-        raise invalid(where, f"the glass {one_line(glass.words[0])} behind the image plane", "an image plane in air")
+        raise invalid(where, f"the glass {quoted(glass.words[0])} behind the image plane", "an image plane in air")
 
 
 def _zmx_surface(block: _Block, where: str, makers: Sequence[str]) -> Surface:
@@ -534,7 +534,7 @@ def _zmx_surface(block: _Block, where: str, makers: Sequence[str]) -> Surface:
     kind = next((line.words[0] for line in block.all("TYPE") if line.words), "STANDARD")
     if kind not in STEP:
         what = "a gradient index" if kind.startswith(GRADIENTS) else "a tilted or decentred axis" if kind == "COORDBRK" else ""
-        got = f"the surface type {one_line(kind)}{what and ', '}{what}"
+        got = f"the surface type {names_in([kind])[0]}{what and ', '}{what}"
         raise invalid(where, got, ", ".join(STEP), "pixsim traces centred spheres, conics and aspheres of powers of r.")
     if any(line.words[:1] not in ([], ["0"]) for line in block.all("IGNR")):
         raise invalid(where, "a surface that Zemax ignores (IGNR)", "surfaces in use", "Delete it in the lens data editor.")
@@ -564,7 +564,7 @@ def _zmx_surface(block: _Block, where: str, makers: Sequence[str]) -> Surface:
                 raise invalid(at, f"n_d = {n_d:g}, V_d = {v_d:g}", "n_d from 1 to 10 and V_d not below 0")
             glass = abbe_glass(model_name(n_d, v_d), n_d, v_d) if v_d else constant_glass(f"n = {n_d:g}", n_d)
         else:
-            glass = find_glass(one_line(name), at, makers, HOW_TO_GIVE_ZMX)
+            glass = find_glass(name, at, makers, HOW_TO_GIVE_ZMX)
     apertures = list(block.all("CLAP", "FLAP"))
     semi = next((_zmx_number(where, line) for line in block.all("DIAM")), 0.0)
     for aperture in apertures:

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import checked, packaged, read_toml
-from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
+from pixsim.base.errors import PixsimError, did_you_mean, excerpt, invalid, one_line, quoted
 from pixsim.base.parameters import (
     MICROLENSES,
     NO_TECHNOLOGY,
@@ -201,7 +201,7 @@ class Technology(Record):
         for name, (low, high) in self.ranges.items():
             value = numbers.get(name)
             if value is None:
-                raise invalid("range", f"'{name}'", f"numbers of this process: {', '.join(numbers)}")
+                raise invalid("range", quoted(name), f"numbers of this process: {', '.join(numbers)}")
             if not low <= value <= high:
                 raise invalid(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
             for end in (low, high):
@@ -319,6 +319,7 @@ def technology_of(study: Study, name: str) -> Technology:
     return technology.with_numbers(values, f"process.{name}")
 
 
+NUMBERS_OF_FILE = {*Technology.model_fields, *Junction.model_fields}
 OF_ENTRY = ("value", "range", "distribution", "confidence", "source")  # of a file
 
 
@@ -329,7 +330,8 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
     for key, entry in numbers.items():
         if unknown := next((name for name in entry if name not in OF_ENTRY), None):
-            raise invalid(f"{path}: {key}", f"'{unknown}'", ", ".join(OF_ENTRY), did_you_mean(unknown, OF_ENTRY))
+            number = key if key in NUMBERS_OF_FILE else "a table"
+            raise invalid(f"{path}: {number}", excerpt(unknown), ", ".join(OF_ENTRY), did_you_mean(unknown, OF_ENTRY))
     try:
         values = {key: entry["value"] for key, entry in numbers.items()}
         junction = {key: values.pop(key) for key in Junction.model_fields if key in values}
@@ -338,7 +340,7 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
         distributions = {key: entry["distribution"] for key, entry in numbers.items() if "distribution" in entry}
         record = {"name": table.get("name", path.stem), "sources": sources, "ranges": ranges, "distributions": distributions}
         record |= {"junction": junction} if junction else {}
-        technology: Technology = checked(Technology, [Layer(values | record, str(path))])
+        technology: Technology = checked(Technology, [Layer(values | record, str(path), named=True)])
         return technology
     except KeyError as missing:
         raise PixsimError(f"technology '{path}': an entry has no {missing}; each needs value, confidence and source") from None
