@@ -41,7 +41,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from pixsim.base.arguments import brief, checks_arguments
-from pixsim.base.errors import PLAIN_WORD, PixsimError, did_you_mean, excerpt, invalid, names_in, quoted
+from pixsim.base.errors import PLAIN_WORD, PixsimError, did_you_mean, excerpt, invalid, name_fault, names_in, quoted
 from pixsim.base.files import read_text
 
 if TYPE_CHECKING:
@@ -105,7 +105,13 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
     if not isinstance(error, ValidationError):
         return str(error)
     listed: set[str] = set()
-    return "\n".join(_line(error.title, problem, layers, listed) for problem in error.errors())
+    problems = error.errors()
+    lines = [_line(error.title, problem, layers, listed) for problem in problems[:MAX_PROBLEMS]]
+    more = len(problems) - len(lines)
+    return "\n".join([*lines, *([f"and {more} more problem{'s' * (more > 1)}"] if more else [])])
+
+
+MAX_PROBLEMS = 10  # of a file, that a message lists: each takes milliseconds, and a reader mends the first ones first
 
 
 def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: set[str]) -> str:
@@ -1815,6 +1821,8 @@ def is_case_name(value: str) -> bool:
 
 
 def _case_name(value: str) -> str:
+    if fault := name_fault(value):
+        raise ValueError(f"got a name that {fault}; allowed: another name")
     if not is_case_name(value):
         raise ValueError(f"got {value!r}; allowed: a name without = + and commas, and without spaces at its ends")
     return value
@@ -1825,6 +1833,8 @@ def _axis_number(value: Any) -> Any:
         raise ValueError(f"got {brief(value)}; allowed: a number, a name, or a table of label and set")
     if not isinstance(value, str) and not abs(value) <= MAX_FLOAT:
         raise ValueError(f"got {brief(value)}; allowed: a finite number, or a name")
+    if isinstance(value, str) and (fault := name_fault(value)):
+        raise ValueError(f"got a name that {fault}; allowed: another name")
     return value
 
 
@@ -1884,7 +1894,9 @@ class Axis(Record):
     set: Annotated[tuple[DottedSetting, ...], BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...])] = Field(
         (), description="dotted settings that take each value together"
     )
-    values: tuple[OneOfAxis, ...] | None = Field(None, description="numbers or names, or tables of label and set")
+    values: Annotated[tuple[OneOfAxis, ...], Field(max_length=AXIS_COUNT)] | None = Field(
+        None, description="numbers or names, or tables of label and set"
+    )
     first: float | None = Field(None, alias="from", description="first value")
     to: float | None = Field(None, description="last value")
     count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(None, description="number of values from first to last")
@@ -1980,6 +1992,27 @@ class Axis(Record):
         void = ends if "values" in self.quick else ("values",) if {"from", "to", "count"} <= self.quick.keys() else ()
         table = {name: value for name, value in table.items() if name not in void}
         return Axis.model_validate(table | self.quick)
+
+
+# Names that the files and folders of a study have, or may have.
+FILES_OF_STUDY = re.compile(r"\..*|.*\.(toml|csv|json|html|svg|png|part|old\d*)|figures|pictures|sensors", re.IGNORECASE)
+
+
+def case_folder(words: str) -> str:
+    """The name of a case's folder in that of the study, from its values and condition."""
+    return re.sub(r"[^\w.\-]+", "_", words)
+
+
+def check_case_folders(words: Sequence[str]) -> None:
+    """Raise ValueError if the folders of two cases would be one, also where capitals do not count, or have a file's name."""
+    taken: dict[str, str] = {}
+    for each in words:
+        folder = case_folder(each)
+        if FILES_OF_STUDY.fullmatch(folder):
+            raise ValueError(f"the folder of '{each}' would be '{folder}', as a file of pixsim; allowed: another name")
+        if other := taken.get(folder.casefold()):
+            raise ValueError(f"the folders of '{other}' and '{each}' would both be '{folder}'; allowed: names that differ more")
+        taken[folder.casefold()] = each
 
 
 def _that_sets(path: tuple[str, ...], settings: Mapping[tuple[str, ...], str]) -> str:
@@ -2101,6 +2134,7 @@ class Study(Effort):
             names = [record.name for record in records]
             if twice := [name for place, name in enumerate(names) if name in names[:place]]:
                 raise ValueError(f"{kind}: '{twice[0]}' stands there twice; allowed: each name once")
+        check_case_folders([condition.name for condition in self.condition])
         if self.condition and not any(condition.weight for condition in self.condition):
             raise ValueError("condition: all weights are 0; allowed: one of them above 0")
         together: dict[tuple[str, ...], str] = {}
