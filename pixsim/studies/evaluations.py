@@ -17,9 +17,9 @@ import threading
 from collections.abc import Callable, Collection, Container, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cache as cache_once, cached_property, partial
 from hashlib import blake2b
-from itertools import chain, islice
+from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import IO, Any
 
@@ -132,17 +132,21 @@ class ResultsFile:
         except (KeyError, TypeError, ValueError):
             return False
 
-    def resume(self, is_expected: Callable[[Row], bool]) -> RowStore:
+    def resume(self, is_expected: Callable[[Row], bool], is_edited: Callable[[Row], bool] = lambda _: False) -> RowStore:
         """Return the expected rows by key. If there are others, copy the file (`_back_up`); leave only the expected rows.
 
-        Warns of a file of another schema: its rows are not mixed with those of this one, but computed again.
+        is_edited : whether a row that is not expected has the key of one that is
+
+        Warns of rows of another schema, and of rows that cannot be: they are computed again.
         """
-        done, has_others = RowStore(self.columns), False
+        done, has_others, impossible = RowStore(self.columns), False, 0
         for row in self._whole_rows():
-            if is_expected(row):
+            expected = is_expected(row)
+            if expected and is_possible(row):
                 done[row["key"]] = row
             else:
                 has_others = True
+                impossible += expected or is_edited(row)
                 done.pop(row["key"], None)
         has_content = self.path.is_file() and self.path.stat().st_size > len(self._text([self._head])) + 1
         if has_content and (has_others or not done or self.another_schema is not None):
@@ -150,6 +154,9 @@ class ResultsFile:
             if self.another_schema is not None:
                 kept = f"They are kept in '{backup}', and computed again."
                 warn(f"results: rows of '{self.path}' state {of_another(self.another_schema)}. {kept}")
+            if impossible:
+                which = f"{impossible} row{'s' * (impossible > 1)} of '{self.path}' cannot be, by ΔE, size or another number"
+                warn(f"results: {which}. The file is kept as '{backup}', and they are computed again.")
         self.write(done.values())
         return done
 
@@ -210,6 +217,24 @@ class ResultsFile:
 
     def _text(self, rows: Iterable[Row]) -> bytes:
         return csv_text([*(row[name] for name in self.columns), row.get(KEY, str(SCHEMA))] for row in rows).encode()
+
+
+MAX_DELTA_E = 1e3  # of any two colours: black and white differ by 100, the most saturated ones by 260
+ROUNDING = 1e-5  # relative, of means in single precision
+BOUNDS = {**dict.fromkeys(DELTA_E_STATISTICS, (0.0, MAX_DELTA_E)), **dict.fromkeys(PIXEL_STATISTICS, (0.0, math.inf))}
+
+
+def is_possible(row: Row) -> bool:
+    """Return whether the numbers of a row can be those of an evaluation: within bounds, no statistic of ΔE above its maximum.
+
+    A row is trusted otherwise: its key tells what it is of, not what came out.
+    """
+    values = {name: float(row[name]) for name in BOUNDS}
+    if not all(low <= values[name] <= high * (1 + ROUNDING) for name, (low, high) in BOUNDS.items()):
+        return False
+    mean, *rising = (values[name] for name in DELTA_E_STATISTICS)
+    largest = rising[-1] * (1 + ROUNDING)
+    return mean <= largest and all(one <= other * (1 + ROUNDING) for one, other in pairwise(rising))
 
 
 def not_through_links(path: str, flags: int) -> int:
@@ -758,7 +783,17 @@ class Evaluations:
             others = self.parts if len(self.parts) <= FEW_PARTS else ()
             return any(part.fingerprints.is_expected_row(row) for part in (*own, *others))
 
-        self._done = self._results.resume(is_expected)
+        @cache_once
+        def expected_keys() -> set[str]:
+            return {
+                key
+                for part in self.parts
+                for technology, sensors in part.fingerprints.first_sampling.items()
+                for pitch_um, number in sensors.items()
+                for key in part.fingerprints.keys(technology, pitch_um, range(number)).values()
+            }
+
+        self._done = self._results.resume(is_expected, lambda row: row["key"] in expected_keys())
         self.counts.evaluations_reused = len(self._done)
         try:
             yield
