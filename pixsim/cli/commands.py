@@ -48,6 +48,7 @@ def run_command(tokens: Sequence[str]) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # file names may not be UTF-8
             stream.reconfigure(errors="backslashreplace")
+    widen_terminal()
     arguments = common.verbosity.parse(tokens)
     check_current_folder()
     warnings.showwarning = lambda message, *_, **__: common.verbosity.note(f"warning: {message}")
@@ -63,6 +64,18 @@ def run_command(tokens: Sequence[str]) -> None:
         raise
     say("")
     interruption.end_or_raise()  # a library may have dropped an interruption
+
+
+LEAST_WIDTH = 40  # columns, for which help and tables are laid out in a narrower terminal
+
+
+def widen_terminal() -> None:
+    """Let help and tables have some columns where the terminal, or COLUMNS, states none or very few: they would not end."""
+    stated = os.environ.get("COLUMNS")
+    if shutil.get_terminal_size().columns < LEAST_WIDTH:
+        os.environ["COLUMNS"] = str(LEAST_WIDTH)
+    elif stated is not None and not (stated.isdecimal() and int(stated) >= LEAST_WIDTH):
+        del os.environ["COLUMNS"]
 
 
 def with_each_format(arguments: Sequence[str]) -> list[str]:

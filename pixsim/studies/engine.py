@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
+import secrets
 import signal
 import threading
 import time
@@ -131,7 +133,8 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
     left: Calls[Task, Shared] = dict(enumerate(calls))
     deadly: Calls[Task, Shared] = {}
     address = workers.client.scheduler.address if workers.client else ""  # a closed client has forgotten it
-    workers = Workers() if len(calls) == 1 and not workers.client else workers  # one call does not need a process
+    if not workers.client and (len(calls) == 1 or (workers.jobs > 1 and not processes_work())):
+        workers = Workers()  # one call does not need a process
 
     def attempt(batch: Calls[Task, Shared]) -> Iterator[Result]:
         """Yield results, removing finished calls from the batch; stop when a worker dies."""
@@ -168,6 +171,25 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
             f"workers ({workers}): each of these tasks ended its process, even when run alone: {named}. Often the system is out "
             "of memory. Finished rows are kept, and the same command continues from them; --jobs 1 shows the error."
         )
+
+
+@lru_cache
+def processes_work() -> bool:
+    """Return whether this machine can have workers, with a warning if it cannot: their locks are files of /dev/shm."""
+    import _multiprocessing  # type: ignore[import-not-found]
+
+    try:
+        _multiprocessing.SemLock(0, 0, 1, f"/pixsim-{secrets.token_hex(8)}", True)
+    except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            raise
+        hint = "mount /dev/shm (docker run --shm-size 64m), or give --jobs 1"
+        warn(
+            f"no worker processes, since /dev/shm cannot be written ({error.strerror}): one process does all; {hint}",
+            MachineWarning,
+        )
+        return False
+    return True
 
 
 def check_scheduler(client: Any, address: str) -> None:
