@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
+LEAST_LENGTH = 1e-6  # of an option, in its unit; its reciprocal is the most
 MAX_WAVELENGTHS = 24  # of `lens`, as in design programs
 SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
 
@@ -634,12 +635,12 @@ def lens(
 
     positive = [("--focal-length-mm", focal_length_mm), ("--f-number", f_number), ("--object-distance-m", object_distance_m)]
     for name, value in [*positive, ("--pitch-um", pitch_um), *(("--wavelength-nm", nm) for nm in wavelength_nm or [])]:
-        if value is not None and not 0 < value < float("inf"):
-            raise invalid(name, f"{value:g}", "a number above 0")
+        if value is not None and not LEAST_LENGTH <= value <= 1 / LEAST_LENGTH:
+            raise invalid(name, f"{value:g}", f"{LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
     if wavelength_nm and len(wavelength_nm) > MAX_WAVELENGTHS:
         raise invalid("--wavelength-nm", f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}")
-    if field_deg is not None and not 0 <= field_deg < 90:
-        raise invalid("--field-deg", f"{field_deg:g}", "0 to below 90 degrees")
+    if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
+        raise invalid("--field-deg", f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
     chosen = chosen_lens(load_lens(file), focal_length_mm, f_number, field_deg, refocus, object_distance_m)
     folder = out or DEFAULT_OUT / f"lens-{Path(file).stem}"
     check_replaceable(folder, FILES)
@@ -683,8 +684,8 @@ def sfr(
     """
     from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, sfr_summary as summary, write_sfr
 
-    if pitch_um is not None and not 0 < pitch_um < float("inf"):
-        raise invalid("--pitch-um", f"{pitch_um:g}", "a number above 0")
+    if pitch_um is not None and not LEAST_LENGTH <= pitch_um <= 1 / LEAST_LENGTH:
+        raise invalid("--pitch-um", f"{pitch_um:g}", f"{LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
     picture = read_edge_picture(image)
     pitch = picture.pitch_um if pitch_um is None else pitch_um
     black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn

@@ -26,6 +26,15 @@ MAX_BYTES = 4 << 20  # of a file; prescriptions have some kB
 MAX_SURFACES = 200
 MAX_POWER = 30  # of an asphere
 LONGEST_MM = 1e6
+# What is smaller than these, and not 0, has no effect: it is a mistake, and operations on denormal numbers take very long.
+SHORTEST_MM = 1e-7  # of a thickness or an opening: an atom
+LEAST_CURVATURE_PER_MM, LEAST_CONIC = 1e-12, 1e-9
+LEAST_SAG_MM = 1e-15  # of a term of an asphere at `LONGEST_MM`
+FIELD_ANGLES_DEG = (1e-6, 89.0)
+WAVELENGTHS_NM = (10.0, 1e6)
+F_NUMBERS = (0.1, 1e5)
+ABBE_NUMBERS = (1.0, 1000.0)
+COEFFICIENTS = (1e-30, 1e30)  # of a glass, in size
 AGREEMENT = 1e-9  # of a radius with its curvature
 
 
@@ -122,6 +131,9 @@ def read_prescription(file: str) -> Prescription:
     return READERS[kind](path)
 
 
+LEAST = {"curvature_per_mm": LEAST_CURVATURE_PER_MM, "thickness_mm": SHORTEST_MM, "conic": LEAST_CONIC}
+
+
 def _checked(prescription: Prescription, where: str, place: Callable[[int], str]) -> Prescription:
     """Return a prescription whose numbers can be traced.
 
@@ -134,26 +146,34 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
     for index, surface in enumerate(prescription.surfaces):
         numbers = {"curvature_per_mm": surface.curvature_per_mm, "thickness_mm": surface.thickness_mm, "conic": surface.conic}
         for name, value in numbers.items():
-            if not abs(value) <= LONGEST_MM:
-                raise invalid(f"{place(index)}: {name}", f"{value:g}", f"finite, at most {LONGEST_MM:g} in size")
+            if not (value == 0 or LEAST[name] <= abs(value) <= LONGEST_MM):
+                raise invalid(f"{place(index)}: {name}", f"{value:g}", f"0, or {LEAST[name]:g} to {LONGEST_MM:g} in size")
         if surface.thickness_mm < 0 and surface.glass != AIR:
             got = f"{surface.thickness_mm:g} in the glass {quoted(surface.glass.name)}"
             raise invalid(f"{place(index)}: thickness_mm", got, "0 or more in glass; negative in air only")
-        if surface.semi_diameter_mm is not None and not 0 < surface.semi_diameter_mm <= LONGEST_MM:
+        if surface.semi_diameter_mm is not None and not SHORTEST_MM <= surface.semi_diameter_mm <= LONGEST_MM:
             got = f"{surface.semi_diameter_mm:g}"
-            raise invalid(f"{place(index)}: semi_diameter_mm", got, f"above 0, at most {LONGEST_MM:g}")
+            raise invalid(f"{place(index)}: semi_diameter_mm", got, f"{SHORTEST_MM:g} to {LONGEST_MM:g}")
         for power, value in surface.asphere:
             if not (2 <= power <= MAX_POWER and math.isfinite(value)):
                 got = f"A{power} = {value:g}"
                 hint = "A term in r is a cone, which has no focus." if power == 1 else ""
                 raise invalid(f"{place(index)}: asphere", got, f"finite terms A2 to A{MAX_POWER}, by the power of r", hint)
-    allowed = f"above 0, at most {LONGEST_MM:g}"
-    if not 0 < prescription.aperture_value <= LONGEST_MM:
-        raise invalid(f"aperture of {where}", f"{prescription.aperture_value:g}", allowed)
-    if not 0 <= prescription.field_value <= (89.0 if prescription.field_of_view == "angle_deg" else LONGEST_MM):
-        raise invalid(f"largest field of {where}", f"{prescription.field_value:g}", "0 to 89 degrees, or a finite image height")
+            least = LEAST_SAG_MM / LONGEST_MM**power
+            if 0 < abs(value) < least:
+                raise invalid(f"{place(index)}: asphere", f"A{power} = {value:g}", f"0, or at least {least:.1g} in size")
+    low, high = F_NUMBERS if prescription.aperture == "f_number" else (SHORTEST_MM, LONGEST_MM)
+    if not low <= prescription.aperture_value <= high:
+        raise invalid(f"aperture of {where}", f"{prescription.aperture_value:g}", f"{low:g} to {high:g}")
+    low, high = FIELD_ANGLES_DEG if prescription.field_of_view == "angle_deg" else (SHORTEST_MM, LONGEST_MM)
+    if not (prescription.field_value == 0 or low <= prescription.field_value <= high):
+        allowed = f"0, or {low:g} to {high:g} {'degrees' if prescription.field_of_view == 'angle_deg' else 'mm'}"
+        raise invalid(f"largest field of {where}", f"{prescription.field_value:g}", allowed)
     if not prescription.wavelengths_nm:
         raise invalid(f"wavelengths of {where}", "none", "at least one")
+    low, high = WAVELENGTHS_NM
+    if outside := [nm for nm in prescription.wavelengths_nm if not low <= nm <= high]:
+        raise invalid(f"wavelengths of {where}", f"{outside[0]:g} nm", f"{low:g} to {high:g} nm")
     return prescription
 
 
@@ -161,7 +181,7 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
 
 Length = Annotated[float, Field(ge=-LONGEST_MM, le=LONGEST_MM)]
 MaybeInfinite = Annotated[float, Field(ge=-math.inf, allow_inf_nan=True)]
-Positive = Annotated[float, Field(gt=0, le=LONGEST_MM)]
+Positive = Annotated[float, Field(ge=SHORTEST_MM, le=LONGEST_MM)]
 
 
 class GlassTable(Record):
@@ -202,7 +222,16 @@ class GlassTable(Record):
         if self.formula not in FORMULAS:
             allowed = ", ".join(f"{number} ({what})" for number, what in FORMULAS.items())
             raise invalid(f"{where}: formula of glass {quoted(name)}", self.formula, allowed)
-        return Glass(name, self.formula, self.coefficients or (), (low, high), one_line(self.source, 200))
+        numbers, (least, most) = self.coefficients or (), COEFFICIENTS
+        if wrong := [number for number in numbers if not (number == 0 or least <= abs(number) <= most)]:
+            allowed = f"0, or {least:g} to {most:g} in size"
+            raise invalid(f"{where}: coefficients of glass {quoted(name)}", f"{wrong[0]:g}", allowed)
+        if not any(numbers[1::2]):
+            got = "no pair of numbers that are not 0, after c1"
+            raise invalid(
+                f"{where}: coefficients of glass {quoted(name)}", got, "c1, then pairs", "A glass of one index is n = 1.5."
+            )
+        return Glass(name, self.formula, numbers, (low, high), one_line(self.source, 200))
 
 
 def model_name(n_d: float, v_d: float) -> str:
@@ -560,8 +589,9 @@ def _zmx_surface(block: _Block, where: str, makers: Sequence[str]) -> Surface:
         _refuse_mirror(name, at)
         if name == "___BLANK" or line.words[1:2] == ["1"]:
             n_d, v_d = _zmx_number(where, line, 3), _zmx_number(where, line, 4)
-            if not 1 <= n_d <= 10 or v_d < 0:
-                raise invalid(at, f"n_d = {n_d:g}, V_d = {v_d:g}", "n_d from 1 to 10 and V_d not below 0")
+            low, high = ABBE_NUMBERS
+            if not 1 <= n_d <= 10 or not (v_d == 0 or low <= v_d <= high):
+                raise invalid(at, f"n_d = {n_d:g}, V_d = {v_d:g}", f"n_d from 1 to 10 and V_d 0, or from {low:g} to {high:g}")
             glass = abbe_glass(model_name(n_d, v_d), n_d, v_d) if v_d else constant_glass(f"n = {n_d:g}", n_d)
         else:
             glass = find_glass(name, at, makers, HOW_TO_GIVE_ZMX)

@@ -14,7 +14,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import one_line
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
-from pixsim.optics.field_blur import Light, even_window, fit_wavefronts, periodic_psf
+from pixsim.optics.field_blur import UM_PER_NM, Light, even_window, fit_wavefronts, periodic_psf
 from pixsim.optics.glass import AIR
 from pixsim.optics.lens import FirstOrder, Lens
 from pixsim.optics.lens_waves import pupil_rays
@@ -36,6 +36,7 @@ MTF_POINTS = 61
 PSF_SPOTS = 6  # rms radii along a side of a PSF
 PSF_SAMPLES = 3  # of the width λN along a side
 MOST_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
+MOST_FINE = 3000  # samples along a side, on which waves interfere
 MOST_WIDTHS = 300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
 GRID, LINE_BINS = 81, 4096  # of rays across the stop, and of their line spread functions
 SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
@@ -186,11 +187,13 @@ def lens_data(lens: Lens, wavelength_nm: Sequence[float] | None = None, pitch_um
     side = PSF_SPOTS * max(spot.rms_um for spot in spots)
     geometric = side > MOST_WIDTHS * 1e-3 * shortest * f_number
     pitch = min(max(1e-3 * shortest * f_number / PSF_SAMPLES, side / MOST_SAMPLES), 500 / min(highest, 1.05 * cutoff))
+    if not geometric:
+        psfs = point_spreads(lens, fields, wavelengths, pitch, side)
+        geometric = not psfs
     if geometric:
         pitch = side / MOST_SAMPLES
         psfs, mtf = ray_spreads(lens, fields, wavelengths, pitch, frequency)
     else:
-        psfs = point_spreads(lens, fields, wavelengths, pitch, side)
         mtf = np.array([[line_mtf(psf.sum(axis=1 - axis), pitch, frequency) for axis in (0, 1)] for psf in psfs])
     mtf[..., frequency > cutoff] = 0.0  # where samples of the PSF would repeat lower frequencies
     chief = lens.chief_ray(curve, primary)
@@ -237,6 +240,8 @@ def rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
 def point_spreads(lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, side_um: float) -> list[Array]:
     """Return the PSF of each field, means over squares of `pitch_um`, with the chief ray in the middle of y upwards, (n, n).
 
+    None at all if the cone of light at the image plane has much finer waves than the f-number tells, as far from a focus.
+
     side_um : at least, of the square that a PSF lies in
     """
     heights = 1e3 * np.asarray(lens.chief_ray(field_deg, lens.primary_nm).height_mm)
@@ -246,6 +251,9 @@ def point_spreads(lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: 
     found = []
     for height in heights:
         window = even_window(light, 0.0, float(height), pitch_um, math.ceil(side_um / pitch_um))
+        widest_per_nm = max(2 * float(front.at(float(height))[:2].max()) / front.wavelength_nm for front in fronts)
+        if 2 * window * pitch_um / UM_PER_NM * widest_per_nm > MOST_FINE:
+            return []
         found.append(np.fft.fftshift(periodic_psf(light, 0.0, float(height), pitch_um, window)))
     return found
 
