@@ -94,7 +94,12 @@ def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Work
 
         try:
             client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
+        except (
+            OSError,
+            ValueError,
+            TypeError,
+            RuntimeError,
+        ) as error:  # RuntimeError: encryption is required, or TLS has no certificate
             hint = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
             got = f"'{scheduler}' ({' '.join(str(error).split()) or type(error).__name__})"
             raise invalid("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", hint) from None
