@@ -211,8 +211,10 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
         raise
 
 
-def private_folder(name: str) -> Path:
+def private_folder(name: str, quiet: bool = False) -> Path:
     """A folder of the cache for what is run as code; where others could write there, one for this process alone, with a warning.
+
+    quiet : whether another call has warned
 
     Raises OSError if it cannot be made.
     """
@@ -221,20 +223,24 @@ def private_folder(name: str) -> Path:
     with suppress(FileExistsError):
         (root / name).mkdir(0o700)
     fault = "is a link or a file"
-    with suppress(PixsimError), subfolder(root, [name]) as descriptor, tempfile.TemporaryFile(dir=root / name) as made:
+    with suppress(PixsimError), subfolder(root, [name]) as descriptor:
         status = os.fstat(descriptor)
-        if status.st_uid != os.fstat(made.fileno()).st_uid:
-            fault = "belongs to another user"
+        try:
+            with tempfile.TemporaryFile(dir=root / name) as made:  # also where the owner of files is not this user: NFS, containers
+                owner = os.fstat(made.fileno()).st_uid
+        except PermissionError:
+            owner = -1
+        if status.st_uid != owner:
+            fault = "belongs to another user, or cannot be written"
         elif status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             fault = "can be written by others"
         else:
             return root / name
     alone = temporary_folder_of_process() / name
     alone.mkdir(0o700, exist_ok=True)
-    text = (
-        f"'{root / name}' {fault}: {name} are kept for this command only; remove it, or set {FOLDER_VARIABLE} to a folder of yours"
-    )
-    warn(text, MachineWarning)
+    if not quiet:
+        hint = f"remove it, or set {FOLDER_VARIABLE} to a folder of yours"
+        warn(f"'{root / name}' {fault}: {name} are kept for this command only; {hint}", MachineWarning)
     return alone
 
 

@@ -636,7 +636,7 @@ def lens(
     positive = [("--focal-length-mm", focal_length_mm), ("--f-number", f_number), ("--object-distance-m", object_distance_m)]
     for name, value in [*positive, ("--pitch-um", pitch_um), *(("--wavelength-nm", nm) for nm in wavelength_nm or [])]:
         if value is not None and not LEAST_LENGTH <= value <= 1 / LEAST_LENGTH:
-            raise invalid(name, f"{value:g}", f"{LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
+            raise invalid(name, f"{value:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
     if wavelength_nm and len(wavelength_nm) > MAX_WAVELENGTHS:
         raise invalid("--wavelength-nm", f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}")
     if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
@@ -685,7 +685,7 @@ def sfr(
     from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, sfr_summary as summary, write_sfr
 
     if pitch_um is not None and not LEAST_LENGTH <= pitch_um <= 1 / LEAST_LENGTH:
-        raise invalid("--pitch-um", f"{pitch_um:g}", f"{LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
+        raise invalid("--pitch-um", f"{pitch_um:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
     picture = read_edge_picture(image)
     pitch = picture.pitch_um if pitch_um is None else pitch_um
     black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn

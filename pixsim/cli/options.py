@@ -81,7 +81,7 @@ def set_cache_folders() -> None:
     for variable, name in (("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
         with suppress(OSError, PixsimError):  # then they use their default folders
             if variable not in os.environ:
-                os.environ[variable] = str(private_folder(name))
+                os.environ[variable] = str(private_folder(name, quiet=name != "kernels"))
 
 
 @contextmanager
