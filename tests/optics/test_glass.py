@@ -64,7 +64,7 @@ def test_name_finds_the_catalogue_glass() -> None:
         ("F2", (), "which several makers have; allowed: SCHOTT:F2, HIKARI:F2, CDGM:F2"),
         ("J-LAK14", ("SCHOTT",), r"not in the catalogues that the file names \(SCHOTT\); allowed: HIKARI:J-LAK14"),
         ("SCHOTT:J-LAK14", (), "unknown glass 'SCHOTT:J-LAK14'"),
-        ("", (), "unknown glass ''"),
+        ("", (), "unknown glass nothing"),
     ],
 )
 def test_unknown_or_ambiguous_name_is_refused(name: str, makers: tuple[str, ...], message: str) -> None:
