@@ -190,7 +190,7 @@ def test_catalogues_of_zemax_are_read_with_each_formula(tmp_path: Path, formula:
         ("LD 0.35 2.0|LD 2.0 0.35", "LD: got .*; allowed: two wavelengths"),
         ("LD 0.35|LE 0.35", "LD: got none"),
         ("CD 1.04|CD 1.14", r"n_d of its formula: got 1.5495; allowed: 1.5163, as its line NM states"),
-        ("CD 1.04|CD x", r"line 5: got CD x"),
+        ("CD 1.04|CD x", r"line 5: got CD with a text of 43 characters; allowed: CD as"),
         ("NM GLASS1|NX GLASS1", r"without a glass \(line NM\)"),
         ("a catalogue|a \x01", "a binary file"),
     ],
