@@ -22,7 +22,7 @@ from pixsim.sensor.collection import least_fresnel_number
 from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.pixel import has_microlens, photodiode_widths_um, physics_of, smallest_pitch_um
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of, with_fill_factor_law
-from pixsim.show.figures import LOOKS, Look, literal, new_figure
+from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, html_cell, rows_csv, set_words
 from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import (
@@ -691,6 +691,7 @@ def fill_factor_axis(axes: Axes, curve: Curve) -> None:
     top.set_xlabel("fill factor (%)")
 
 
+@own_style()
 def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: str = "delta_e_against_pitch") -> Plate:
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
