@@ -88,6 +88,7 @@ BOUNDS = {
     "white_cd_per_m2": POSITIVE,
     "tolerance_e": Bounds(0, 1, open_low=True),
     "seed": NOT_NEGATIVE,
+    "repeat": Bounds(0, 1 << 31),
     "bits": Bounds(1, 32),
     "die_mm": Bounds(1e-5, 1000),
     "saturated_fraction": Bounds(0, 1, unknown=True),

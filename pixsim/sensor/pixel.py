@@ -464,6 +464,7 @@ class PixelPhysics:
         """Width on each side of the die that is not scored on a display of fixed size."""
         return (CENTRED_BORDER if self.is_centred else REGISTERED_BORDER) * self.read_pitch_um
 
+    @checks_arguments
     def registered(self, repeat: int, display: Display) -> PixelPhysics:
         """Return the pixel of one repeat of a study or a comparison: with a registration of its own (`spread_registration`).
 
