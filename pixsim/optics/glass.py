@@ -402,7 +402,7 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
                 raise invalid(f"{where}: n_d of its formula", f"{found:.6g}", f"{n_d:g}, as its line NM states", "Check the file.")
         glasses[full] = glass
 
-    for number, line in enumerate(lines_of(text_of(path, "glass catalogue", expected, MAX_BYTES)), 1):
+    for number, line in enumerate(lines_of(text_of(path, "lens.glass_catalogues", expected, MAX_BYTES)), 1):
         keyword, *words = line.split() or [""]
         try:
             if keyword == "NM":
@@ -416,5 +416,5 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
             raise invalid(f"'{path}', line {number}", got, f"{keyword} as in an AGF file") from None
     finish()
     if not glasses:
-        raise invalid("glass catalogue", f"'{path}' without a glass (line NM)", expected)
+        raise invalid("lens.glass_catalogues", f"'{path}' without a glass (line NM)", expected)
     return glasses

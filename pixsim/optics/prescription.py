@@ -411,8 +411,8 @@ def _read_toml(path: Path, options: LensOptions, own: Mapping[str, Glass]) -> Pr
     table = read_toml(path)
     if options.configuration not in (None, 1):
         raise invalid("lens.configuration", options.configuration, f"1: '{path}' has one configuration, as every .toml file")
-    unused = [name for name in ("semi_diameters", "vignetting_factors") if getattr(options, name) in ("clip", "use", "ignore")]
-    unused = [name for name in unused if (name, getattr(options, name)) != ("semi_diameters", "ignore")]
+    of_zmx = ("semi_diameters", "vignetting_factors", "unknown_glass")
+    unused = [name for name in of_zmx if getattr(options, name) != LensOptions.model_fields[name].default]
     heads = [
         number
         for number, line in enumerate(read_text(path, "lens", "a readable TOML file", MAX_BYTES).split("\n"), 1)
@@ -1047,6 +1047,8 @@ def _zmx_glasses(
                 glasses.append(AIR)
     if modelled:
         notes.append(f"glasses that no catalogue has are models of the n_d and V_d in their lines: {', '.join(modelled)}")
+    elif options.unknown_glass == "model" and not unknown:
+        notes.append('lens.unknown_glass = "model" changes nothing: every glass of the file is known')
     if len(unknown) == 1:
         _, line, reason = unknown[0]
         raise PixsimError(f"{reason} {_ready(line)} {OWN_CATALOGUE}")

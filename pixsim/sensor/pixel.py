@@ -469,6 +469,8 @@ class PixelPhysics:
         """Return the pixel of one repeat of a study or a comparison: with a registration of its own (`spread_registration`).
 
         One that the pixel states stays. Where dots are pixels the array stays centred.
+
+        repeat : its number, from 0
         """
         if not self.is_centred or display.raster != "fixed_size":
             return self

@@ -372,6 +372,8 @@ def test_unknown_glass_offers_the_numbers_of_its_line(tmp_path: Path, name: str,
         model = wild(name, unknown_glass="model")
     same(written, model, 10.0, 1e-12)
     assert model.prescription.surfaces[0].glass.index(587.5618) == pytest.approx(float(numbers.split()[0]), rel=1e-12)
+    with pytest.warns(UserWarning, match=r'lens.unknown_glass = "model" changes nothing'):
+        wild("air.zmx", unknown_glass="model")
 
 
 def test_all_unknown_glasses_are_named_at_once(tmp_path: Path) -> None:
@@ -420,7 +422,7 @@ def test_catalogue_of_the_user_goes_first(tmp_path: Path) -> None:
     assert abs(focal_mm(other) - FOCAL_MM) > 0.05
     with pytest.warns(UserWarning, match="lens.glass_catalogues change nothing"):
         pixsim.load_lens("singlet", glass_catalogues=[tmp_path / "mine.agf"])
-    with pytest.raises(pixsim.PixsimError, match=r"glass catalogue: .*none\.agf"):
+    with pytest.raises(pixsim.PixsimError, match=r"lens\.glass_catalogues: .*none\.agf"):
         wild("air.zmx", glass_catalogues=[tmp_path / "none.agf"])
 
 
