@@ -114,7 +114,7 @@ GOOD: dict[str, Any] = {
     "signal_e": 100.0, "statistic": "mean_delta_e", "resolution": 8, "state": lambda: scene().parse(), "options": CameraOptions(),
     "photodiode_side_um": 50.0, "height_um": 80.0,
     "planes": LIGHT.data.transpose(2, 0, 1), "fov_deg": 40.0, "aperture_radius_m": 5e-4, "focus_distance_m": 1.0, "source": "x",
-    "repeat": 1, "gain_db": 6.0, "mosaic": PLANE, "pattern": "rggb", "method": "bilinear", "rgb": XYZ / 100,
+    "gain_db": 6.0, "mosaic": PLANE, "pattern": "rggb", "method": "bilinear", "rgb": XYZ / 100,
     "sensitivities": lambda: pixsim.spectral.colour_matching(np.arange(400.0, 701.0, 10.0)), "illuminant": "D55",
     "file": "cooke_triplet", "field_deg": 10.0, "stop_x": 0.0, "stop_y": 0.0, "x_mm": 1.0, "y_mm": 1.0,
     "factor": 2.0, "edges_nm": np.array([400.0, 500.0, 600.0]), "height_mm": 1.0, "azimuth_deg": 30.0,
