@@ -41,6 +41,7 @@ from pixsim.optics.field_blur import (
     periodic_psf,
     picture_error,
     radial_psfs,
+    resolving_um,
     tiles_reach_um,
     transform_of,
 )
@@ -480,7 +481,7 @@ def dark_share(camera: Camera) -> float:
 
 _BLURS: dict[str, FieldBlur] = {}
 _PSFS: dict[str, RadialPsfs] = {}
-KEPT_BLURS, KEPT_PSFS = 8, 4
+KEPT_BLURS, KEPT_PSFS = 8, 8
 BEHIND_CY_PER_MM = np.linspace(0.0, 1000.0, 17)  # by which a transfer behind the lens is known
 DARK_CELLS = 512
 
@@ -507,7 +508,10 @@ def psfs_of(
     weight: Array,
     transfer: Transfer = None,
 ) -> RadialPsfs:
-    """Return the PSFs of a light for the tiles of a film; those of a finer film serve for a coarser one too."""
+    """Return the PSFs of a light for the tiles of a film; those of a finer film serve for a coarser one too.
+
+    On films that are finer than the lens they are all the same.
+    """
     key = content_hash(_light_key(camera, tiling, wavelength_nm, weight, transfer))
     known, (spacing, cells) = _PSFS.get(key), tiling.cells(pitch_um)
     farthest_um = tiles_reach_um(shape, pitch_um, spacing, cells)
@@ -515,7 +519,10 @@ def psfs_of(
         light = light_of(camera, wavelength_nm, weight, tiling, transfer)
         if len(_PSFS) >= KEPT_PSFS:
             _PSFS.clear()
-        known = _PSFS[key] = radial_psfs(light, pitch_um, cells, tiling.spacing_um / RADIAL_STEPS, farthest_um)
+        cell_um = max(pitch_um, resolving_um(light))
+        farthest_um += tiling.spacing_um  # for those of other films, too
+        known = radial_psfs(light, cell_um, tiling.cells(cell_um)[1], tiling.spacing_um / RADIAL_STEPS, farthest_um)
+        _PSFS[key] = known
     return known
 
 
@@ -567,7 +574,7 @@ def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
         tiling = TypeAdapter(Tiling).validate_python(stated)
         tiles, cells = max(image.shape) * image.pitch_um / tiling.spacing_um, tiling.psf_um / image.pitch_um
         known = 1 <= tiling.wavelengths <= WAVELENGTHS[-1] and 4 <= tiling.nodes <= NODES[-1]
-        usable = 0 < tiles <= 2 * TILES[-1] and 0 <= cells <= 2 * PSF_CELLS[-1] and known
+        usable = 0 < tiles <= 2 * TILES[-1] and 0 <= cells <= max(2 * PSF_CELLS[-1], *image.shape) and known
     except (ValidationError, ZeroDivisionError):
         usable = False
     if not usable:

@@ -146,9 +146,8 @@ def fit_wavefronts(wavelength_nm: float, height_um: Array, wavefronts: Sequence[
         half = np.array([max(high[0], -low[0]), (high[1] - low[1]) / 2])
         middle = np.array([0.0, (high[1] + low[1]) / 2])
         u, v = ((front.cosines - middle) / half).T
-        terms = u[:, None] ** exponents[:, 0] * v[:, None] ** exponents[:, 1]
-        coefficients = np.linalg.lstsq(terms, front.opd_waves, rcond=None)[0]
-        left = front.opd_waves - terms @ coefficients
+        of_u, of_v = (np.cumprod([np.ones_like(along), *[along] * DEGREE], axis=0) for along in (u, v))
+        coefficients, left = least_squares(of_u[exponents[:, 0]] * of_v[exponents[:, 1]], front.opd_waves)
         residual = max(residual, float(np.sqrt(np.mean(left**2))))
         around = (front.outline - middle) / half
         angle, radius = np.arctan2(np.abs(around[:, 0]), around[:, 1]), np.hypot(*around.T)
@@ -156,6 +155,30 @@ def fit_wavefronts(wavelength_nm: float, height_um: Array, wavefronts: Sequence[
         outline = np.interp(np.linspace(0, np.pi, OUTLINE_ANGLES), angle[order], radius[order])
         numbers.append(np.concatenate([half, [front.height_um - height], coefficients, outline]))
     return FittedWavefronts(wavelength_nm, np.asarray(height_um, float), np.array(numbers), residual)
+
+
+def least_squares(terms: Array, values: Array) -> tuple[Array, Array]:
+    """Return the coefficients (n,) with which terms (n, m) come closest to values (m,), and what they leave, (m,).
+
+    Modified Gram-Schmidt steps, with the values as a last column, are as stable as Householder's (Björck, BIT 7 (1967) 1). BLAS
+    shares such small matrices between threads, which takes a hundred times as long, and rounds as their number has it. A term that
+    others make up has no coefficient.
+    """
+    columns = np.concatenate([terms, values[None]])
+    count, sizes = len(terms), np.sqrt(np.square(terms).sum(axis=1))
+    triangle = np.eye(count, count + 1)
+    for row in range(count):
+        size = float(np.sqrt(np.square(columns[row]).sum()))
+        if size <= np.finfo(float).eps * columns.shape[1] * sizes[row]:
+            continue
+        unit = columns[row] / size
+        triangle[row, row] = size
+        triangle[row, row + 1 :] = (columns[row + 1 :] * unit).sum(axis=1)
+        columns[row + 1 :] -= triangle[row, row + 1 :, None] * unit
+    coefficients = np.zeros(count)
+    for row in range(count - 1, -1, -1):
+        coefficients[row] = (triangle[row, -1] - (triangle[row, row + 1 : -1] * coefficients[row + 1 :]).sum()) / triangle[row, row]
+    return coefficients, columns[-1]
 
 
 def share_inside(distance: Array, slope: Array) -> Array:
@@ -338,7 +361,7 @@ def periodic_psf(light: Light, x_um: float, y_um: float, pitch_um: float, window
     if light.transfer is None:
         pending *= unboxed
         total = _low_frequencies(pending, most)
-    return np.asarray(irfft2(_on_film(total, window), (window, window)))
+    return np.asarray(irfft2(_on_film(total, (window, window)), (window, window)))
 
 
 def _low_frequencies(intensity: Array, most: int) -> NDArray[np.complex128]:
@@ -347,17 +370,20 @@ def _low_frequencies(intensity: Array, most: int) -> NDArray[np.complex128]:
     return np.concatenate([columns[: most + 1], columns[-most:]])
 
 
-def _on_film(transform: NDArray[np.complex128], window: int) -> NDArray[np.complex128]:
-    """Return the transform (window, window // 2 + 1) of samples on a film of a PSF with this transform, (2n + 1, n + 1)."""
-    most, half = transform.shape[1] - 1, window // 2
-    rows, columns = np.fft.fftfreq(2 * most + 1, 1 / (2 * most + 1)).astype(int), np.arange(most + 1)
-    weighted = transform * of_band(rows / window)[:, None] * of_band(columns / window)
-    wrapped = np.zeros((window, most + 1), complex)
-    np.add.at(wrapped, rows % window, weighted)
-    found = np.zeros((window, half + 1), complex)
-    found[:, : min(most, half) + 1] = wrapped[:, : half + 1]
-    for column in range((window + 1) // 2, most + 1):  # the same as a frequency below 0, where the transform is the conjugate
-        found[:, window - column] += wrapped[-np.arange(window), column].conj()
+def _on_film(transform: NDArray[np.complex128], shape: tuple[int, ...]) -> NDArray[np.complex128]:
+    """Return the transform (H, W // 2 + 1) of samples on a film of a PSF with this transform, (2m + 1, n + 1).
+
+    shape : (H, W) of the window in film cells
+    """
+    (down, across), half = (transform.shape[0] // 2, transform.shape[1] - 1), shape[1] // 2
+    rows, columns = np.fft.fftfreq(2 * down + 1, 1 / (2 * down + 1)).astype(int), np.arange(across + 1)
+    weighted = transform * of_band(rows / shape[0])[:, None] * of_band(columns / shape[1])
+    wrapped = np.zeros((shape[0], across + 1), complex)
+    np.add.at(wrapped, rows % shape[0], weighted)
+    found = np.zeros((shape[0], half + 1), complex)
+    found[:, : min(across, half) + 1] = wrapped[:, : half + 1]
+    for column in range((shape[1] + 1) // 2, across + 1):  # the same as a frequency below 0, where the transform is the conjugate
+        found[:, shape[1] - column] += wrapped[-np.arange(shape[0]), column].conj()
     found[0, 0] = 1.0
     return found
 
@@ -407,6 +433,8 @@ def cubic_weights(distance: Array | float) -> Array:
 class RadialPsfs:
     """PSFs of image points that are evenly spaced along a line from the axis, for films with cells of `pitch_um` and larger.
 
+    With all frequencies that the lens passes they serve for every film: `pitch_um` is 0.
+
     A lens is round: the PSF of any image point is that of its distance from the axis, turned. It is found in the frequencies of
     the film, where turning needs no samples that are finer than the film's.
 
@@ -431,6 +459,17 @@ class RadialPsfs:
 
         Raises PixsimError beyond `reach_um`, and for a film with cells smaller than `pitch_um`.
         """
+        window = odd_window(cells)
+        kernel = irfft2(self.transform(x_um, y_um, pitch_um, (window, window)), (window, window))
+        reach = cells // 2
+        kernel = np.roll(kernel, (reach, reach), axis=(0, 1))[:cells, :cells]
+        return Psf(kernel.astype(np.float32))
+
+    def transform(self, x_um: float, y_um: float, pitch_um: float, shape: tuple[int, ...]) -> NDArray[np.complex128]:
+        """Return the transform (H, W // 2 + 1) of the PSF of an image point on a window (H, W) of film cells, in which it repeats.
+
+        Its light beyond the window folds back: it is that of the whole PSF. Raises PixsimError as `at` does.
+        """
         from scipy.ndimage import map_coordinates  # takes 0.05 s
 
         height_um, azimuth = math.hypot(x_um, y_um), math.atan2(y_um, x_um)
@@ -445,20 +484,24 @@ class RadialPsfs:
             spline = self.splines[abs(index)]
             weight = np.float32(cubic_weights(place - index))
             table += weight * (spline if index >= 0 else spline.conj())  # the opposite point has the PSF turned by 180°
-        window = odd_window(cells)
-        most = math.ceil((1 + BAND_END) / 2 * window)
-        fx, fy = (
-            np.arange(most + 1) / (window * pitch_um),
-            np.fft.fftfreq(2 * most + 1, window * pitch_um / (2 * most + 1))[:, None],
-        )
-        radial, sagittal = (fx * math.cos(azimuth) + fy * math.sin(azimuth)), (fy * math.cos(azimuth) - fx * math.sin(azimuth))
         middle = table.shape[1] // 2
+        # Beyond the end of the film's band, and of the table where that holds all that the lens passes, there is nothing.
+        down, across = (
+            min(math.ceil((1 + BAND_END) / 2 * side), math.ceil(math.hypot(middle, middle) / self.period_um * side * pitch_um))
+            for side in shape
+        )
+        fx = np.arange(across + 1) / (shape[1] * pitch_um)
+        fy = np.fft.fftfreq(2 * down + 1, shape[0] * pitch_um / (2 * down + 1))[:, None]
+        radial, sagittal = (fx * math.cos(azimuth) + fy * math.sin(azimuth)), (fy * math.cos(azimuth) - fx * math.sin(azimuth))
         at = np.array([np.abs(sagittal) * self.period_um, radial * self.period_um + middle])
         spectrum = np.asarray(map_coordinates(table, at, order=3, prefilter=False, mode="mirror"), complex)
-        kernel = irfft2(_on_film(spectrum, window), (window, window))
-        reach = cells // 2
-        kernel = np.roll(kernel, (reach, reach), axis=(0, 1))[:cells, :cells]
-        return Psf(kernel.astype(np.float32))
+        if self.pitch_um == 0.0:
+            spectrum[(at[0] > middle) | (np.abs(at[1] - middle) > middle)] = 0.0
+        return _on_film(spectrum, shape)
+
+    def blurred(self, light: Array, pitch_um: float, x_um: float, y_um: float) -> Array:
+        """Return light (H, W) that repeats, spread by the PSF of one image point all over it; none is lost."""
+        return np.asarray(irfft2(rfft2(light) * self.transform(x_um, y_um, pitch_um, light.shape), light.shape))
 
 
 def odd_window(cells: int) -> int:
@@ -474,10 +517,12 @@ def radial_psfs(light: Light, pitch_um: float, cells: int, step_um: float, farth
     from scipy.ndimage import spline_filter
 
     count = math.floor(farthest_um / step_um) + 3
-    fine_um, heights_um = pitch_um / FINER, [index * step_um for index in range(count)]
-    window = _even_window(light, heights_um, fine_um, FINER * WINDOW * cells)
+    resolving = resolving_um(light)
+    cell_um = max(pitch_um, resolving)
+    fine_um, heights_um = cell_um / FINER, [index * step_um for index in range(count)]
+    window = _even_window(light, heights_um, fine_um, WINDOW * cells * pitch_um / fine_um)
     padded = next_fast_len(math.ceil(PADDING * window / 2)) * 2
-    most = min(math.ceil((1 + BAND_END) * math.sqrt(0.5) / pitch_um * padded * fine_um) + SPLINE_MARGIN, padded // 2 - 1)
+    most = min(math.ceil((1 + BAND_END) * math.sqrt(0.5) / cell_um * padded * fine_um) + SPLINE_MARGIN, padded // 2 - 1)
     splines = np.empty((count, most + 1, 2 * most + 1), np.complex64)
 
     def compute(index: int) -> None:
@@ -489,7 +534,13 @@ def radial_psfs(light: Light, pitch_um: float, cells: int, step_um: float, farth
         splines[index] = spline_filter(otf, 3, np.complex128, "mirror")
 
     in_threads(compute, range(count), WORTH_THREADS)
-    return RadialPsfs(step_um, pitch_um, padded * fine_um, splines)
+    return RadialPsfs(step_um, cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0, padded * fine_um, splines)
+
+
+def resolving_um(light: Light) -> float:
+    """Return the largest film cells for which radial PSFs have all frequencies that the lens passes, where no band of theirs ends."""
+    cutoff = max(2 * float(front.numbers[:, :2].max()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
+    return FINER * (1 - BAND_END) / 2 / cutoff
 
 
 def tiles_along(cells: int, spacing: int) -> tuple[int, int]:

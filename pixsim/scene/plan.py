@@ -236,6 +236,7 @@ def make_render_plan(
     full: bool = False,
     band_count: int | None = None,
     exact: bool = False,
+    aperture_um: float | None = None,
 ) -> Plan:
     """Return the plan of a render, from the parsed tree of a scene.
 
@@ -246,6 +247,7 @@ def make_render_plan(
     full : leave nothing out: every band of every lamp, the scene's integrator, a sampled lens
     band_count : number of bands of equal width, in place of the bands that the tolerance requires
     exact : whether to compute the film cells of a chart that is alone and in focus, without samples
+    aperture_um : side of the smallest photodiode, for which the blur of a real lens is computed; None takes that of the pixel
 
     Raises PixsimError if an emitter is negative or not finite, or if the tolerance is not between 0 and 1.
     """
@@ -253,7 +255,7 @@ def make_render_plan(
         raise invalid("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1, a relative error of mean electrons")
     pixels = [pixel] if isinstance(pixel, Pixel) else pixel or []
     camera = camera or scene.camera()
-    tiling, real_lens = decide_real_lens(scene, camera, pixels[0] if pixels else None, tolerance_e, full)
+    tiling, real_lens = decide_real_lens(scene, camera, pixels[0] if pixels else None, tolerance_e, full, aperture_um)
     whole, camera = camera, camera if tiling else without_lens(camera)
     seen = rendered_camera(camera)
     state = scene.for_camera(seen)

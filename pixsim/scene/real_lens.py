@@ -13,6 +13,7 @@ from pixsim.light.spectral import photons_per_joule
 from pixsim.optics.camera_lens import MIN_SPACING, TILES, Tiling, choose_tiling, dark_share, distortion_of, thin_lens_error
 from pixsim.optics.lens_defocus import Defocus, defocus_at, largest_disc_um, signed_disc_um, smallest_disc_um
 from pixsim.scene.contents import LAMBERTIAN, Body
+from pixsim.scene.film import FILM_ROUNDING, SAMPLES_PER_DETAIL
 from pixsim.scene.mitsuba import nodes_of
 from pixsim.scene.rules import ALIKE, Decision
 from pixsim.scene.scene import Scene
@@ -28,19 +29,23 @@ BLUR_TOLERANCES = 10.0  # of mean electrons, for the rms error of the blur over 
 
 
 def decide_real_lens(
-    scene: Scene, camera: Camera, pixel: Pixel | None, tolerance_e: float, full: bool
+    scene: Scene, camera: Camera, pixel: Pixel | None, tolerance_e: float, full: bool, aperture_um: float | None = None
 ) -> tuple[Tiling | None, list[Decision]]:
     """Return how the blur of a real lens is computed, and the decision; None and no decision for a thin lens.
 
-    None too if a thin lens of its image distance and f-number gives the same electrons within the tolerance.
+    None too if a thin lens of its image distance and f-number gives the same electrons within the tolerance. All films with two
+    samples or more across a photodiode have one tiling: photodiodes average what finer films add.
+
+    aperture_um : side of a photodiode, if there is no pixel; None means two samples of the film
     """
     if camera.lens is None or camera.chief_ray_angle is None:
         return None, []
     physics = derive(pixel) if pixel else None
     weight = photons_per_joule(SEEN_NM) * (physics.quantum_efficiency(SEEN_NM) if physics else 1.0)
-    shape = scene.film_shape(camera, scene.parse())
-    pitch_um = 1e3 * camera.die_mm / shape[1]
-    aperture_um = physics.aperture_side_um if physics else 2 * pitch_um
+    film_um = 1e3 * camera.die_mm / scene.film_shape(camera, scene.parse())[1]
+    aperture_um = physics.aperture_side_um if physics else aperture_um or SAMPLES_PER_DETAIL * film_um
+    pitch_um = max(film_um, aperture_um / SAMPLES_PER_DETAIL)
+    height, width = (math.ceil(side_um / pitch_um - FILM_ROUNDING) for side_um in camera.die_um)
     distortion = distortion_of(camera)
     assert distortion is not None
     words = f"'{camera.lens.file}' at {camera.lens.focal_length_mm:.4g} mm f/{camera.lens.f_number:.3g}; in the corner "
@@ -52,7 +57,7 @@ def decide_real_lens(
             reason = f"{words}: a thin lens gives the same electrons"
             return None, [Decision("real lens", False, reason, "distortion and tiles", error)]
     target = BLUR_TOLERANCES * tolerance_e / (4 if full else 1)
-    tiling = choose_tiling(camera, shape, pitch_um, tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um, target)
+    tiling = choose_tiling(camera, (height, width), pitch_um, tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um, target)
     tiles = math.ceil(1e3 * max(camera.die_mm, camera.height_mm) / tiling.spacing_um)
     if tiling.psf_um:
         blur = f"{tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to {tiling.lacking:.1%} of the light, "

@@ -8,7 +8,7 @@ depend on how columns are grouped into strips.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
@@ -22,7 +22,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage, photons_per_joule
-from pixsim.optics.camera_lens import GROUP_WAVELENGTHS, Tiling, blur_of, groups_of, tiling_of, traced_lens
+from pixsim.optics.camera_lens import GROUP_WAVELENGTHS, Tiling, blur_of, groups_of, psfs_of, tiling_of, traced_lens
 from pixsim.optics.diffraction import diffract_sums
 from pixsim.sensor.collection import (
     Collection,
@@ -367,24 +367,79 @@ def real_lens_rate(
     """
     if not tiling.psf_um:  # the film is too coarse to show it
         return irradiance.weighted(electrons)
-    whole = irradiance.whole  # with light from beyond the picture
-    nm, lights = irradiance.wavelength_nm, []
-    warn_of_unknown_glasses(camera, nm, np.abs(electrons * irradiance.mean_spectrum()))
-    if whole.factors and np.all(electrons * whole.factors[0] >= 0):
-        for spectrum, picture in zip(*whole.factors, strict=True):
-            lights.append((picture.astype(float), electrons * spectrum))
-    else:
-        seen = np.abs(electrons * irradiance.mean_spectrum())
-        tiling = replace(tiling, wavelengths=GROUP_WAVELENGTHS)
-        for bands in groups_of(seen):
-            share = np.where(bands, seen, 0.0)
-            lights.append((whole.weighted(np.where(bands, electrons, 0.0)), share / share.sum()))
+    nm, seen = irradiance.wavelength_nm, np.abs(electrons * irradiance.mean_spectrum())
+    warn_of_unknown_glasses(camera, nm, seen)
     total = np.zeros(irradiance.shape)
-    for picture, weight in lights:
-        if weight.any():
-            blur = blur_of(camera, irradiance.shape, irradiance.pitch_um, tiling, nm, weight, transfer)
-            total += float(weight.sum()) * blur.blurred(picture, irradiance.margin)
+    for picture, weight, blurred_by in _blurred_lights(irradiance.whole, electrons, seen, tiling):
+        blur = blur_of(camera, irradiance.shape, irradiance.pitch_um, blurred_by, nm, weight, transfer)
+        total += float(weight.sum()) * blur.blurred(picture, irradiance.margin)
     return total
+
+
+def _blurred_lights(
+    irradiance: SpectralImage, electrons: Array, seen: Array, tiling: Tiling
+) -> Iterator[tuple[Array, Array, Tiling]]:
+    """Yield pictures that have one blur each, (H, W), their weights in each band, (B,), and how their blur is computed.
+
+    seen : electrons of each band of the whole picture, (B,), by which bands are grouped
+    """
+    if irradiance.factors and np.all(electrons * irradiance.factors[0] >= 0):
+        for spectrum, picture in zip(*irradiance.factors, strict=True):
+            if (weight := electrons * spectrum).any():
+                yield picture.astype(float), weight, tiling
+        return
+    for bands in groups_of(seen):
+        share = np.where(bands, seen, 0.0)
+        yield (
+            irradiance.weighted(np.where(bands, electrons, 0.0)),
+            share / share.sum(),
+            replace(tiling, wavelengths=GROUP_WAVELENGTHS),
+        )
+
+
+@dataclass(frozen=True)
+class PartBehindLens:
+    """A part of a picture with light around it, for a real lens whose blur is taken to be that of the part's middle all over it.
+
+    Films of other samples of the same part differ by their samples alone: they have the same PSF, which no film cuts off.
+
+    around : the part, with more light at each side
+    halo : film cells at each side
+    middle_um : (y, x) of the part from the axis
+    seen : spectrum of the whole picture, (B,)
+    reach : (shape, pitch_um) of the film whose PSFs are taken: it is as fine as this one or finer
+    """
+
+    around: SpectralImage
+    halo: int
+    middle_um: tuple[float, float]
+    seen: Array
+    reach: tuple[tuple[int, int], float]
+
+    def rate(self, camera: Camera, tiling: Tiling, electrons: Array, transfer: Callable[[Array, float], Array] | None) -> Array:
+        """Return `real_lens_rate` in the part, (H, W)."""
+        nm, pitch_um = self.around.wavelength_nm, self.around.pitch_um
+        total = np.zeros(self.around.shape)
+        if not tiling.psf_um:
+            total += self.around.weighted(electrons)
+        else:
+            for picture, weight, blurred_by in _blurred_lights(self.around, electrons, np.abs(electrons * self.seen), tiling):
+                psfs = psfs_of(camera, *self.reach, blurred_by, nm, weight, transfer)
+                total += float(weight.sum()) * psfs.blurred(picture, pitch_um, *self.middle_um[::-1])
+        inside = slice(self.halo, -self.halo or None)
+        return total[inside, inside]
+
+    def lights(self, camera: Camera, tiling: Tiling, physics: PixelPhysics, whole: SpectralImage) -> tuple[ChannelLight, ...]:
+        """Return the light in the part for each channel of a pixel.
+
+        whole : the picture, whose illumination the part has
+        """
+        transfer, channels = diffusion_of(physics.channels[0]), physics.channels
+        weights = [electrons_per_joule(channel, self.around) for channel in channels]
+        return tuple(
+            ChannelLight(_per_um2(self.rate(camera, tiling, weight, transfer)), illumination_of(whole, camera, channel))
+            for weight, channel in zip(weights, channels, strict=True)
+        )
 
 
 UNKNOWN_SHARE = 1e-3  # of the electrons, of which nobody need be told

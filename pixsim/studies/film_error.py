@@ -16,9 +16,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts
 from pixsim.base.errors import invalid
@@ -136,7 +137,7 @@ def measured_places(image: SpectralImage, pitch_um: float, display: Display, mos
     if thinner <= 1:
         return []
     down, across = (spread_parts(count, int(count / PARTS / thinner) // BLOCK * BLOCK) for count in image.shape)
-    if LENS_HEADER in image.header:  # the parts of coarser films are cut out of pictures of whole blocks
+    if LENS_HEADER in image.header:  # a blur has its place on coarser films, too
         down, across = (
             [slice(*(end // BLOCK * BLOCK for end in (part.start, part.stop))) for part in side] for side in (down, across)
         )
@@ -207,6 +208,31 @@ def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: 
         if sum(math.prod(part.image.shape) for part in parts[::step]) <= MOST_FINER:
             return parts[::step]
     return []
+
+
+def reflected(side: slice, halo: int, first: int, last: int) -> NDArray[np.intp]:
+    """Return the rows or columns of a slice and `halo` more at each side; beyond first … last - 1 they are those of a mirror."""
+    count = last - first
+    place = (np.arange(side.start - halo, side.stop + halo) - first) % (2 * count)
+    return np.asarray(first + np.where(place < count, place, 2 * count - 1 - place))
+
+
+def surrounded(image: SpectralImage, place: Place, halo: int) -> SpectralImage:
+    """Return the rows and columns of a place with `halo` more cells at each side: the margin's, and a mirror's beyond it."""
+    whole, margin = image.whole, image.margin
+    rows, columns = (
+        margin + reflected(side, halo, -margin, count + margin) for side, count in zip(place, image.shape, strict=True)
+    )
+    return image.with_planes(np.stack([plane[np.ix_(rows, columns)] for plane in whole.planes]))
+
+
+def patches_of(image: SpectralImage) -> list[Place]:
+    """Return rows and columns that divide the whole blocks of a picture into at most `PARTS` × `PARTS` places."""
+    down, across = (
+        [slice(*ends) for ends in pairwise(dict.fromkeys((np.linspace(0, n // BLOCK, PARTS + 1).astype(int) * BLOCK).tolist()))]
+        for n in image.shape
+    )
+    return list(product(down, across))
 
 
 def display_of(display: Display, columns: slice, width: int) -> Display:

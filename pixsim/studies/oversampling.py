@@ -33,13 +33,13 @@ from pixsim.base.parameters import (
 )
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera_lens import tiling_of
+from pixsim.optics.camera_lens import Tiling, tiling_of
 from pixsim.scene.convergence import RenderNoise, render_until
 from pixsim.scene.film import BLOCK, fitting_width, largest_film
 from pixsim.scene.plan import Plan
 from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
-from pixsim.sensor.integration import ChannelLight, lights_of
+from pixsim.sensor.integration import ChannelLight, PartBehindLens
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.budget import Settled, Setup, sensor_delta_e, without_warnings
@@ -48,13 +48,15 @@ from pixsim.studies.film_error import (
     MIN_PART_CELLS,
     FilmSampling,
     Part,
+    Place,
     coarser,
     film_error,
     finer_parts,
     measured_places,
     parts_of,
+    patches_of,
     step_size,
-    whole_blocks,
+    surrounded,
 )
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.score import Seen, chain_at_pitch, prepare_scene, white_header
@@ -273,8 +275,8 @@ def film_steps(
 ) -> FilmSteps:
     """Return the mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer ones.
 
-    The blur of a real lens depends on the place: a part has it from the whole picture. On the finer films that would take too long:
-    they have the diffraction of its pupil alone, which is sharper, so that they show no less of what lies between samples.
+    Behind a real lens only the parts are blurred, with light around them as wide as its PSF: each by the PSF of its middle, which
+    is the same on all films.
 
     largest_um : pitch that sets the size of the parts; None means that of the pixel
     """
@@ -283,27 +285,97 @@ def film_steps(
     sampling = FilmSampling.of(image.shape[1], camera, physics, display, chart)
     if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:
         return FilmSteps(np.empty((0, 0)), np.empty((0, 0)), sampling)
+    finer = finer_parts(image, size_um, display, chart)
+    lens = BehindLens.of(image, camera, physics, bool(finer))
     settings = camera, physics, exposure, correction, develop
-    places = measured_places(image, size_um, display) if tiling_of(image, camera) is not None else []
-    whole = whole_blocks(image) if places else image
-    films = [(parts, whole)]
+    films = [parts]
     for _ in range(int(math.log2(BLOCK))):
-        parts = [(coarser(part, 2), shown) for part, shown in parts]
-        whole = coarser(whole, 2) if places else whole
-        films.append((parts, whole))
+        films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
+    places = measured_places(image, size_um, display)
+    lights = lens.of_films(places, len(films)) if lens else [[None] * len(parts) for _ in films]
     delta_e = np.empty((len(films), len(parts)))
 
     def measure(step: int) -> None:
-        parts, whole = films[step]
-        lights = _cut_lights(lights_of(whole, camera, physics), places, 2**step) if places else [None] * len(parts)
-        delta_e[step] = _mean_delta_e(parts, lights, *settings)
+        delta_e[step] = _mean_delta_e(films[step], lights[step], *settings)
 
     in_threads(measure, range(len(films)), len(films) * cells_at_once(image))
-    thin = camera.model_copy(update={"lens": None}), *settings[1:]
-    return FilmSteps(delta_e, _finer_delta_e(finer_parts(image, size_um, display, chart), *thin), sampling)
+    return FilmSteps(delta_e, _finer_delta_e(finer, lens, *settings), sampling)
 
 
-def _finer_delta_e(parts: Sequence[Part], *settings: Any) -> Array:
+@dataclass(frozen=True)
+class BehindLens:
+    """Parts of a picture behind a real lens, on films of more and of fewer samples.
+
+    halo : film cells around a part, whole blocks, as wide as the lens's PSF
+    reach : of `PartBehindLens`
+    """
+
+    image: SpectralImage
+    camera: Camera
+    physics: PixelPhysics
+    tiling: Tiling
+    halo: int
+    reach: tuple[tuple[int, int], float]
+
+    @classmethod
+    def of(cls, image: SpectralImage, camera: Camera, physics: PixelPhysics, finer: bool) -> BehindLens | None:
+        """Return it for a real lens; None for a thin one.
+
+        finer : whether its parts are shown on the films `FINER`
+        """
+        if (tiling := tiling_of(image, camera)) is None:
+            return None
+        halo = math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK
+        more = max(repeated / averaged for repeated, averaged in FINER) if finer else 1.0
+        height, width = (math.ceil(more * count) for count in image.shape)
+        return cls(image, camera, physics, tiling, halo, ((height, width), image.pitch_um / more))
+
+    def _lights(self, around: SpectralImage, halo: int, place: Place) -> tuple[ChannelLight, ...]:
+        middle = ((side.start + side.stop - n) / 2 * self.image.pitch_um for side, n in zip(place, self.image.shape, strict=True))
+        y_um, x_um = middle
+        part = PartBehindLens(around, halo, (y_um, x_um), self.image.mean_spectrum(), self.reach)
+        return part.lights(self.camera, self.tiling, self.physics, self.image)
+
+    def of_films(self, places: Sequence[Place], films: int) -> list[list[tuple[ChannelLight, ...]]]:
+        """Return the light of parts on the film and on coarser ones; one light of the whole picture where there are no places.
+
+        That is made of patches with a blur each, where its detail is measured, not its blur.
+        """
+        patches = places or patches_of(self.image)
+        found: dict[tuple[int, int], tuple[ChannelLight, ...]] = {}
+
+        def compute(number: int) -> None:
+            around, halo = surrounded(self.image, patches[number], self.halo), self.halo
+            for film in range(films):
+                found[film, number] = self._lights(around, halo, patches[number])
+                if film + 1 < films:
+                    around, halo = coarser(around, 2), halo // 2
+
+        compute(0)  # the PSFs of all
+        in_threads(compute, range(1, len(patches)), films * cells_at_once(self.image))
+        if places:
+            return [[found[film, number] for number in range(len(patches))] for film in range(films)]
+        across = len({columns.start for _, columns in patches})
+        return [[_joined([found[film, number] for number in range(len(patches))], across)] for film in range(films)]
+
+    def of_part(self, part: Part, fine: SpectralImage) -> tuple[ChannelLight, ...]:
+        """Return the light of a part on a finer film, beyond which its light goes on as in a mirror."""
+        halo = round(self.halo * self.image.pitch_um / fine.pitch_um)
+        rows, columns = fine.shape
+        return self._lights(surrounded(fine, (slice(0, rows), slice(0, columns)), halo), halo, part.place)
+
+
+def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[ChannelLight, ...]:
+    """Return the light of patches, row by row, as one picture."""
+    joined = []
+    for of_channel in zip(*lights, strict=True):
+        rates = [light.rate_e_per_s_um2 for light in of_channel]
+        whole = np.block([rates[first : first + across] for first in range(0, len(rates), across)])
+        joined.append(replace(of_channel[0], rate_e_per_s_um2=whole))
+    return tuple(joined)
+
+
+def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, *settings: Any) -> Array:
     """Return `FilmSteps.finer_delta_e`.
 
     settings : of `_mean_delta_e`
@@ -314,7 +386,8 @@ def _finer_delta_e(parts: Sequence[Part], *settings: Any) -> Array:
 
     def measure(film: int) -> None:
         fine = [(part.finer(*FINER[film]), part.display) for part in parts]
-        delta_e[film] = _mean_delta_e(fine, [None] * len(parts), *settings)
+        lights = [lens.of_part(part, image) if lens else None for part, (image, _) in zip(parts, fine, strict=True)]
+        delta_e[film] = _mean_delta_e(fine, lights, *settings)
 
     in_threads(measure, range(len(FINER)), len(FINER) * sum(math.prod(part.image.shape) for part in parts))
     return delta_e
@@ -324,17 +397,6 @@ def cells_at_once(image: SpectralImage) -> int:
     """Return the cells of a picture of which several evaluations fit into memory at once; 0 of a larger one."""
     cells = math.prod(image.shape)
     return cells if cells <= MEASURED else 0
-
-
-def _cut_lights(
-    lights: Sequence[ChannelLight], places: Sequence[tuple[slice, slice]], factor: int
-) -> list[tuple[ChannelLight, ...] | None]:
-    """Return the light of each part of a film whose cells are `factor` times as wide as those that the places count."""
-    cut: list[tuple[ChannelLight, ...] | None] = []
-    for place in places:
-        rows, columns = (slice(side.start // factor, side.stop // factor) for side in place)
-        cut.append(tuple(replace(light, rate_e_per_s_um2=light.rate_e_per_s_um2[rows, columns]) for light in lights))
-    return cut
 
 
 def _mean_delta_e(
