@@ -481,7 +481,8 @@ def dark_share(camera: Camera) -> float:
 
 _BLURS: dict[str, FieldBlur] = {}
 _PSFS: dict[str, RadialPsfs] = {}
-KEPT_BLURS, KEPT_PSFS = 8, 8
+KEPT_BLURS, KEPT_PSF_BYTES = 8, 1 << 28
+SPARE_TILES = 4  # beyond the die, for which there are PSFs
 BEHIND_CY_PER_MM = np.linspace(0.0, 1000.0, 17)  # by which a transfer behind the lens is known
 DARK_CELLS = 512
 
@@ -508,21 +509,20 @@ def psfs_of(
     weight: Array,
     transfer: Transfer = None,
 ) -> RadialPsfs:
-    """Return the PSFs of a light for the tiles of a film; those of a finer film serve for a coarser one too.
-
-    On films that are finer than the lens they are all the same.
-    """
-    key = content_hash(_light_key(camera, tiling, wavelength_nm, weight, transfer))
-    known, (spacing, cells) = _PSFS.get(key), tiling.cells(pitch_um)
-    farthest_um = tiles_reach_um(shape, pitch_um, spacing, cells)
-    if known is None or known.pitch_um > pitch_um or known.reach_um < farthest_um:
+    """Return the PSFs of a light for the tiles of a film; they are the same for all films that are finer than the lens."""
+    cell_um = max(pitch_um, resolving_um(light_of(camera, wavelength_nm, weight, tiling)))
+    key = content_hash([*_light_key(camera, tiling, wavelength_nm, weight, transfer), cell_um])
+    farthest_um = tiles_reach_um(shape, pitch_um, *tiling.cells(pitch_um))
+    known = _PSFS.pop(key, None)
+    if known is None or known.reach_um < farthest_um:
         light = light_of(camera, wavelength_nm, weight, tiling, transfer)
-        if len(_PSFS) >= KEPT_PSFS:
-            _PSFS.clear()
-        cell_um = max(pitch_um, resolving_um(light))
-        farthest_um += tiling.spacing_um  # for those of other films, too
-        known = radial_psfs(light, cell_um, tiling.cells(cell_um)[1], tiling.spacing_um / RADIAL_STEPS, farthest_um)
-        _PSFS[key] = known
+        # Those of the next film, whose cells end elsewhere, are to be the same.
+        beyond_um = math.hypot(*(side_um / 2 + tiling.psf_um + SPARE_TILES * tiling.spacing_um for side_um in camera.die_um))
+        step_um = tiling.spacing_um / RADIAL_STEPS
+        known = radial_psfs(light, cell_um, tiling.cells(cell_um)[1], step_um, max(farthest_um, beyond_um))
+    while _PSFS and sum(psfs.held_bytes for psfs in list(_PSFS.values())) > KEPT_PSF_BYTES:
+        _PSFS.pop(next(iter(_PSFS)), None)
+    _PSFS[key] = known
     return known
 
 

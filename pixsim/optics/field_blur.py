@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import blake2b
 from itertools import product
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.fft import fft, ifft, irfft2, next_fast_len, rfft, rfft2
 from scipy.special import j0, j1
 
-from pixsim.base.arrays import WORTH_THREADS, Array, dct, empty_planes, in_threads, inverse_dct
+from pixsim.base.arrays import WORTH_THREADS, Array, dct, empty_planes, in_threads, inverse_dct, strips
 from pixsim.base.errors import invalid
 from pixsim.base.machine import threads
 
@@ -440,19 +441,36 @@ class RadialPsfs:
 
     step_um : from point to point; the first is on the axis
     period_um : side of the window whose PSFs have OTFs at the frequencies of the splines
-    splines : (points, m + 1, 2m + 1) coefficients of cubic splines through the OTFs, over frequencies of 0 … m steps along the
-        sagittal axis, in which a PSF is even, and of -m … m steps along the radial axis
+    points : number of them
+    compute : number of a point -> (m + 1, 2m + 1) coefficients of cubic splines through its OTF, over frequencies of 0 … m steps
+        along the sagittal axis, in which a PSF is even, and of -m … m steps along the radial axis; computed when it is needed
     """
 
     step_um: float
     pitch_um: float
     period_um: float
-    splines: NDArray[np.complex64] = field(repr=False)
+    points: int
+    compute: Callable[[int], NDArray[np.complex64]] = field(repr=False)
+    _splines: dict[int, NDArray[np.complex64]] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _locks: defaultdict[int, Lock] = field(default_factory=lambda: defaultdict(Lock), init=False, repr=False, compare=False)
 
     @property
     def reach_um(self) -> float:
         """Largest distance from the axis."""
-        return (len(self.splines) - 2) * self.step_um
+        return (self.points - 2) * self.step_um
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory of the points that are computed."""
+        return sum(spline.nbytes for spline in list(self._splines.values()))
+
+    def spline(self, point: int) -> NDArray[np.complex64]:
+        """Return the coefficients of a point, computed once."""
+        if point not in self._splines:
+            with self._locks[point]:
+                if point not in self._splines:
+                    self._splines[point] = self.compute(point)
+        return self._splines[point]
 
     def at(self, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
         """Return the PSF of an image point as `point_spread` does, from those of the four nearest distances.
@@ -478,10 +496,10 @@ class RadialPsfs:
         if not pitch_um >= self.pitch_um * (1 - ROUNDING):
             raise invalid("film cell of a PSF", f"{pitch_um:.6g} µm", f"at least {self.pitch_um:.6g} µm, for which these PSFs are")
         place = height_um / self.step_um
-        first = min(math.floor(place), len(self.splines) - 3) - 1
-        table = np.zeros_like(self.splines[0])
+        first = min(math.floor(place), self.points - 3) - 1
+        table = np.zeros_like(self.spline(abs(first)))
         for index in range(first, first + 4):
-            spline = self.splines[abs(index)]
+            spline = self.spline(abs(index))
             weight = np.float32(cubic_weights(place - index))
             table += weight * (spline if index >= 0 else spline.conj())  # the opposite point has the PSF turned by 180°
         middle = table.shape[1] // 2
@@ -523,22 +541,20 @@ def radial_psfs(light: Light, pitch_um: float, cells: int, step_um: float, farth
     window = _even_window(light, heights_um, fine_um, WINDOW * cells * pitch_um / fine_um)
     padded = next_fast_len(math.ceil(PADDING * window / 2)) * 2
     most = min(math.ceil((1 + BAND_END) * math.sqrt(0.5) / cell_um * padded * fine_um) + SPLINE_MARGIN, padded // 2 - 1)
-    splines = np.empty((count, most + 1, 2 * most + 1), np.complex64)
 
-    def compute(index: int) -> None:
+    def compute(index: int) -> NDArray[np.complex64]:
         wide = np.zeros((padded, padded))
         wide[:window, :window] = np.fft.fftshift(periodic_psf(light, heights_um[index], 0.0, fine_um, window))
         wide = np.roll(wide, (-(window // 2), -(window // 2)), axis=(0, 1))
         otf = fft(rfft(wide, axis=0)[: most + 1], axis=1)
         otf = np.concatenate([otf[:, -most:], otf[:, : most + 1]], axis=1)
-        splines[index] = spline_filter(otf, 3, np.complex128, "mirror")
+        return np.asarray(spline_filter(otf, 3, np.complex128, "mirror"), np.complex64)
 
-    in_threads(compute, range(count), WORTH_THREADS)
-    return RadialPsfs(step_um, cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0, padded * fine_um, splines)
+    return RadialPsfs(step_um, cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0, padded * fine_um, count, compute)
 
 
 def resolving_um(light: Light) -> float:
-    """Return the largest film cells for which radial PSFs have all frequencies that the lens passes, where no band of theirs ends."""
+    """Return the largest film cells for which radial PSFs have all frequencies that a lens passes, within their own band."""
     cutoff = max(2 * float(front.numbers[:, :2].max()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
     return FINER * (1 - BAND_END) / 2 / cutoff
 
@@ -648,8 +664,9 @@ class FieldBlur:
         result = np.zeros([n + 2 * reach for n in light.shape])
         size = [next_fast_len(side + 2 * reach, real=True) for side in sides]
         filled = sides[0] + 2 * reach, sides[1] + 2 * reach
-        for place, tiles in tiles_alike(self.shape, step).items():
-            psf = self.psfs[place]
+
+        def spread_of(place: tuple[int, int], tiles: list[Tile]) -> tuple[list[int], NDArray[np.float32]]:
+            """Return the spread light of a place's mirrored tiles, and the number of that of each tile."""
             kinds = [tile.swapped and self.shape[0] != self.shape[1] for tile in tiles]
             numbers = [kinds.index(kind) for kind in kinds] if is_even else list(range(len(tiles)))
             first = list(dict.fromkeys(numbers))
@@ -657,13 +674,24 @@ class FieldBlur:
             for tile, share in zip([tiles[number] for number in first], turned, strict=True):
                 part = _part((counts[0] + tile.y) * step, (counts[1] + tile.x) * step, *sides)
                 np.multiply(tile.turned(light[part]), window, out=share)
-            spectrum = rfft2(turned, size, workers=threads())
-            spectrum *= rfft2(psf.kernel, size)
-            spread = irfft2(spectrum, size, workers=threads(), overwrite_x=True)[:, : filled[0], : filled[1]]
-            for number, tile in zip(numbers, tiles, strict=True):
-                row, column = tile.y + counts[0], tile.x + counts[1]
-                lacking[row, column] = psf.lacking
-                result[_part(row * step, column * step, *filled)] += tile.turned_back(spread[first.index(number)])
+            spectrum = rfft2(turned, size)
+            spectrum *= rfft2(self.psfs[place].kernel, size)
+            spread = irfft2(spectrum, size, overwrite_x=True)[:, : filled[0], : filled[1]]
+            return [first.index(number) for number in numbers], spread
+
+        alike = list(tiles_alike(self.shape, step).items())
+        for some in strips(len(alike), 1, threads()):
+            spread: dict[tuple[int, int], tuple[list[int], NDArray[np.float32]]] = {}
+
+            def compute(of_place: tuple[tuple[int, int], list[Tile]], found: dict[Any, Any] = spread) -> None:
+                found[of_place[0]] = spread_of(*of_place)
+
+            in_threads(compute, alike[some], light.size)
+            for place, tiles in alike[some]:  # always in one order, so that sums round in one way
+                for number, tile in zip(spread[place][0], tiles, strict=True):
+                    row, column = tile.y + counts[0], tile.x + counts[1]
+                    lacking[row, column] = self.psfs[place].lacking
+                    result[_part(row * step, column * step, *filled)] += tile.turned_back(spread[place][1][number])
         height, width = self.shape
         spread_light = result[_part(top, left, height + 2 * reach, width + 2 * reach)]
         spread_light += ((light_of_tiles * (1 - lacking)).sum() - spread_light.sum()) / spread_light.size

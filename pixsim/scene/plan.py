@@ -469,10 +469,10 @@ def make_plan(
     exposure = exposure or Exposure()
     physics = derive(pixel).at_gain(exposure.gain_db)
     options: dict[str, Any] = {"tolerance_e": tolerance_e, "full": full, "exact": display is not None}
-    plan = make_render_plan(scene, camera, pixel, **options)
+    plan = make_render_plan(scene, rendered_camera(camera), pixel, **options)  # the film does not depend on a real lens's blur
     resolution, sampling = decide_oversampling(scene, plan, camera, physics, display, full)
-    if resolution:
-        plan = make_render_plan(scene.with_resolution(resolution), camera, pixel, **options)
+    if resolution or camera.lens is not None:
+        plan = make_render_plan(scene.with_resolution(resolution) if resolution else scene, camera, pixel, **options)
     longest_s = exposure.integration_s or exposure.max_integration_s
     after = (
         decide_saturation(physics, longest_s),

@@ -36,14 +36,14 @@ def decide_real_lens(
     None too if a thin lens of its image distance and f-number gives the same electrons within the tolerance. All films with two
     samples or more across a photodiode have one tiling: photodiodes average what finer films add.
 
-    aperture_um : side of a photodiode, if there is no pixel; None means two samples of the film
+    aperture_um : side of a photodiode; None means that of the pixel, and two samples of the film without one
     """
     if camera.lens is None or camera.chief_ray_angle is None:
         return None, []
     physics = derive(pixel) if pixel else None
     weight = photons_per_joule(SEEN_NM) * (physics.quantum_efficiency(SEEN_NM) if physics else 1.0)
     film_um = 1e3 * camera.die_mm / scene.film_shape(camera, scene.parse())[1]
-    aperture_um = physics.aperture_side_um if physics else aperture_um or SAMPLES_PER_DETAIL * film_um
+    aperture_um = aperture_um or (physics.aperture_side_um if physics else SAMPLES_PER_DETAIL * film_um)
     pitch_um = max(film_um, aperture_um / SAMPLES_PER_DETAIL)
     height, width = (math.ceil(side_um / pitch_um - FILM_ROUNDING) for side_um in camera.die_um)
     distortion = distortion_of(camera)

@@ -66,6 +66,7 @@ WORTH_WIDENING = 1.2
 # Of 96 comparisons on coarse films of four charts, 90 % are within 0.35 of both errors together, and 95 % within 0.77.
 NOT_COMMON = 0.5
 SURELY = 0.1  # of the least tolerance
+MOST_SAMPLES = max(repeated / averaged for repeated, averaged in FINER)
 
 
 @dataclass(frozen=True)
@@ -285,8 +286,7 @@ def film_steps(
     sampling = FilmSampling.of(image.shape[1], camera, physics, display, chart)
     if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:
         return FilmSteps(np.empty((0, 0)), np.empty((0, 0)), sampling)
-    finer = finer_parts(image, size_um, display, chart)
-    lens = BehindLens.of(image, camera, physics, bool(finer))
+    lens = BehindLens.of(image, camera, physics)
     settings = camera, physics, exposure, correction, develop
     films = [parts]
     for _ in range(int(math.log2(BLOCK))):
@@ -299,7 +299,7 @@ def film_steps(
         delta_e[step] = _mean_delta_e(films[step], lights[step], *settings)
 
     in_threads(measure, range(len(films)), len(films) * cells_at_once(image))
-    return FilmSteps(delta_e, _finer_delta_e(finer, lens, *settings), sampling)
+    return FilmSteps(delta_e, _finer_delta_e(finer_parts(image, size_um, display, chart), lens, *settings), sampling)
 
 
 @dataclass(frozen=True)
@@ -307,7 +307,6 @@ class BehindLens:
     """Parts of a picture behind a real lens, on films of more and of fewer samples.
 
     halo : film cells around a part, whole blocks, as wide as the lens's PSF
-    reach : of `PartBehindLens`
     """
 
     image: SpectralImage
@@ -315,25 +314,24 @@ class BehindLens:
     physics: PixelPhysics
     tiling: Tiling
     halo: int
-    reach: tuple[tuple[int, int], float]
 
     @classmethod
-    def of(cls, image: SpectralImage, camera: Camera, physics: PixelPhysics, finer: bool) -> BehindLens | None:
-        """Return it for a real lens; None for a thin one.
-
-        finer : whether its parts are shown on the films `FINER`
-        """
+    def of(cls, image: SpectralImage, camera: Camera, physics: PixelPhysics) -> BehindLens | None:
+        """Return it for a real lens; None for a thin one."""
         if (tiling := tiling_of(image, camera)) is None:
             return None
-        halo = math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK
-        more = max(repeated / averaged for repeated, averaged in FINER) if finer else 1.0
-        height, width = (math.ceil(more * count) for count in image.shape)
-        return cls(image, camera, physics, tiling, halo, ((height, width), image.pitch_um / more))
+        return cls(image, camera, physics, tiling, math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK)
 
-    def _lights(self, around: SpectralImage, halo: int, place: Place) -> tuple[ChannelLight, ...]:
+    def _lights(self, around: SpectralImage, halo: int, place: Place, more: float = 1.0) -> tuple[ChannelLight, ...]:
+        """Return the light of a part.
+
+        more : times as many samples across as the picture's has the film whose PSFs are taken
+        """
+        height, width = (math.ceil(more * count) for count in self.image.shape)
+        reach = (height, width), self.image.pitch_um / more
         middle = ((side.start + side.stop - n) / 2 * self.image.pitch_um for side, n in zip(place, self.image.shape, strict=True))
         y_um, x_um = middle
-        part = PartBehindLens(around, halo, (y_um, x_um), self.image.mean_spectrum(), self.reach)
+        part = PartBehindLens(around, halo, (y_um, x_um), self.image.mean_spectrum(), reach)
         return part.lights(self.camera, self.tiling, self.physics, self.image)
 
     def of_films(self, places: Sequence[Place], films: int) -> list[list[tuple[ChannelLight, ...]]]:
@@ -362,7 +360,7 @@ class BehindLens:
         """Return the light of a part on a finer film, beyond which its light goes on as in a mirror."""
         halo = round(self.halo * self.image.pitch_um / fine.pitch_um)
         rows, columns = fine.shape
-        return self._lights(surrounded(fine, (slice(0, rows), slice(0, columns)), halo), halo, part.place)
+        return self._lights(surrounded(fine, (slice(0, rows), slice(0, columns)), halo), halo, part.place, MOST_SAMPLES)
 
 
 def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[ChannelLight, ...]:

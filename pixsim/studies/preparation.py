@@ -18,6 +18,7 @@ from pixsim.base.machine import memory
 from pixsim.base.mapped import MOST_BYTES
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display, PitchRange, Study, pixel_of
+from pixsim.optics.camera_lens import rendered_camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM, PROGRAM_BYTES, film_bytes, film_memory_bytes
@@ -25,7 +26,7 @@ from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
-from pixsim.sensor.pixel import physics_of
+from pixsim.sensor.pixel import PixelPhysics, physics_of
 from pixsim.sensor.technology import label_of
 from pixsim.studies.engine import workers_here
 from pixsim.studies.evaluations import largest_lens_um, study_pitches_um
@@ -194,24 +195,30 @@ def rounded_up(pitch_um: float) -> float:
     return math.ceil(pitch_um * 10**PITCH_DIGITS) / 10**PITCH_DIGITS
 
 
+def finest_pixel(study: Study) -> PixelPhysics:
+    """Return the pixel with the smallest photodiode of a study. Raises PixsimError if a stack passes less light than it detects."""
+    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+    for physics in smallest:
+        check_efficiency(physics)
+    return min(smallest, key=lambda physics: physics.aperture_side_um)
+
+
 def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
     """Return the plan of a study's render. With a tolerance of ΔE, samples are a part of the calibrated error."""
     coloured = [name for name in study.technologies if study.options_of(name).colour is not None]
     pixels = [pixel_of(study, name, study.pitch.largest_um) for name in coloured]
-    return make_render_plan(scene, camera, pixels, tolerance_e=study.tolerance_e, exact=study.tolerance_delta_e is None)
+    aperture_um = None if camera.lens is None else finest_pixel(study).aperture_side_um
+    options: dict[str, Any] = {"tolerance_e": study.tolerance_e, "exact": study.tolerance_delta_e is None}
+    return make_render_plan(scene, camera, pixels, aperture_um=aperture_um, **options)
 
 
 def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:
     """Return the scene on the film of its first render, which is fine enough for the study's smallest photodiode, and its plan."""
-    plan = study_plan(scene, camera, study)
-    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
-    for physics in smallest:
-        check_efficiency(physics)
-    finest = min(smallest, key=lambda physics: physics.aperture_side_um)
-    resolution, _ = decide_oversampling(scene, plan, camera, finest, study.display, full=False)
-    if resolution is None:
+    plan = study_plan(scene, rendered_camera(camera), study)  # the film does not depend on a real lens's blur
+    resolution, _ = decide_oversampling(scene, plan, camera, finest_pixel(study), study.display, full=False)
+    if resolution is None and camera.lens is None:
         return scene, plan
-    scene = scene.with_resolution(resolution)
+    scene = scene if resolution is None else scene.with_resolution(resolution)
     return scene, study_plan(scene, camera, study)
 
 
