@@ -7,7 +7,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
 from typing import Any, TextIO
 
 from pixsim.base.errors import printable
@@ -15,7 +16,59 @@ from pixsim.base.errors import printable
 Progress = Callable[..., None]  # (fraction done, text after the name of the stage)
 Stage = Callable[[str], Progress]
 EVERY_S = 10.0  # between two lines of a stage
+SURE = 0.1  # done, before the time left is told
 LOOK_S = 0.5  # between two looks at the clock
+
+
+def share_of(progress: Progress | None, first: float, last: float, note: str = "") -> Progress | None:
+    """Return a function that takes the fraction done of a part of some work, for one that takes that of all of it.
+
+    first, last : what is done of all when the part begins, and when it ends
+    note : of the part
+    """
+    if progress is None:
+        return None
+    progress(first, note)
+    return lambda done, more="": progress(first + (last - first) * done, note + more)
+
+
+def steps_of(progress: Progress | None, count: int) -> Callable[[], None]:
+    """Return a function to call after each of some equal steps, from any thread."""
+    if progress is None:
+        return lambda: None
+    done, lock = 0, threading.Lock()
+
+    def step_done() -> None:
+        nonlocal done
+        with lock:
+            done += 1
+            progress(done / count)
+
+    return step_done
+
+
+_WATCHED: ContextVar[Progress | None] = ContextVar("watched", default=None)
+
+
+@contextmanager
+def watched(progress: Progress | None) -> Iterator[None]:
+    """Report to a function what long computations in this thread have done, by `report`."""
+    before = _WATCHED.set(progress)
+    try:
+        yield
+    finally:
+        _WATCHED.reset(before)
+
+
+def report(done: float) -> None:
+    """Report the fraction that is done of a computation to whom it may concern."""
+    if (progress := _WATCHED.get()) is not None:
+        progress(done)
+
+
+def watched_share(first: float, last: float) -> AbstractContextManager[None]:
+    """Report what is done meanwhile as a share of what is watched."""
+    return watched(share_of(_WATCHED.get(), first, last))
 
 
 class Lines:
@@ -27,8 +80,8 @@ class Lines:
 
     def __init__(self, write: Callable[[str], object], clock: Callable[[], float] = time.perf_counter) -> None:
         self._write, self._clock, self._lock = write, clock, threading.Lock()
-        self._start = self._last = self._began = clock()
-        self._name, self._state = "", ""
+        self._start = self._last = self._began = self._since = clock()
+        self._name, self._done, self._note = "", 0.0, ""
 
     def _line(self, text: str) -> None:
         self._last = self._clock()
@@ -39,17 +92,28 @@ class Lines:
         with self._lock:
             if not self._name:
                 self._line(f"{name} …")
-            self._name, self._state, self._began = name, "", self._clock()
+            self._name, self._done, self._note, self._began = name, 0.0, "", self._clock()
+            self._since = self._began
 
     def update(self, done: float, note: str = "") -> None:
         """Take the fraction done and a text, for the next line."""
-        self._state = f": {100 * done:.0f} %{note}"
+        if done < self._done:  # it begins again, as for a finer film
+            self._since = self._clock()
+        self._done, self._note = done, note
 
     def tick(self) -> None:
         """Write a line if the last one is ten seconds old."""
         with self._lock:
             if self._name and self._clock() - self._last >= EVERY_S:
-                self._line(self._name + (self._state or " …"))
+                self._line(self._name + (self._state() or " …"))
+
+    def _state(self) -> str:
+        """Return the fraction done, the time left if that is sure enough, and the note; nothing of a stage that reports nothing."""
+        if not (self._done or self._note):
+            return ""
+        spent = self._clock() - self._since
+        left = f", about {float(f'{spent * (1 / self._done - 1):.1g}'):g} s left" if SURE <= self._done < 1 else ""
+        return f": {100 * self._done:.0f} %{left}{self._note}"
 
     def end(self) -> None:
         """End the stage."""

@@ -27,6 +27,7 @@ from scipy.special import j0, j1
 from pixsim.base.arrays import WORTH_THREADS, Array, dct, empty_planes, in_threads, inverse_dct, strips
 from pixsim.base.errors import invalid
 from pixsim.base.machine import threads
+from pixsim.base.progress import report, watched_share
 
 UM_PER_NM = 1e-3
 OUTLINE_ANGLES = 181  # from 0 to π; a corner of a vignetted pupil is rounded over 1°
@@ -45,6 +46,7 @@ GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a peri
 VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
 RAYS = 200  # by which the share of light is judged that leaves a film cell
 ROUNDING = 1e-9  # of lengths that are equal
+SPREAD_WORK = 0.75  # of a blur; the rest is that of an even picture, whose tiles are mostly alike
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 
@@ -692,6 +694,7 @@ class FieldBlur:
                     row, column = tile.y + counts[0], tile.x + counts[1]
                     lacking[row, column] = self.psfs[place].lacking
                     result[_part(row * step, column * step, *filled)] += tile.turned_back(spread[place][1][number])
+            report(some.stop / len(alike))
         height, width = self.shape
         spread_light = result[_part(top, left, height + 2 * reach, width + 2 * reach)]
         spread_light += ((light_of_tiles * (1 - lacking)).sum() - spread_light.sum()) / spread_light.size
@@ -708,7 +711,10 @@ class FieldBlur:
         key = margin, blake2b(picture.tobytes()).digest()
         if key not in self._last:
             self._last.clear()
-            self._last[key] = np.asarray(self._spread(picture, margin) / self.even)
+            with watched_share(0.0, SPREAD_WORK):
+                spread = self._spread(picture, margin)
+            with watched_share(SPREAD_WORK, 1.0):
+                self._last[key] = np.asarray(spread / self.even)
         return self._last[key]
 
     @cached_property
@@ -769,6 +775,19 @@ def field_blur(psfs: RadialPsfs, shape: tuple[int, int], pitch_um: float, spacin
     """
     wide = shape[0] + cells - 1, shape[1] + cells - 1
     return FieldBlur(wide, pitch_um, spacing, tile_psfs(psfs, pitch_um, spacing, cells, tiles_alike(wide, spacing)))
+
+
+def blur_work(shape: tuple[int, int], spacing: int, cells: int) -> tuple[int, int, int]:
+    """Return what a blur by `field_blur` takes: cells of all windows, PSFs of tiles, and points along the radius.
+
+    shape : (H, W) of the picture
+
+    cells : of a PSF along a side
+    """
+    counts, sides = zip(*(tiles_along(n + cells - 1, spacing) for n in shape), strict=True)
+    tiles = math.prod(2 * count + 1 for count in counts)
+    points = RADIAL_STEPS * math.hypot(*counts)
+    return tiles * math.prod(side + cells - 1 for side in sides), math.prod(count + 1 for count in counts), round(points)
 
 
 def blur_from_arrays(

@@ -186,7 +186,7 @@ def _cost_of(prepared: Prepared) -> Cost:
     for sensor in prepared.sensors:
         scene = sensor.scene.with_resolution(width)
         height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
-        render = render_cost(prepared.plan(sensor, scene), height * width, processors().usable)
+        render = render_cost(prepared.plan(sensor, scene), sensor.camera, (height, width), processors().usable)
         frame = prepared.cost_of_frame(sensor)
         seconds += render.seconds + prepared.repeats * frame.seconds / processors().usable
         largest = max(largest, render.memory_bytes + frame.memory_bytes)

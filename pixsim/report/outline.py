@@ -19,9 +19,10 @@ from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.oversampling import TOLERATED_SHARE
 from pixsim.studies.preparation import (
+    EXACT_START_S,
     LONG_S,
     MOST_EVALUATIONS,
-    PAGE_S,
+    RUN_PAGE_S,
     Cost,
     cases_cost,
     duration_words,
@@ -60,7 +61,7 @@ def run_outline(
         light = light_of_picture(source, settings, units)
         camera, settings, header = light.camera, light.settings, light.irradiance.header
         view, image = light.more["chosen"], light.irradiance
-        cost = Cost(PAGE_S, 4.0 * image.wavelength_nm.size * math.prod(image.shape), 1)
+        cost = Cost(EXACT_START_S, 4.0 * image.wavelength_nm.size * math.prod(image.shape), 1)
         outline["film"] = {"samples": list(light.irradiance.shape), "pitch_um": light.irradiance.pitch_um}
     else:
         scene, camera, settings, chosen = prepared_run(source, settings, sensor, variant)
@@ -68,10 +69,10 @@ def run_outline(
         plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, **options)
         outline["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
         header, view = {"parameters": scene.parameters}, chosen.as_dict()
-        cost = render_cost(plan, math.prod(outline["film"]["samples"]), processors().usable)
+        cost = render_cost(plan, camera, tuple(outline["film"]["samples"]), processors().usable)
         outline["errors"] = errors_of(plan, outline["film"], camera, derive(settings.pixel), settings)
     frame = frame_cost(camera, pitch_um, settings.display)
-    cost = Cost(cost.seconds + PAGE_S + (1 + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
+    cost = Cost(cost.seconds + RUN_PAGE_S + (1 + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
     sensors = [
         {
             "technology": settings.pixel.technology,
@@ -95,9 +96,9 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
     study, camera = first.study, first.camera
     scene, plan = first_film(study, first.scene, camera)
     film = film_of(scene, camera, plan)
-    cells = math.prod(film["samples"])
+    shape = tuple(film["samples"])
     lights = len({light_hash(case.study) for case, _ in prepared.parts})
-    cost = cases_cost([(case.study, part.camera) for case, part in prepared.parts], lights, plan, cells, jobs, types)
+    cost = cases_cost([(case.study, part.camera) for case, part in prepared.parts], lights, plan, shape, jobs, types)
     sensors = []
     for name in study.technologies:
         pitches_um = study_pitches_um(study, name).tolist()
@@ -110,7 +111,7 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
         more["sensor_types"] = types
     if prepared.cases:
         more["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case, _ in prepared.cases]
-    elif cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, cells, jobs)):
+    elif cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, shape, jobs)):
         more["window_within_a_minute_mm"] = window
     own = {} if study.own_um is None else {"own_um": study.own_um}
     header = {"parameters": scene.parameters}

@@ -30,7 +30,7 @@ from pixsim.base.files import (
 )
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Correction, Develop, Display, Exposure, Record, Run
-from pixsim.base.progress import Stage
+from pixsim.base.progress import Stage, share_of, watched
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.kept import digest_of_content
@@ -90,6 +90,7 @@ FILES = {
     "provenance.json": "versions and wall times",
 }
 AFTERWARDS = ("score.json", PROVENANCE)
+BEFORE_FRAME = 0.8  # of the work of "sense and score"
 MAX_FRAMES = 999  # of a run: the numbers in the names of their files have three digits
 MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
@@ -312,7 +313,7 @@ def run_and_write(
             light = prepared()
             image, camera, settings, more = light.irradiance, light.camera, light.settings, light.more
             lap("render" if "plan" in more else "read")
-            progress("sense and score")
+            scored = progress("sense and score")
             image.header |= white_header([Seen(image, camera, physics)], settings.display)
             of_files = full, formats, frames, irradiance, sensor, variant, units
             made_from = digest_of_content(of_files, light, physics.technology)
@@ -328,7 +329,9 @@ def run_and_write(
                     written = pool.submit(write_irradiance, partial_folder, image, irradiance)
                     compiled = pool.submit(compile_page, PAGE)
                     of_sensor = settings.pixel, settings.exposure, settings.display, full, settings.correction, settings.develop
-                    chain = make_imaging_chain(image, camera, *of_sensor)
+                    with watched(share_of(scored, 0.0, BEFORE_FRAME)):
+                        chain = make_imaging_chain(image, camera, *of_sensor)
+                    scored(BEFORE_FRAME)
                     score = chain.simulate("evaluate", settings.seed)
                     if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
                         sensors = more["error_budget"]["settings"]["sensors"]

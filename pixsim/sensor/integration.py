@@ -21,8 +21,9 @@ from pixsim.base.arrays import Array, in_threads, strips, transposed
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera
+from pixsim.base.progress import watched_share
 from pixsim.light.spectral import SpectralImage, photons_per_joule
-from pixsim.optics.camera_lens import GROUP_WAVELENGTHS, Tiling, blur_of, groups_of, psfs_of, tiling_of, traced_lens
+from pixsim.optics.camera_lens import GROUP_WAVELENGTHS, GROUPS, Tiling, blur_of, groups_of, psfs_of, tiling_of, traced_lens
 from pixsim.optics.diffraction import diffract_sums
 from pixsim.sensor.collection import (
     Collection,
@@ -370,9 +371,11 @@ def real_lens_rate(
     nm, seen = irradiance.wavelength_nm, np.abs(electrons * irradiance.mean_spectrum())
     warn_of_unknown_glasses(camera, nm, seen)
     total = np.zeros(irradiance.shape)
-    for picture, weight, blurred_by in _blurred_lights(irradiance.whole, electrons, seen, tiling):
-        blur = blur_of(camera, irradiance.shape, irradiance.pitch_um, blurred_by, nm, weight, transfer)
-        total += float(weight.sum()) * blur.blurred(picture, irradiance.margin)
+    count = len(irradiance.factors[0]) if irradiance.factors else GROUPS
+    for number, (picture, weight, blurred_by) in enumerate(_blurred_lights(irradiance.whole, electrons, seen, tiling)):
+        with watched_share(min(number / count, 1.0), min((number + 1) / count, 1.0)):
+            blur = blur_of(camera, irradiance.shape, irradiance.pitch_um, blurred_by, nm, weight, transfer)
+            total += float(weight.sum()) * blur.blurred(picture, irradiance.margin)
     return total
 
 

@@ -31,7 +31,7 @@ from pixsim.base.parameters import (
     Study,
     content_hash,
 )
-from pixsim.base.progress import Progress
+from pixsim.base.progress import Progress, share_of, steps_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import Tiling, tiling_of
 from pixsim.scene.convergence import RenderNoise, render_until
@@ -45,7 +45,11 @@ from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.budget import Settled, Setup, sensor_delta_e, without_warnings
 from pixsim.studies.film_error import (
     FINER,
+    MAX_ORDER,
+    MIN_ORDER,
     MIN_PART_CELLS,
+    SAFE,
+    UNSURE,
     FilmSampling,
     Part,
     Place,
@@ -139,6 +143,25 @@ class FilmError:
         found = pitch_um[alike]
         return (float(found.min()), float(found.max())) if found.size > 1 else None
 
+    def left_on(self, across: int, before: FilmError | None = None) -> tuple[float, ...]:
+        """Return the errors at the pitches that are to be expected on a wider film; NaN where they are unknown.
+
+        The order of convergence is that seen between two films, within its bounds. Where there is one film alone, it is the largest
+        that there can be, and the error may also lose the larger factor of safety.
+
+        across : samples of the wider film
+        before : the error of a film of fewer samples
+        """
+        orders, factor = [MAX_ORDER] * len(self.delta_e), SAFE / UNSURE
+        if before is not None:
+            finer, factor = math.log(self.shape[1] / before.shape[1]), 1.0
+            orders = [
+                min(max(math.log(error / own) / finer, MIN_ORDER), MAX_ORDER) if error > 0 and own > 0 else MAX_ORDER
+                for error, own in zip(before.delta_e, self.delta_e, strict=True)
+            ]
+        wider = self.shape[1] / across
+        return tuple(factor * error * wider**order for error, order in zip(self.delta_e, orders, strict=True))
+
     def as_dict(self) -> dict[str, Any]:
         """Return the error as in score.json and summary.json; `delta_e` is None if unknown."""
         known = [None if math.isnan(error) else float(f"{error:.3g}") for error in self.delta_e]
@@ -169,6 +192,7 @@ def measure_film(
     correction: Correction = NO_CORRECTION,
     develop: Develop = DEVELOP,
     larger: Sequence[PixelPhysics] = (),
+    progress: Progress | None = None,
 ) -> FilmError:
     """Return the error of a film for each of some pixels, from its picture.
 
@@ -185,7 +209,8 @@ def measure_film(
         settings = exposure, display, chart
         more: dict[str, Any] = {"correction": correction, "develop": develop}
 
-        def steps_of(physics: PixelPhysics) -> tuple[float, tuple[float, float]]:
+        def steps_of(number: int, physics: PixelPhysics) -> tuple[float, tuple[float, float]]:
+            more["progress"] = share_of(progress, number / len(pixels), (number + 1) / len(pixels))
             instead = [each for each in larger if each.pitch_um > physics.pitch_um]
             for each in (physics, *instead):
                 try:
@@ -195,7 +220,7 @@ def measure_film(
                         raise
             raise AssertionError("unreachable")
 
-        pitches, measured = zip(*(steps_of(physics) for physics in pixels), strict=True)
+        pitches, measured = zip(*(steps_of(*each) for each in enumerate(pixels)), strict=True)
         if tolerance_delta_e is None:
             tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
         else:
@@ -273,6 +298,7 @@ def film_steps(
     largest_um: float | None = None,
     correction: Correction = NO_CORRECTION,
     develop: Develop = DEVELOP,
+    progress: Progress | None = None,
 ) -> FilmSteps:
     """Return the mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer ones.
 
@@ -292,14 +318,22 @@ def film_steps(
     for _ in range(int(math.log2(BLOCK))):
         films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
     places = measured_places(image, size_um, display)
-    lights = lens.of_films(places, len(films)) if lens else [[None] * len(parts) for _ in films]
+    blurred, scored = (0.4, 0.7) if lens else (0.0, 0.6)  # of the work
+    lights: list[list[tuple[ChannelLight, ...] | None]] = [[None] * len(parts) for _ in films]
+    if lens:
+        lights = lens.of_films(places, len(films), share_of(progress, 0.0, blurred))
     delta_e = np.empty((len(films), len(parts)))
+    step_done = steps_of(share_of(progress, blurred, scored), len(films))
 
     def measure(step: int) -> None:
         delta_e[step] = _mean_delta_e(films[step], lights[step], *settings)
+        step_done()
 
     in_threads(measure, range(len(films)), len(films) * cells_at_once(image))
-    return FilmSteps(delta_e, _finer_delta_e(finer_parts(image, size_um, display, chart), lens, *settings), sampling)
+    finer = _finer_delta_e(
+        finer_parts(image, size_um, display, chart), lens, steps_of(share_of(progress, scored, 1.0), len(FINER)), *settings
+    )
+    return FilmSteps(delta_e, finer, sampling)
 
 
 @dataclass(frozen=True)
@@ -334,13 +368,16 @@ class BehindLens:
         part = PartBehindLens(around, halo, (y_um, x_um), self.image.mean_spectrum(), reach)
         return part.lights(self.camera, self.tiling, self.physics, self.image)
 
-    def of_films(self, places: Sequence[Place], films: int) -> list[list[tuple[ChannelLight, ...]]]:
+    def of_films(
+        self, places: Sequence[Place], films: int, progress: Progress | None = None
+    ) -> list[list[tuple[ChannelLight, ...] | None]]:
         """Return the light of parts on the film and on coarser ones; one light of the whole picture where there are no places.
 
         That is made of patches with a blur each, where its detail is measured, not its blur.
         """
         patches = places or patches_of(self.image)
         found: dict[tuple[int, int], tuple[ChannelLight, ...]] = {}
+        step_done = steps_of(progress, len(patches))
 
         def compute(number: int) -> None:
             around, halo = surrounded(self.image, patches[number], self.halo), self.halo
@@ -348,6 +385,7 @@ class BehindLens:
                 found[film, number] = self._lights(around, halo, patches[number])
                 if film + 1 < films:
                     around, halo = coarser(around, 2), halo // 2
+            step_done()
 
         compute(0)  # the PSFs of all
         in_threads(compute, range(1, len(patches)), films * cells_at_once(self.image))
@@ -373,9 +411,10 @@ def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[Ch
     return tuple(joined)
 
 
-def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, *settings: Any) -> Array:
+def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, film_done: Callable[[], None], *settings: Any) -> Array:
     """Return `FilmSteps.finer_delta_e`.
 
+    film_done : called after each of the films `FINER`
     settings : of `_mean_delta_e`
     """
     if not parts:
@@ -386,6 +425,7 @@ def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, *settings: An
         fine = [(part.finer(*FINER[film]), part.display) for part in parts]
         lights = [lens.of_part(part, image) if lens else None for part, (image, _) in zip(parts, fine, strict=True)]
         delta_e[film] = _mean_delta_e(fine, lights, *settings)
+        film_done()
 
     in_threads(measure, range(len(FINER)), len(FINER) * sum(math.prod(part.image.shape) for part in parts))
     return delta_e
@@ -418,6 +458,9 @@ def _mean_delta_e(
     exposed = [replace(chain, exposure=exposure.model_copy(update={"integration_s": time_s})) for chain in chains]
     setup = Setup(camera, physics.pixel, exposure, parts[0][1])
     return np.array([sensor_delta_e(chain, setup, physics.pitch_um, number) for number, chain in enumerate(exposed)])
+
+
+RENDERING, RENDERING_CHART = 0.9, 0.3  # of the work on a film, before its error is measured
 
 
 Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
@@ -456,9 +499,12 @@ def render_and_measure(
     larger : of `measure_film`
     """
 
+    rendering = 1.0 if settled else RENDERING_CHART if plan.exact else RENDERING
+
     def render(scene: Scene, plan: Plan) -> tuple[SpectralImage, RenderNoise]:
         limits: dict[str, Any] = {"render_noise": settings.render_noise, "max_seconds": settings.max_seconds}
-        return render_until(scene, camera, plan, pixels, settings.exposure, settings.seed, progress=progress, keep=True, **limits)
+        limits["progress"] = share_of(progress, 0.0, rendering)
+        return render_until(scene, camera, plan, pixels, settings.exposure, settings.seed, keep=True, **limits)
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
         if settled:
@@ -466,8 +512,7 @@ def render_and_measure(
             return film_for_tolerance(image, measured, calibrated, settled.tolerance_delta_e)
         options: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": settings.tolerance_delta_e, "keep": True}
         options |= {"correction": settings.correction, "develop": settings.develop, "larger": larger}
-        if progress:  # behind a real lens it takes as long as the render
-            progress(0.0, ", done; the error of its film")
+        options["progress"] = share_of(progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across")
         return measure_film(image, camera, measured, settings.exposure, settings.display, **options)
 
     fixed = "set by --resolution" if settings.resolution else ""
@@ -489,6 +534,8 @@ def render_on_film(
 ) -> Rendered:
     """Render a scene on the film of its plan, and again on a film of twice the samples across while the error is too large.
 
+    It stops where the order of convergence seen so far says that the widest film would not be fine enough either.
+
     The film depends on the settings only, not on the machine or the time, unless `max_seconds` is given.
 
     plan : for `scene`, with `resolution` if its film is another one than the scene's
@@ -499,7 +546,7 @@ def render_on_film(
         limit of the samples, `Plan.most_samples`.
     """
     chosen = scene.with_resolution(plan.resolution) if plan.resolution else scene
-    rendered_s = 0.0
+    rendered_s, before = 0.0, None
     while True:
         start = time.perf_counter()
         image, noise = render(chosen, plan)
@@ -511,14 +558,18 @@ def render_on_film(
         wider = fitting_width(ratio, 2 * width, most)
         if film.met:
             return Rendered(image, noise, plan, film)
+        end = f"the limit of {most} samples across for {plan.planes} picture{'s' * (plan.planes > 1)}"
+        left = film.left_on(most, before)
         if fixed:
             limit = fixed
         elif wider < WORTH_WIDENING * width:
-            limit = f"the limit of {most} samples across for {plan.planes} picture{'s' * (plan.planes > 1)}"
+            limit = end
+        elif any(error > tolerated for error, tolerated in zip(left, film.tolerated_delta_e, strict=True)):
+            limit = f"about {max(left):.1g} ΔE would be left at {end}"
         elif max_seconds is not None and rendered_s + seconds * (wider / width) ** 2 > max_seconds:
             limit = "as --max-seconds allows"
         else:
-            chosen = chosen.with_resolution(wider)
+            chosen, before = chosen.with_resolution(wider), film
             plan = plan_of(chosen)
             continue
         return Rendered(image, noise, plan, replace(film, limit=limit))

@@ -13,16 +13,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from pixsim.base.arrays import MEASURED
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import memory
 from pixsim.base.mapped import MOST_BYTES
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display, PitchRange, Study, pixel_of
-from pixsim.optics.camera_lens import rendered_camera
+from pixsim.optics.camera_lens import GROUPS, rendered_camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
+from pixsim.optics.field_blur import blur_work
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM, PROGRAM_BYTES, film_bytes, film_memory_bytes
-from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
+from pixsim.scene.plan import FEWEST_RENDERS, Plan, decide_oversampling, make_render_plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
@@ -226,10 +228,16 @@ def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]
 RENDER_S_PER_SAMPLE = 1.6e-7  # of a film cell's samples, both of the two renders that show the noise
 PATH_S_PER_SAMPLE = 2.0e-6  # with any number of bounces
 FILM_S_PER_CELL = 1.0e-6  # its noise, diffraction and ideal image
+EXACT_S_PER_CELL = 5e-7  # the same of a chart that is computed, without noise
+MOVED_S_PER_CELL = 2.5e-7  # of a picture that a real lens distorts
+WINDOW_S_PER_CELL = 2.8e-8  # of the windows of all tiles of a blur, with those of an even picture
+PSF_S, POINT_S = 1.5e-3, 8e-3  # of a tile's PSF, and of a point along the radius
+PART_S_PER_CELL, PARTS_S = 1.2e-6, 0.5  # of the parts on which a film's error is measured behind a real lens
 FRAME_S = 6e-4  # of an evaluation of few pixels and dots
 FRAME_S_PER_PIXEL = 2.6e-7  # integration, noise and ADC
 SCORE_S_PER_DOT = 2.2e-7  # shown picture and S-CIELAB
 START_S, PAGE_S = 4.0, 6.0  # scene, compiling of the renderer; figures and page
+EXACT_START_S, RUN_PAGE_S = 1.5, 1.0  # where nothing is traced; of a single frame
 CALIBRATIONS = 4.0  # renders of a calibration for a tolerance, each with a handful of frames
 MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
 TYPE_S = 0.3  # of a sensor type: its pixels, and the fit of its curve
@@ -258,17 +266,43 @@ def duration_words(seconds: float) -> str:
     return f"{float(f'{seconds / 60:.2g}'):g} min" if seconds < 5400 else f"{float(f'{seconds / 3600:.2g}'):g} h"
 
 
-def render_cost(plan: Plan, cells: int, cores: int) -> Cost:
-    """Estimate two renders of a film of so many cells, their noise, diffraction and the ideal image."""
+def render_cost(plan: Plan, camera: Camera, shape: tuple[int, int], cores: int) -> Cost:
+    """Estimate two renders of a film, their noise, the blur of the lens, the film's error, and the ideal image.
+
+    A film whose error turns out too large is rendered again on a finer one, which nobody knows before.
+
+    shape : (H, W) of the film
+    """
+    cells = math.prod(shape)
     samples = 2.0 * cells * plan.spp * plan.passes
     per_sample = RENDER_S_PER_SAMPLE
     if plan.integrator is None and not plan.chart:  # many bounces, whose noise is rarely below that of the sensor
         samples, per_sample = max(samples, float(plan.most_samples)), PATH_S_PER_SAMPLE
-    seconds = START_S + samples * per_sample / cores + cells * FILM_S_PER_CELL
+    seconds = start_seconds(plan) + (0.0 if plan.exact else samples * per_sample / cores)
+    seconds += cells * (EXACT_S_PER_CELL if plan.exact else FILM_S_PER_CELL) + lens_seconds(plan, camera, shape, cores)
     needed = max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.planes) - PROGRAM_BYTES)
     if 8 * cells * plan.planes > MOST_BYTES:
         needed = film_memory_bytes(cells, plan.planes) - PROGRAM_BYTES
     return Cost(seconds, BASE_BYTES + needed, 1)
+
+
+def start_seconds(plan: Plan) -> float:
+    """Estimate what a command takes before it renders."""
+    return EXACT_START_S if plan.exact else START_S
+
+
+def lens_seconds(plan: Plan, camera: Camera, shape: tuple[int, int], cores: int) -> float:
+    """Estimate what a real lens adds to a render, its film's error and one frame; 0 for a thin one."""
+    tiling, cells = plan.tiling, math.prod(shape)
+    if tiling is None:
+        return 0.0
+    moved_s = (1 if plan.exact else FEWEST_RENDERS) * plan.planes * cells * MOVED_S_PER_CELL
+    if not tiling.psf_um:
+        return moved_s
+    lights = plan.planes if plan.factored else GROUPS
+    windows, psfs, points = blur_work(shape, *tiling.cells(1e3 * camera.die_mm / shape[1]))
+    blur_s = windows * WINDOW_S_PER_CELL + psfs * PSF_S + points * POINT_S
+    return moved_s + lights * (blur_s + min(cells, MEASURED) * PART_S_PER_CELL + PARTS_S) / cores
 
 
 def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
@@ -302,28 +336,28 @@ def jobs_in_memory(largest_bytes: float) -> int:
     return cores if usable is None else max(1, min(cores, int(usable // (BASE_BYTES + largest_bytes))))
 
 
-def study_cost(study: Study, camera: Camera, plan: Plan, cells: int, jobs: int | None = None) -> Cost:
+def study_cost(study: Study, camera: Camera, plan: Plan, shape: tuple[int, int], jobs: int | None = None) -> Cost:
     """Estimate a whole study with its report, without further rounds for a target interval."""
-    return cases_cost([(study, camera)], 1, plan, cells, jobs)
+    return cases_cost([(study, camera)], 1, plan, shape, jobs)
 
 
 def cases_cost(
-    cases: Sequence[tuple[Study, Camera]], lights: int, plan: Plan, cells: int, jobs: int | None = None, types: int = 0
+    cases: Sequence[tuple[Study, Camera]], lights: int, plan: Plan, shape: tuple[int, int], jobs: int | None = None, types: int = 0
 ) -> Cost:
     """Estimate a study with its cases, and a report of the first of them.
 
     lights : that are rendered for them; the memory holds one of them, and some behind the lens
-    plan, cells : of the first one
+    plan, shape : of the first one, and (H, W) of its film
     types : of sensors for each case, beside the study itself
     """
-    study, _ = cases[0]
+    (study, first), cells = cases[0], math.prod(shape)
     jobs = jobs or min(fitting_jobs(*case) for case in cases)
-    render = render_cost(plan, cells, workers_here().jobs)
+    render = render_cost(plan, first, shape, workers_here().jobs)
     frames = [[frame_cost(camera, pitch, study.display) for pitch in sampled_pitches_um(study)] for study, camera in cases]
     sums_s = [sum(frame.seconds for frame in of_case) for of_case in frames]
     report_s = PAGE_S + 2 * frames[0][0].seconds + sums_s[0] / jobs
     calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0
-    renders_s = START_S + lights * (render.seconds - START_S)
+    renders_s = start_seconds(plan) + lights * (render.seconds - start_seconds(plan))
     evaluations_s = sum(study.repeats * seconds for (study, _), seconds in zip(cases, sums_s, strict=True)) / jobs
     if len(cases) == 1 and study.own_um is not None and study.display.raster == "fixed_size":  # its optimum on other displays
         evaluations_s += STUDY_VIEWINGS * min(study.repeats, SENSORS_VIEWED) * sums_s[0] / jobs
@@ -340,7 +374,7 @@ LONG_S = 60.0
 WINDOW_STEP = 0.85  # of the widths that are tried
 
 
-def window_within(study: Study, camera: Camera, plan: Plan, cells: int, jobs: int | None = None) -> float | None:
+def window_within(study: Study, camera: Camera, plan: Plan, shape: tuple[int, int], jobs: int | None = None) -> float | None:
     """Return the widest window of some, in mm, whose study is estimated to take less than a minute; None if none does.
 
     study : with its own range, before it was fitted to the camera
@@ -357,7 +391,7 @@ def window_within(study: Study, camera: Camera, plan: Plan, cells: int, jobs: in
                     fitted = fitted.model_copy(
                         update={"display": choose_view(study.own_um, window, study.display, None).display(study.display)}
                     )
-                if study_cost(fitted, window, plan, cells, jobs).seconds < LONG_S:
+                if study_cost(fitted, window, plan, shape, jobs).seconds < LONG_S:
                     return width
         except PixsimError:  # too few pixels or dots
             return None

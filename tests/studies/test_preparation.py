@@ -447,13 +447,13 @@ def test_window_within_takes_less_than_a_minute() -> None:
     study = sheet_study(8.5)
     prepared = prepare_quietly(study)
     plan = make_render_plan(prepared.scene, prepared.camera)
-    cost = study_cost(prepared.study, prepared.camera, plan, 1024**2, jobs=1)
+    cost = study_cost(prepared.study, prepared.camera, plan, (1024, 1024), jobs=1)
     assert cost.seconds > 60
-    width = window_within(study, prepared.camera, plan, 1024**2, jobs=1)
+    width = window_within(study, prepared.camera, plan, (1024, 1024), jobs=1)
     assert width is not None
     smaller = prepare_quietly(study.model_copy(update={"window_mm": width}))
     assert smaller.camera.die_mm == width < 8.5
-    assert study_cost(smaller.study, smaller.camera, plan, 1024**2, jobs=1).seconds < 60
+    assert study_cost(smaller.study, smaller.camera, plan, (1024, 1024), jobs=1).seconds < 60
 
 
 def test_cases_cost_holds_one_light_and_takes_one_report() -> None:
@@ -464,9 +464,9 @@ def test_cases_cost_holds_one_light_and_takes_one_report() -> None:
     prepared = prepare_quietly(sheet_study(2.4))
     plan = make_render_plan(prepared.scene, prepared.camera)
     one, two, few, many = (
-        cases_cost([(prepared.study, prepared.camera)] * count, count, plan, 1024**2, jobs=2) for count in (1, 2, 20, 40)
+        cases_cost([(prepared.study, prepared.camera)] * count, count, plan, (1024, 1024), jobs=2) for count in (1, 2, 20, 40)
     )
-    assert one == study_cost(prepared.study, prepared.camera, plan, 1024**2, jobs=2)
+    assert one == study_cost(prepared.study, prepared.camera, plan, (1024, 1024), jobs=2)
     assert few.memory_bytes == many.memory_bytes <= one.memory_bytes + SCENE_CACHE_BYTES
     assert many.seconds - few.seconds == pytest.approx(20 / 18 * (few.seconds - two.seconds))
     assert one.seconds < two.seconds < 2 * one.seconds
