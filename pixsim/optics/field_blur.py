@@ -27,7 +27,7 @@ from scipy.special import j0, j1
 from pixsim.base.arrays import WORTH_THREADS, Array, dct, empty_planes, in_threads, inverse_dct, strips
 from pixsim.base.errors import invalid
 from pixsim.base.machine import threads
-from pixsim.base.progress import report, watched_share
+from pixsim.base.progress import report
 
 UM_PER_NM = 1e-3
 OUTLINE_ANGLES = 181  # from 0 to π; a corner of a vignetted pupil is rounded over 1°
@@ -46,7 +46,6 @@ GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a peri
 VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
 RAYS = 200  # by which the share of light is judged that leaves a film cell
 ROUNDING = 1e-9  # of lengths that are equal
-SPREAD_WORK = 0.75  # of a blur; the rest is that of an even picture, whose tiles are mostly alike
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 
@@ -711,10 +710,7 @@ class FieldBlur:
         key = margin, blake2b(picture.tobytes()).digest()
         if key not in self._last:
             self._last.clear()
-            with watched_share(0.0, SPREAD_WORK):
-                spread = self._spread(picture, margin)
-            with watched_share(SPREAD_WORK, 1.0):
-                self._last[key] = np.asarray(spread / self.even)
+            self._last[key] = np.asarray(self._spread(picture, margin) / self.even)
         return self._last[key]
 
     @cached_property

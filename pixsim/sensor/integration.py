@@ -371,10 +371,11 @@ def real_lens_rate(
     nm, seen = irradiance.wavelength_nm, np.abs(electrons * irradiance.mean_spectrum())
     warn_of_unknown_glasses(camera, nm, seen)
     total = np.zeros(irradiance.shape)
-    count = len(irradiance.factors[0]) if irradiance.factors else GROUPS
+    count = len(irradiance.factors[0]) if irradiance.factors else GROUPS  # at most
     for number, (picture, weight, blurred_by) in enumerate(_blurred_lights(irradiance.whole, electrons, seen, tiling)):
-        with watched_share(min(number / count, 1.0), min((number + 1) / count, 1.0)):
+        with watched_share(number / count, (number + BLUR_WORK) / count):
             blur = blur_of(camera, irradiance.shape, irradiance.pitch_um, blurred_by, nm, weight, transfer)
+        with watched_share((number + BLUR_WORK) / count, (number + 1) / count):
             total += float(weight.sum()) * blur.blurred(picture, irradiance.margin)
     return total
 
@@ -445,6 +446,7 @@ class PartBehindLens:
         )
 
 
+BLUR_WORK = 0.3  # of a light's blur: its PSFs, and an even picture, whose tiles are mostly alike
 UNKNOWN_SHARE = 1e-3  # of the electrons, of which nobody need be told
 
 

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from pixsim.base import progress
-from pixsim.base.progress import Lines, stages
+from pixsim.base.progress import Lines, report, share_of, stages, steps_of, watched, watched_share
 
 
 class Clock:
@@ -40,11 +40,39 @@ def test_lines_start_every_ten_seconds_and_end(told: tuple[Lines, Clock, list[st
     lines.end()
     assert written == [
         "[0 s] render …",
-        "[10 s] render: 25 %, render noise 0.3",
-        "[20 s] render: 50 %, render noise 0.3",
+        "[10 s] render: 25 %, about 30 s left, render noise 0.3",
+        "[20 s] render: 50 %, about 20 s left, render noise 0.3",
         "[27 s] render: done in 27 s",
         "[27 s] report: done in 0.25 s",
     ]
+
+
+def test_lines_time_left_of_a_stage_that_begins_again(told: tuple[Lines, Clock, list[str]]) -> None:
+    """What a finer film has left follows from its own speed."""
+    lines, clock, written = told
+    lines.begin("render")
+    clock.now += 9
+    lines.update(0.9)
+    lines.update(0.0)
+    clock.now += 10
+    lines.update(0.5)
+    lines.tick()
+    assert written[-1] == "[19 s] render: 50 %, about 10 s left"
+
+
+def test_shares_and_steps_add_up_to_all_of_the_work() -> None:
+    told: list[tuple[float, str]] = []
+
+    def progress(done: float, note: str = "") -> None:
+        told.append((done, note))
+
+    step_done = steps_of(share_of(progress, 0.5, 1.0, ", second"), 2)
+    step_done()
+    step_done()
+    with watched(progress), watched_share(0.0, 0.5):
+        report(0.5)
+    report(0.9)  # nobody watches
+    assert told == [(0.5, ", second"), (0.75, ", second"), (1.0, ", second"), (0.0, ""), (0.25, "")]
 
 
 def test_lines_stage_without_progress_lives(told: tuple[Lines, Clock, list[str]]) -> None:

@@ -22,11 +22,14 @@ from pixsim.optics.field_blur import (
     even_window,
     field_blur,
     fit_wavefronts,
+    least_squares,
     mean_of_phase,
     periodic_psf,
     picture_error,
     point_spread,
+    powers,
     radial_psfs,
+    resolving_um,
     tiles_alike,
     tiles_reach_um,
     transform_of,
@@ -301,6 +304,41 @@ def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(sharp_light:
         psfs.at(300.0, 0.0, COARSE_UM, cells)
     with pytest.raises(PixsimError, match=r"film cell of a PSF: got 3\.9 µm; allowed: at least 4 µm"):
         psfs.at(0.0, 0.0, 3.9, cells)
+
+
+def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_light: Light) -> None:
+    """A film ten times finer than the lens has the PSFs of the coarsest film that shows all of it."""
+    resolving = resolving_um(sharp_light)
+    known = radial_psfs(sharp_light, resolving / 10, 301, 50.0, 400.0)
+    assert known.pitch_um == 0.0
+    for pitch_um, cells in ((resolving / 4, 121), (resolving / 1.5, 45), (2 * resolving, 15)):
+        kernel = known.at(210.0, 90.0, pitch_um, cells).kernel
+        right = point_spread(sharp_light, 210.0, 90.0, pitch_um, cells).kernel
+        assert np.abs(kernel - right).max() < 2e-3 * right.max()  # of the interpolation, as above
+        assert kernel.sum() == pytest.approx(right.sum(), abs=0.01)  # what lies beyond the windows folds back
+
+
+def test_transform_of_a_psf_is_that_of_its_film_cells_on_any_window(sharp_light: Light) -> None:
+    known = radial_psfs(sharp_light, 1.0, 33, 50.0, 400.0)
+    window = np.fft.irfft2(known.transform(200.0, 100.0, 1.0, (150, 121)), (150, 121))
+    kernel = known.at(200.0, 100.0, 1.0, 33).kernel
+    np.testing.assert_allclose(np.roll(window, (16, 16), axis=(0, 1))[:33, :33], kernel, atol=1e-3 * kernel.max())
+    point = np.zeros((150, 121))
+    point[40, 50] = 1.0
+    np.testing.assert_allclose(known.blurred(point, 1.0, 200.0, 100.0), np.roll(window, (40, 50), axis=(0, 1)), atol=1e-12)
+
+
+def test_least_squares_are_those_of_lapack() -> None:
+    rng = np.random.default_rng(3)
+    u, v = rng.uniform(-0.7, 0.7, (2, 280))
+    terms = np.array([u**a * v**b for a, b in powers()])
+    values = rng.normal(size=280)
+    coefficients, left = least_squares(terms, values)
+    right = np.linalg.lstsq(terms.T, values, rcond=None)[0]
+    np.testing.assert_allclose(left, values - right @ terms, atol=1e-10)
+    np.testing.assert_allclose(coefficients @ terms, right @ terms, atol=1e-9)
+    twice, _ = least_squares(np.array([terms[1], terms[1]]), terms[1])  # one of two equal terms is enough
+    assert twice.sum() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("cells", "spacing", "psf_cells"), [(128, 5, 9), (96, 8, 17), (9, 8, 3), (40, 4, 33), (1024, 43, 65)])

@@ -11,7 +11,16 @@ from helpers.edits import VARIANT
 from pixsim import evaluate, load_scene, render
 from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, LensOptions, Pixel
 from pixsim.light.spectral import RINGS, photons_per_joule
-from pixsim.optics.camera_lens import LENS_HEADER, Tiling, dark_share, distortion_of, ideal_light, traced_lens, without_lens
+from pixsim.optics.camera_lens import (
+    LENS_HEADER,
+    Tiling,
+    choose_tiling,
+    dark_share,
+    distortion_of,
+    ideal_light,
+    traced_lens,
+    without_lens,
+)
 from pixsim.optics.lens_defocus import defocus_error, depth_of_disc_m, largest_disc_um, signed_disc_um
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.contents import Body
@@ -84,6 +93,21 @@ def test_plan_states_the_tiles_and_their_error(singlet) -> None:
     assert image.header[LENS_HEADER]["error"] == plan.tiling.error
     assert image.header[RINGS]  # so that what the distortion's spline rings below zero is no error
     assert Camera(**image.header["camera"]) == camera
+
+
+def test_films_with_two_samples_across_a_photodiode_have_one_tiling() -> None:
+    """Photodiodes average what finer films add: what one of these would choose itself is no larger."""
+    scene, camera = through("cooke_triplet", 0.5, 64)
+    camera = camera.model_copy(update={"die_mm": 0.1, "die_height_mm": 0.1})
+    films = [scene.with_resolution(across) for across in (64, 128, 256)]
+    first, finer, finest = (make_render_plan(film, camera, PIXEL, tolerance_e=3e-3).tiling for film in films)
+    aperture_um = derive(PIXEL).aperture_side_um
+    assert aperture_um / 2 >= 100 / 64
+    assert first == finer == finest
+    own = choose_tiling(camera, (256, 256), 100 / 256, (550.0,), (1.0,), aperture_um, 0.03)
+    same = choose_tiling(camera, (64, 64), 100 / 64, (550.0,), (1.0,), aperture_um, 0.03)
+    assert own.psf_um <= same.psf_um * 1.05  # what a finer film needs, the coarser one has
+    assert max(own.error, same.error) <= 0.03
 
 
 def test_light_that_does_not_fit_a_film_cell_or_a_psf_is_told() -> None:
