@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
+LEAST_RISE = 0.1  # per cent, of a curve to an end of its range: a fit says no more
 WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
 SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
@@ -615,7 +616,7 @@ def flat_words(curve: Any, end: int, size: str) -> str:
     if not best.inside or not best.mean_delta_e > 0:
         return ""
     percent = 100 * (float(curve.fit.delta_e[end]) / best.mean_delta_e - 1)
-    return f"flat to the {size}: within {rounded_up(percent, 2) if percent > 0 else 0:g} %"
+    return f"flat to the {size}: within {rounded_up(max(percent, LEAST_RISE), 2):g} %"
 
 
 def within_words(ends: tuple[float | None, float | None], curve: Any) -> str:
