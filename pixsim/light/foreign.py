@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array, ArrayHeader, first_where, read_arrays, strips
 from pixsim.base.errors import PixsimError, invalid, one_line
 from pixsim.base.files import check_size, read_bytes, reason, size_of
+from pixsim.base.notes import warn
+from pixsim.base.tables import POWERS, as_number, as_text, unit_of_wavelength
 from pixsim.light.exr import read_channels, read_header
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, bands_last_hint
 
@@ -104,8 +107,9 @@ MAX_METADATA = 1 << 16  # bytes of every array but the picture
 MAX_ENVI_HEADER, MAX_ENVI_LINES = 1 << 20, 20_000  # SPy's time grows as the square of the lines
 GAP_VALUES = 1 << 22  # of a strip
 ENVI_DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, IndexError)
-ENVI_NM = {"nanometer": 1.0, "nm": 1.0, "micrometer": 1e3, "micron": 1e3, "um": 1e3, "µm": 1e3, "μm": 1e3}
 ENVI_INTERLEAVES = ("bsq", "bil", "bip")
+ENVI_ORDER = re.compile(r"^\s*byte order\s*=", re.MULTILINE | re.IGNORECASE)
+ENVI_ASCII = {ord("µ"): "u", ord("μ"): "u", ord("Å"): "Angstrom", ord("²"): "^2", ord("⁻"): "^-", ord("¹"): "1", ord("·"): " "}
 ENVI_COMPLEX = ("6", "9")  # data types
 # Header fields that change the meaning of the stored values, with the value that changes nothing.
 ENVI_NEUTRAL = {"data gain values": 1.0, "data offset values": 0.0, "reflectance scale factor": 1.0}
@@ -116,6 +120,7 @@ ENVI_NEUTRAL |= {"calibration scale factor": 1.0, "bbl": 1.0}  # a bbl of 0 mark
 class Cube:
     """Values (H, W, B) and band centres (B,) as a file states them, and its other metadata; None or "" if it has none.
 
+    wavelength_unit : symbol of the unit that the file states for its wavelengths, if it does
     per_nm : whether the format writes W m⁻² sr⁻¹ and means W m⁻² sr⁻¹ nm⁻¹
     """
 
@@ -125,6 +130,7 @@ class Cube:
     band_width_nm: Any = None
     pitch_um: Any = None
     white_cd_per_m2: Any = None
+    wavelength_unit: str = ""
     per_nm: bool = False
 
 
@@ -142,7 +148,11 @@ def read_cube(path: Path) -> Cube:
     if reader is None:
         raise invalid("picture", f"'{path}'", "a name that ends in .exr, .npz or .hdr (ENVI, with its raw file)")
     size_of(path, "picture", "a readable file")
-    return reader(path)
+    cube = reader(path)
+    if cube.wavelength_nm.size < 2 or not np.all(np.diff(cube.wavelength_nm) < 0) or cube.data.shape[2] != cube.wavelength_nm.size:
+        return cube
+    width_nm = cube.band_width_nm[::-1] if np.ndim(cube.band_width_nm) == 1 else cube.band_width_nm
+    return replace(cube, data=cube.data[:, :, ::-1], wavelength_nm=cube.wavelength_nm[::-1], band_width_nm=width_nm)
 
 
 def _check_size(path: Path, shape: tuple[int, ...]) -> None:
@@ -237,15 +247,15 @@ def read_envi(path: Path) -> Cube:
         from spectral.io import envi
     except ImportError:
         raise invalid("ENVI file", f"'{path}', but SPy is not installed", "pip install 'pixsim[envi]'") from None
-    name = str(path.absolute())
-    if read_bytes(path, "ENVI file", "an ENVI header", MAX_ENVI_HEADER).count(b"\n") > MAX_ENVI_LINES:
+    content = read_bytes(path, "ENVI file", "an ENVI header", MAX_ENVI_HEADER)
+    if content.count(b"\n") > MAX_ENVI_LINES:
         raise invalid("ENVI file", f"'{path}' of more than {MAX_ENVI_LINES} lines", "a shorter ENVI header")
     try:
-        with warnings.catch_warnings(action="ignore"):  # SPy warns of capitals in field names
+        with warnings.catch_warnings(action="ignore"), _plain_envi(path, content) as (name, raw):  # SPy warns of capitals
             header: dict[str, Any] = envi.read_envi_header(name)
             envi.check_compatibility(header)
             _check_envi(path, header)
-            image = envi.open(name)
+            image = envi.open(name, raw)
         if not image.using_memmap:
             got = f"{Path(image.filename).stat().st_size} bytes in '{image.filename}'"
             raise invalid("ENVI file", got, f"the {' × '.join(map(str, image.shape))} values that '{path.name}' declares")
@@ -261,13 +271,42 @@ def read_envi(path: Path) -> Cube:
     if gap is not None:
         got = f"no data ({header['data ignore value']}) at row {gap[0]}, column {gap[1]}, band {gap[2]}"
         raise invalid(f"light in '{path}'", got, "a value in every pixel", "Fill the gaps or crop them.")
+    if ENVI_ORDER.search(as_text(content) or "") is None:
+        warn(f"'{path.name}' states no byte order: it is read as 0, the least significant byte first")
     if nm is None:
         raise invalid("ENVI file", f"'{path}' without wavelength", "a header with wavelength = { … } and wavelength units")
-    if width_nm is not None and width_nm.shape == nm.shape and np.any(np.diff(nm) < 0.999 * (width_nm[1:] + width_nm[:-1]) / 2):
+    if (
+        width_nm is not None
+        and width_nm.shape == nm.shape
+        and np.any(np.abs(np.diff(nm)) < 0.999 * (width_nm[1:] + width_nm[:-1]) / 2)
+    ):
         width_nm = None
     extra: dict[str, Any] = {key: header.get(key) for key in ("pitch_um", "white_cd_per_m2")}
     units = header.get("data units", header.get("radiance data units", ""))
-    return Cube(data, nm, ", ".join(np.atleast_1d(units)), width_nm, **extra)
+    unit = unit_of_wavelength(str(header.get("wavelength units", "")))
+    return Cube(data, nm, ", ".join(np.atleast_1d(units)), width_nm, wavelength_unit=unit, **extra)
+
+
+@contextmanager
+def _plain_envi(path: Path, content: bytes) -> Iterator[tuple[str, str | None]]:
+    """The names of a header that SPy reads, and of its raw file; None where SPy finds it.
+
+    SPy needs a byte order, and reads text in the encoding of the system. A copy states the order of nearly all machines, in ASCII.
+    """
+    text = as_text(content)
+    has_order = text is None or ENVI_ORDER.search(text) is not None
+    if text is None or (has_order and text.isascii()):
+        yield str(path.absolute()), None
+        return
+    suffixes = ("", ".img", ".dat", *(f".{kind}" for kind in ENVI_INTERLEAVES), ".raw")
+    others = (path.with_suffix(suffix) for end in suffixes for suffix in (end, end.upper()))
+    raw = next((str(other.absolute()) for other in others if other.is_file()), None)
+    if not has_order:
+        text += "\nbyte order = 0\n"
+    with TemporaryDirectory() as folder:
+        name = Path(folder) / path.with_suffix(".hdr").name
+        name.write_text(text.translate(ENVI_ASCII), encoding="ascii", errors="replace")
+        yield str(name), raw
 
 
 def _first_gap(data: NDArray[Any], ignored: float) -> tuple[int, int, int] | None:
@@ -295,11 +334,15 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
 def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:
     if field not in header:
         return None
-    unit = str(header.get("wavelength units", "none"))
-    scale = ENVI_NM.get(unit.strip().lower().rstrip("s"))
-    if scale is None:
-        raise invalid(f"wavelength units in '{path}'", unit, "Nanometers or Micrometers", "Write them into the header.")
-    return scale * np.atleast_1d(header[field]).astype(float)
+    stated = str(header.get("wavelength units", "none"))
+    unit = unit_of_wavelength(stated)
+    if not unit:
+        allowed, hint = "Nanometers, Micrometers or Angstroms", "Write them into the header."
+        raise invalid(f"wavelength units in '{path}'", one_line(stated), allowed, hint)
+    numbers = [as_number(str(text), ".") for text in np.atleast_1d(header[field])]
+    if None in numbers:
+        raise ValueError(field)
+    return np.array([float(number.scaleb(POWERS[unit])) for number in numbers if number is not None])
 
 
 READERS: dict[str, Callable[[Path], Cube]] = {".exr": read_spectral_exr, ".npz": read_npz, ".hdr": read_envi}

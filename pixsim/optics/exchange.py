@@ -21,6 +21,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import replacing
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, CameraOptions, Layer, LensOptions
+from pixsim.base.tables import unit_hint
 from pixsim.base.version import VERSION
 from pixsim.light import foreign
 from pixsim.light.exr import read_exr, read_header
@@ -167,7 +168,8 @@ def _bands(path: Path, cube: foreign.Cube) -> tuple[Array, Array]:
     if nm.shape != cube.data.shape[2:] or not np.all(np.diff(nm) > 0) or not np.all((nm >= low) & (nm <= high)):
         got = f"{foreign.shortened(nm.tolist())} nm for {cube.data.shape[2]} bands"
         allowed = f"one per band, increasing, from {low:g} to {high:g} nm"
-        raise invalid(f"wavelengths in '{path}'", got, allowed, "Remove the bands outside this range.")
+        unit = unit_hint(nm.tolist(), ALLOWED_NM, cube.wavelength_unit, "the header")
+        raise invalid(f"wavelengths in '{path}'", got, allowed, f"{unit}." if unit else "Remove the bands outside this range.")
     if cube.band_width_nm is not None:
         width_nm = np.asarray(cube.band_width_nm)
         numbers = width_nm.shape in ((), nm.shape) and width_nm.dtype.kind in "iuf"

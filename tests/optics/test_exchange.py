@@ -347,11 +347,44 @@ def test_read_irradiance_band_widths(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "nm", [[500, 510], [520, 510, 500], [500, 500, 510], [299, 510, 520], [500, 510, 1201], [500, 510, np.nan]]
+    "nm", [[500, 510], [520, 500, 510], [500, 500, 510], [299, 510, 520], [500, 510, 1201], [500, 510, np.nan]]
 )
 def test_read_irradiance_invalid_wavelengths_raise(tmp_path, nm):
     got = ", ".join(str(float(item)) for item in nm)
     refused(npz(tmp_path / "a.npz", wavelength_nm=nm), f"{got} nm for 3 bands", "increasing, from 300 to 1200 nm", "Remove")
+
+
+def test_bands_in_descending_order_are_turned_round(tmp_path):
+    data = light()
+    path = npz(tmp_path / "a.npz", data=data[:, :, ::-1], wavelength_nm=NM[::-1], band_width_nm=[3.0, 2.0, 1.0])
+    image = pixsim.read_irradiance(path)
+    assert (image.wavelength_nm.tolist(), image.band_width_nm.tolist()) == (NM, [1, 2, 3])
+    assert np.array_equal(image.data, data)
+    turned = cube(tmp_path / "b.hdr", data, wavelength=NM[::-1], fwhm=[8.0, 8.0, 8.0])
+    assert np.array_equal(pixsim.read_irradiance(turned, pitch_um=1.0).data, data[:, :, ::-1])
+    assert pixsim.read_irradiance(turned, pitch_um=1.0).band_width_nm.tolist() == [8, 8, 8]
+
+
+def test_unit_that_wavelengths_seem_to_have_is_named(tmp_path):
+    """In an npz, which states nm by a name, and in an ENVI header, whose label may be wrong."""
+    refused(npz(tmp_path / "a.npz", wavelength_nm=[0.5, 0.51, 0.52]), "These seem to be in µm. Multiply wavelengths in µm by 1000")
+    label = {"wavelength_units": "Micrometers"}
+    refused(cube(tmp_path / "b.hdr", light(), **label), "These seem to be in nm, though the header says µm")
+    right = cube(tmp_path / "c.hdr", light(), wavelength=[5000.0, 5100.0, 5200.0], wavelength_units="Angstroms")
+    assert pixsim.read_irradiance(right, pitch_um=1.0).wavelength_nm.tolist() == NM
+
+
+def test_envi_header_without_byte_order_and_in_latin_1_is_read(tmp_path):
+    path = cube(tmp_path / "a.hdr", light())
+    text = path.read_text()
+    path.write_text("".join(line for line in text.splitlines(True) if "byte order" not in line))
+    with pytest.warns(UserWarning, match=r"'a\.hdr' states no byte order: it is read as 0"):
+        image = pixsim.read_irradiance(path, pitch_um=1.0)
+    assert np.array_equal(image.data, light())
+    path.write_text(
+        text.replace("Nanometers", "µm").replace("500.0", "0.5").replace("510.0", "0.51").replace("520.0", "0.52"), "latin-1"
+    )
+    assert pixsim.read_irradiance(path, pitch_um=1.0).wavelength_nm.tolist() == NM
 
 
 def test_read_irradiance_contradicting_pitch_raises(tmp_path):
@@ -498,8 +531,8 @@ def test_read_envi_fwhm_of_overlapping_bands_is_ignored(tmp_path):
         ({"calibration_scale_factor": 0.1}, ("'calibration scale factor'", "0.1")),
         ({"bbl": [1, 0, 1]}, ("'bbl'", "leave bad bands out")),
         ({"data_ignore_value": float(light()[1, 2, 0])}, ("no data", "at row 1, column 2, band 0", "Fill the gaps")),
-        ({"wavelength_units": "Unknown"}, ("wavelength units", "Unknown", "Nanometers or Micrometers")),
-        ({"wavelength_units": None}, ("wavelength units", "got none", "Nanometers or Micrometers")),
+        ({"wavelength_units": "Unknown"}, ("wavelength units", "Unknown", "Nanometers, Micrometers or Angstroms")),
+        ({"wavelength_units": None}, ("wavelength units", "got none", "Nanometers, Micrometers or Angstroms")),
         ({"wavelength": None}, ("without wavelength",)),
         ({"wavelength": ["a", "b", "c"]}, ("an ENVI header with its raw file in the same folder",)),
         ({"data_units": "Reflectance"}, ("got 'Reflectance'", "--units")),
