@@ -210,7 +210,9 @@ def read_table(
     if columns and _are_swapped(nm, columns[0]):
         raise ValueError(f"got '{path}' with {float(nm[0]):g} nm; allowed: {allowed}. Are the columns swapped?")
     if hint := unit_hint([float(each) for each in nm], bounds_nm, unit, "the title"):
-        raise ValueError(f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}. {hint}")
+        raise ValueError(
+            f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}. {hint}{'' if unit else ', or state the unit in the title'}"
+        )
     return Table(nm, tuple(columns))
 
 
@@ -299,7 +301,7 @@ def unit_hint(wavelengths: Sequence[float], bounds_nm: tuple[float, float], stat
     though = f", though {where} says {stated}" if stated else ""
     power = POWERS[fits[0]]
     mend = f"Multiply wavelengths in {fits[0]} by {10.0**power:g}" if power else "Correct the unit"
-    return f"These seem to be in {fits[0]}{though}. {mend}{', or state the unit' if power and not stated else ''}"
+    return f"These seem to be in {fits[0]}{though}. {mend}"
 
 
 def quantum_efficiency_of(column: Column, nm: Sequence[Decimal]) -> tuple[float, ...]:

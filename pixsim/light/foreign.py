@@ -100,6 +100,9 @@ def _factor(tokens: list[str]) -> Powers:
 SHOWN_NAMES = 12
 # Fichet et al.: a Stokes component, a number with a decimal comma, a prefix, and metres or hertz.
 CHANNEL = re.compile(rf"(S[0-3])\.(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{{1,3}})?({PREFIX})?(m|Hz)")
+# Mitsuba 0.6 and its kin: 400.00-420.00nm, the edges of a band; others: 550nm, or a word and a dot before it.
+EDGES = re.compile(r"(?:[A-Za-z]\w*\.)?(\d{2,4}(?:[.,]\d{1,9})?)\s*-\s*(\d{2,4}(?:[.,]\d{1,9})?)\s*nm", re.IGNORECASE)
+CENTRE = re.compile(r"(?:[A-Za-z]\w*\.)?(\d{2,4}(?:[.,]\d{1,9})?)\s*nm", re.IGNORECASE)
 NPZ_NEEDED = ("data", "wavelength_nm", "units")
 NPZ_OPTIONAL = ("band_width_nm", "pitch_um", "white_cd_per_m2")
 NPZ_SHAPES = "real numbers: data (rows, columns, bands) and wavelength_nm (bands,)"
@@ -177,9 +180,16 @@ def read_spectral_exr(path: Path) -> Cube:
         raise invalid("spectral EXR", f"reflectances, {channel_list}", "light, in channels such as S0.550,0nm", hint)
     matches = {name: match for name in names if (match := CHANNEL.fullmatch(name))}
     centre_nm = {name: _channel_nm(match) for name, match in matches.items() if match[1] == "S0"}
+    edges_nm: dict[str, tuple[float, float]] = {}
+    if not matches:
+        edges_nm = {name: _edges(match) for name in names if (match := EDGES.fullmatch(name))}
+        centre_nm = {name: sum(edges) / 2 for name, edges in edges_nm.items()}
+        if not edges_nm:
+            centre_nm = {name: float(match[1].replace(",", ".")) for name in names if (match := CENTRE.fullmatch(name))}
     if not centre_nm:
         hint = 'RGB is not a spectrum. Render spectrally, in pbrt-v4 with Film "spectral".'
-        raise invalid("spectral EXR", channel_list, "one channel per wavelength, with names such as S0.550,0nm", hint)
+        named = "one channel per wavelength, with names such as S0.550,0nm, 550nm or 540.00-560.00nm"
+        raise invalid("spectral EXR", channel_list, named, "" if _is_not_rgb(names) else hint)
     window, whole = header["dataWindow"], header["displayWindow"]
     if not np.array_equal(window, whole) or header.get("pixelAspectRatio", 1.0) != 1:
         raise invalid("spectral EXR", f"a crop window or non-square pixels in '{path}'", "a full image with square pixels")
@@ -197,7 +207,19 @@ def read_spectral_exr(path: Path) -> Cube:
     plain = {key: value for key, value in header.items() if isinstance(value, str | int | float | np.ndarray)}
     optional: dict[str, Any] = {key: plain.get(key) for key in NPZ_OPTIONAL}
     centres = np.array([centre_nm[name] for name in order])
+    if edges_nm and optional["band_width_nm"] is None:
+        optional["band_width_nm"] = np.array([edges_nm[name][1] - edges_nm[name][0] for name in order])
     return Cube(data, centres, str(plain.get("emissiveUnits", "")), per_nm=True, **optional)
+
+
+def _edges(match: re.Match[str]) -> tuple[float, float]:
+    low, high = (float(text.replace(",", ".")) for text in match.groups())
+    return low, high
+
+
+def _is_not_rgb(names: Sequence[str]) -> bool:
+    """Whether channels have other names than those of colours, depth and opacity."""
+    return not any(name.rpartition(".")[2].upper() in ("R", "G", "B", "Y", "X", "Z") for name in names)
 
 
 def _channel_nm(match: re.Match[str]) -> float:

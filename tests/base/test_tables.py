@@ -110,7 +110,7 @@ def test_chief_rays_have_the_same_forms(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("400,0.3\n350,0.4\n500,0.4", "400 nm followed by 350 nm"),
-        ("0.4,0.3\n0.5,0.4\n", "Multiply wavelengths in µm by 1000, or state the unit"),
+        ("0.4,0.3\n0.5,0.4\n", "Multiply wavelengths in µm by 1000, or state the unit in the title"),
         ("4000,0.3\n5000,0.4\n", "These seem to be in Å"),
         ("400000,0.3\n500000,0.4\n", "These seem to be in pm"),
         ("wavelength (µm),QE\n400,0.3\n500,0.4\n", "These seem to be in nm, though the title says µm"),
