@@ -196,6 +196,8 @@ def read_table(
         unit = _wavelength_unit(titles[0], path, allowed) or unit
         units[1:] = [_value_unit(title) or known for title, known in zip(titles[1:count], units[1:], strict=True)]
     names = next((titles for titles in reversed(named) if not _is_of_units(titles)), named[-1] if named else [""] * count)
+    if len({stated == "%" for stated, _ in units[1:]}) > 1:
+        raise ValueError(f"got '{path}' with some columns in per cent and others not; allowed: {allowed}")
     columns = []
     for at in range(1, count):
         stated, power = units[at]
@@ -210,9 +212,8 @@ def read_table(
     if columns and _are_swapped(nm, columns[0]):
         raise ValueError(f"got '{path}' with {float(nm[0]):g} nm; allowed: {allowed}. Are the columns swapped?")
     if hint := unit_hint([float(each) for each in nm], bounds_nm, unit, "the title"):
-        raise ValueError(
-            f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}. {hint}{'' if unit else ', or state the unit in the title'}"
-        )
+        mend = "" if unit else ", or state the unit in the title"
+        raise ValueError(f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}. {hint}{mend}")
     return Table(nm, tuple(columns))
 
 

@@ -30,6 +30,7 @@ from pixsim.base.files import (
     opened,
     size_of,
 )
+from pixsim.base.notes import warn
 from pixsim.base.tables import A_PER_W, read_table
 from pixsim.light.exr import judge_exr
 from pixsim.light.foreign import parse_light_unit
@@ -49,6 +50,7 @@ MAX_HEAD = 1 << 12
 VOLUME_HEAD, VOLUME_VERSION, FLOAT32 = 48, 3, 1
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?")
 NO_METAL = "none"
+MAX_SHARE = 1.5  # of a reflectance: samples measured against a white standard exceed 1 by fluorescence or error, not by half
 ALLOWED_SPECTRUM = "lines of a wavelength in nm and a value, as numbers"
 MIN_PLAIN, MAX_PLAIN = -5, 16  # powers of ten between which numbers are written without an exponent, as Python's floats
 
@@ -112,6 +114,19 @@ def _read_spectrum(path: Path) -> str:
 def _plain(number: Decimal) -> str:
     """A number as Mitsuba reads it."""
     return f"{number:f}" if number.is_zero() or MIN_PLAIN < number.adjusted() < MAX_PLAIN else repr(float(number))
+
+
+def check_share(highest: float, what: str, place: str) -> None:
+    """Warn of a reflectance above 1, as of fluorescent or badly calibrated samples; raise PixsimError above 1.5.
+
+    highest : of the property `what`, which stands at `place`
+    """
+    if highest > MAX_SHARE:
+        hint = f"In per cent? Divide by 100: {highest / 100:g}." if highest <= 100 else ""
+        allowed = f"up to 1, a share of the light, and with a warning up to {MAX_SHARE:g}"
+        raise invalid(what, f"{highest:g} in {place}", allowed, hint)
+    if highest > 1:
+        warn(f"{what} is {highest:g} in {place}: a surface that sends back more light than it gets; 1 is all of it")
 
 
 def judge_asset(path: Path, kind: str, plugin: str, shape_index: int = 0) -> None:

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.notes import warn
 from pixsim.base.tables import unit_hint
 from pixsim.light.spectral import HIGH_NM, LOW_NM
-from pixsim.scene.assets import NUMBER, found, judge_asset, metals, spectrum_value
+from pixsim.scene.assets import NUMBER, check_share, found, judge_asset, metals, spectrum_value
 from pixsim.scene.files import Node, SceneFiles, judge_references, read_scene, written
 from pixsim.scene.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, REASONS, SMALLEST, Plugin, Rule
 
@@ -41,7 +40,6 @@ MAX_TABLES = 16 << 20  # characters of all files of spectra, which become part o
 WHOLE = re.compile(r"\s*-?\d{1,18}\s*")
 FLAGS = ("true", "false")
 OF_TEXTURES = ("value", "values", "color0", "color1")  # what a texture gives
-MAX_SHARE = 1.5  # of a reflectance: samples measured against a white standard exceed 1 by fluorescence or error, not by half
 LIKELY_NM = (150.0, 3000.0)  # of a table: one without any that is computed, and whose numbers are so in another unit, has that unit
 
 
@@ -286,20 +284,9 @@ def _check_numbers(texts: list[str], rule: Rule, what: str, node: Node, counts: 
             raise invalid(what, f"{text[:MAX_NAME]!r} in {node.place}", bounds)
         values.append(abs(number))
     if rule.is_share:
-        _check_share(values, what, node)
+        check_share(max(values, default=0.0), what, node.place)
     if 0 < max(values, default=0) < rule.smallest:
         raise invalid(what, f"{max(values):g} in {node.place}", f"0, or at least {SMALLEST:g}")
-
-
-def _check_share(values: Sequence[float], what: str, node: Node) -> None:
-    """Warn of a reflectance above 1, as of fluorescent or badly calibrated samples; raise PixsimError above 1.5."""
-    highest = max(values, default=0.0)
-    if highest > MAX_SHARE:
-        hint = f"In per cent? Divide by 100: {highest / 100:g}." if highest <= 100 else ""
-        allowed = f"up to 1, a share of the light, and with a warning up to {MAX_SHARE:g}"
-        raise invalid(what, f"{highest:g} in {node.place}", allowed, hint)
-    if highest > 1:
-        warn(f"{what} is {highest:g} in {node.place}: a surface that sends back more light than it gets; 1 is all of it")
 
 
 def _check_table(value: str, rule: Rule, what: str, node: Node) -> None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import pixsim
 from pixsim.base.errors import PixsimError
+from pixsim.light.exr import write_rows
 from pixsim.scene.judge import judge_scene
 
 CASES = Path(__file__).parents[1] / "data/cases"
@@ -73,6 +77,23 @@ def test_file_in_per_cent_is_a_share(tmp_path: Path) -> None:
     (tmp_path / "a.spd").write_text("nm;reflectance (%)\n400;50\n700;62,5\n", encoding="utf-8")
     path = scene_of(tmp_path, '<spectrum name="reflectance" filename="a.spd"/>')
     assert 'value="400:0.50, 700:0.625"' in judge_scene(path, {}).text
+
+
+def test_picture_of_a_reflectance_above_1_5_is_refused(tmp_path: Path) -> None:
+    """A picture has no numbers in the XML: it is judged when the scene is loaded."""
+    table = '<spectrum name="reflectance" value="360:50, 830:50"/>'
+    picture = (
+        '<texture type="bitmap" name="reflectance"><string name="filename" value="a.exr"/>'
+        '<boolean name="raw" value="true"/></texture>'
+    )
+    text = (CASES / "39-xml-reflectance-percent/full.xml").read_text(encoding="utf-8")
+    assert table in text
+    (tmp_path / "flat.xml").write_text(text.replace(table, picture), encoding="utf-8")
+    for value, raises in ((50.0, True), (1.0, False)):
+        texels = np.full((2, 2), value, np.float32)
+        write_rows(tmp_path / "a.exr", {"Y": lambda rows, texels=texels: texels[rows]}, (2, 2), {})
+        with pytest.raises(PixsimError, match=r"diffuse\.reflectance: got 50 in 'a\.exr'") if raises else nullcontext():
+            pixsim.load_scene(tmp_path / "flat.xml", variant="scalar_spectral")
 
 
 @pytest.mark.parametrize("name", ["full", "refl_percent"])
