@@ -366,12 +366,17 @@ def as_float(value: Any) -> float:
 def read_curve(path: Path) -> EfficiencyCurve:
     """Quantum efficiency from the first two columns of a table, in A/W too. ValueError if they are not a curve."""
     table = read_table(path, "quantum efficiency", ALLOWED_FILE, 1, MAX_FILE_BYTES, ALLOWED_NM)
-    return _check_curve(_efficiencies(table)[0] if table.columns else (), f"'{path}'")
+    return _check_curve(_efficiencies(table, path)[0] if table.columns else (), f"'{path}'")
 
 
-def _efficiencies(table: Table) -> list[EfficiencyCurve]:
-    """Quantum efficiency of each column, in the order of the wavelengths."""
+def _efficiencies(table: Table, path: Path) -> list[EfficiencyCurve]:
+    """Quantum efficiency of each column, in the order of the wavelengths. ValueError if a responsivity makes it more than 1."""
     nm = [float(each) for each in table.nm]
+    for column in table.columns:
+        highest = max(quantum_efficiency_of(column, table.nm), default=0.0)
+        if column.unit == A_PER_W and highest > 1:
+            got = f"'{path}' in A/W, by its title, which makes a quantum efficiency of {highest:.3g}"
+            raise ValueError(f"got {got}; allowed: up to 1, λ/1239.84 nm in A/W. In mA/W? Or relative values?")
     return [tuple(zip(nm, quantum_efficiency_of(column, table.nm), strict=True)) for column in table.columns]
 
 
@@ -526,7 +531,7 @@ def _read_curves(path: Path, kind: str, highest: float) -> Curves:
             tuple((float(nm), float(value)) for nm, value in zip(table.nm, column.values, strict=True)) for column in table.columns
         ]
     else:
-        curves = _efficiencies(table)
+        curves = _efficiencies(table, path)
     return {
         letter: _check_channel(curve, kind, highest, f"'{path}', channel {letter}")
         for letter, curve in zip(letters, curves, strict=True)

@@ -166,10 +166,12 @@ def read_table(
     cells = read_cells(path, what, allowed, max_bytes)
     headers: list[list[str]] = []
     rows: list[tuple[Decimal, ...]] = []
+    marked = set[int]()  # columns whose cells say per cent themselves
     for number, row in cells.rows:
         numbers = [as_number(cell, cells.decimal) for cell in (row if least > 1 else row[:2])]
         if len(numbers) > least and None not in numbers:
             rows.append(tuple(each for each in numbers if each is not None))
+            marked |= {at for at, cell in enumerate(row) if cell.endswith("%")}
         elif rows or row[0][:1].isdigit():  # not a title
             words = "two numbers" if least == 1 else f"{least + 1} numbers"
             values = "value" if least == 1 else f"{least} values"
@@ -196,6 +198,7 @@ def read_table(
         unit = _wavelength_unit(titles[0], path, allowed) or unit
         units[1:] = [_value_unit(title) or known for title, known in zip(titles[1:count], units[1:], strict=True)]
     names = next((titles for titles in reversed(named) if not _is_of_units(titles)), named[-1] if named else [""] * count)
+    units = [("", 0) if at in marked else stated for at, stated in enumerate(units)]
     if len({stated == "%" for stated, _ in units[1:]}) > 1:
         raise ValueError(f"got '{path}' with some columns in per cent and others not; allowed: {allowed}")
     columns = []

@@ -736,7 +736,7 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float
         return 1.0
     fill_factor = pixel.fill_factor or float(fill_factor_law(measured_um, technology))
     if fill_factor < MIN_FRACTION:
-        if pixel.assumed:
+        if 0 < len(pixel.assumed) < len(DATA_SHEET):
             raise incomplete_sheet(pixel, technology)
         allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
         raise invalid("pixel.data_sheet_pitch_um", f"{measured_um:g}", allowed)
@@ -946,8 +946,10 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         usual = min(0.05, technology.fill_factor_limit / 2)
         allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
         hint = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
-        if pixel.assumed:
+        if 0 < len(pixel.assumed) < len(DATA_SHEET):
             raise incomplete_sheet(pixel, technology)
+        if missing := ", ".join(pixel.assumed):
+            hint = f"No technology was chosen: the default would supply {missing}. Give {missing}, and the pixel needs none. {hint}"
         raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, hint)
     area_um2 = fill_factor * pixel.pitch_um**2
     gain_e_per_dn = pixel.gain_e_per_dn if pixel.dn_per_e is None else 1 / pixel.dn_per_e

@@ -48,6 +48,7 @@ FORMS: dict[str, str | bytes] = {
     "per cent by name": "nm;qe_percent\n400;30\n500;40\n600;25\n",
     "per cent below the title": "Wavelength;QE\n[nm];[%]\n400;30\n500;40\n600;25\n",
     "per cent in the cells": "nm,QE\n400,30%\n500,40 %\n600,25%\n",
+    "per cent in title and cells": "nm;QE (%)\n400;30 %\n500;40 %\n600;25 %\n",
     "a commented title, as NumPy writes it": "# wavelength_um,QE (%)\n4.0e-01,30\n5.0e-01,40\n6.0e-01,25\n",
     "a title with blanks": "Wavelength (nm)  Quantum efficiency (%)\n400 30\n500 40\n600 25\n",
 }
@@ -115,6 +116,7 @@ def test_chief_rays_have_the_same_forms(tmp_path: Path) -> None:
         ("400000,0.3\n500000,0.4\n", "These seem to be in pm"),
         ("wavelength (µm),QE\n400,0.3\n500,0.4\n", "These seem to be in nm, though the title says µm"),
         ("400,30\n500,40\n", "In per cent? Divide percentages by 100"),
+        ("nm,mA/W\n400,310000\n500,200\n", "In mA/W? Or relative values?"),
         ("energy (eV),QE\n2.1,0.3\n2.5,0.4\n", "in eV, by its title"),
         ("400,0,3\n500,0,4\n", "commas between columns and within numbers"),
         ("400,-0.1\n500,0.4\n", "-0.1 at 400 nm"),
