@@ -434,7 +434,8 @@ def read_chief_rays(path: Path) -> ChiefRayAngles:
     cells = read_cells(path, "chief ray angles", ALLOWED_CHIEF_RAYS, MAX_FILE_BYTES)
     rows = cells.rows
     names = tuple((rows[0][1] if len(rows[0][1]) > 1 else rows[0][1][0].split()) if rows else ())
-    names = tuple(name.lower() for name in names)
+    shares = [bool(PERCENT.search(name)) for name in names]
+    names = tuple(map(_chief_ray_column, names))
     known = CHIEF_RAY_COLUMNS[:2], CHIEF_RAY_COLUMNS
     if sorted(names) not in map(sorted, known):
         hint = f" Make the first line of '{path}' {','.join(known[0])} or {','.join(known[1])}."
@@ -444,10 +445,21 @@ def read_chief_rays(path: Path) -> ChiefRayAngles:
         numbers = [as_number(cell, cells.decimal) for cell in row]
         if len(numbers) < len(order) or None in (found := [numbers[at] for at in order]):
             raise ValueError(f"got no {len(order)} numbers in line {number} of '{path}'; allowed: {', '.join(names)}") from None
-        table.append(tuple(float(each) for each in found if each is not None))
+        scaled = (each.scaleb(-2) if shares[at] else each for each, at in zip(found, order, strict=True) if each is not None)
+        table.append(tuple(map(float, scaled)))
     if all(one[0] > other[0] for one, other in pairwise(table)):
         table.reverse()
     return _check_chief_rays(tuple(table), f"'{path}'")
+
+
+def _chief_ray_column(title: str) -> str:
+    """Name of a column of `CHIEF_RAY_COLUMNS` that a title states with its unit, as Image height (mm); else the title."""
+    plain = title.lower()
+    if "height" in plain and re.search(r"(?<![a-z])mm(?![a-z])", plain):
+        return CHIEF_RAY_COLUMNS[0]
+    if re.search(r"cra|angle", plain) and re.search(r"deg|°", plain):
+        return CHIEF_RAY_COLUMNS[1]
+    return CHIEF_RAY_COLUMNS[2] if re.search(r"relative[ _]illumination", plain) else plain
 
 
 def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:

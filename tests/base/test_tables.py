@@ -105,6 +105,9 @@ def test_chief_rays_have_the_same_forms(tmp_path: Path) -> None:
     rows = ((0.0, 0.0), (1.0, 12.0), (2.0, 21.5))
     for text in ("image_height_mm deg\n0 0\n1 12\n2 21,5\n", "deg;image_height_mm\n21,5;2\n12;1\n0;0\n".encode("utf-16")):
         assert Camera(chief_ray_angle=written(tmp_path, text)).chief_ray_angle == rows
+    titles = "Image height (mm);CRA (°);Relative illumination (%)\n0;0;100\n1;12;90\n2;21,5;70\n"
+    lit = Camera(chief_ray_angle=written(tmp_path, titles)).chief_ray_angle
+    assert lit == tuple((*row, share) for row, share in zip(rows, (1.0, 0.9, 0.7), strict=True))
 
 
 @pytest.mark.parametrize(
