@@ -258,7 +258,7 @@ TWINS = '<bsdf type="diffuse" id="t0"/>' + "".join(
         ("<shape", "<a>" * 200_000, "nested"),
         ("<shape", TWINS, "references nested"),
         ("<shape", '<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="twosided" id="b"><ref id="a"/></bsdf>', "circul"),
-        ("<shape", '<ref id="ghost"/>', "ghost"),
+        ("<shape", '<ref id="ghost"/>', "a reference to a text of 5 characters"),
         ("<shape", DEFAULTS + '<string name="a" value="$p9"/>', "substituting parameters"),
         ("<shape", "".join(f'<default name="q{n}" value="1"/>' for n in range(600)), "parameters"),
         ("<shape", '<include filename="scene.xml"/>', "includes nested too deep"),
@@ -701,6 +701,7 @@ def test_templates_escape_markup(path):
 
 
 @pytest.mark.parametrize("name", [MARKUP, "$x", "$\\frac{$", "a\\b", "$$", "\\$x\\$", "x\x01y", "--->", "[b]"])
+@figures.own_style()
 def test_literal_shows_name_unchanged(name):
     figure = figures.new_figure(12, 4)
     axes = figure.subplots()

@@ -251,7 +251,7 @@ MESSAGE = re.compile(
 )
 # Of numbers that are possible, but more likely in another unit.
 UNITS = "electrons\\. .* is |prnu = .* % is |um = .* nm is |of the full well|of the ADC's "
-EXPECTED_WARNING = f".*(brighter than display white|Usual causes|pixel\\.stack at |{UNITS})"
+EXPECTED_WARNING = f".*(brighter than display white|Usual causes|pixel\\.stack at |(is|are) not used: |{UNITS})"
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from pixsim.accuracy.ladders import Rung
 from pixsim.accuracy.result import METRICS, Accuracy, pareto
 from pixsim.accuracy.solvers import response_plate
 from pixsim.base.files import output_folder, publishing, versions, write_json
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, plain_powers
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
 from pixsim.show.pages import Column, Plate, plain, rows_csv, write_figures, write_page
 
 if TYPE_CHECKING:
@@ -103,6 +103,7 @@ def kinds(accuracy: Accuracy) -> dict[str, list[Rung]]:
     return groups
 
 
+@own_style()
 def work_precision(accuracy: Accuracy) -> Plate:
     """Error against wall time of every render setting, with the Pareto front and the default settings."""
     metrics, groups = [metric for metric in METRICS if accuracy.rivals(metric)], kinds(accuracy)
@@ -147,6 +148,7 @@ def log_axes(axes: Axes, x: str, y: str, ticks: list[float] | None = None) -> No
     axes.grid(which="major", alpha=0.25)
 
 
+@own_style()
 def convergence(accuracy: Accuracy) -> Plate:
     """Error against the value of each setting, with fitted orders of convergence."""
     names = [name for name in SETTINGS if len(accuracy.ladder(name)) > 1]
@@ -186,6 +188,7 @@ def convergence(accuracy: Accuracy) -> Plate:
     return Plate("convergence", caption, figure, table(accuracy, names))
 
 
+@own_style()
 def viewing(accuracy: Accuracy) -> Plate:
     """Error against wall time of the ladders without a render: sensors and display."""
     names = [name for name in VIEWING if accuracy.ladder(name)]
@@ -212,6 +215,7 @@ def viewing(accuracy: Accuracy) -> Plate:
     return Plate("viewing", caption, figure, table(accuracy, names))
 
 
+@own_style()
 def stages(accuracy: Accuracy) -> Plate:
     """Wall time of a first result by stage."""
     names, seconds = list(accuracy.stage_seconds), list(accuracy.stage_seconds.values())
@@ -231,6 +235,7 @@ def stages(accuracy: Accuracy) -> Plate:
     return Plate("stages", caption, figure, {"stage": names, "seconds": seconds})
 
 
+@own_style()
 def budget(accuracy: Accuracy) -> Plate:
     """The error budget in ΔE and in µm."""
     names = list(accuracy.budget)

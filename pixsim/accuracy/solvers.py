@@ -14,7 +14,7 @@ from pixsim.base.parameters import Pixel
 from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.photodiode import collected_charge_e, stored_signal_e
 from pixsim.sensor.pixel import Diode, derive
-from pixsim.show.figures import LEGEND_LINE, LOOKS, new_figure
+from pixsim.show.figures import LEGEND_LINE, LOOKS, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 
 MAX_EVALUATIONS = 20_000  # of the explicit solver, about a second; saturated pixels need up to 1e17
@@ -130,6 +130,7 @@ def dn_against_light(pixel: Pixel, integration_s: float = 0.03, points: int = 60
     return responses
 
 
+@own_style()
 def response_plate(pixel: Pixel, integration_s: float = 0.03) -> Plate:
     """Plot of `dn_against_light`: DN with the corner of the diode limit enlarged, and deviation from a straight line."""
     responses = dn_against_light(pixel, integration_s)

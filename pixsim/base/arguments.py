@@ -87,7 +87,7 @@ BOUNDS = {
     "f_number": Bounds(0, open_low=True, infinite=True),  # infinite for a pinhole
     "white_cd_per_m2": POSITIVE,
     "tolerance_e": Bounds(0, 1, open_low=True),
-    "seed": NOT_NEGATIVE,
+    **dict.fromkeys(("seed", "repeat"), NOT_NEGATIVE),
     "bits": Bounds(1, 32),
     "die_mm": Bounds(1e-5, 1000),
     "saturated_fraction": Bounds(0, 1, unknown=True),

@@ -18,7 +18,7 @@ from typing import IO, Any, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.errors import PixsimError, invalid, one_line
 from pixsim.base.files import check_compression, check_size, opened, reason
 from pixsim.base.lazy import load_when_used
 from pixsim.base.machine import threads
@@ -256,3 +256,18 @@ def stream(*key: object) -> np.random.Generator:
     """Random generator that depends only on its key, not on the order or the number of workers."""
     digest = hashlib.blake2b(_key_text(key).encode(), digest_size=16).digest()
     return np.random.default_rng(np.random.SeedSequence(int.from_bytes(digest, "little")))
+
+
+def values_of(name: str, function: Callable[..., Any], shape: tuple[int, ...], *arguments: Any) -> Array:
+    """What a function that was given as an argument returns: numbers of a shape, or one number.
+
+    Raises PixsimError that names the argument if it fails, or returns something else.
+    """
+    expected = f"a function that returns {' × '.join(map(str, shape))} numbers, or one"
+    try:
+        values = np.asarray(function(*arguments), float)
+    except (TypeError, ValueError) as error:
+        raise invalid(name, f"one that fails ({one_line(str(error), 200)})", expected) from None
+    if values.shape not in ((), shape):
+        raise invalid(name, f"one that returns an array of shape {values.shape}", expected)
+    return values

@@ -1,7 +1,11 @@
 """Cache of computed results in the user's cache folder; the file name of an entry is the hash of all its inputs.
 
-An entry is JSON (numbers) or .npz (arrays with CRC). Entries are written atomically, so that processes can share the folder.
-Damaged entries are detected and computed again. Above its size limit the cache removes the least recently used entries.
+An entry is JSON (numbers), .npz (arrays with CRC) or an EXR (a texture). It begins with a label of its kind and key: what has
+another label, or lies behind a link, is not read, and never removed. Entries are written atomically, so that processes and users
+can share the folder. Damaged entries are detected and computed again. Above its size limit the cache removes the least recently
+used entries.
+
+Compiled kernels are code. Their folder is used only if nobody else can write there.
 """
 
 from __future__ import annotations
@@ -9,9 +13,10 @@ from __future__ import annotations
 import json
 import os
 import platform
-import time
+import re
+import stat
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import blake2b
@@ -22,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import read_arrays
-from pixsim.base.errors import invalid
-from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text, version_of
-from pixsim.base.locks import PARTIAL_FILE, unfinished
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text, subfolder, version_of
+from pixsim.base.locks import PARTIAL_FILE, remove_leftovers, unfinished
 from pixsim.base.notes import MachineWarning, warn
 from pixsim.base.version import VERSION
 
@@ -37,9 +42,12 @@ DEFAULT_GIB = 4.0
 GIB = 1 << 30
 MAX_SHARE = 0.25  # of the limit, for one entry: a larger one would displace all others
 TRIM_SHARE = 1 / 16  # of the limit: a process that has written this much trims the cache
-HELPERS = ("kernels", "matplotlib")  # folders that Mitsuba and Matplotlib manage themselves
-ABANDONED_S = 3600.0  # a partial file of this age belongs to a killed process
+# Folders that Mitsuba and Matplotlib manage themselves, and the names of their files there.
+HELPERS = {"kernels": re.compile(r"[0-9a-f]{32}\.[\w.]+"), "matplotlib": re.compile(r"fontlist-v[\w.]+\.json")}
+ENTRY, VALUE = "entry", "value"  # in the order of an entry: its label and content
 NAMES = "names"  # name of the array that lists all arrays of an entry
+STARTS = {".json": b'{"entry": "', ".npz": b"PK\3\4", ".exr": b"\x76\x2f\x31\x01"}
+HEAD_BYTES = 4096  # of a file, in which the label is looked for
 SOURCE_SUFFIXES = (".py", ".csv", ".toml")  # formulas, spectra, technologies
 MAX_JSON = 1 << 26  # bytes
 DAMAGE = (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError, RecursionError)
@@ -91,10 +99,16 @@ def load_or_compute(
 ) -> Result:
     """The JSON entry of a key, computed and stored if it is missing or damaged. Warns if the folder cannot be written."""
     path = folder() / kind / f"{key}.json"
-    result = _load(path, lambda: read(json.loads(read_text(path, "cache entry", "JSON", MAX_JSON))))
+
+    def content() -> Result:
+        entry = json.loads(read_text(path, "cache entry", "JSON", MAX_JSON))
+        _check(path, entry[ENTRY])
+        return read(entry[VALUE])
+
+    result = _load(path, content)
     if result is None:
         result = compute()
-        text = json.dumps(to_json(result), sort_keys=True)
+        text = json.dumps({ENTRY: label_of(kind, key), VALUE: to_json(result)}, sort_keys=True)
         _store(path, lambda partial: partial.write_text(text, encoding="utf-8"), len(text))
     return result
 
@@ -107,6 +121,7 @@ def arrays(kind: str, key: str) -> Arrays | None:
         content = read_arrays(path, "cache entry", "arrays")
         if sorted(content) != content.pop(NAMES).tolist():  # a damaged zip directory may hide an array
             raise ValueError("an array is missing")
+        _check(path, content.pop(ENTRY).item().decode())
         return content
 
     return _load(path, read)
@@ -114,7 +129,8 @@ def arrays(kind: str, key: str) -> Arrays | None:
 
 def store_arrays(kind: str, key: str, content: Arrays) -> None:
     """Store the arrays of a key unless they are too large for one entry. Warns if the folder cannot be written."""
-    named: dict[str, Any] = {**content, NAMES: np.array(sorted([*content, NAMES]))}
+    label = np.array(label_of(kind, key).encode())  # the first array, so that the file begins with it
+    named: dict[str, Any] = {ENTRY: label, **content, NAMES: np.array(sorted([ENTRY, *content, NAMES]))}
 
     def write(partial: Path) -> None:
         with partial.open("wb") as file:  # np.savez would append .npz to a name
@@ -134,8 +150,51 @@ def has_room(size_bytes: int) -> bool:
     return size_bytes <= MAX_SHARE * limit_bytes()
 
 
+def label_of(kind: str, key: str) -> str:
+    """The label with which an entry begins: it states what the entry is."""
+    return f"pixsim cache {kind}/{key}"
+
+
+def _check(path: Path, label: str) -> None:
+    """Raise ValueError if the label of an entry is not that of its path."""
+    if label != label_of(path.parent.name, path.stem):
+        raise ValueError("another entry")
+
+
+def is_entry(path: Path) -> bool:
+    """Whether a file is an entry of the cache by its name and its label. It is not if it is a link, or in a linked folder."""
+    try:
+        with subfolder(path.parents[1], [path.parent.name]) as descriptor:
+            return _is_entry(descriptor, path.parent.name, path.name)
+    except (OSError, PixsimError):
+        return False
+
+
+def _is_entry(descriptor: int, kind: str, name: str) -> bool:
+    """`is_entry` of a file in an open folder. Raises OSError."""
+    stem, suffix = os.path.splitext(name)
+    if suffix not in STARTS:
+        return False
+    # A pipe is not waited for.
+    file = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY, dir_fd=descriptor)
+    try:
+        head = os.read(file, HEAD_BYTES) if stat.S_ISREG(os.fstat(file).st_mode) else b""
+    finally:
+        os.close(file)
+    return head.startswith(STARTS[suffix]) and label_of(kind, stem).encode() in head
+
+
+def can_hold(kind: str) -> bool:
+    """Whether files can be written into the folder of a kind, which is made if it is missing."""
+    with suppress(OSError, PixsimError):
+        folder().mkdir(parents=True, exist_ok=True)
+        with subfolder(folder(), [kind], make=True) as descriptor:
+            return os.access(".", os.W_OK, dir_fd=descriptor)
+    return False
+
+
 def _load(path: Path, read: Callable[[], Result]) -> Result | None:
-    if not (limit_bytes() and os.path.lexists(path)):
+    if not limit_bytes() or not os.path.lexists(path) or path.is_symlink() or path.parent.is_symlink():
         return None
     try:
         result = read()
@@ -145,7 +204,7 @@ def _load(path: Path, read: Callable[[], Result]) -> Result | None:
         warn(f"cache entry '{path}' is damaged ({error}) and is computed again", MachineWarning)
         return None
     with suppress(OSError):  # a read-only cache works too
-        os.utime(path)
+        os.utime(path, follow_symlinks=False)
     return result
 
 
@@ -154,13 +213,15 @@ def _store(path: Path, write: Callable[[Path], object], size_bytes: int) -> None
     if not has_room(size_bytes) or not limit_bytes():
         return
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with unfinished(path.parent, f".{path.name}.", PARTIAL_FILE, is_folder=False) as partial:
+        path.parents[1].mkdir(parents=True, exist_ok=True)
+        with ExitStack() as stack:
+            descriptor = stack.enter_context(subfolder(path.parents[1], [path.parent.name], make=True))
+            partial = stack.enter_context(unfinished(path.parent, f".{path.name}.", PARTIAL_FILE, is_folder=False))
             write(partial)
-            partial.replace(path)
-    except OSError as error:
-        text = f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}"
-        warn(text, MachineWarning)
+            os.replace(partial, path.name, dst_dir_fd=descriptor)
+    except (OSError, PixsimError) as error:
+        why = getattr(error, "strerror", None) or "a link or a file is in the way"
+        warn(f"cache folder '{path.parent}' cannot be written ({why}); set {FOLDER_VARIABLE}", MachineWarning)
         return
     _written_bytes += size_bytes
     if _written_bytes > TRIM_SHARE * limit_bytes():
@@ -183,20 +244,34 @@ class Entry:
 
 def entries(kind: str | None = None) -> list[Entry]:
     """All entries, or those of a kind, in order of last use. Files of Mitsuba and Matplotlib only if `kind` names them."""
-    visible = [entry for entry in _files(kind) if not entry.path.name.startswith(".")]
-    return sorted(visible, key=lambda entry: (entry.used_s, entry.path))
+    known = [entry for entry, is_own in _files(kind) if is_own]
+    return sorted(known, key=lambda entry: (entry.used_s, entry.path))
 
 
-def _files(kind: str | None) -> Iterator[Entry]:
-    """`entries` in any order, including partial files."""
-    _, kinds, _ = next(os.walk(folder()), ("", [], []))
-    for name in kinds:
-        if name not in HELPERS if kind is None else name == kind:
-            with suppress(OSError):  # another process has removed the folder
-                for file in os.scandir(folder() / name):
-                    with suppress(OSError):  # or the file
-                        if file.is_file(follow_symlinks=False):
-                            yield Entry(Path(file), file.stat().st_size, file.stat().st_mtime)
+def foreign_bytes() -> int:
+    """Bytes of the files in folders of entries that are none: others have put them there, or another release of pixsim."""
+    return sum(entry.size_bytes for entry, is_own in _files(None) if not is_own)
+
+
+def _kinds(kind: str | None) -> Iterator[tuple[str, int]]:
+    """The name and the descriptor of each folder of entries, or of a kind; no links."""
+    with suppress(OSError), os.scandir(folder()) as found:
+        for name in sorted(each.name for each in found if each.is_dir(follow_symlinks=False)):
+            if name not in HELPERS if kind is None else name == kind:
+                with suppress(OSError, PixsimError), subfolder(folder(), [name]) as descriptor:  # another process may remove it
+                    yield name, descriptor
+
+
+def _files(kind: str | None) -> Iterator[tuple[Entry, bool]]:
+    """The files of `entries` in any order, and whether they are entries."""
+    for name, descriptor in _kinds(kind):
+        for file in os.listdir(folder() / name):
+            with suppress(OSError):  # another process has removed the file
+                status = os.stat(file, dir_fd=descriptor, follow_symlinks=False)
+                if stat.S_ISREG(status.st_mode):
+                    helper = HELPERS.get(name)
+                    is_own = bool(helper.fullmatch(file)) if helper else _is_entry(descriptor, name, file)
+                    yield Entry(folder() / name / file, status.st_size, status.st_mtime), is_own
 
 
 def trim() -> int:
@@ -207,9 +282,8 @@ def trim() -> int:
         if freed >= excess:
             break
         freed += _remove(entry)
-    for entry in _files(None):
-        if entry.path.name.startswith(".") and time.time() - entry.used_s > ABANDONED_S:
-            _remove(entry)
+    for name, _ in _kinds(None):
+        remove_leftovers(folder() / name)
     return freed
 
 
@@ -219,9 +293,10 @@ def clear(kind: str | None = None) -> int:
 
 
 def _remove(entry: Entry) -> int:
-    """Remove a file and return the bytes freed: 0 if it belongs to another user, or is gone."""
+    """Remove a file of `entries` and return the bytes freed: 0 if it belongs to another user, or is gone."""
     try:
-        entry.path.unlink()
-    except OSError:
+        with subfolder(folder(), [entry.kind]) as descriptor:
+            os.unlink(entry.path.name, dir_fd=descriptor)
+    except (OSError, PixsimError):
         return 0
     return entry.size_bytes

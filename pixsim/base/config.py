@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.errors import PixsimError, did_you_mean, invalid, quoted
 from pixsim.base.files import read_text
 from pixsim.base.notes import warn
 from pixsim.base.parameters import (
@@ -66,13 +66,23 @@ def read_toml(path: Path) -> dict[str, Any]:
         table = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, or an invalid date
         hint = "A number has a decimal point and no unit, as 3.45 or 10500." if "Expected newline" in str(error) else ""
-        raise invalid(source, error, "TOML, see https://toml.io", hint) from None
+        raise invalid(source, _without_names(error), "TOML, see https://toml.io", hint) from None
     except RecursionError:
         raise invalid(source, "too many nested tables", f"at most {MAX_DEPTH} levels") from None
     if depth(table) > MAX_DEPTH:
         raise invalid(source, f"tables nested {depth(table)} levels deep", f"at most {MAX_DEPTH}")
     _check_schema(path, text)
     return table
+
+
+def _without_names(error: ValueError) -> str:
+    """What is wrong in a TOML file, and where, without the names of keys that tomllib quotes."""
+    text, place, end = str(error).partition(" (at ")
+    of_keys = re.match(
+        r"(Duplicate inline table key|Cannot declare|Cannot mutate immutable namespace|Cannot overwrite a value)", text
+    )
+    words = {"Cannot declare": "a table that is declared twice", "Duplicate inline table key": "a key twice in a table"}
+    return (words.get(of_keys[1], of_keys[1]) if of_keys else text) + place + end
 
 
 def _check_schema(path: Path, text: str) -> None:
@@ -210,13 +220,18 @@ def without_uncertainty(pixel: dict[str, Any], source: str) -> tuple[dict[str, A
     plain = {name: value for name, value in pixel.items() if name != "uncertainty"}
     table, where = pixel["uncertainty"], f"{source}: pixel.uncertainty"
     if not isinstance(table, dict):
-        raise invalid(where, repr(table), "a table", "Write read_noise_e = { sd = 0.2 } under [pixel.uncertainty].")
+        raise invalid(where, kind_of_value(table), "a table", "Write read_noise_e = { sd = 0.2 } under [pixel.uncertainty].")
     spreads = {}
     for name, entry in table.items():
         if name not in MAY_BE_UNCERTAIN:
-            raise invalid(where, f"'{name}'", ", ".join(MAY_BE_UNCERTAIN), did_you_mean(name, MAY_BE_UNCERTAIN))
+            raise invalid(where, quoted(name), ", ".join(MAY_BE_UNCERTAIN), did_you_mean(name, MAY_BE_UNCERTAIN))
         spreads[name] = _spread(entry, plain.get(name), f"{where}.{name}", name)
     return plain, spreads
+
+
+def kind_of_value(value: Any) -> str:
+    """A value that stands where a table should, for a message: a number as it is, else what it is."""
+    return f"{value}" if isinstance(value, bool | int | float) else "a list" if isinstance(value, list) else "a text"
 
 
 def _spread(entry: Any, value: Any, where: str, name: str) -> Spread:
@@ -225,7 +240,7 @@ def _spread(entry: Any, value: Any, where: str, name: str) -> Spread:
         hint = "A curve cannot be uncertain; give a number." if value is not None else ""
         raise invalid(where, "a spread without its number", f"a number {name} in [pixel] of the same file", hint)
     if not isinstance(entry, dict):
-        raise invalid(where, repr(entry), "a table", f"Write {name} = {{ sd = 0.2 }} or {{ range = [low, high] }}.")
+        raise invalid(where, kind_of_value(entry), "a table", f"Write {name} = {{ sd = 0.2 }} or {{ range = [low, high] }}.")
     try:
         spread = Spread.model_validate(entry)
         for end in spread.range or ():

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 # Control characters but tab and line feed, and the marks that turn the direction of the text that follows.
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+FORMULA = "=+-@\uff1d\uff0b\uff0d\uff20"  # of a spreadsheet: it runs a cell that begins so, also in full width
 MAX_LENGTH = 20_000  # characters of a message
 
 
@@ -55,6 +56,52 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     by_folded = {one.casefold(): one for one in known}
     similar = difflib.get_close_matches(name.casefold(), by_folded, 1)
     return f"Did you mean '{by_folded[similar[0]]}'?" if similar else ""
+
+
+PLAIN_WORD = re.compile(r"[A-Za-z0-9_.+,-]{1,24}")
+
+
+def excerpt(text: str, typed: bool = False) -> str:
+    """What a message says of a text in a file: the file can be another than the user believes, such as a key.
+
+    typed : whether the user has typed it on the command line; only then it is quoted
+
+    >>> excerpt("N-BK7"), excerpt("N-BK7", typed=True)
+    ('a text of 5 characters', "'N-BK7'")
+    """
+    if typed:
+        return f"'{one_line(text)}'"
+    return f"a text of {len(text)} character{'s' * (len(text) > 1)}" if text else "nothing"
+
+
+def quoted(name: str, typed: bool = False) -> str:
+    """`excerpt` of a name, as of a glass, a type or a channel, in a file that was recognised as its format: plain ones are quoted.
+
+    >>> quoted("N-BK7"), quoted("two words")
+    ("'N-BK7'", 'a text of 9 characters')
+    """
+    return excerpt(name, typed or PLAIN_WORD.fullmatch(name) is not None)
+
+
+def names_in(texts: Iterable[str]) -> list[str]:
+    """Names of channels or arrays of a file that was recognised as its format, without quotes, as `excerpt` has them."""
+    return [text if PLAIN_WORD.fullmatch(text) else f"({excerpt(text)})" for text in texts]
+
+
+def name_fault(name: str) -> str:
+    """Why a text cannot name something in tables and files; empty if it can.
+
+    >>> name_fault("=1+1"), name_fault("-0.5"), name_fault("night")
+    ('begins with =, as a formula of a spreadsheet does', '', '')
+    """
+    if CONTROL.search(name) or "\t" in name or "\n" in name:
+        return "holds control characters, or marks that turn the direction of text"
+    if name[:1] in FORMULA and name:
+        try:
+            float(name)
+        except ValueError:
+            return f"begins with {name[0]}, as a formula of a spreadsheet does"
+    return ""
 
 
 MAX_LABEL = 60  # characters of a label

@@ -1,6 +1,10 @@
 """Atomic output files, and input files that are validated before a decoder reads them.
 
 A reader of a named pipe may block, a device has no end, and a decoder allocates whatever a header declares.
+
+Output has one rule. A path that the user names may be a link: it is followed, once, and what it leads to is replaced. What leads to
+a device, a pipe or an open stream gets the content and stays. Whatever pixsim makes below a folder that the user names is never a
+link, and never goes through one.
 """
 
 from __future__ import annotations
@@ -12,7 +16,9 @@ import json
 import os
 import platform
 import re
+import shutil
 import stat
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -23,7 +29,16 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
-from pixsim.base.locks import PARTIAL_FILE, PARTIAL_FOLDER, locked_folder, remove_leftovers, unfinished
+from pixsim.base.locks import (
+    PARTIAL_FILE,
+    PARTIAL_FOLDER,
+    locked_folder,
+    remove_leftovers,
+    temporary_folder,
+    temporary_folder_of_process,
+    unfinished,
+)
+from pixsim.base.notes import MachineWarning, warn
 from pixsim.base.schema import KEY, check_not_newer, with_schema
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
@@ -40,9 +55,7 @@ def cache_folder() -> Path:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pixsim"
     except RuntimeError:
         got = "no value, and a user without a home folder"
-        raise invalid(
-            FOLDER_VARIABLE, got, "a folder for the cache", f"Set it: export {FOLDER_VARIABLE}=/tmp/pixsim-cache"
-        ) from None
+        raise invalid(FOLDER_VARIABLE, got, "a folder for the cache", f"Set it: export {FOLDER_VARIABLE}=$(mktemp -d)") from None
 
 
 DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
@@ -54,31 +67,127 @@ def missing(path: Path) -> str:
     return f"'{path}', which does not exist" if folder is None else f"'{path}' (folder '{folder}' does not exist)"
 
 
+# In these folders a file is a stream that a process has open; what it leads to may be a file of the shell.
+OF_STREAMS = re.compile(r"/dev/fd|/proc/(?P<process>[^/]+)(/task/[^/]+)?/fd")
+MAX_LINKS = 40  # of a path, as of Linux
+
+
+def resolved(path: Path) -> Path:
+    """The path without links, if there are any on its way; else as it is."""
+    real = Path(os.path.realpath(path))
+    return path if real == Path(os.path.abspath(path)) else real
+
+
+def _open_stream(path: Path) -> int | None:
+    """Open what a path of the user leads to for writing, if it is a pipe, a device, or a stream that a process has open.
+
+    None if it is a regular file, a folder or nothing. Waits for the reader of a named pipe.
+
+    Raises PixsimError for a disk, whose content would be lost, and for a socket; OSError if it cannot be opened.
+    """
+    way = path
+    for _ in range(MAX_LINKS):
+        folder = os.path.realpath(way.parent)
+        way = Path(folder, way.name)
+        if found := OF_STREAMS.fullmatch(folder):
+            is_own = found["process"] in (None, str(os.getpid())) and way.name.isdecimal()
+            return os.dup(int(way.name)) if is_own else os.open(way, os.O_WRONLY | os.O_NOCTTY)
+        if not way.is_symlink():
+            break
+        way = Path(folder, os.readlink(way))
+    else:
+        raise invalid("output file", f"'{path}', a link that leads to itself", "a path that can be written")
+    try:
+        mode = way.lstat().st_mode
+    except OSError:
+        return None
+    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
+        return None
+    if not (stat.S_ISFIFO(mode) or stat.S_ISCHR(mode)):
+        raise invalid("output file", f"'{path}', {kind_of(mode)}", "a file, a pipe or a character device")
+    descriptor = os.open(way, os.O_WRONLY | os.O_NOCTTY | os.O_NOFOLLOW)
+    if stat.S_IFMT(os.fstat(descriptor).st_mode) != stat.S_IFMT(mode):
+        os.close(descriptor)
+        raise invalid("output file", f"'{path}', which changes meanwhile", "a path that can be written")
+    return descriptor
+
+
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, *, named: bool = True, last: bool = False, new: bool = False) -> Iterator[Path]:
     """A temporary path to write to; it replaces `path` on success and is removed on failure.
 
-    Raises PixsimError if its folder does not exist.
+    named : whether the user named the path. Then links are followed, and a pipe, a device or an open stream gets the content. If
+        not, it is a file of pixsim in an output folder, which is not a link
+    last : whether it is the last file of a command: `files_are_finished` is called when it is about to move, or has been copied
+    new : whether a file that exists is refused
+
+    Raises PixsimError if its folder does not exist, or if it cannot be replaced.
     """
-    if not os.path.lexists(path.parent):
-        raise invalid("output file", missing(path), "a path that can be written", f"Make it first: mkdir -p '{path.parent}'")
-    if path.is_dir():
-        raise invalid("output file", f"'{path}' (a folder)", "a path that can be written")
-    before = f".{path.name}."
-    remove_leftovers(path.parent, before)
-    with unfinished(path.parent, before, PARTIAL_FILE, is_folder=False) as partial:
-        try:
+    try:
+        with ExitStack() as stack:
+            stream = _open_stream(path) if named else None
+            if stream is not None:
+                file = stack.enter_context(os.fdopen(stream, "wb", buffering=0))
+                partial = stack.enter_context(temporary_folder()) / "content"
+                yield partial
+                with partial.open("rb") as content:
+                    shutil.copyfileobj(content, file)
+                if last:
+                    files_are_finished()
+                return
+            target = resolved(path) if named else path
+            if not os.path.lexists(target.parent):
+                hint = f"Make it first: mkdir -p '{target.parent}'"
+                raise invalid("output file", missing(target), "a path that can be written", hint)
+            if os.path.lexists(target) and not stat.S_ISREG(mode := target.lstat().st_mode):
+                raise invalid("output file", f"'{path}' ({kind_of(mode)})", "a path that can be written")
+            if new and os.path.lexists(target):
+                raise PixsimError(f"output file: '{path}' exists already; allowed: a new name. Move it, or choose another name.")
+            before = f".{target.name}."
+            remove_leftovers(target.parent, before)
+            partial = stack.enter_context(unfinished(target.parent, before, PARTIAL_FILE, is_folder=False))
             yield partial
-        except OSError as error:  # of a write, which does not know the name
-            if error.errno is not None:
-                error.filename = error.filename or str(path)
-            raise
-        partial.replace(path)
+            if last:
+                files_are_finished()
+            partial.replace(target)
+    except OSError as error:  # of a write, which does not know the name
+        if error.errno is not None:
+            error.filename = error.filename or str(path)
+        raise
+
+
+@contextmanager
+def subfolder(folder: Path, parts: Iterable[str], make: bool = False) -> Iterator[int]:
+    """The descriptor of a folder below an output folder, for `dir_fd`: no part of the way there is a link, whoever changes it.
+
+    make : make missing folders
+
+    Raises PixsimError if a part is a link or a file.
+    """
+    with ExitStack() as stack:
+        flags = os.O_DIRECTORY | getattr(os, "O_PATH", os.O_RDONLY)
+        stack.callback(os.close, descriptor := os.open(folder, flags))
+        way = folder
+        for part in parts:
+            way = way / part
+            if make:
+                with suppress(FileExistsError):
+                    os.mkdir(part, dir_fd=descriptor)
+            try:
+                stack.callback(os.close, descriptor := os.open(part, flags | os.O_NOFOLLOW, dir_fd=descriptor))
+            except OSError as error:
+                if error.errno not in (errno.ENOTDIR, errno.ELOOP):
+                    raise
+                hint = "Move it away, or choose another folder with --out."
+                raise invalid("output folder", f"'{way}', a link or a file", "a folder", hint) from None
+        yield descriptor
 
 
 @contextmanager
 def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
     """Create a folder and lock it against other processes; after a failure, new empty folders are removed.
+
+    Gives the folder, without links on the way: it may be one, which is followed once.
 
     Raises PixsimError if the folder cannot be written, or is in use by another process.
     """
@@ -94,12 +203,45 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
             except OSError as error:
                 message = f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out."
                 raise PixsimError(message) from None
-            yield folder
+            yield resolved(folder)
     except BaseException:
         for path in created:
             with suppress(OSError):  # it is not empty, or was never created
                 path.rmdir()
         raise
+
+
+def private_folder(name: str, quiet: bool = False) -> Path:
+    """A folder of the cache for what is run as code; where others could write there, one for this process alone, with a warning.
+
+    quiet : whether another call has warned
+
+    Raises OSError if it cannot be made.
+    """
+    root = cache_folder()
+    root.mkdir(parents=True, exist_ok=True)
+    with suppress(FileExistsError):
+        (root / name).mkdir(0o700)
+    fault = "is a link or a file"
+    with suppress(PixsimError), subfolder(root, [name]) as descriptor:
+        status = os.fstat(descriptor)
+        try:
+            with tempfile.TemporaryFile(dir=root / name) as made:  # also where the owner of files is not this user: NFS, containers
+                owner = os.fstat(made.fileno()).st_uid
+        except PermissionError:
+            owner = -1
+        if status.st_uid != owner:
+            fault = "belongs to another user, or cannot be written"
+        elif status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            fault = "can be written by others"
+        else:
+            return root / name
+    alone = temporary_folder_of_process() / name
+    alone.mkdir(0o700, exist_ok=True)
+    if not quiet:
+        hint = f"remove it, or set {FOLDER_VARIABLE} to a folder of yours"
+        warn(f"'{root / name}' {fault}: {name} are kept for this command only; {hint}", MachineWarning)
+    return alone
 
 
 # Of a disk that is full or fails, not of a wrong name.
@@ -170,12 +312,14 @@ def digest_of(path: Path, alone: bool = False) -> str:
 
 
 def listed_files(folder: Path) -> Listed | None:
-    """The files that the provenance file of a folder lists; None if another program wrote that file.
+    """The files that the provenance file of a folder lists; None if another program wrote that file, or it is a link.
 
     Names that lead out of the folder are left out. Raises PixsimError if a newer pixsim wrote it.
     """
     if not os.path.lexists(folder / PROVENANCE):
         return {}
+    if (folder / PROVENANCE).is_symlink():
+        return None
     try:
         content = _provenance(folder)
         if "pixsim" not in content["versions"]:
@@ -210,9 +354,19 @@ def _is_inside(folder: Path, name: str) -> bool:
 def is_own(path: Path, entry: dict[str, Any] | None) -> bool:
     """Whether a file is as its entry of the provenance lists it: pixsim wrote it, and nobody has changed it."""
     try:
-        return bool(entry) and path.is_file() and digest_of(path) in (entry or {})["digests"]
+        return bool(entry) and stat.S_ISREG(path.lstat().st_mode) and digest_of(path) in (entry or {})["digests"]
     except (OSError, PixsimError):
         return False
+
+
+def _ways(name: str) -> list[str]:
+    """The folders on the way to a file of an output folder, the outermost first."""
+    return [str(way) for way in PurePosixPath(name).parents if way.parts][::-1]
+
+
+def _is_no_folder(path: Path) -> bool:
+    """Whether there is a link or a file where pixsim makes a folder."""
+    return os.path.lexists(path) and not stat.S_ISDIR(path.lstat().st_mode)
 
 
 SHOWN_FILES = 6  # in a message
@@ -225,8 +379,10 @@ def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> N
     """
     folder = Path(folder)
     listed = listed_files(folder)
-    present = [name for name in sorted({*names, PROVENANCE}) if os.path.lexists(folder / name)]
-    others = [name for name in present if name != PROVENANCE and not is_own(folder / name, (listed or {}).get(name))]
+    names = sorted({*names, PROVENANCE})
+    others = sorted({way for name in names for way in _ways(name) if _is_no_folder(folder / way)})
+    present = [name for name in names if os.path.lexists(folder / name) and not {*_ways(name)} & {*others}]
+    others += [name for name in present if name != PROVENANCE and not is_own(folder / name, (listed or {}).get(name))]
     if listed is None:
         others.append(PROVENANCE)
     if others:
@@ -273,6 +429,7 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
     are told that `files_are_finished`.
     """
     kept = ["The files that the folder held before are unchanged."]
+    folder = resolved(folder)
     with unfinished(folder, PARTIAL_FOLDER, is_folder=True) as partial, disk_faults_named(partial, folder, lambda: kept[-1]):
         yield partial
         made = sorted(path.relative_to(partial).as_posix() for path in partial.rglob("*") if not path.is_dir())
@@ -281,7 +438,7 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
         now: Listed = {name: {"command": command, "digests": [digest_of(partial / name, alone=True)]} for name in made}
 
         def write_provenance(files: Listed) -> None:
-            write_json(folder / PROVENANCE, {"versions": versions(), **(provenance or {}), "files": files})
+            write_json(folder / PROVENANCE, {"versions": versions(), **(provenance or {}), "files": files}, named=False)
 
         # Until all are moved, a file may be the old or the new one: a killed process leaves no file that nobody owns.
         both: Listed = {name: {**entry, "digests": list(entry["digests"])} for name, entry in now.items()}
@@ -291,19 +448,22 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
         write_provenance(before | both)
         kept.append("Some files of the folder are new, others are still those before; pixsim knows both.")
         for name in made:
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (partial / name).replace(folder / name)
+            *ways, last = PurePosixPath(name).parts
+            with subfolder(folder, ways, make=True) as descriptor:
+                os.replace(partial / name, last, dst_dir_fd=descriptor)
         others = {name: entry for name, entry in before.items() if name not in now and entry["command"] != command}
         for name in before.keys() - now.keys() - others.keys():
             path = folder / name
             if any(kept.exists() and path.samefile(kept) for kept in keep):
                 others[name] = before[name]
                 continue
-            path.unlink()
+            *ways, last = PurePosixPath(name).parts
+            with suppress(FileNotFoundError), subfolder(folder, ways) as descriptor:
+                os.unlink(last, dir_fd=descriptor)
             with suppress(OSError):  # it is not empty
-                for above in path.relative_to(folder).parents:
-                    if above != Path():
-                        (folder / above).rmdir()
+                for depth in range(len(ways) - 1, -1, -1):
+                    with subfolder(folder, ways[:depth]) as descriptor:
+                        os.rmdir(ways[depth], dir_fd=descriptor)
         write_provenance(others | now)
 
 
@@ -323,17 +483,14 @@ def are_kept(folder: Path, command: str, made_from: str) -> bool:
 
 def write_made_from(folder: Path, command: str, made_from: str) -> None:
     """State in the provenance of files that a command has just published what they were made from, for `are_kept`."""
-    write_json(folder / PROVENANCE, _provenance(folder) | {MADE_FROM: {command: made_from}})
+    write_json(folder / PROVENANCE, _provenance(folder) | {MADE_FROM: {command: made_from}}, named=False)
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a new file. Raises PixsimError if it exists or cannot be written."""
-    if path.exists():
-        raise PixsimError(f"output file: '{path}' exists already; allowed: a new name. Move it, or choose another name.")
+    """Write a new file, or into a pipe or a device. Raises PixsimError if the file exists or cannot be written."""
     try:
-        with replacing(path) as partial:
+        with replacing(path, last=True, new=True) as partial:
             partial.write_text(text, encoding="utf-8")
-            files_are_finished()
     except OSError as error:
         raise PixsimError(f"output file: '{path}' cannot be written ({error.strerror}). Choose another name.") from None
 
@@ -357,9 +514,9 @@ def version_of(package: str) -> str:
     return found[1] if found else distribution.version
 
 
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON file of results, which states its schema."""
-    with replacing(path) as partial:
+def write_json(path: Path, content: dict[str, Any], *, named: bool = True) -> None:
+    """Write a JSON file of results, which states its schema; `named` is of `replacing`."""
+    with replacing(path, named=named) as partial:
         text = json.dumps(with_schema(content), indent=2, sort_keys=True, ensure_ascii=False) + "\n"
         partial.write_text(text, encoding="utf-8", errors="backslashreplace")  # for file names that are not UTF-8
 
@@ -405,8 +562,13 @@ MAX_SPECTRUM = 16 * MIB
 MAX_ASSET = 4096 * MIB  # a texture or a mesh
 KINDS = {
     stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a named pipe", stat.S_ISCHR: "a device", stat.S_ISBLK: "a device",
-    stat.S_ISSOCK: "a socket",
+    stat.S_ISSOCK: "a socket", stat.S_ISLNK: "a link",
 }  # fmt: skip
+
+
+def kind_of(mode: int) -> str:
+    """What a path leads to that is not a regular file, for a message."""
+    return next((kind for is_kind, kind in KINDS.items() if is_kind(mode)), "not a regular file")
 
 
 @contextmanager
@@ -441,8 +603,7 @@ def opened(path: Path, name: str, expected: str, max_bytes: int | None = None) -
 
 def _check_regular(status: os.stat_result, path: Path, name: str, expected: str) -> None:
     if not stat.S_ISREG(status.st_mode):
-        kind = next((kind for is_kind, kind in KINDS.items() if is_kind(status.st_mode)), "not a regular file")
-        raise invalid(name, f"'{path}', {kind}", expected)
+        raise invalid(name, f"'{path}', {kind_of(status.st_mode)}", expected)
 
 
 def _check_empty(file: IO[bytes], path: Path, name: str, expected: str) -> None:

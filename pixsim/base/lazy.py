@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import suppress
 from importlib.util import LazyLoader, find_spec, module_from_spec
@@ -47,9 +48,10 @@ def import_less() -> None:
 
     It leaves the docstrings of its functions as they are, since nobody reads them: when it is imported it adds notes on other array
     libraries to hundreds of them. Its functions are the same. Masked arrays, which Matplotlib needs, and polynomials are loaded
-    when they are used.
+    when they are used. Matplotlib obeys no file of settings.
     """
     load_when_used("ma", "polynomial")
+    ignore_matplotlibrc()
     with suppress(ImportError):  # SciPy's own name for it may change: then nothing is gained
         from scipy._lib import _docscrape
 
@@ -57,6 +59,27 @@ def import_less() -> None:
             _docscrape.FunctionDoc = PlainDocstring
     global _nobody_reads
     _nobody_reads = True
+
+
+RC_FILE = "matplotlibrc"
+
+
+def ignore_matplotlibrc() -> None:
+    """Let Matplotlib read no file of settings, in the process of a command before it has threads or children.
+
+    When it is imported it looks for one in the current folder first, before any variable, and would wait for a pipe there: where
+    there is one it is imported at once, from another folder.
+    """
+    os.environ["MATPLOTLIBRC"] = os.devnull
+    if "matplotlib" not in sys.modules and os.path.lexists(RC_FILE):
+        here = os.open(".", os.O_DIRECTORY | getattr(os, "O_PATH", os.O_RDONLY))
+        try:
+            os.chdir("/")
+            with suppress(ImportError):  # which is reported where a figure is drawn
+                import matplotlib  # noqa: F401
+        finally:
+            os.fchdir(here)
+            os.close(here)
 
 
 _nobody_reads = False  # docstrings, in the process of a command

@@ -29,6 +29,7 @@ LOCK = ".pixsim.lock"  # in an output folder
 TOKEN = re.compile(r"[0-9a-f]{8}")  # in the name of an unfinished file or folder
 PARTIAL_FOLDER, PARTIAL_FILE = ".pixsim-", ".part"
 TEMPORARY = "pixsim-temporary-"
+OTHER_FOLDER = "Move it away, or choose another folder with --out."
 TRIES = 20  # for a file that another process removes at the moment when it is locked
 _of_thread = threading.local()
 
@@ -69,7 +70,12 @@ def locked_folder(folder: Path) -> Iterator[None]:
         return
     path = folder / LOCK
     for attempt in range(1, TRIES + 1):
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        # Not blocking, of what may be a pipe.
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY, 0o666)
+        status = os.fstat(descriptor)
+        if status.st_size or not stat.S_ISREG(status.st_mode):
+            os.close(descriptor)
+            raise invalid("output folder", f"'{folder}', where '{LOCK}' is no lock of pixsim", "a folder without it", OTHER_FOLDER)
         is_free = _lock(descriptor) is not False
         if is_free and _is_there(path, descriptor):
             break
@@ -134,7 +140,8 @@ def unfinished(folder: Path, before: str, after: str = "", *, is_folder: bool) -
         with suppress(FileExistsError):
             if is_folder:
                 path.mkdir(0o700)
-            descriptor = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+            flags = os.O_RDONLY | os.O_DIRECTORY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL
+            descriptor = os.open(path, flags | os.O_NOFOLLOW, 0o666)
             if _lock(descriptor) is not False and _is_there(path, descriptor):
                 break
             os.close(descriptor)  # another process took it for a leftover before it was locked

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
 
+from pixsim.base.children import safe_variables
+
 NO_LIMIT_BYTES = 1 << 60  # control groups v1 report a number near 2⁶³ if there is no limit
 SMI_SECONDS = 5.0
 SMI = ("nvidia-smi", "--query-gpu=name,driver_version,memory.total", "--format=csv,noheader")
@@ -120,7 +122,8 @@ def check_folder(path: Path) -> tuple[str | None, int | None]:
 def graphics_cards() -> list[str]:
     """Name, driver and memory of each NVIDIA card, from `nvidia-smi`; empty without it."""
     try:
-        done = subprocess.run(SMI, capture_output=True, text=True, errors="replace", timeout=SMI_SECONDS)
+        environment = os.environ | safe_variables()
+        done = subprocess.run(SMI, capture_output=True, text=True, errors="replace", timeout=SMI_SECONDS, env=environment)
     except (OSError, subprocess.SubprocessError):
         return []
     return done.stdout.strip().splitlines() if done.returncode == 0 else []

@@ -40,7 +40,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from pixsim.base.arguments import brief, checks_arguments
-from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.errors import PLAIN_WORD, PixsimError, did_you_mean, excerpt, invalid, name_fault, names_in, quoted
 from pixsim.base.tables import (
     A_PER_W,
     IN_BRACKETS,
@@ -68,10 +68,14 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Layer:
-    """A table of settings and its source: the path of a file, or an empty string for options."""
+    """A table of settings and its source: the path of a file, or an empty string for options.
+
+    named : whether another file, such as a study or a scene, may have named the file: then no message quotes its texts
+    """
 
     table: dict[str, Any]
     source: str = ""
+    named: bool = False
 
     def names(self, path: Iterable[object]) -> bool:
         """Whether this layer sets the value at a dotted path."""
@@ -110,13 +114,20 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
     if not isinstance(error, ValidationError):
         return str(error)
     listed: set[str] = set()
-    return "\n".join(_line(error.title, problem, layers, listed) for problem in error.errors())
+    problems = error.errors()
+    lines = [_line(error.title, problem, layers, listed) for problem in problems[:MAX_PROBLEMS]]
+    more = len(problems) - len(lines)
+    return "\n".join([*lines, *([f"and {more} more problem{'s' * (more > 1)}"] if more else [])])
+
+
+MAX_PROBLEMS = 10  # of a file, that a message lists: each takes milliseconds, and a reader mends the first ones first
 
 
 def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: set[str]) -> str:
     """Return a problem as text. `listed` has the tables whose names were said, once for each; it is written to."""
     path = [str(part) for part in problem["loc"] if part not in BRANCHES]
-    where = _where(title, problem, layers)
+    layer = _layer_of(problem, layers)
+    where = _where(title, problem, layer, layers)
     if problem["type"] == "extra_forbidden":
         *above, name = path
         known, hint = _names(title, above), _hint_of_name(title, above, name.replace("-", "_"))
@@ -136,7 +147,7 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
         return f"{where}: {message}" + "." * (message[-1:] not in (".", "?"))
     if problem["type"] == "model_type":
         message = f"a table of {', '.join(_names(title, path))}" if _names(title, path) else "a table"
-    value = repr(problem["input"])
+    value = _value(problem["input"], layer)
     value = value if len(value) <= MAX_VALUE else value[:MAX_VALUE] + "…"
     hint = _hint(path, problem["input"], problem["type"])
     return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
@@ -203,17 +214,43 @@ def _hint(path: Sequence[str], value: Any, fault: str) -> str:
     return ""
 
 
-def _where(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
-    """`FILE: dotted.path`, or the dotted path alone if the value comes from no file."""
+def _value(value: Any, layer: Layer | None) -> str:
+    """A value for a message: numbers as they are, texts of a file as `excerpt` has them."""
+    if layer is None or not layer.source:
+        return repr(value)
+    if isinstance(value, str):
+        return excerpt(value) if layer.named else quoted(value)
+    if isinstance(value, list | tuple | dict) and not all(isinstance(each, bool | int | float) for each in value):
+        return f"a {'table' if isinstance(value, dict) else 'list'} of {len(value)}"
+    return repr(value)
+
+
+def _layer_of(problem: ErrorDetails, layers: Sequence[Layer]) -> Layer | None:
+    """The layer that a problem comes from; None if it comes from no file.
+
+    A missing value, or a conflict between values, has none: it is the last layer with the enclosing table.
+    """
     loc = [part for part in problem["loc"] if part not in BRANCHES]
-    dotted = ".".join(str(part) for part in loc) or title
-    # A missing value, or a conflict between values, has no layer: the last layer with the enclosing table is named.
     for length in range(len(loc), -1, -1):
         for layer in reversed(layers):
             if layer.table and layer.names(loc[:length]):
-                return f"{layer.source}: {dotted}" if layer.source else dotted
-    files = [layer.source for layer in layers if layer.source]  # empty ones
-    return f"{files[-1]}: {dotted}" if files else dotted
+                return layer
+    return next((layer for layer in reversed(layers) if layer.source), None)  # empty ones
+
+
+def _where(title: str, problem: ErrorDetails, layer: Layer | None, layers: Sequence[Layer]) -> str:
+    """`FILE: dotted.path`, or the dotted path alone if the value comes from no file."""
+    loc = [part for part in problem["loc"] if part not in BRANCHES]
+    if layer is None or not layer.source:
+        return ".".join(map(str, loc)) or title
+    known = {name for length in range(len(loc)) for name in _names(title, [str(part) for part in loc[:length]])}
+    parts = [str(part) if isinstance(part, int) or part in known else _name_in(part, layer) for part in loc]
+    return f"{layer.source}: {'.'.join(parts) or title}"
+
+
+def _name_in(name: str, layer: Layer) -> str:
+    """A name that a file gives, for a message."""
+    return name if not layer.named and PLAIN_WORD.fullmatch(name) else f"(a name of {len(name)} characters)"
 
 
 def _names(title: str, path: list[str]) -> list[str]:
@@ -516,7 +553,9 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
             try:
                 curve = tuple((as_float(nm), as_float(number)) for nm, number in pairs)
             except (TypeError, ValueError):
-                raise ValueError(f"got no list of pairs for {name}; allowed: {name} = [[400, 0.1], [700, 0.5]]") from None
+                raise ValueError(
+                    f"got no list of pairs for {names_in([str(name)])[0]}; allowed: R = [[400, 0.1], [700, 0.5]]"
+                ) from None
             curves[_letter(str(name))] = _check_channel(curve, kind, highest, f"channel {name}")
         return curves
 
@@ -554,7 +593,7 @@ def _letter(name: str) -> str:
     """The letter of a channel, from a letter or a colour's name. ValueError if it is neither."""
     letter = COLOUR_WORDS.get(name.strip().lower(), name.strip().upper())
     if not re.fullmatch("[A-Z]", letter):
-        raise ValueError(f"got a channel named {name!r}; allowed: one letter, as R, G, B, C (clear) or W (white)")
+        raise ValueError(f"got a channel named {quoted(name)}; allowed: one letter, as R, G, B, C (clear) or W (white)")
     return letter
 
 
@@ -1861,6 +1900,8 @@ def is_case_name(value: str) -> bool:
 
 
 def _case_name(value: str) -> str:
+    if fault := name_fault(value):
+        raise ValueError(f"got a name that {fault}; allowed: another name")
     if not is_case_name(value):
         raise ValueError(f"got {value!r}; allowed: a name without = + and commas, and without spaces at its ends")
     return value
@@ -1871,6 +1912,8 @@ def _axis_number(value: Any) -> Any:
         raise ValueError(f"got {brief(value)}; allowed: a number, a name, or a table of label and set")
     if not isinstance(value, str) and not abs(value) <= MAX_FLOAT:
         raise ValueError(f"got {brief(value)}; allowed: a finite number, or a name")
+    if isinstance(value, str) and (fault := name_fault(value)):
+        raise ValueError(f"got a name that {fault}; allowed: another name")
     return value
 
 
@@ -1930,7 +1973,9 @@ class Axis(Record):
     set: Annotated[tuple[DottedSetting, ...], BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...])] = Field(
         (), description="dotted settings that take each value together"
     )
-    values: tuple[OneOfAxis, ...] | None = Field(None, description="numbers or names, or tables of label and set")
+    values: Annotated[tuple[OneOfAxis, ...], Field(max_length=AXIS_COUNT)] | None = Field(
+        None, description="numbers or names, or tables of label and set"
+    )
     first: float | None = Field(None, alias="from", description="first value")
     to: float | None = Field(None, description="last value")
     count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(None, description="number of values from first to last")
@@ -2026,6 +2071,27 @@ class Axis(Record):
         void = ends if "values" in self.quick else ("values",) if {"from", "to", "count"} <= self.quick.keys() else ()
         table = {name: value for name, value in table.items() if name not in void}
         return Axis.model_validate(table | self.quick)
+
+
+# Names that the files and folders of a study have, or may have.
+FILES_OF_STUDY = re.compile(r"\..*|.*\.(toml|csv|json|html|svg|png|part|old\d*)|figures|pictures|sensors", re.IGNORECASE)
+
+
+def case_folder(words: str) -> str:
+    """The name of a case's folder in that of the study, from its values and condition."""
+    return re.sub(r"[^\w.\-]+", "_", words)
+
+
+def check_case_folders(words: Sequence[str]) -> None:
+    """Raise ValueError if the folders of two cases would be one, also where capitals do not count, or have a file's name."""
+    taken: dict[str, str] = {}
+    for each in words:
+        folder = case_folder(each)
+        if FILES_OF_STUDY.fullmatch(folder):
+            raise ValueError(f"the folder of '{each}' would be '{folder}', as a file of pixsim; allowed: another name")
+        if other := taken.get(folder.casefold()):
+            raise ValueError(f"the folders of '{other}' and '{each}' would both be '{folder}'; allowed: names that differ more")
+        taken[folder.casefold()] = each
 
 
 def _that_sets(path: tuple[str, ...], settings: Mapping[tuple[str, ...], str]) -> str:
@@ -2152,6 +2218,7 @@ class Study(Effort):
             names = [record.name for record in records]
             if twice := [name for place, name in enumerate(names) if name in names[:place]]:
                 raise ValueError(f"{kind}: '{twice[0]}' stands there twice; allowed: each name once")
+        check_case_folders([condition.name for condition in self.condition])
         if self.condition and not any(condition.weight for condition in self.condition):
             raise ValueError("condition: all weights are 0; allowed: one of them above 0")
         together: dict[tuple[str, ...], str] = {}

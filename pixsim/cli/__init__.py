@@ -13,6 +13,7 @@ import gc
 import os
 import sys
 
+from pixsim.base.children import leave_current_folder
 from pixsim.cli.process import discard_output, interruption, leave, open_closed_streams
 
 TYPE_CHECKING = False
@@ -25,6 +26,7 @@ OK, UNEXPECTED, INVALID_INPUT = 0, 1, 2
 
 def command() -> NoReturn:
     """Run `main` as a process of its own."""
+    leave_current_folder()  # before anything else is imported
     interruption.guard()
     gc.disable()  # a tenth of the time of the imports; `stages` enables it
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # pydantic looks for them in all installed packages
@@ -62,6 +64,8 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
         end(refusal(error), INVALID_INPUT)
     except OSError as error:
         is_of_terminal = interruption.terminal_closed and error.errno == errno.EIO and error.filename is None
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            end("this process may have too few files open; allow it more, with `ulimit -n 1024`, or give --jobs 1", INVALID_INPUT)
         if not isinstance(error, BrokenPipeError) and not is_of_terminal:
             end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
         discard_output()  # the reader, such as `head`, has closed the pipe

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
+LEAST_LENGTH = 1e-6  # of an option, in its unit; its reciprocal is the most
 MAX_WAVELENGTHS = 24  # of `lens`, as in design programs
 MANY_TO_TRACE = 150  # surfaces times wavelengths of a lens, which take more than about 5 s
 SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
@@ -50,10 +51,11 @@ def run_command(tokens: Sequence[str]) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # file names may not be UTF-8
             stream.reconfigure(errors="backslashreplace")
+    widen_terminal()
     arguments = common.verbosity.parse(tokens)
     check_current_folder()
-    common.set_cache_folders()
     warnings.showwarning = lambda message, *_, **__: common.verbosity.note(f"warning: {message}")
+    common.set_cache_folders()
     interruption.begin()
     try:
         # Notes also of the settings, before a result collects its own.
@@ -65,6 +67,18 @@ def run_command(tokens: Sequence[str]) -> None:
         raise
     say("")
     interruption.end_or_raise()  # a library may have dropped an interruption
+
+
+LEAST_WIDTH = 40  # columns, for which help and tables are laid out in a narrower terminal
+
+
+def widen_terminal() -> None:
+    """Let help and tables have some columns where the terminal, or COLUMNS, states none or very few: they would not end."""
+    stated = os.environ.get("COLUMNS")
+    if shutil.get_terminal_size().columns < LEAST_WIDTH:
+        os.environ["COLUMNS"] = str(LEAST_WIDTH)
+    elif stated is not None and not (stated.isdecimal() and int(stated) >= LEAST_WIDTH):
+        del os.environ["COLUMNS"]
 
 
 def with_each_format(arguments: Sequence[str]) -> list[str]:
@@ -635,12 +649,12 @@ def lens(
 
     positive = [("--focal-length-mm", focal_length_mm), ("--f-number", f_number), ("--object-distance-m", object_distance_m)]
     for name, value in [*positive, ("--pitch-um", pitch_um), *(("--wavelength-nm", nm) for nm in wavelength_nm or [])]:
-        if value is not None and not 0 < value < float("inf"):
-            raise invalid(name, f"{value:g}", "a number above 0")
+        if value is not None and not LEAST_LENGTH <= value <= 1 / LEAST_LENGTH:
+            raise invalid(name, f"{value:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
     if wavelength_nm and len(wavelength_nm) > MAX_WAVELENGTHS:
         raise invalid("--wavelength-nm", f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}")
-    if field_deg is not None and not 0 <= field_deg < 90:
-        raise invalid("--field-deg", f"{field_deg:g}", "0 to below 90 degrees")
+    if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
+        raise invalid("--field-deg", f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
     reading = given(
         {
             "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
@@ -694,8 +708,8 @@ def sfr(
     """
     from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, sfr_summary as summary, write_sfr
 
-    if pitch_um is not None and not 0 < pitch_um < float("inf"):
-        raise invalid("--pitch-um", f"{pitch_um:g}", "a number above 0")
+    if pitch_um is not None and not LEAST_LENGTH <= pitch_um <= 1 / LEAST_LENGTH:
+        raise invalid("--pitch-um", f"{pitch_um:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
     picture = read_edge_picture(image)
     pitch = picture.pitch_um if pitch_um is None else pitch_um
     black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn
@@ -860,8 +874,9 @@ def cache(
     Example: pixsim cache --clear
 
     The key of an entry is the hash of all its inputs, so that entries are never out of date; clearing only frees space.
-    PIXSIM_CACHE_DIR sets the folder, PIXSIM_CACHE_GIB its size limit (default 4; 0 disables the cache). The least recently
-    used entries are removed first. Mitsuba's kernels and Matplotlib's fonts are in the same folder, as kinds of their own.
+    Files that pixsim did not write stay. PIXSIM_CACHE_DIR sets the folder, PIXSIM_CACHE_GIB its size limit (default 4; 0 disables
+    the cache). The least recently used entries are removed first. Mitsuba's kernels and Matplotlib's fonts are in the same folder,
+    as kinds of their own.
     """
     from pixsim.base import cache as entry_cache
 
@@ -873,6 +888,8 @@ def cache(
     lines = [f"{summary['folder']}: {summary['size_bytes'] / MIB:.1f} MiB of {summary['limit_bytes'] / MIB:.0f}"]
     for name, total in summary["kinds"].items():
         lines.append(f"  {name:<12} {total['entries']:>6} entries {total['size_bytes'] / MIB:>10.1f} MiB")
+    if summary["foreign_bytes"]:
+        lines.append(f"  {summary['foreign_bytes'] / MIB:.1f} MiB of other files, or of another release, which pixsim leaves alone")
     if freed is not None:
         summary["freed_bytes"] = freed
         lines.insert(0, f"removed {freed / MIB:.1f} MiB")
@@ -890,8 +907,8 @@ def cache_summary(kind: str | None = None) -> dict[str, Any]:
             total["entries"] += 1
             total["size_bytes"] += entry.size_bytes
     size_bytes, limit_bytes = sum(total["size_bytes"] for total in kinds.values()), entry_cache.limit_bytes()
-    folder = str(entry_cache.folder())
-    return {"folder": folder, "limit_bytes": limit_bytes, "size_bytes": size_bytes, "kinds": dict(sorted(kinds.items()))}
+    found = {"folder": str(entry_cache.folder()), "limit_bytes": limit_bytes, "size_bytes": size_bytes}
+    return {**found, "kinds": dict(sorted(kinds.items())), "foreign_bytes": entry_cache.foreign_bytes()}
 
 
 @app.command

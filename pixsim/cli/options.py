@@ -18,7 +18,7 @@ from cyclopts import App, Parameter
 from pixsim.base import progress
 from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_sensors
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, printable
-from pixsim.base.files import cache_folder
+from pixsim.base.files import private_folder
 from pixsim.base.parameters import (
     DATA_SHEET,
     NO_TECHNOLOGY,
@@ -80,10 +80,8 @@ def set_cache_folders() -> None:
     """Let Mitsuba (kernels) and Matplotlib (fonts) use pixsim's cache folder, unless their own variables are set."""
     for variable, name in (("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
         with suppress(OSError, PixsimError):  # then they use their default folders
-            folder = cache_folder() / name
             if variable not in os.environ:
-                folder.mkdir(parents=True, exist_ok=True)
-                os.environ[variable] = str(folder)
+                os.environ[variable] = str(private_folder(name, quiet=name != "kernels"))
 
 
 @contextmanager

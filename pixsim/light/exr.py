@@ -62,7 +62,7 @@ def _judge(path: Path, file: IO[bytes]) -> None:
             raise _damaged(path, f"a header without {needed}")
     layout = attributes.get("type", b"").rstrip(b"\0")
     if layout not in (b"", b"scanlineimage", b"tiledimage"):
-        raise invalid("EXR file", f"'{path}' of type {layout.decode('utf-8', 'replace')!r}", "scanlineimage or tiledimage")
+        raise invalid("EXR file", f"'{path}' of another type", "scanlineimage or tiledimage")
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
     width, height = right - left + 1, bottom - top + 1
     count = _channel_count(attributes["channels"])
@@ -146,9 +146,9 @@ FLOAT = 2
 BLOCK_BYTES = 1 << 22  # a block and its sources fit into a processor's cache
 
 
-def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], header: dict[str, Any]) -> None:
-    """Write float32 channels to a losslessly compressed EXR, which is moved into place when complete."""
-    with writing(path) as unfinished:
+def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], header: dict[str, Any], *, named: bool = True) -> None:
+    """Write float32 channels to a losslessly compressed EXR, which is moved into place when complete; `named` is of `replacing`."""
+    with writing(path, named=named) as unfinished:
         fill_channels(unfinished, channels, header)
 
 
@@ -164,10 +164,10 @@ def fill_channels(unfinished: Path, channels: dict[str, NDArray[Any]], header: d
 
 
 @contextmanager
-def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary file to write, which is moved to `path` when complete. Raises PixsimError if that fails."""
+def writing(path: str | os.PathLike[str], *, named: bool = True, last: bool = False) -> Iterator[Path]:
+    """Give a temporary file to write, as `replacing` does. Raises PixsimError if that fails."""
     try:
-        with replacing(Path(path)) as unfinished:
+        with replacing(Path(path), named=named, last=last) as unfinished:
             yield unfinished
     except PixsimError:
         raise

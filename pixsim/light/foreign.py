@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, ArrayHeader, first_where, read_arrays, strips
-from pixsim.base.errors import PixsimError, invalid, one_line
+from pixsim.base.errors import PixsimError, excerpt, invalid, names_in
 from pixsim.base.files import check_size, read_bytes, reason, size_of
 from pixsim.base.notes import warn
 from pixsim.base.tables import POWERS, as_number, as_text, unit_of_wavelength
@@ -55,10 +55,12 @@ class LightUnit:
         return float(f"1e{self.exponent}")
 
 
-def parse_light_unit(text: str, what: str = "units") -> LightUnit:
+def parse_light_unit(text: str, what: str = "units", typed: bool = True) -> LightUnit:
     """Parse a unit such as `W.m^-2.nm^-1`, `W m-2 nm-1`, `W/m2/nm`, `uW/(cm² sr nm)`, `nW/(cm)^2/(nm)/(sr)` or `W.m^-3`.
 
     A slash divides by the next factor or bracket only, so `uW/cm2*nm*sr` is an error.
+
+    typed : whether the user gives it, not a file; for the message
 
     Raises PixsimError if the text does not parse, or is neither an irradiance nor a radiance.
     """
@@ -71,7 +73,7 @@ def parse_light_unit(text: str, what: str = "units") -> LightUnit:
         if not tokens and watt == 1 and metre in (-2, -3) and steradian in (0, -1):
             spectral = metre == -3  # per area and per wavelength
             return LightUnit(ten + NM if spectral else ten, steradian == -1, spectral)
-    raise invalid(what, f"'{text}'", ALLOWED_UNITS, HOW_TO_STATE)
+    raise invalid(what, excerpt(text, typed=typed), ALLOWED_UNITS, HOW_TO_STATE)
 
 
 def _product(tokens: list[str]) -> Powers:
@@ -174,7 +176,7 @@ def read_spectral_exr(path: Path) -> Cube:
     """
     header = read_header(path)
     names = header["channels"]
-    channel_list = f"the channels {shortened(names)} in '{path}'"
+    channel_list = f"the channels {shortened(names_in(names))} in '{path}'"
     if any(name.startswith("T.") for name in names):
         hint = "Render the surface under a lamp."
         raise invalid("spectral EXR", f"reflectances, {channel_list}", "light, in channels such as S0.550,0nm", hint)
@@ -236,7 +238,7 @@ def read_npz(path: Path) -> Cube:
     def choose(names: list[str]) -> list[str]:
         if {"data", "wavelength_nm"} - set(names) or set(names) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
             allowed = f"{', '.join(NPZ_NEEDED)}; optional: {', '.join(NPZ_OPTIONAL)}"
-            raise invalid(f"arrays in '{path}'", shortened([one_line(name) for name in names]) or "none", allowed)
+            raise invalid(f"arrays in '{path}'", shortened(names_in(names)) or "none", allowed)
         return names
 
     def check(name: str, header: ArrayHeader) -> None:
@@ -345,7 +347,7 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
     fields = "file type", "interleave", "byte order", "data type"
     kind, interleave, order, number = values = [str(header.get(field, "ENVI Standard")).lower() for field in fields]
     if kind != "envi standard" or interleave not in ENVI_INTERLEAVES or order not in "01" or number in ENVI_COMPLEX:
-        got = ", ".join(f"{field} = {value}" for field, value in zip(fields, values, strict=True)) + f" in '{path}'"
+        got = ", ".join(f"{field} = {names_in([value])[0]}" for field, value in zip(fields, values, strict=True)) + f" in '{path}'"
         raise invalid("ENVI file", got, "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers")
     for field, neutral in ENVI_NEUTRAL.items():
         if any(float(value) != neutral for value in np.atleast_1d(header.get(field, []))):
@@ -360,7 +362,7 @@ def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:
     unit = unit_of_wavelength(stated)
     if not unit:
         allowed, hint = "Nanometers, Micrometers or Angstroms", "Write them into the header."
-        raise invalid(f"wavelength units in '{path}'", one_line(stated), allowed, hint)
+        raise invalid(f"wavelength units in '{path}'", names_in([stated])[0], allowed, hint)
     numbers = [as_number(str(text), ".") for text in np.atleast_1d(header[field])]
     if None in numbers:
         raise ValueError(field)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base.arguments import check_broadcast, checks_arguments
-from pixsim.base.arrays import Array, strips
+from pixsim.base.arrays import Array, strips, values_of
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.mapped import is_mapped, release
 
@@ -317,9 +317,14 @@ class SpectralImage:
 
     @checks_arguments
     def band_mean(self, response: Callable[[Array], Array]) -> Array:
-        """Return the mean of `response`, a function of nm, over each band (B,), weighted by the light within the band."""
+        """Return the mean of `response`, a function of nm, over each band (B,), weighted by the light within the band.
+
+        response : maps wavelengths in nm, (B, n), to numbers of the same shape, or to one number
+
+        Raises PixsimError if it does not.
+        """
         nodes_nm, shares = self.within
-        return (shares * response(nodes_nm)).sum(axis=1)
+        return np.asarray((shares * values_of("response", response, nodes_nm.shape, nodes_nm)).sum(axis=1))
 
     def luminous_weight(self) -> Array:
         """Return the weights (B,) that turn band values into lx, or radiances into cd/m²."""

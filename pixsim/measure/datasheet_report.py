@@ -18,7 +18,7 @@ from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_curve, 
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.sensor.technology import file_label, label_of
-from pixsim.show.figures import COLOURS, LOOKS, Look, new_figure, plain_powers
+from pixsim.show.figures import COLOURS, LOOKS, Look, new_figure, own_style, plain_powers
 from pixsim.show.pages import Plate, rounded, rows_csv, shown_value, write_figures, write_page
 
 if TYPE_CHECKING:
@@ -62,6 +62,7 @@ def finish(axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] = 
         axes.legend(frameon=False, fontsize=8, loc=legend)
 
 
+@own_style()
 def photon_transfer_plate(sheet: DataSheet) -> Plate:
     """Temporal variance against mean signal, both minus the dark."""
     t, light, e = sheet.transfer, sheet.light, sheet.experiment
@@ -89,6 +90,7 @@ def photon_transfer_plate(sheet: DataSheet) -> Plate:
     return plate("photon_transfer", caption, figure, table)
 
 
+@own_style()
 def responsivity_plate(sheet: DataSheet) -> Plate:
     """Mean signal against photons."""
     t, light, signal = sheet.transfer, sheet.light, sheet.signal_dn
@@ -107,6 +109,7 @@ def responsivity_plate(sheet: DataSheet) -> Plate:
     return plate("responsivity", caption, figure, {"photons_p": light.at, "signal_dn": signal})
 
 
+@own_style()
 def snr_plate(sheet: DataSheet) -> Plate:
     """SNR with temporal noise and with total noise against photons, log-log."""
     t, rising = sheet.transfer, sheet.rising
@@ -134,6 +137,7 @@ def snr_plate(sheet: DataSheet) -> Plate:
     return plate("snr", caption, figure, table)
 
 
+@own_style()
 def linearity_plate(sheet: DataSheet) -> Plate:
     """Relative deviation of the mean signal from a straight line."""
     result, light = sheet.linearity, sheet.light
@@ -157,6 +161,7 @@ def linearity_plate(sheet: DataSheet) -> Plate:
     return plate("linearity", caption, figure, table)
 
 
+@own_style()
 def dark_current_plate(sheet: DataSheet) -> Plate:
     """Mean and variance of dark frames against integration time, and dark current against temperature."""
     dark, k = sheet.dark_series, sheet.transfer.gain_dn_per_e.value
@@ -195,6 +200,7 @@ def deviations(sheet: DataSheet) -> list[tuple[str, str, Array]]:
     ]
 
 
+@own_style()
 def histogram_plate(sheet: DataSheet) -> Plate:
     """Logarithmic histograms of the stacks' mean images, with normal distributions of the same spread."""
     figure = new_figure(8.6, 3.6)
@@ -239,6 +245,7 @@ def strongest_over_spread(map_: Array) -> float:
     return max(float(np.sqrt(spectrogram(map_, axis)[1][1:]).max()) for axis in (0, 1)) / spread if spread else 0.0
 
 
+@own_style()
 def spectrogram_plate(sheet: DataSheet) -> Plate:
     """Square roots of the power spectra along rows and columns."""
     figure = new_figure(8.6, 3.6)
@@ -261,6 +268,7 @@ def spectrogram_plate(sheet: DataSheet) -> Plate:
     return plate("spectrograms", caption, figure, table)
 
 
+@own_style()
 def profile_plate(sheet: DataSheet) -> Plate:
     """Means of the columns and of the rows of the maps."""
     figure = new_figure(8.6, 3.6)

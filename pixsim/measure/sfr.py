@@ -19,11 +19,11 @@ from scipy.signal.windows import tukey
 
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.files import output_folder, publishing, write_json
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import BITS_OF_PICTURES, SUFFIXES, layout_of, number_of, read_picture
-from pixsim.show.figures import COLOURS, new_figure
+from pixsim.show.figures import COLOURS, new_figure, own_style
 from pixsim.show.pages import Plate
 
 BINS_A_PIXEL = 4  # ISO 12233
@@ -334,7 +334,8 @@ def read_edge_picture(path: Path) -> EdgePicture:
         if name not in metadata or (is_image and not math.isfinite(value)):  # a text of another program under the same name
             continue
         if not low <= value <= high:
-            raise invalid(f"metadata of '{path}'", f"{name} = {metadata[name]!r}", f"a number from {low:g} to {high:g}")
+            got = f"{name} = {excerpt(str(metadata[name])) if math.isnan(value) else f'{value:g}'}"
+            raise invalid(f"metadata of '{path}'", got, f"a number from {low:g} to {high:g}")
         numbers[name] = value
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
@@ -380,6 +381,7 @@ def sfr_line(result: dict[str, Any]) -> str:
     )
 
 
+@own_style()
 def sfr_plate(edge: EdgeResponse, pitch_um: float | None) -> Plate:
     """Plot of the SFR against frequency, with Nyquist frequency and MTF50."""
     figure = new_figure(5.2, 3.4)
@@ -402,6 +404,7 @@ def sfr_plate(edge: EdgeResponse, pitch_um: float | None) -> Plate:
     return Plate("sfr", "Edge-based spatial frequency response (ISO 12233).", figure, table)
 
 
+@own_style()
 def edge_plate(edge: EdgeResponse, unit: str) -> Plate:
     """Plot of the edge spread function."""
     figure = new_figure(5.2, 3.0)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arguments import check_broadcast, checks_arguments
-from pixsim.base.arrays import Array, dct, empty_planes, inverse_dct, strips, strips_of
+from pixsim.base.arrays import Array, dct, empty_planes, inverse_dct, strips, strips_of, values_of
 from pixsim.base.errors import invalid
 from pixsim.base.mapped import release
 
@@ -146,7 +146,7 @@ def diffract_sums(
         for at in lit:
             nm = float(wavelength_nm[at])
             lens = np.ones_like(table) if f_number is None else _otf_table(float(table[-1]), nm, f_number)
-            otf += weight[at] * (lens if transfer is None else lens * transfer(table, nm))
+            otf += weight[at] * (lens if transfer is None else lens * values_of("transfer", transfer, table.shape, table, nm))
         return otf
 
     totals: dict[int, Array] = {}

@@ -233,10 +233,10 @@ def _agreed_unit(path: Path, file_units: str, stated: str | None, per_nm: bool =
     name, text = f"units of '{path}'", stated or file_units
     if not text:
         raise invalid(name, "none in the file", foreign.ALLOWED_UNITS, foreign.HOW_TO_STATE)
-    unit = file_unit = foreign.parse_light_unit(text, name)
+    unit = file_unit = foreign.parse_light_unit(text, name, typed=bool(stated))
     if stated and file_units:
         with suppress(PixsimError):  # the file's text may be no unit
-            file_unit = foreign.parse_light_unit(file_units, name)
+            file_unit = foreign.parse_light_unit(file_units, name, typed=False)
     if per_nm:
         unit, file_unit = (replace(one, spectral=True) if one.radiance else one for one in (unit, file_unit))
     if (file_unit != unit) if file_unit.spectral else (file_unit.radiance != unit.radiance):
@@ -271,7 +271,7 @@ def _positive(path: Path, what: str, value: Any) -> float:
     except (TypeError, ValueError):
         number = np.nan
     if not 0 < number < np.inf:
-        raise invalid(f"{what} of '{path}'", value, "a positive number")
+        raise invalid(f"{what} of '{path}'", "no number" if np.isnan(number) else f"{number:g}", "a positive number")
     return number
 
 

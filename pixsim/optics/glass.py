@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import invalid, one_line
+from pixsim.base.errors import PLAIN_WORD, excerpt, invalid, names_in, one_line, quoted
 from pixsim.base.files import read_bytes
 from pixsim.base.notes import warn
 
@@ -36,6 +36,8 @@ POLES = 8  # numbers of the two poles of formula 4, which are followed by its po
 HERZBERGER, HERZBERGER_UM2 = 6, 0.028  # coefficients, and of formula 7: L = 1/(λ² - 0.028 µm²)
 MAX_BYTES = 16 << 20  # of a catalogue; those of makers have 0.1 to 1 MB
 AGF_AGREEMENT = 1e-3  # of a catalogue's n_d with its formula; makers round to 1e-6, and other mistakes are larger
+ABBE_NUMBERS = (1.0, 1000.0)
+COEFFICIENTS = (1e-30, 1e30)  # in size, or 0: smaller ones have no effect, and denormal numbers take very long
 INDEX_RANGE = (0.5, 10.0)  # of a transparent medium; outside, a formula is used where it does not hold
 
 
@@ -62,14 +64,14 @@ class Glass:
         """Raise PixsimError if the formula is unknown or the coefficients do not fit it."""
         if self.formula not in FORMULAS:
             allowed = ", ".join(f"{number} ({name})" for number, name in FORMULAS.items())
-            raise invalid(f"formula of glass '{self.name}'", self.formula, allowed)
+            raise invalid(f"formula of glass {named(self.name)}", self.formula, allowed)
         count, finite = len(self.coefficients), all(map(math.isfinite, self.coefficients))
         fits = count == HERZBERGER if self.formula == 7 else count % 2 == 1 and (self.formula != 4 or count > POLES)
         if not (fits and finite):
             expected = f"{HERZBERGER} finite numbers" if self.formula == 7 else "an odd number of finite numbers: c1, then pairs"
             expected += f", at least {POLES + 1} for formula 4" if self.formula == 4 else ""
             got = f"{count} numbers" if finite else "infinity or NaN"
-            raise invalid(f"coefficients of glass '{self.name}'", got, expected)
+            raise invalid(f"coefficients of glass {named(self.name)}", got, expected)
 
     def index(self, wavelength_nm: ArrayLike) -> Array:
         """Return the refractive index relative to air at wavelengths (...) in nm, in their shape.
@@ -82,7 +84,7 @@ class Glass:
         inside = (wavelength_um >= low * (1 - 1e-12)) & (wavelength_um <= high * (1 + 1e-12)) & (wavelength_um > 0)
         if not np.all(inside):
             got = f"{1e3 * float(wavelength_um[~inside].flat[0]):.6g}"
-            expected = f"{1e3 * low:g} to {1e3 * high:g}, where the glass '{self.name}' of the lens is known"
+            expected = f"{1e3 * low:g} to {1e3 * high:g}, where the glass {named(self.name)} of the lens is known"
             raise invalid("wavelength_nm", got, expected, "Leave these wavelengths out, or take another glass.")
         first, *rest = self.coefficients
         pairs = list(zip(rest[::2], rest[1::2], strict=False))
@@ -109,7 +111,7 @@ class Glass:
         if not np.all((n >= INDEX_RANGE[0]) & (n <= INDEX_RANGE[1])):
             got = f"{n.flat[np.argmin((n >= INDEX_RANGE[0]) & (n <= INDEX_RANGE[1]))]:g}"
             raise invalid(
-                f"index of glass '{self.name}'", got, f"{INDEX_RANGE[0]:g} to {INDEX_RANGE[1]:g}", "Check its coefficients."
+                f"index of glass {named(self.name)}", got, f"{INDEX_RANGE[0]:g} to {INDEX_RANGE[1]:g}", "Check its coefficients."
             )
         return np.asarray(n)
 
@@ -131,6 +133,20 @@ def abbe_glass(name: str, n_d: float, v_d: float) -> Glass:
     b = (n_d - 1) / v_d / (LINES_UM["F"] ** -2 - LINES_UM["C"] ** -2)
     source = "n_d and V_d: an approximation, n = A + B/λ²"
     return Glass(name, 5, (n_d - b * LINES_UM["d"] ** -2, b, -2.0), CAUCHY_UM, source)
+
+
+def check_coefficients(numbers: Sequence[float], where: str) -> None:
+    """Raise PixsimError if a coefficient of a file is neither 0 nor of a size that has an effect."""
+    least, most = COEFFICIENTS
+    if wrong := [number for number in numbers if not (number == 0 or least <= abs(number) <= most)]:
+        raise invalid(where, f"{wrong[0]:g}", f"0, or {least:g} to {most:g} in size")
+
+
+def factors_of(formula: int, numbers: Sequence[float]) -> Sequence[float]:
+    """Return the coefficients without which a formula gives one index for all wavelengths."""
+    if formula == 7:
+        return numbers[1:]
+    return [*numbers[1 : POLES + 1 : 4], *numbers[POLES + 1 :: 2]] if formula == 4 else numbers[1::2]
 
 
 @lru_cache
@@ -174,9 +190,9 @@ def of_code(name: str) -> tuple[float, float] | None:
 def code_glass(name: str) -> Glass | None:
     """Return the Cauchy glass of a six-digit code; None for another name."""
     numbers = of_code(name)
-    return (
-        None if numbers is None else abbe_glass(f"{name.strip()}, six digits of n_d {numbers[0]:g}, V_d {numbers[1]:g}", *numbers)
-    )
+    if numbers is None or numbers[1] < ABBE_NUMBERS[0]:
+        return None
+    return abbe_glass(f"{name.strip()}, six digits of n_d {numbers[0]:g}, V_d {numbers[1]:g}", *numbers)
 
 
 def shifted(glass: Glass, n_d: float, v_d: float) -> Glass:
@@ -185,6 +201,10 @@ def shifted(glass: Glass, n_d: float, v_d: float) -> Glass:
         return glass
     n_f, n, n_c = (float(glass.index(1e3 * LINES_UM[line])) for line in "FdC")
     abbe = (n - 1) / (n_f - n_c)
+    low, high = ABBE_NUMBERS
+    if not (1 < n + n_d <= INDEX_RANGE[1] and low <= abbe + v_d <= high):
+        got = f"n_d {n + n_d:g} and V_d {abbe + v_d:g}, with n_d {n_d:+g} and V_d {v_d:+g}"
+        raise invalid(f"shift of glass {named(glass.name)}", got, f"n_d above 1, and V_d from {low:g} to {high:g}")
     wider = (n + n_d - 1) / (abbe + v_d) - (n_f - n_c)
     b = wider / (LINES_UM["F"] ** -2 - LINES_UM["C"] ** -2)
     name = f"{glass.name}, n_d {n_d:+g}, V_d {v_d:+g}"
@@ -196,6 +216,23 @@ def maker_of(listed: str, makers: Sequence[str]) -> str | None:
     name = listed.upper()
     name = OTHER_NAMES.get(name, name)
     return next((maker for maker in makers if re.fullmatch(rf"{re.escape(maker)}([^A-Z].*)?", name)), None)
+
+
+# What pixsim adds to the name of a glass, or names it by.
+OF_NUMBERS = r"n_d [-+.e\d]{1,24}, V_d [-+.e\d]{1,24}"
+GIVEN_NAME = re.compile(rf"(.*?)(, six digits of {OF_NUMBERS}| by {OF_NUMBERS})?(, {OF_NUMBERS})?")
+OWN_NAME = re.compile(rf"{OF_NUMBERS}|n = [-+.e\d]{{1,24}}|dispersion formula")
+
+
+def named(name: str) -> str:
+    """Return the name of a glass for a message: plain words of a file, that of the maker before them, and what pixsim adds.
+
+    >>> named("SCHOTT:N-BK7"), named("a key of mine"), named("N-BK7, n_d +0.001, V_d +0")
+    ("'SCHOTT:N-BK7'", 'a text of 13 characters', "'N-BK7, n_d +0.001, V_d +0'")
+    """
+    given = GIVEN_NAME.fullmatch(name)
+    words = (given[1] if given else name).split(":", 1)
+    return f"'{name}'" if all(map(PLAIN_WORD.fullmatch, words)) or OWN_NAME.fullmatch(name) else excerpt(name)
 
 
 def find_glass(
@@ -230,19 +267,18 @@ def find_glass(
             glass = known[found[0]]
             like = numbers is None or _alike(glass, numbers)
             if len(found) > 1 or not unknown or not like or _is_shared(wanted, found[0]):
-                got = f"'{name}', which is not in the catalogues that the file names ({', '.join(makers)})"
+                got = f"{named(name)}, which is not in the catalogues that the file names ({', '.join(names_in(makers))})"
                 return _refuse(where, got, ", ".join(found), f"Glasses of one name differ between makers. {hint}".strip())
-            warn(
-                f"{where}: '{name}' is taken from {glass.name}; the file names catalogues that pixsim lacks ({', '.join(unknown)})"
-            )
+            lacking = ", ".join(names_in(unknown))
+            warn(f"{where}: {named(name)} is taken from {glass.name}; the file names catalogues that pixsim lacks ({lacking})")
             of_listed = found
         found = of_listed[:1]
     elif ":" not in wanted and len(found) == 1 and _is_shared(wanted, found[0]):
-        return _refuse(where, f"'{name}', a name that several makers gave", found[0], f"Name the maker. {hint}".strip())
+        return _refuse(where, f"{named(name)}, a name that several makers gave", found[0], f"Name the maker. {hint}".strip())
     if len(found) > 1:
-        raise invalid(where, f"'{name}', which several makers have", ", ".join(found))
+        raise invalid(where, f"{named(name)}, which several makers have", ", ".join(found))
     if not found:
-        got = f"the unknown glass '{name}'"
+        got = f"the unknown glass {named(name)}"
         raise invalid(where, got, f"the {len(known)} glasses of pixsim's table", hint)
     return known[found[0]]
 
@@ -349,13 +385,14 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
     def finish() -> None:
         if not name:
             return
-        where = f"'{path}', glass '{one_line(name)}' (line {line_number})"
+        where = f"'{path}', glass {quoted(name)} (line {line_number})"
         if formula not in AGF_FORMULAS:
             raise invalid(f"{where}: formula", formula, f"{min(AGF_FORMULAS)} to {max(AGF_FORMULAS)}")
         c = [*parts.get("CD", ()), *([0.0] * AGF_NUMBERS)][:AGF_NUMBERS]
         limits = tuple(parts.get("LD", ())[:2])
         if len(limits) != 2 or not 0 <= limits[0] < limits[1]:
             raise invalid(f"{where}: LD", limits or "none", "two wavelengths in µm, the shorter first")
+        check_coefficients(c, f"{where}: CD")
         full = f"{path.stem.upper()}:{one_line(name)}"
         kind, coefficients = AGF_FORMULAS[formula](c)
         glass = Glass(full, kind, coefficients, (limits[0], limits[1]), f"file '{path.name}'")
@@ -365,7 +402,7 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
                 raise invalid(f"{where}: n_d of its formula", f"{found:.6g}", f"{n_d:g}, as its line NM states", "Check the file.")
         glasses[full] = glass
 
-    for number, line in enumerate(lines_of(text_of(path, "glass catalogue", expected, MAX_BYTES)), 1):
+    for number, line in enumerate(lines_of(text_of(path, "lens.glass_catalogues", expected, MAX_BYTES)), 1):
         keyword, *words = line.split() or [""]
         try:
             if keyword == "NM":
@@ -375,8 +412,9 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
             elif keyword in ("CD", "LD") and name:
                 parts[keyword] = [*map(float, words)]
         except (ValueError, IndexError, OverflowError):
-            raise invalid(f"'{path}', line {number}", one_line(line), f"{keyword} as in an AGF file") from None
+            got = f"{keyword} with {excerpt(' '.join(words))}"
+            raise invalid(f"'{path}', line {number}", got, f"{keyword} as in an AGF file") from None
     finish()
     if not glasses:
-        raise invalid("glass catalogue", f"'{path}' without a glass (line NM)", expected)
+        raise invalid("lens.glass_catalogues", f"'{path}' without a glass (line NM)", expected)
     return glasses

@@ -18,19 +18,23 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from pixsim.base.config import checked, packaged, read_toml
-from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
+from pixsim.base.errors import PLAIN_WORD, PixsimError, did_you_mean, excerpt, invalid, names_in, one_line, quoted
 from pixsim.base.files import read_text
 from pixsim.base.parameters import Layer, LensOptions, Record
 from pixsim.optics.glass import (
+    ABBE_NUMBERS,
     AIR,
     FORMULAS,
     Glass,
     abbe_glass,
     catalogue,
+    check_coefficients,
     code_glass,
     constant_glass,
+    factors_of,
     find_glass,
     lines_of,
+    named,
     read_catalogue,
     shifted,
     text_of,
@@ -39,8 +43,17 @@ from pixsim.optics.glass import (
 MAX_BYTES = 4 << 20  # of a file; prescriptions have some kB
 MAX_SURFACES = 200
 MAX_POWER = 60  # of an asphere
-STEEPEST_FIELD_DEG = 180.0  # that a file may state; `lens` limits fields to what it can trace
+FIELD_ANGLES_DEG = (1e-6, 180.0)  # that a file may state; `lens` limits fields to what it can trace
 LONGEST_MM = 1e6
+FARTHEST_MM = 1e13  # of an object that is not at infinity: `FAR` in m
+# What is smaller than these, and not 0, has no effect: it is a mistake, and operations on denormal numbers take very long.
+SHORTEST_MM = 1e-7  # of a thickness or an opening: an atom
+LEAST_CURVATURE_PER_MM, LEAST_CONIC = 1e-12, 1e-9
+LEAST_SAG_MM = 1e-15  # of a term of an asphere at `LONGEST_MM`
+WAVELENGTHS_NM = (10.0, 1e6)
+F_NUMBERS = (0.1, 1e5)
+NUMERICAL_APERTURES = (5e-6, 0.9999)
+COMPRESSIONS = (-10.0, 0.9999)  # of vignetting factors: the pupil at most 11 times as wide
 AGREEMENT = 1e-9  # of a radius with its curvature
 
 
@@ -206,6 +219,16 @@ HOW_TO_EXPORT = {
 }
 
 
+APERTURES: dict[Aperture, tuple[float, float]] = {
+    "entrance_pupil_diameter": (SHORTEST_MM, LONGEST_MM),
+    "stop_diameter": (SHORTEST_MM, LONGEST_MM),
+    "f_number": F_NUMBERS,
+    "working_f_number": F_NUMBERS,
+    "object_numerical_aperture": NUMERICAL_APERTURES,
+}
+LEAST = {"curvature_per_mm": LEAST_CURVATURE_PER_MM, "thickness_mm": SHORTEST_MM, "conic": LEAST_CONIC}
+
+
 def _checked(prescription: Prescription, where: str, place: Callable[[int], str]) -> Prescription:
     """Return a prescription whose numbers can be traced.
 
@@ -218,31 +241,38 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
     for index, surface in enumerate(prescription.surfaces):
         numbers = {"curvature_per_mm": surface.curvature_per_mm, "thickness_mm": surface.thickness_mm, "conic": surface.conic}
         for name, value in numbers.items():
-            if not abs(value) <= LONGEST_MM:
-                raise invalid(f"{place(index)}: {name}", f"{value:g}", f"finite, at most {LONGEST_MM:g} in size")
+            if not (value == 0 or LEAST[name] <= abs(value) <= LONGEST_MM):
+                raise invalid(f"{place(index)}: {name}", f"{value:g}", f"0, or {LEAST[name]:g} to {LONGEST_MM:g} in size")
         if surface.thickness_mm < 0 and surface.glass != AIR:
-            got = f"{surface.thickness_mm:g} in the glass '{surface.glass.name}'"
+            got = f"{surface.thickness_mm:g} in the glass {named(surface.glass.name)}"
             raise invalid(f"{place(index)}: thickness_mm", got, "0 or more in glass; negative in air only")
-        if surface.semi_diameter_mm is not None and not 0 < surface.semi_diameter_mm <= LONGEST_MM:
+        if surface.semi_diameter_mm is not None and not SHORTEST_MM <= surface.semi_diameter_mm <= LONGEST_MM:
             got = f"{surface.semi_diameter_mm:g}"
-            raise invalid(f"{place(index)}: semi_diameter_mm", got, f"above 0, at most {LONGEST_MM:g}")
+            raise invalid(f"{place(index)}: semi_diameter_mm", got, f"{SHORTEST_MM:g} to {LONGEST_MM:g}")
         for power, value in surface.asphere:
             if not (2 <= power <= MAX_POWER and math.isfinite(value)):
                 got = f"A{power} = {value:g}"
                 hint = "A term in r is a cone, which has no focus." if power == 1 else ""
                 raise invalid(f"{place(index)}: asphere", got, f"finite terms A2 to A{MAX_POWER}, by the power of r", hint)
-    allowed = f"above 0, at most {LONGEST_MM:g}"
-    if not 0 < prescription.aperture_value <= LONGEST_MM:
-        raise invalid(f"aperture of {where}", f"{prescription.aperture_value:g}", allowed)
-    if not 0 <= prescription.field_value <= (STEEPEST_FIELD_DEG if prescription.field_of_view == "angle_deg" else LONGEST_MM):
-        expected = f"0 to {STEEPEST_FIELD_DEG:g} degrees, or a finite height"
-        raise invalid(f"largest field of {where}", f"{prescription.field_value:g}", expected)
-    if not prescription.object_distance_mm > 0:
-        raise invalid(
-            f"object of {where}", f"{prescription.object_distance_mm:g} mm in front of the lens", "above 0, or at infinity"
-        )
+            least = LEAST_SAG_MM / LONGEST_MM**power
+            if 0 < abs(value) < least:
+                raise invalid(f"{place(index)}: asphere", f"A{power} = {value:g}", f"0, or at least {least:.1g} in size")
+    low, high = APERTURES[prescription.aperture]
+    if not low <= prescription.aperture_value <= high:
+        raise invalid(f"aperture of {where}", f"{prescription.aperture_value:g}", f"{low:g} to {high:g}")
+    low, high = FIELD_ANGLES_DEG if prescription.field_of_view == "angle_deg" else (SHORTEST_MM, LONGEST_MM)
+    if not (prescription.field_value == 0 or low <= prescription.field_value <= high):
+        allowed = f"0, or {low:g} to {high:g} {'degrees' if prescription.field_of_view == 'angle_deg' else 'mm'}"
+        raise invalid(f"largest field of {where}", f"{prescription.field_value:g}", allowed)
+    distance = prescription.object_distance_mm
+    if not (SHORTEST_MM <= distance <= FARTHEST_MM or distance == math.inf):
+        allowed = f"{SHORTEST_MM:g} to {FARTHEST_MM:g}, or at infinity"
+        raise invalid(f"object of {where}", f"{distance:g} mm in front of the lens", allowed)
     if not prescription.wavelengths_nm:
         raise invalid(f"wavelengths of {where}", "none", "at least one")
+    low, high = WAVELENGTHS_NM
+    if outside := [nm for nm in prescription.wavelengths_nm if not low <= nm <= high]:
+        raise invalid(f"wavelengths of {where}", f"{outside[0]:g} nm", f"{low:g} to {high:g} nm")
     return prescription
 
 
@@ -250,7 +280,7 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
 
 Length = Annotated[float, Field(ge=-LONGEST_MM, le=LONGEST_MM)]
 MaybeInfinite = Annotated[float, Field(ge=-math.inf, allow_inf_nan=True)]
-Positive = Annotated[float, Field(gt=0, le=LONGEST_MM)]
+Positive = Annotated[float, Field(ge=SHORTEST_MM, le=LONGEST_MM)]
 
 
 class GlassTable(Record):
@@ -278,7 +308,7 @@ class GlassTable(Record):
         whole = [what for what, values in given.items() if None not in values]
         begun = [what for what, values in given.items() if any(value is not None for value in values)]
         if len(whole) != 1 or begun != whole:
-            raise invalid(f"{where}: glass '{name}'", " and ".join(begun) or "neither", f"exactly one of: {'; '.join(given)}")
+            raise invalid(f"{where}: glass {quoted(name)}", " and ".join(begun) or "neither", f"exactly one of: {'; '.join(given)}")
         if self.n is not None:
             return constant_glass(name, self.n)
         if self.n_d is not None and self.v_d is not None:
@@ -286,12 +316,19 @@ class GlassTable(Record):
         low, high = self.range_um or (0.0, math.inf)
         if not 0 <= low < high:
             raise invalid(
-                f"{where}: range_um of glass '{name}'", f"{low:g} to {high:g}", "two wavelengths in µm, the shorter first"
+                f"{where}: range_um of glass {quoted(name)}", f"{low:g} to {high:g}", "two wavelengths in µm, the shorter first"
             )
         if self.formula not in FORMULAS:
             allowed = ", ".join(f"{number} ({what})" for number, what in FORMULAS.items())
-            raise invalid(f"{where}: formula of glass '{name}'", self.formula, allowed)
-        return Glass(name, self.formula, self.coefficients or (), (low, high), one_line(self.source, 200))
+            raise invalid(f"{where}: formula of glass {quoted(name)}", self.formula, allowed)
+        numbers = self.coefficients or ()
+        check_coefficients(numbers, f"{where}: coefficients of glass {quoted(name)}")
+        if not any(factors_of(self.formula, numbers)):
+            got = "no pair of numbers that are not 0, after c1"
+            raise invalid(
+                f"{where}: coefficients of glass {quoted(name)}", got, "c1, then pairs", "A glass of one index is n = 1.5."
+            )
+        return Glass(name, self.formula, numbers, (low, high), one_line(self.source, 200))
 
 
 def model_name(n_d: float, v_d: float) -> str:
@@ -329,7 +366,7 @@ class FieldsTable(Record):
     """Fields of a prescription file."""
 
     type: Literal["angle_deg"] = "angle_deg"
-    max_deg: Annotated[float, Field(ge=0, le=STEEPEST_FIELD_DEG)] = Field(examples=["max_deg = 20"])
+    max_deg: Annotated[float, Field(ge=0, le=FIELD_ANGLES_DEG[1])] = Field(examples=["max_deg = 20"])
     angles_deg: tuple[float, ...] = ()
 
 
@@ -374,8 +411,8 @@ def _read_toml(path: Path, options: LensOptions, own: Mapping[str, Glass]) -> Pr
     table = read_toml(path)
     if options.configuration not in (None, 1):
         raise invalid("lens.configuration", options.configuration, f"1: '{path}' has one configuration, as every .toml file")
-    unused = [name for name in ("semi_diameters", "vignetting_factors") if getattr(options, name) in ("clip", "use", "ignore")]
-    unused = [name for name in unused if (name, getattr(options, name)) != ("semi_diameters", "ignore")]
+    of_zmx = ("semi_diameters", "vignetting_factors", "unknown_glass")
+    unused = [name for name in of_zmx if getattr(options, name) != LensOptions.model_fields[name].default]
     heads = [
         number
         for number, line in enumerate(read_text(path, "lens", "a readable TOML file", MAX_BYTES).split("\n"), 1)
@@ -387,7 +424,7 @@ def _read_toml(path: Path, options: LensOptions, own: Mapping[str, Glass]) -> Pr
         return f"'{path}', surface {index + 1}{line}"
 
     try:
-        file: PrescriptionFile = checked(PrescriptionFile, [Layer(table, str(path))])
+        file: PrescriptionFile = checked(PrescriptionFile, [Layer(table, str(path), named=True)])
     except PixsimError as error:  # pydantic counts surfaces from 0
         before = re.escape(f"{path}: ")
         located = re.sub(rf"(?:{before})?surface\.(\d+)\.?", lambda found: f"{place(int(found[1]))}: ", str(error))
@@ -455,7 +492,7 @@ def _toml_surface(table: SurfaceTable, glass: Glass, where: str) -> Surface:
     asphere = []
     for name, value in table.asphere.items():
         if not re.fullmatch(r"A\d{1,2}", name):
-            raise invalid(f"{where}: asphere", f"the term '{one_line(name)}'", f"A2 to A{MAX_POWER}, by the power of r")
+            raise invalid(f"{where}: asphere", f"a term that is {excerpt(name)}", f"A2 to A{MAX_POWER}, by the power of r")
         if value:
             asphere.append((int(name[1:]), value))
     return Surface(curvature, table.thickness_mm, glass, table.conic, tuple(sorted(asphere)), table.semi_diameter_mm, table.clips)
@@ -473,12 +510,16 @@ def _toml_glass(given: str | float | GlassTable, glasses: Mapping[str, GlassTabl
     if given.lower() == "air":
         return AIR
     if given.upper() == "MIRROR":
-        raise invalid(f"{where}: glass", f"'{one_line(given)}', a mirror", "refracting surfaces: pixsim traces no mirrors")
+        raise invalid(f"{where}: glass", "'MIRROR', a mirror", "refracting surfaces: pixsim traces no mirrors")
     if code := code_glass(given):
         return code
-    near = did_you_mean(given, [*own, *catalogue()])
+    near = did_you_mean(given, [*filter(_is_plain, own), *catalogue()])
     other = f"{near} It is another glass, so nothing is substituted. " if near else ""
     return find_glass(given, f"{where}: glass", hint=other + HOW_TO_GIVE_TOML, own=own)
+
+
+def _is_plain(full: str) -> bool:
+    return all(map(PLAIN_WORD.fullmatch, full.split(":", 1)))
 
 
 # Zemax -----------------------------------------------------------------------------------------------------------------------
@@ -558,13 +599,13 @@ def _read_zmx(path: Path, options: LensOptions, own: Mapping[str, Glass]) -> Pre
     if len(blocks) < 3:
         raise invalid(f"'{path}'", f"{len(blocks)} surfaces (lines SURF)", "an object, at least one surface, and an image plane")
     if (mode := head.first("MODE")) and mode.words[:1] not in ([], ["SEQ"]):
-        got = f"MODE {one_line(' '.join(mode.words))}"
+        got = f"MODE with {excerpt(' '.join(mode.words))}"
         raise invalid(f"'{path}', line {mode.number}", got, "MODE SEQ, sequential surfaces")
     scale = 1.0
     if unit := head.first("UNIT"):
         name = unit.words[0].upper() if unit.words else ""
         if name not in UNITS_MM:
-            got = f"UNIT {one_line(name) or 'without a unit'}"
+            got = f"UNIT with {excerpt(name)}"
             raise invalid(f"'{path}', line {unit.number}", got, ", ".join(UNITS_MM))
         scale = UNITS_MM[name]
     notes: list[str] = []
@@ -650,16 +691,16 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
             continue
         one = _Line(number, words[0].upper(), words[1:])
         if one.keyword == "SURF":
-            at = int(one.words[0]) if one.words and re.fullmatch(r"\d{1,6}", one.words[0]) else -1
+            at = int(one.words[0]) if one.words and re.fullmatch(r"[0-9]{1,6}", one.words[0]) else -1
             if at < 0 or at in blocks:
-                what = f"SURF {one_line(' '.join(one.words))}{' a second time' * (at in blocks)}"
+                what = f"SURF {at} a second time" if at in blocks else "SURF without a number"
                 raise invalid(f"'{path}', line {number}", what, "SURF with the number of each surface, from 0, once")
             if len(blocks) > MAX_SURFACES + 1:
                 raise invalid(f"'{path}', line {number}", "more surfaces", f"at most {MAX_SURFACES}")
             block = blocks[at] = _Block(line=number, number=at)
         elif one.keyword == "MNUM":
             head.lines.append(one)
-            configurations = int(one.words[0]) if one.words and one.words[0].isdigit() else 0
+            configurations = int(one.words[0]) if one.words and _is_count(one.words[0]) else 0
         elif configurations and _is_operand(one, configurations):
             operands.append(one)
         elif block is None or one.keyword in HEAD or not (flat or line[0].isspace()):
@@ -673,11 +714,15 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
     return head, [blocks[number] for number in range(len(blocks))], operands
 
 
+def _is_count(word: str) -> bool:
+    return re.fullmatch("[0-9]{1,6}", word) is not None
+
+
 def _is_operand(line: _Line, configurations: int) -> bool:
     """Whether a line is an operand: its name, what it acts on, and the number of a configuration."""
     if line.keyword not in SET_HERE | WITHOUT_EFFECT | OTHER_OPERANDS or len(line.words) < 2:
         return False
-    return all(word.isdigit() for word in line.words[:2]) and 1 <= int(line.words[1]) <= configurations
+    return all(map(_is_count, line.words[:2])) and 1 <= int(line.words[1]) <= configurations
 
 
 def _configured(
@@ -723,7 +768,8 @@ def _configured(
             where = f"{block.place(path)}, line {line.number}"
             if line.keyword == "MAZH":
                 if _zmx_number(where, line, 0, 0.0) or _zmx_number(where, line, 1, 0.0):
-                    got = f"MAZH {' '.join(line.words[:2])}, a thickness solved for another height than 0 or a real ray"
+                    numbers = " ".join(f"{float(word):g}" for word in line.words[:2])
+                    got = f"MAZH {numbers}, a thickness solved for another height than 0 or a real ray"
                     raise invalid(where, got, "MAZH 0 0, the paraxial focus", "Make the configuration the active one.")
                 solved.append(index - 1)
             else:
@@ -793,14 +839,14 @@ def _zmx_number(where: str, line: _Line, place: int = 0, default: float | None =
     """Return a number of a line, by its place behind the keyword. Raises PixsimError if it is no finite number."""
     if place >= len(line.words) and default is not None:
         return default
-    text = line.words[place] if place < len(line.words) else "nothing"
+    text = line.words[place] if place < len(line.words) else ""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         hint = "A number has a decimal point." if re.fullmatch(r"[-+]?\d+,\d+(e[-+]?\d+)?", text, re.IGNORECASE) else ""
-        raise invalid(f"{where}, line {line.number}: {line.keyword}", f"'{one_line(text)}'", "a finite number", hint)
+        raise invalid(f"{where}, line {line.number}: {line.keyword}", excerpt(text), "a finite number", hint)
     return value
 
 
@@ -813,7 +859,7 @@ def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
         raise invalid(at, got, "an object in air", "Delete the line to have the lens in air, which is another lens.")
     curved = (line := block.first("CURV")) is not None and _zmx_number(where, line)
     if _kind(block) != "STANDARD" or curved:
-        got = f"an object of the type {one_line(_kind(block))}{' that is curved' if curved else ''}"
+        got = f"an object of the type {names_in([_kind(block)])[0]}{' that is curved' if curved else ''}"
         raise invalid(where, got, "a plane object, STANDARD")
     line = block.first("DISZ")
     if line is None or not line.words or line.words[0].upper() == "INFINITY":
@@ -832,18 +878,18 @@ def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
 def _medium_words(where: str, line: _Line) -> str:
     if line.words[0] == "___BLANK" or line.words[1:2] == ["1"]:
         return f"n_d {_zmx_number(where, line, 3, 0.0):g}, V_d {_zmx_number(where, line, 4, 0.0):g}"
-    return f"'{one_line(line.words[0])}'"
+    return quoted(line.words[0])
 
 
 def _check_image(path: Path, block: _Block) -> None:
     where = block.place(path)
     kind = block.first("TYPE")
     if (curvature := block.first("CURV")) and _zmx_number(where, curvature):
-        raise invalid(where, f"an image of curvature {curvature.words[0]}", "a plane image")
+        raise invalid(where, f"an image of curvature {float(curvature.words[0]):g}", "a plane image")
     if kind and kind.words and kind.words[0].upper() != "STANDARD":
-        raise invalid(where, f"an image of the type {one_line(' '.join(kind.words))}", "a plane image, STANDARD")
+        raise invalid(where, f"an image of the type {quoted(' '.join(kind.words))}", "a plane image, STANDARD")
     if (glass := block.first("GLAS")) and glass.words:
-        raise invalid(where, f"the glass {one_line(glass.words[0])} behind the image plane", "an image plane in air")
+        raise invalid(where, f"the glass {quoted(glass.words[0])} behind the image plane", "an image plane in air")
 
 
 def _kind(block: _Block) -> str:
@@ -889,11 +935,11 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[tuple[str, str
             yield "", f"{NULL}, a tilted or decentred axis ({', '.join(moved)})", TRACED, HOW_TRACED
     elif kind not in STEP:
         what = ", a gradient index" if kind.startswith(GRADIENTS) else ""
-        yield "", f"the surface type {one_line(kind)}{what}", TRACED, HOW_TRACED
+        yield "", f"the surface type {names_in([kind])[0]}{what}", TRACED, HOW_TRACED
     for glass in block.all("GLAS"):
         if glass.words and glass.words[0].upper() == "MIRROR":
             expected = "refracting surfaces: pixsim traces no mirrors"
-            yield f", line {glass.number}: GLAS", f"'{one_line(glass.words[0])}', a mirror", expected, ""
+            yield f", line {glass.number}: GLAS", "'MIRROR', a mirror", expected, ""
     if any(line.words[:1] not in ([], ["0"]) for line in block.all("IGNR")):
         yield "", "a surface that Zemax ignores (IGNR)", "surfaces in use", "Delete it in the lens data editor."
     for tilt in block.all("SCBD"):
@@ -995,12 +1041,14 @@ def _zmx_glasses(
             if options.unknown_glass == "model" and numbers:
                 name = one_line(line.words[0])
                 glasses.append(abbe_glass(f"{name} by {model_name(*numbers)}", *numbers))
-                modelled.append(f"{name} (surface {block.number})")
+                modelled.append(f"{names_in([name])[0]} (surface {block.number})")
             else:
                 unknown.append((block, line, error))
                 glasses.append(AIR)
     if modelled:
         notes.append(f"glasses that no catalogue has are models of the n_d and V_d in their lines: {', '.join(modelled)}")
+    elif options.unknown_glass == "model" and not unknown:
+        notes.append('lens.unknown_glass = "model" changes nothing: every glass of the file is known')
     if len(unknown) == 1:
         _, line, reason = unknown[0]
         raise PixsimError(f"{reason} {_ready(line)} {OWN_CATALOGUE}")
@@ -1022,7 +1070,7 @@ def _own_numbers(line: _Line) -> tuple[float, float] | None:
     if len(words) < 2 or not all(map(_is_number, words)):
         return None
     n_d, v_d = map(float, words)
-    return (n_d, v_d) if 1 < n_d <= 10 and v_d > 0 and (n_d, v_d) != PLACEHOLDER else None
+    return (n_d, v_d) if 1 < n_d <= 10 and ABBE_NUMBERS[0] <= v_d <= ABBE_NUMBERS[1] and (n_d, v_d) != PLACEHOLDER else None
 
 
 def _ready(line: _Line) -> str:
@@ -1037,8 +1085,9 @@ def _zmx_glass(line: _Line, at: str, makers: Sequence[str], own: Mapping[str, Gl
     name, mode = one_line(line.words[0]), line.words[1] if len(line.words) > 1 else "0"
     if name == "___BLANK" or mode == str(MODEL_GLASS):
         n_d, v_d = _zmx_number(at, line, 3), _zmx_number(at, line, 4)
-        if not 1 <= n_d <= 10 or v_d < 0:
-            raise invalid(at, f"n_d = {n_d:g}, V_d = {v_d:g}", "n_d from 1 to 10 and V_d not below 0")
+        low, high = ABBE_NUMBERS
+        if not 1 <= n_d <= 10 or not (v_d == 0 or low <= v_d <= high):
+            raise invalid(at, f"n_d = {n_d:g}, V_d = {v_d:g}", f"n_d from 1 to 10 and V_d 0, or from {low:g} to {high:g}")
         return abbe_glass(model_name(n_d, v_d), n_d, v_d) if v_d else constant_glass(f"n = {n_d:g}", n_d)
     if glass := code_glass(name):
         return glass
@@ -1109,8 +1158,11 @@ def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignett
     for number, ((x, y), (dx, dy, cx, cy, turned)) in enumerate(zip(fields, factors, strict=False), 1):
         size = math.hypot(x, y)
         towards = (x / size, y / size) if size else (0.0, 1.0)
-        if not (cx < 1 and cy < 1 and abs(dx) < 1 and abs(dy) < 1):
-            raise invalid(f"'{path}': vignetting factors of field {number}", f"{(dx, dy, cx, cy)}", "numbers below 1")
+        low, high = COMPRESSIONS
+        if not (low <= cx <= high and low <= cy <= high and abs(dx) < 1 and abs(dy) < 1):
+            got = f"decentres {dx:g} and {dy:g}, compressions {cx:g} and {cy:g}"
+            allowed = f"decentres below 1 in size, and compressions from {low:g} to {high:g}"
+            raise invalid(f"'{path}': vignetting factors of field {number}", got, allowed)
         along = dx * towards[0] + dy * towards[1]
         off_axis = abs(dx * towards[1] - dy * towards[0]) > FACTORS_ZERO
         round_ = abs(cx - cy) <= FACTORS_ZERO
@@ -1134,7 +1186,7 @@ def _zmx_wavelengths(path: Path, head: _Block) -> tuple[tuple[float, ...], float
     """Return the wavelengths in nm and the primary one. Newer files fill up to 24 with .55; the count is in FTYP."""
     where = f"'{path}'"
     lines = list(head.all("WAVM"))
-    if all(line.words and line.words[0].isdigit() for line in lines):
+    if all(line.words and _is_count(line.words[0]) for line in lines):
         lines.sort(key=lambda line: int(line.words[0]))
     values = [1e3 * _zmx_number(where, line, 1) for line in lines]
     if not values and (older := head.first("WAVL")):

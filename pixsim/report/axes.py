@@ -24,7 +24,7 @@ from pixsim.report.wording import (
     study_unconverged_lines,
     study_view_line,
 )
-from pixsim.show.figures import LOOKS, literal, new_figure
+from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, table_csv, write_figures, write_page
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
@@ -44,6 +44,7 @@ def shown_cases(cases: Sequence[Case]) -> list[Case]:
     return [case for case in cases if (case.at, case.alone) == (cases[0].at, cases[0].alone)][:SHOWN_CASES]
 
 
+@own_style()
 def conditions_plate(found: Compromise, number: int) -> Plate:
     """Plot mean ΔE against pitch in each condition, its weighted mean, and the pixel sizes that suit all conditions."""
     figure = new_figure(6.4, 4.4)

@@ -63,12 +63,9 @@ def digest_of_content(*content: Any) -> str:
 
 
 def _environment() -> list[object]:
-    """Return what decides on the files besides the result: the code, its templates, the versions, and Matplotlib's settings."""
+    """Return what decides on the files besides the result: the code, its templates, and the versions."""
     templates = sorted(Path(str(resources.files("pixsim") / "data")).glob("*.j2"))
-    asked = [os.environ.get("MATPLOTLIBRC", ""), ".", os.environ.get("MPLCONFIGDIR", "")]
-    settings = [place for name in asked if name for place in (Path(name), Path(name) / "matplotlibrc") if place.is_file()]
-    code = cache.version_fingerprint(*DEPENDENCIES, *DRAWING)
-    return [code, versions(), *(digest_of(path) for path in (*templates, *settings))]
+    return [cache.version_fingerprint(*DEPENDENCIES, *DRAWING), versions(), *map(digest_of, templates)]
 
 
 def _texts(value: Any, update: Callable[[Any], object]) -> Iterator[str]:

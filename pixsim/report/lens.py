@@ -15,12 +15,12 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid, one_line
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
-from pixsim.optics.field_blur import Light, even_window, fit_wavefronts, periodic_psf
+from pixsim.optics.field_blur import UM_PER_NM, Light, even_window, fit_wavefronts, periodic_psf
 from pixsim.optics.glass import AIR
 from pixsim.optics.lens import FirstOrder, Lens
 from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.ray_trace import sag_and_slope
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style
 from pixsim.show.pages import Column, Plate, coarse_table, plain, write_figures, write_page
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ MTF_LINES = ("tangential", "sagittal")
 PSF_SPOTS = 6  # rms radii along a side of a PSF
 PSF_SAMPLES = 3  # of the width λN along a side
 MOST_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
+MOST_FINE = 3000  # samples along a side, on which waves interfere
 MOST_WIDTHS = 300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
 GRID, LINE_BINS = 81, 4096  # of rays across the stop, and of their line spread functions
 RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
@@ -205,11 +206,13 @@ def lens_data(
     geometric = side > MOST_WIDTHS * 1e-3 * shortest * f_number
     pitch = min(max(1e-3 * shortest * f_number / PSF_SAMPLES, side / MOST_SAMPLES), 500 / min(highest, 1.05 * cutoff))
     seen_fields = fields[~dark]
+    if not geometric:
+        psfs = point_spreads(lens, seen_fields, wavelengths, pitch, side)
+        geometric = not psfs
     if geometric:
         pitch = side / MOST_SAMPLES
         psfs, mtf = ray_spreads(lens, seen_fields, wavelengths, pitch, frequency)
     else:
-        psfs = point_spreads(lens, seen_fields, wavelengths, pitch, side)
         mtf = np.array([[line_mtf(psf.sum(axis=1 - axis), pitch, frequency) for axis in (0, 1)] for psf in psfs])
     for index in np.flatnonzero(dark):  # in rising order, so that each is put at its place
         psfs.insert(int(index), np.zeros_like(psfs[0]))
@@ -261,6 +264,8 @@ def rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
 def point_spreads(lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, side_um: float) -> list[Array]:
     """Return the PSF of each field, means over squares of `pitch_um`, with the chief ray in the middle of y upwards, (n, n).
 
+    None at all if the cone of light at the image plane has much finer waves than the f-number tells, as far from a focus.
+
     side_um : at least, of the square that a PSF lies in
     """
     heights = 1e3 * np.asarray(lens.chief_ray(field_deg, lens.primary_nm).height_mm)
@@ -270,6 +275,9 @@ def point_spreads(lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: 
     found = []
     for height in heights:
         window = even_window(light, 0.0, float(height), pitch_um, math.ceil(side_um / pitch_um))
+        widest_per_nm = max(2 * float(front.at(float(height))[:2].max()) / front.wavelength_nm for front in fronts)
+        if 2 * window * pitch_um / UM_PER_NM * widest_per_nm > MOST_FINE:
+            return []
         found.append(np.fft.fftshift(periodic_psf(light, 0.0, float(height), pitch_um, window)))
     return found
 
@@ -356,6 +364,7 @@ def below(figure: Figure, axes: Axes, columns: int) -> None:
     )
 
 
+@own_style()
 def layout(data: LensData) -> Plate:
     """Draw the surfaces and rays of three fields in the y-z plane."""
     lens, surfaces = data.lens, data.lens.prescription.surfaces
@@ -444,6 +453,7 @@ def half_words(data: LensData) -> str:
     return f"The lower MTF falls to one half {words[0]} on the axis, and earliest {words[worst]} at {lit_deg[worst]:.3g}°."
 
 
+@own_style()
 def spot_plate(data: LensData) -> Plate:
     """Draw the spots of some fields on one scale, with the diameter of the Airy disc."""
     shown = shown_fields(data)
@@ -482,6 +492,7 @@ def how(data: LensData) -> str:
     return "of rays and the limit of diffraction, since aberrations are large" if data.geometric else "with diffraction"
 
 
+@own_style()
 def psf_plate(data: LensData) -> Plate:
     """Show the point spread functions of some fields on one scale."""
     shown = shown_fields(data)
@@ -515,6 +526,7 @@ def psf_plate(data: LensData) -> Plate:
     return Plate("psf", caption, figure, table)
 
 
+@own_style()
 def mtf_plate(data: LensData) -> Plate:
     """Plot the MTF of some fields against frequency, and the limit of diffraction."""
     figure, (axes,) = panels_of(1, 4.4, legend_below=True)
@@ -542,6 +554,7 @@ def mtf_plate(data: LensData) -> Plate:
     return Plate("mtf", caption, figure, table)
 
 
+@own_style()
 def mtf_over_field(data: LensData) -> Plate:
     """Plot the MTF at the asked frequencies against image height."""
     figure, (axes,) = panels_of(1, 4.0, legend_below=True)
@@ -571,6 +584,7 @@ def mtf_over_field(data: LensData) -> Plate:
     return Plate("mtf_over_field", caption, figure, table)
 
 
+@own_style()
 def curve_figure(
     data: LensData, panels: Sequence[tuple[str, Sequence[tuple[str, Array, str]]]], across: tuple[str, Array]
 ) -> tuple[Figure, list[Axes]]:
@@ -623,6 +637,7 @@ def illumination_plate(data: LensData) -> Plate:
     return Plate("illumination", caption, figure, {name: values.tolist() for name, values in table.items()})
 
 
+@own_style()
 def colour_plate(data: LensData) -> Plate:
     """Plot the lateral colour against the field, and the paraxial focus against wavelength."""
     low, high = data.wavelength_nm.min(), data.wavelength_nm.max()

@@ -21,7 +21,7 @@ from pixsim.base.units import unit_of
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.film import GREEN_NM
 from pixsim.sensor.technology import labels_of
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
@@ -504,6 +504,7 @@ def axis_plates(result: StudyResult) -> list[Plate]:
     return plates + [map_of_two(grid, one, other, next(names)) for one, other in combinations(grid.scales, 2)]
 
 
+@own_style()
 def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
     """Plot the optimum with its interval along an axis, a line for each technology, condition and value of the other axes."""
     from matplotlib.lines import Line2D
@@ -587,6 +588,7 @@ def doubtful_words(curves: Sequence[Curve]) -> str:
     return f"Below {span(*(f'{value:.3g}' for value in (min(limits_um), max(limits_um))))} µm {DOUBTFUL}."
 
 
+@own_style()
 def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
     """Plot the fitted mean ΔE over pixel size and axis, with the optimum, its 1 % valley and the lens's limit."""
     from matplotlib.cm import ScalarMappable
@@ -815,6 +817,7 @@ def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
     return grid.columns(curves) | more
 
 
+@own_style()
 def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
     """Plot the optimum and the least mean ΔE over two axes, a pair of maps for each technology and condition."""
     held, held_words = grid.middle([across, up])
@@ -930,6 +933,7 @@ class Group:
     moved: dict[str, list[Curve]]
 
 
+@own_style()
 def alone_plate(result: StudyResult) -> Plate | None:
     """Plot the optimum and the least mean ΔE of each axis that is moved alone about the base, the widest first; None without such.
 

@@ -12,7 +12,7 @@ from pixsim.report.pictures import CONTRAST_LABEL, extent, picture_axes
 from pixsim.report.views import draw_iso, map_end, study_pictures
 from pixsim.scene.charts import csf_contrast
 from pixsim.sensor.pixel import physics_of
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure, own_style
 from pixsim.show.pages import Column, Plate, coarse_table
 from pixsim.studies.claims import (
     FIGURE_2B_PITCHES_UM,
@@ -44,6 +44,7 @@ def map_plates(evidence: Evidence) -> list[Plate]:
     return [figure_5(evidence), figure_6(evidence), errors_by_frequency_and_contrast(evidence)]
 
 
+@own_style()
 def figure_2a(result: StudyResult) -> Plate:
     """Plot DR and SNR at 20 % of the well against pitch, at 30 ms, for both capacitances."""
     pitch_um, process = np.geomspace(5.3, 15.0, 40), reference_process(result.study)
@@ -70,6 +71,7 @@ def figure_2a(result: StudyResult) -> Plate:
     return Plate("figure_2a_dr_snr", caption, figure, table)
 
 
+@own_style()
 def figure_2b(result: StudyResult) -> Plate:
     """Plot the system MTF of four pixels, and all blur terms at the paper's optimum."""
     relative = np.linspace(0.0, 1.0, 101)
@@ -108,6 +110,7 @@ def figure_2b(result: StudyResult) -> Plate:
     return Plate("figure_2b_mtf", caption, figure, table)
 
 
+@own_style()
 def figure_4(result: StudyResult) -> Plate:
     """Show the CSF scene as rendered: illuminance on the sensor."""
     lux = result.irradiance.illuminance_lx()
@@ -128,6 +131,7 @@ def figure_5(evidence: Evidence) -> Plate:
     return replace(plate, caption="Figure 5: " + plate.caption)
 
 
+@own_style()
 def figure_6(evidence: Evidence) -> Plate:
     """Plot curves of equal ΔE for four pixel sizes."""
     level = evidence.result.study.iso_delta_e
@@ -162,6 +166,7 @@ def figure_6(evidence: Evidence) -> Plate:
     return Plate("figure_6_iso_delta_e", caption, figure, table)
 
 
+@own_style()
 def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     """Show the mean ΔE in cells of frequency and contrast, at 8 µm."""
     places, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM], evidence.border(FIGURE_5_PITCH_UM))

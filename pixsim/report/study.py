@@ -30,7 +30,7 @@ from pixsim.report.wording import (
 )
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import file_label, labels_of, technology_of
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
 from pixsim.show.pages import Column, Drawn, Plate, table_csv, write_figures, write_page
 from pixsim.show.pictures import scale
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
@@ -52,6 +52,7 @@ from pixsim.studies.result import (
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
 
+@own_style()
 def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     """Plot the mean, percentiles and maximum of ΔE against pitch, each over its minimum."""
     figure = new_figure(6.4, 3.6)
@@ -80,6 +81,7 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     return Plate("other_statistics", caption, figure, curve_table([curve]))
 
 
+@own_style()
 def optimum_against_technology(result: StudyResult) -> Plate:
     """Plot the optima with their intervals, and the line of an optimum proportional to the feature size."""
     curves = sorted(result.curves, key=lambda curve: curve.feature_size_um)
@@ -116,6 +118,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     return Plate("optimum_against_technology", caption, figure, table)
 
 
+@own_style()
 def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     """Plot MTF50 and MPE30 of each pitch, the two sides of the trade-off, and the MTF of each blur term at fine detail."""
     pixels = [physics_of(result.study, curve.technology, pitch) for pitch in curve.pitch_um.tolist()]

@@ -13,7 +13,17 @@ import scipy  # whose parts are imported when they are used
 from pixsim.base.arrays import Array
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.sensor.readout import make_frame
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, Look, draw_delta_e, draw_picture, label_axes, new_figure
+from pixsim.show.figures import (
+    ISO_SMOOTHING_DOTS,
+    LEGEND_LINE,
+    LOOKS,
+    Look,
+    draw_delta_e,
+    draw_picture,
+    label_axes,
+    new_figure,
+    own_style,
+)
 from pixsim.show.pages import Plate, coarse_table
 from pixsim.show.pictures import (
     Picture,
@@ -42,6 +52,7 @@ SENSORS_SHOWN = 8  # in mean maps
 LEAST = "least error tried"  # "best" is the optimum, which may lie between the sizes tried
 
 
+@own_style()
 def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Array], name: str) -> Plate:
     """Show the ideal image, the image of one sensor, its ΔE map, and curves of equal ΔE of the mean map of several sensors."""
     mean, pitch_um = np.mean(maps, axis=0), score.physics.pitch_um

@@ -19,11 +19,11 @@ from pixsim.base import cache
 from pixsim.base.arguments import brief, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import files_are_finished
 from pixsim.base.locks import temporary_folder_of_process
 from pixsim.base.parameters import content_hash
 from pixsim.light.exr import fill_channels, write_channels, writing
 
+KIND = "charts"  # of entries of the cache
 # Chen, Catrysse, El Gamal and Wandell (2000), sections 3 and 4.
 LUMINANCE_CD_PER_M2 = (25.0, 1000.0)
 MAX_FREQUENCY_LP_PER_MM = 1e3 / (2 * 15.0)  # Nyquist frequency of the largest pixel, 15 µm
@@ -196,9 +196,8 @@ def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> No
     """
     if Path(path).suffix.lower() != ".exr":
         raise invalid("chart file", f"'{path}'", "a name that ends in .exr")
-    with writing(path) as unfinished:
+    with writing(path, last=True) as unfinished:
         fill_channels(unfinished, {"Y": texels}, {})
-        files_are_finished()
 
 
 @checks_arguments
@@ -213,24 +212,22 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     Raises PixsimError if it cannot be written, or if the content is not JSON.
     """
     try:
-        name = f"{content_hash([content, cache.version_fingerprint()])}.exr"
+        key = content_hash([content, cache.version_fingerprint()])
     except (TypeError, ValueError):
         raise invalid("content", brief(content), "texts, finite numbers, lists and tables") from None
-    path = cache.folder() / "charts" / name
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    if not (path.is_file() or os.access(path.parent, os.W_OK)):
-        path = temporary_folder_of_process() / name
-    if path.is_file():
+    path, label = cache.folder() / KIND / f"{key}.exr", {cache.ENTRY: cache.label_of(KIND, key)}
+    if not (cache.is_entry(path) or cache.can_hold(KIND)):
+        path = temporary_folder_of_process() / path.name
+    if cache.is_entry(path) or (path.parent.name != KIND and path.is_file()):
         with suppress(OSError):  # a read-only cache works too
-            os.utime(path)
+            os.utime(path, follow_symlinks=False)
     else:
         texels = make()
         try:
-            write_channels(path, {"Y": texels}, {})
+            write_channels(path, {"Y": texels}, label, named=False)
         except PixsimError:  # the disk of the cache is full
-            path = temporary_folder_of_process() / name
-            write_channels(path, {"Y": texels}, {})
+            path = temporary_folder_of_process() / path.name
+            write_channels(path, {"Y": texels}, label)
     return path
 
 

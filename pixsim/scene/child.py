@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pixsim
+from pixsim.base.children import safe_variables
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.scene.graphics import CUDA
 from pixsim.scene.tracer import Job, Tracer
@@ -72,7 +73,7 @@ class _Child:
                 stdout=null,
                 stderr=null,
                 pass_fds=given,
-                env=os.environ | {"PYTHONPATH": path},
+                env=os.environ | safe_variables() | {"PYTHONPATH": path},
             )
         except OSError as error:
             self.kill()

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.files import files_are_finished, replacing
+from pixsim.base.files import files_are_finished, replacing, resolved
 from pixsim.light.exr import fill_channels, writing
 from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W, colour_matching, d65, grid_nm
 from pixsim.scene.charts import LUMINANCE_CD_PER_M2, csf_contrast, make_chart
@@ -188,7 +188,8 @@ def write_colour_chart(
     if "$" in path.name:
         raise invalid("colour chart", f"'{path}'", "a name without $, which begins a parameter of a scene")
     grey = make_chart("csf", width, height, die_mm)
-    slides = [path.with_name(f"{path.stem}_{name}.exr") for name in PRIMARIES]
+    beside = resolved(path)
+    slides = [beside.with_name(f"{path.stem}_{name}.exr") for name in PRIMARIES]
     nm, radiance = primaries()
     intensities = math.pi * PROJECTOR_M**2 * radiance  # of a screen that reflects all light: L = E/π, E = I/r²
     cutoff_deg = math.degrees(math.atan(BEAM / PROJECTOR_M))
@@ -212,7 +213,7 @@ def write_colour_chart(
         with ExitStack() as files:  # all are finished before the first one moves; the scene, the first one here, moves last
             files.enter_context(replacing(path)).write_bytes(text.encode("ascii", "xmlcharrefreplace"))
             for share, file in zip(change.shares.tolist(), slides, strict=True):
-                fill_channels(files.enter_context(writing(file)), {"Y": slide(share, grey)}, {})
+                fill_channels(files.enter_context(writing(file, named=False)), {"Y": slide(share, grey)}, {})
             files_are_finished()
     except OSError as error:
         raise invalid("output file", f"'{path}' ({error.strerror or error})", "a path that can be written") from None

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, first_where
-from pixsim.base.errors import did_you_mean, invalid
+from pixsim.base.errors import did_you_mean, invalid, names_in
 from pixsim.base.files import digest_of
 from pixsim.base.parameters import Camera
 from pixsim.light import spectral
@@ -557,7 +557,7 @@ def check_textures(state: Any) -> None:
             digest = digest_of(path)
             channels = _channels_of(path, digest)
             if path in raw and len(channels) > 1:
-                raise invalid(what, f"channels {', '.join(channels)} with raw = true", "one channel, Y")
+                raise invalid(what, f"channels {', '.join(names_in(channels))} with raw = true", "one channel, Y")
             for name, texels in channels.items() if digest not in _sound else ():
                 if at := first_where(~(np.isfinite(texels) & (texels >= 0))):
                     row, column = at

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.errors import PixsimError, excerpt, invalid, names_in, quoted
 from pixsim.base.files import is_utf8, read_text
 
 ALLOWED = "a readable XML file"
@@ -48,6 +48,7 @@ class Node:
 
     file, line : where it is written, for messages
     parameter : names of the parameters that its value has, separated by commas
+    typed : whether all of them were given with the command, not by the file
     """
 
     tag: str
@@ -56,6 +57,7 @@ class Node:
     file: Path
     line: int
     parameter: str = ""
+    typed: bool = False
 
     @property
     def place(self) -> str:
@@ -180,6 +182,9 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
     # For each element that is open: what it will be, and its children so far.
     open_elements: list[tuple[str, dict[str, str], int, str, list[Node]]] = [("", {}, 0, "", [])]
 
+    def is_typed(parameter: str) -> bool:
+        return bool(parameter) and all(name in scene.given for name in parameter.split(", "))
+
     def begins(tag: str, written: dict[str, str]) -> None:
         line = parser.CurrentLineNumber
         if deep + len(open_elements) > MAX_DEPTH:
@@ -203,7 +208,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
     def ends(_: str) -> None:
         tag, attributes, line, parameter, children = open_elements.pop()
         if tag not in ("default", "include", "path"):
-            open_elements[-1][-1].append(Node(tag, attributes, tuple(children), path, line, parameter))
+            open_elements[-1][-1].append(Node(tag, attributes, tuple(children), path, line, parameter, is_typed(parameter)))
         elif children:
             raise invalid(f"scene '{path}'", f"an element within <{tag}> in line {line}", "none")
 
@@ -212,7 +217,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
 
     def is_declared(_: str, encoding: str | None, __: int) -> None:
         if encoding is not None and encoding.lower() not in ENCODINGS:
-            raise invalid(f"scene '{path}'", f'encoding="{encoding}"', "UTF-8", "Save the file in UTF-8.")
+            raise invalid(f"scene '{path}'", f'encoding="{names_in([encoding])[0]}"', "UTF-8", "Save the file in UTF-8.")
 
     parser.StartElementHandler, parser.EndElementHandler = begins, ends
     parser.StartDoctypeDeclHandler, parser.XmlDeclHandler = has_document_type, is_declared
@@ -233,7 +238,7 @@ def _check_version(root: Node) -> None:
     version = root.attributes.get("version", "")
     numbers = re.fullmatch(r"(\d{1,4})\.(\d{1,4})\.(\d{1,4})", version)
     if numbers is None or tuple(map(int, numbers.groups())) < OLDEST_VERSION:
-        got = f'version="{version}"' if version else "no version"
+        got = f"version {version}" if numbers else "no version"
         oldest = ".".join(map(str, OLDEST_VERSION))
         hint = 'Write <scene version="3.0.0">, and names with underscores, such as to_world.'
         raise invalid(f"scene '{root.file}'", got, f"{oldest} or newer in its first element", hint)
@@ -242,7 +247,7 @@ def _check_version(root: Node) -> None:
 def _take_default(attributes: dict[str, str], path: Path, scene: SceneFiles) -> None:
     name, value = attributes.get("name", ""), attributes.get("value", "")
     if not re.fullmatch(r"[\w.-]+", name):
-        raise invalid(f"scene '{path}'", f'<default name="{name}"/>', "a name of letters, digits and _")
+        raise invalid(f"scene '{path}'", f"a <default> whose name is {excerpt(name)}", "a name of letters, digits and _")
     scene.defaults.setdefault(name, value)
     scene._values.setdefault(name, value)
     if len(scene._values) > MAX_PARAMETERS:
@@ -251,7 +256,7 @@ def _take_default(attributes: dict[str, str], path: Path, scene: SceneFiles) -> 
 
 def _take_folder(name: str, path: Path, scene: SceneFiles) -> None:
     """Add a folder in which files are looked for first, relative to the including file, the scene or the working directory."""
-    got, allowed = f'<path value="{name}"/>', "a folder that exists"
+    got, allowed = f"a <path> whose value is {excerpt(name)}", "a folder that exists"
     if len(scene.folders) >= MAX_FOLDERS:
         raise invalid(f"scene '{path}'", f"more than {MAX_FOLDERS} <path> elements", f"at most {MAX_FOLDERS}")
     if not name or "\0" in name:
@@ -273,7 +278,12 @@ def _included(name: str, written: str, path: Path, scene: SceneFiles, includes_d
     inside = any(Path(os.path.realpath(file)).is_relative_to(os.path.realpath(folder)) for folder in (scene.folder, Path()))
     if not (inside or any(f"${parameter}" in written for parameter in scene.given)):
         hint = "Put the file into the scene's folder, or set it by a parameter, -D part=FILE."
-        raise invalid(f"scene '{path}'", f'<include filename="{name}"/>', f"files in '{scene.folder}' and its subfolders", hint)
+        raise invalid(
+            f"scene '{path}'",
+            f"an <include> of another file, {quoted(Path(name).name)}",
+            f"files in '{scene.folder}' and its subfolders",
+            hint,
+        )
     return file
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
-from pixsim.base.errors import did_you_mean, invalid
+from pixsim.base.errors import did_you_mean, excerpt, invalid, quoted
 from pixsim.base.tables import unit_hint
 from pixsim.light.spectral import HIGH_NM, LOW_NM
 from pixsim.scene.assets import NUMBER, check_share, found, judge_asset, metals, spectrum_value
@@ -89,7 +89,7 @@ class _Judge:
 
     def scene(self, root: Node) -> Node:
         if root.tag != "scene" or root.attributes.get("type", "scene") != "scene":
-            raise invalid(f"scene '{root.file}'", f"<{root.tag}> in {root.place}", "<scene> as the first element")
+            raise invalid(f"scene '{root.file}'", f"another element in {root.place}", "<scene> as the first element")
         version = {"version": root.attributes["version"]}
         _check_attributes(root, ("version",), ("type", "id", "name"))
         judged = self.object(replace(root, attributes={"type": "scene"}), "scene")
@@ -97,11 +97,11 @@ class _Judge:
             if name not in self.ids:
                 near = did_you_mean(name, self.ids)
                 raise invalid(
-                    "scene", f"a reference to '{name}' in {node.place}, which does not exist", "ids of its elements", near
+                    "scene", f"a reference to {excerpt(name)} in {node.place}, which is no id", "ids of its elements", near
                 )
             target = self.ids[name]
             if self.kinds[target] not in kinds:
-                got = f"'{name}' in {node.place}, a {self.kinds[target]}"
+                got = f"one in {node.place} to a {self.kinds[target]}"
                 raise invalid("reference", got, f"a {' or '.join(kinds)}")
             self.children[owner].append(target)
         judge_references(self.children)
@@ -120,19 +120,20 @@ class _Judge:
         plugin = PLUGINS[kind].get(name)
         if plugin is None:
             hint = did_you_mean(name, PLUGINS[kind]) or REASONS.get(kind, "")
-            raise invalid(kind, f"'{name}' in {node.place}", ", ".join(PLUGINS[kind]), hint)
+            raise invalid(kind, f"{quoted(name)} in {node.place}", ", ".join(PLUGINS[kind]), hint)
         index = len(self.kinds)
         self.kinds.append(kind)
         self.children.append([])
         if identifier := node.attributes.get("id"):
             if identifier in self.ids:
-                raise invalid("id", f"'{identifier}' a second time in {node.place}", "an id for one element")
+                raise invalid("id", f"one a second time in {node.place}", "an id for one element")
             self.ids[identifier] = index
         children, names = [], set[str]()
         for child in node.children:
             named = child.attributes.get("name", "")
             if named and named in names:
-                raise invalid(f"{name}.{named}", f"a second time in {child.place}", "once")
+                known = named if named in plugin.properties else "a name"
+                raise invalid(f"{name}.{known}", f"a second time in {child.place}", "once")
             names.add(named)
             children.append(self.child(child, node, plugin, index))
         if missing := next((needed for needed in plugin.needs if needed not in names), None):
@@ -145,7 +146,7 @@ class _Judge:
         if node.tag == "alias":
             _check_attributes(node, *ATTRIBUTES["alias"])
             if node.attributes["id"] not in self.ids or node.attributes["as"] in self.ids:
-                raise invalid("alias", f"{node.attributes} in {node.place}", "an id that is there, and a new one")
+                raise invalid("alias", f"one in {node.place}", "an id that is there, and a new one")
             self.ids[node.attributes["as"]] = self.ids[node.attributes["id"]]
             return node
         name, parent = node.attributes.get("name", ""), of.attributes["type"]
@@ -153,13 +154,13 @@ class _Judge:
         if kind == "ref" or kind in PLUGINS:
             kinds = rule.kinds if rule else plugin.holds
             if rule is None and name and not re.fullmatch(r"[A-Za-z]\w{0,63}", name):
-                raise invalid(f"name of a {kind}", f"'{name}' in {node.place}", "letters, digits and _")
+                raise invalid(f"name of a {kind}", f"{excerpt(name)} in {node.place}", "letters, digits and _")
             if kind == "ref":
                 _check_attributes(node, *ATTRIBUTES["ref"])
                 self.references.append((owner, node.attributes["id"], kinds, node))
                 return node
             if kind not in kinds:
-                self.unknown(name, node, parent, plugin, f"<{node.tag}> '{name}'" if name else f"<{node.tag}>")
+                self.unknown(name, node, parent, plugin, f"<{node.tag}>" + (f" whose name is {excerpt(name)}" if name else ""))
             self.children[owner].append(len(self.kinds))
             outer, self.in_share = self.in_share, (rule.is_share if rule else self.in_share and kind == "texture")
             try:
@@ -168,10 +169,12 @@ class _Judge:
                 self.in_share = outer
         if kind not in ATTRIBUTES or kind in STEPS_OF_TRANSFORM:
             known = (*PLUGINS, *ATTRIBUTES)
-            raise invalid(f"scene '{node.file}'", f"<{kind}> in line {node.line}", "elements of Mitsuba", did_you_mean(kind, known))
+            raise invalid(
+                f"scene '{node.file}'", f"another element in line {node.line}", "elements of Mitsuba", did_you_mean(kind, known)
+            )
         _check_attributes(node, *ATTRIBUTES[kind])
         if rule is None:
-            self.unknown(name, node, parent, plugin, f"'{name}'")
+            self.unknown(name, node, parent, plugin, f"a <{node.tag}> whose name is {excerpt(name)}")
             raise AssertionError
         what = f"{node.parameter} ({parent}.{name})" if node.parameter else f"{parent}.{name}"
         if kind not in rule.tags:
@@ -182,7 +185,7 @@ class _Judge:
                 _check_step(step, what)
             return node
         if node.children:
-            raise invalid(what, f"<{node.children[0].tag}> in {node.children[0].place}", "no element within it")
+            raise invalid(what, f"an element in {node.children[0].place}", "no element within it")
         return self.value(node, rule, what, of)
 
     def unknown(self, name: str, node: Node, parent: str, plugin: Plugin, got: str) -> None:
@@ -202,11 +205,11 @@ class _Judge:
                 _check_numbers([value.strip()], rule, what, node)
             case "integer":
                 if not WHOLE.fullmatch(value):
-                    raise invalid(what, f"'{value}' in {node.place}", "a whole number")
+                    raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", "a whole number")
                 _check_numbers([value.strip()], rule, what, node)
             case "boolean":
                 if value.lower() not in FLAGS:
-                    raise invalid(what, f"'{value}' in {node.place}", " or ".join(FLAGS))
+                    raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", " or ".join(FLAGS))
             case "rgb":
                 bounded = replace(rule, low=max(rule.low, 0.0), high=min(rule.high, 1.0)) if rule.rgb_of_surface else rule
                 _check_numbers(_split(value), bounded, what, node, (1, 3))
@@ -232,7 +235,9 @@ class _Judge:
         value = node.attributes["value"]
         if rule.file == "metal":
             if value not in metals():
-                raise invalid(what, f"'{value}' in {node.place}", ", ".join(metals()), did_you_mean(value, metals()))
+                raise invalid(
+                    what, f"{quoted(value, node.typed)} in {node.place}", ", ".join(metals()), did_you_mean(value, metals())
+                )
         elif rule.file:
             what_file = "texture" if rule.file == "picture" else rule.file
             folders = (*self.files.folders, self.files.folder, Path(), node.file.parent)
@@ -246,11 +251,13 @@ class _Judge:
             return replace(node, attributes={**node.attributes, "value": str(path)})
         elif rule.words is not None:
             if value not in rule.words:
-                raise invalid(what, f"'{value}' in {node.place}", ", ".join(rule.words), did_you_mean(value, rule.words))
+                raise invalid(
+                    what, f"{quoted(value, node.typed)} in {node.place}", ", ".join(rule.words), did_you_mean(value, rule.words)
+                )
         elif rule.pattern == "numbers":
             _check_numbers(_split(value), rule, what, node, None)
         elif rule.pattern is None or not re.fullmatch(rule.pattern, value):
-            raise invalid(what, f"'{value[:MAX_NAME]}' in {node.place}", "a name or a number as Mitsuba has them")
+            raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", "a name or a number as Mitsuba has them")
         return node
 
 
@@ -262,14 +269,19 @@ def _check_attributes(node: Node, needed: Iterable[str], others: Iterable[str]) 
     if wrong := [name for name in node.attributes if name not in (*needed, *others)]:
         allowed = ", ".join((*needed, *others))
         raise invalid(
-            f"<{node.tag}> in {node.place}", f"the attribute '{wrong[0]}'", allowed, did_you_mean(wrong[0], (*needed, *others))
+            f"<{node.tag}> in {node.place}",
+            f"an attribute whose name is {excerpt(wrong[0])}",
+            allowed,
+            did_you_mean(wrong[0], (*needed, *others)),
         )
     if absent := [name for name in needed if name not in node.attributes]:
         raise invalid(f"<{node.tag}> in {node.place}", f"no attribute '{absent[0]}'", ", ".join((*needed, *others)))
     for name in ("id", "name", "as", "type"):
         value = node.attributes.get(name, "")
         if len(value) > MAX_NAME or not value.isprintable():
-            raise invalid(f"<{node.tag}> in {node.place}", f"{name}={value[:MAX_NAME]!r}", f"up to {MAX_NAME} printable characters")
+            raise invalid(
+                f"<{node.tag}> in {node.place}", f"{name} with {excerpt(value)}", f"up to {MAX_NAME} printable characters"
+            )
 
 
 def _check_numbers(texts: list[str], rule: Rule, what: str, node: Node, counts: tuple[int, ...] | None = (1,)) -> None:
@@ -281,7 +293,8 @@ def _check_numbers(texts: list[str], rule: Rule, what: str, node: Node, counts: 
         number = float(text) if NUMBER.fullmatch(text) else None
         if number is None or not rule.low <= number <= rule.high:
             bounds = "a number" if rule.high >= LARGEST else f"{rule.low:.10g} to {rule.high:.10g}"
-            raise invalid(what, f"{text[:MAX_NAME]!r} in {node.place}", bounds)
+            got = excerpt(text, typed=node.typed) if number is None else f"'{text[:MAX_NAME]}'"
+            raise invalid(what, f"{got} in {node.place}", bounds)
         values.append(abs(number))
     if rule.is_share:
         check_share(max(values, default=0.0), what, node.place)
@@ -296,7 +309,7 @@ def _check_table(value: str, rule: Rule, what: str, node: Node) -> None:
         return _check_numbers(words, rule, what, node)
     pairs = [word.split(":") for word in words]
     if len(pairs) < 2 or any(len(pair) != 2 for pair in pairs):
-        raise invalid(what, f"'{value[:MAX_NAME]}' in {node.place}", 'a number, or pairs such as "400:0.1, 700:0.2"')
+        raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", 'a number, or pairs such as "400:0.1, 700:0.2"')
     wavelengths = [pair[0] for pair in pairs]
     _check_numbers(wavelengths, Rule((), 0, LARGEST), what, node, None)
     if any(not float(one) < float(other) for one, other in pairwise(wavelengths)):
@@ -322,10 +335,10 @@ def _check_vector(node: Node, what: str, all_three: bool = False) -> None:
 def _check_step(step: Node, what: str) -> None:
     """Check a step of a transform."""
     if step.tag not in STEPS_OF_TRANSFORM:
-        raise invalid(what, f"<{step.tag}> in {step.place}", ", ".join(f"<{tag}>" for tag in STEPS_OF_TRANSFORM))
+        raise invalid(what, f"another element in {step.place}", ", ".join(f"<{tag}>" for tag in STEPS_OF_TRANSFORM))
     _check_attributes(step, *ATTRIBUTES[step.tag])
     if step.children:
-        raise invalid(what, f"<{step.children[0].tag}> in {step.children[0].place}", "no element within it")
+        raise invalid(what, f"an element in {step.children[0].place}", "no element within it")
     if step.tag == "lookat":
         for name, value in step.attributes.items():
             _check_numbers(_split(value), Rule(()), what, step, (3,) if value.strip() or name != "up" else (0,))

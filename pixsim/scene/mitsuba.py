@@ -22,12 +22,21 @@ from pixsim.scene import graphics
 from pixsim.scene.assets import mitsuba_folder
 from pixsim.scene.variant import UNUSABLE_HINT
 
+_process: int | None = None  # in which Mitsuba works
+
 
 def import_mitsuba(variant: str) -> Any:
     """Import Mitsuba and set its variant; call `pixsim.scene.variant.choose` first.
 
     A process whose first variant is not for graphics cards cannot take one later.
+
+    Raises PixsimError in a process that was forked from one in which Mitsuba works: its threads are not there, and it would hang.
     """
+    global _process
+    if _process not in (None, os.getpid()):
+        hint = "Start it with multiprocessing.get_context('spawn')."
+        raise invalid("process", "one that was forked after a render", "a process of its own for Mitsuba", hint)
+    _process = os.getpid()
     with nullcontext() if variant == graphics.CUDA else graphics.without_driver():
         import drjit as dr
 

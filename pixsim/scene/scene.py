@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments, checks_fields
+from pixsim.base.arguments import brief, checks_arguments, checks_fields
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run, content_hash, names_meant
@@ -141,7 +141,11 @@ class Scene:
         `die_height_mm` it follows the shape of the film in the XML.
 
         state : the parsed tree, as from `parse`
+
+        Raises PixsimError if it is something else.
         """
+        if not all(hasattr(state, name) for name in ("nodes", "id_to_index")):
+            raise invalid("state", brief(state), "the parsed tree of a scene, from its method `parse`")
         height, width = film_size(state, sensor_node(state, self.sensor_id)[1])
         if self.resolution is None and camera.die_height_mm is None:
             return height, width

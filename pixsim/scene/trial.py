@@ -14,6 +14,8 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+from pixsim.base.children import safe_variables
+
 Line = dict[str, Any]
 START = "import sys; sys.path[:] = {path!r}; from pixsim.scene.checks import main; main({fd}, {kind!r}, *{arguments!r})"
 MAX_MEAN_ERROR, MAX_RMS_ERROR = 1e-3, 1e-2  # of the illuminance of the test render, normally 1e-5 and 4e-3
@@ -56,7 +58,7 @@ def attempt(kind: str, *arguments: str, limit_s: float) -> Trial:
     with os.fdopen(reading, encoding="utf-8") as pipe:
         try:
             child = subprocess.Popen(
-                [sys.executable, "-c", code],
+                [sys.executable, "-P", "-c", code], env=os.environ | safe_variables(),
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, pass_fds=(writing,),
                 text=True, errors="replace",
             )  # fmt: skip

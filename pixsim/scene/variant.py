@@ -20,6 +20,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from pixsim.base import cache
+from pixsim.base.children import safe_variables
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.notes import MachineWarning, warn
 from pixsim.scene import graphics
@@ -135,7 +136,7 @@ def _system_candidates() -> list[str]:
 
 def _known_to_the_loader() -> list[Path]:
     """Return the libraries in the folders of /etc/ld.so.conf, as `ldconfig` lists them."""
-    ldconfig = shutil.which("ldconfig", path=os.environ.get("PATH", "") + ":/usr/sbin:/sbin")
+    ldconfig = shutil.which("ldconfig", path=safe_variables()["PATH"] + ":/usr/sbin:/sbin")
     if ldconfig is None:
         return []
     try:

@@ -465,10 +465,13 @@ class PixelPhysics:
         """Width on each side of the die that is not scored on a display of fixed size."""
         return (CENTRED_BORDER if self.is_centred else REGISTERED_BORDER) * self.read_pitch_um
 
+    @checks_arguments
     def registered(self, repeat: int, display: Display) -> PixelPhysics:
         """Return the pixel of one repeat of a study or a comparison: with a registration of its own (`spread_registration`).
 
         One that the pixel states stays. Where dots are pixels the array stays centred.
+
+        repeat : its number, from 0
         """
         if not self.is_centred or display.raster != "fixed_size":
             return self

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import ArrayHeader, first_where, read_array, read_arrays
-from pixsim.base.errors import PixsimError, invalid, one_line
+from pixsim.base.errors import PixsimError, invalid, names_in
 from pixsim.base.files import MAX_PICTURE, judge_picture, opened, reason, size_of
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.colour import Layout
@@ -249,7 +249,7 @@ def read_picture(path: Path, name: str, suffixes: tuple[str, ...]) -> tuple[NDAr
 def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
     channels, header = read_channels(path)
     if len(channels) != 1:
-        raise invalid(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: digital numbers or luminance")
+        raise invalid(f"channels of '{path}'", ", ".join(names_in(sorted(channels)[:8])), "one: digital numbers or luminance")
     metadata = {name: header[name] for name in (*FACTS, LAYOUT) if name in header}
     decimals = {name: shortest(value) for name, value in metadata.items() if name != "bits" and isinstance(value, float)}
     return next(iter(channels.values())), metadata | decimals | _json_of(header.get("facts"))
@@ -270,7 +270,7 @@ def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
 
     def choose(names: list[str]) -> list[str]:
         if "dn" not in names and len(names) != 1:
-            got = ", ".join(one_line(array) for array in names[:8]) or "none"
+            got = ", ".join(names_in(names[:8])) or "none"
             raise invalid(f"arrays of '{path}'", got, "dn, the digital numbers, or a single array")
         return ["dn", *(fact for fact in (*FACTS, LAYOUT) if fact in names)] if "dn" in names else names
 

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import checked, packaged, read_toml
-from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
+from pixsim.base.errors import PixsimError, did_you_mean, excerpt, invalid, name_fault, one_line, quoted
 from pixsim.base.parameters import (
     MICROLENSES,
     NO_TECHNOLOGY,
@@ -201,7 +201,7 @@ class Technology(Record):
         for name, (low, high) in self.ranges.items():
             value = numbers.get(name)
             if value is None:
-                raise invalid("range", f"'{name}'", f"numbers of this process: {', '.join(numbers)}")
+                raise invalid("range", quoted(name), f"numbers of this process: {', '.join(numbers)}")
             if not low <= value <= high:
                 raise invalid(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
             for end in (low, high):
@@ -298,6 +298,7 @@ def load_technology(name: str) -> Technology:
     if path.suffix != ".toml" or not name:
         hint = f"{did_you_mean(name, known)} Or give the path of a TOML file.".strip()
         raise invalid("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), hint)
+    check_name(name)
     status = path.stat() if path.is_file() else None
     return _read(path, (status.st_mtime_ns, status.st_size) if status else ())
 
@@ -319,6 +320,7 @@ def technology_of(study: Study, name: str) -> Technology:
     return technology.with_numbers(values, f"process.{name}")
 
 
+NUMBERS_OF_FILE = {*Technology.model_fields, *Junction.model_fields}
 OF_ENTRY = ("value", "range", "distribution", "confidence", "source")  # of a file
 
 
@@ -329,7 +331,8 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
     for key, entry in numbers.items():
         if unknown := next((name for name in entry if name not in OF_ENTRY), None):
-            raise invalid(f"{path}: {key}", f"'{unknown}'", ", ".join(OF_ENTRY), did_you_mean(unknown, OF_ENTRY))
+            number = key if key in NUMBERS_OF_FILE else "a table"
+            raise invalid(f"{path}: {number}", excerpt(unknown), ", ".join(OF_ENTRY), did_you_mean(unknown, OF_ENTRY))
     try:
         values = {key: entry["value"] for key, entry in numbers.items()}
         junction = {key: values.pop(key) for key in Junction.model_fields if key in values}
@@ -338,10 +341,18 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
         distributions = {key: entry["distribution"] for key, entry in numbers.items() if "distribution" in entry}
         record = {"name": table.get("name", path.stem), "sources": sources, "ranges": ranges, "distributions": distributions}
         record |= {"junction": junction} if junction else {}
-        technology: Technology = checked(Technology, [Layer(values | record, str(path))])
+        if isinstance(record["name"], str) and (fault := name_fault(record["name"])):
+            raise invalid(f"{path}: name", f"a name that {fault}", "another name")
+        technology: Technology = checked(Technology, [Layer(values | record, str(path), named=True)])
         return technology
     except KeyError as missing:
         raise PixsimError(f"technology '{path}': an entry has no {missing}; each needs value, confidence and source") from None
+
+
+def check_name(file: str, kind: str = "technology") -> None:
+    """Raise PixsimError if the name of a file, or of a technology, cannot stand in tables."""
+    if fault := name_fault(file) or name_fault(label_of(file)):
+        raise invalid(kind, f"'{one_line(file)}', whose name {fault}", "another name", "Rename the file, or write ./ before it.")
 
 
 def label_of(technology: str) -> str:

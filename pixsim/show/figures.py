@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import base64
 import io
+import os
 import re
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -12,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.lazy import leave_out_docstrings_of_matplotlib
+from pixsim.base.errors import invalid
+from pixsim.base.lazy import RC_FILE, leave_out_docstrings_of_matplotlib
 from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes, smallest_png
 
 if TYPE_CHECKING:
@@ -80,16 +86,50 @@ def plain_powers(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return a figure that needs no display and is saved to the same bytes every time."""
+OWN_SETTINGS = {
+    "svg.hashsalt": "pixsim",
+    "svg.fonttype": "path",
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+_settings, _blocks, _changing = ExitStack(), 0, threading.RLock()
+
+
+@contextmanager
+def own_style() -> Iterator[None]:
+    """Matplotlib's defaults and `OWN_SETTINGS` within a block or a function, and the user's settings again after it.
+
+    Whatever a matplotlibrc says, a figure is the same. Blocks may overlap, also those of threads.
+
+    Raises PixsimError if the import of Matplotlib would wait for what is no file.
+    """
+    global _blocks
+    if "matplotlib" not in sys.modules and os.path.lexists(RC_FILE) and not os.path.isfile(RC_FILE):
+        raise invalid(RC_FILE, "a link to nothing, a pipe or a device in the current folder", "a file, or none", "Move it away.")
     leave_out_docstrings_of_matplotlib()
     import matplotlib
+
+    with _changing:
+        if not _blocks:
+            defaults: dict[Any, Any] = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}
+            _settings.enter_context(matplotlib.rc_context(defaults | OWN_SETTINGS))
+        _blocks += 1
+    try:
+        yield
+    finally:
+        with _changing:
+            _blocks -= 1
+            if not _blocks:
+                _settings.close()
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Return a figure that needs no display and is saved to the same bytes every time. Call and fill it in `own_style`."""
+    assert _blocks, "a figure takes its style from the settings while it is filled"
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    matplotlib.rcParams.update(
-        {"svg.hashsalt": "pixsim", "svg.fonttype": "path", "font.size": 9.0, "axes.spines.top": False, "axes.spines.right": False}
-    )
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -106,6 +146,7 @@ def literal(text: str) -> str:
 
 
 @cache
+@own_style()
 def font_characters() -> frozenset[int]:
     """Return the characters of the figures' font."""
     from matplotlib.font_manager import FontProperties, findfont, get_font
@@ -113,6 +154,7 @@ def font_characters() -> frozenset[int]:
     return frozenset(get_font(findfont(FontProperties())).get_charmap())
 
 
+@own_style()
 def svg_text(figure: Figure) -> str:
     """Return a figure as SVG with numbered ids: Matplotlib's hash coordinates whose last digit varies."""
     if layout := figure.get_layout_engine():

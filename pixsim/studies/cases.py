@@ -6,7 +6,6 @@ A study without axes and conditions is its own only case.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
@@ -16,7 +15,7 @@ from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Axis, AxisPoint, Study, explain, merge
+from pixsim.base.parameters import Axis, AxisPoint, Study, case_folder, check_case_folders, explain, merge
 from pixsim.sensor.technology import labels_of, technology_of
 
 BASE = "base"  # the value of an axis where the study's own settings hold
@@ -45,7 +44,7 @@ class Case:
     @property
     def folder(self) -> str:
         """Name of its folder in that of the study."""
-        return re.sub(r"[^\w.\-]+", "_", self.words) or BASE
+        return case_folder(self.words) or BASE
 
     @property
     def columns(self) -> dict[str, str]:
@@ -88,6 +87,10 @@ def cases_of(study: Study) -> tuple[Case, ...]:
         for condition in study.condition:
             own = _study(_with_settings(table, condition.set), [*where, f"condition {condition.name}"])
             cases.append(Case(own, at, condition.name, alone))
+    try:
+        check_case_folders([case.words or BASE for case in cases])
+    except ValueError as error:
+        raise PixsimError(f"study: {error}.") from None
     return tuple(cases)
 
 

@@ -49,8 +49,9 @@ from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, Registration, derive, implausible_numbers, sheet_disagreements
-from pixsim.sensor.technology import file_label, labels_of
+from pixsim.sensor.technology import check_name, file_label, labels_of
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
+from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.pages import html_cell
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.circumstances import Circumstances, circumstances_of
@@ -362,6 +363,8 @@ def check_files(files: Sequence[str]) -> None:
     if not low <= len(files) <= high:
         hint = "" if files else "For example: pixsim compare a.toml b.toml"
         raise invalid("sensors", f"{len(files)} ({', '.join(files)})" if files else "none", f"{low} to {high} files", hint)
+    for file in files:
+        check_name(file, "sensor")
     real = [os.path.realpath(file) if Path(file).is_file() else file for file in files]
     for number, file in enumerate(real):
         if file in real[:number]:
@@ -861,10 +864,9 @@ class Comparison:
             },
         }
 
+    @own_style()
     def plot(self) -> Figure:
         """Return a Matplotlib figure of mean ΔE: a row for each sensor, with its frames and the 95 % interval of their mean."""
-        from pixsim.show.figures import literal, new_figure
-
         figure = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * len(self.sensors))
         axes = figure.add_subplot()
         for row, (name, (low, mean, high)) in enumerate(self.scores.items()):

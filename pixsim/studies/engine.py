@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
+import secrets
 import signal
 import threading
 import time
@@ -19,6 +21,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pixsim.base import cache
+from pixsim.base.children import safe_variables
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import disk_faults_named
 from pixsim.base.lazy import import_less
@@ -91,7 +94,12 @@ def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Work
 
         try:
             client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
+        except (
+            OSError,
+            ValueError,
+            TypeError,
+            RuntimeError,
+        ) as error:  # RuntimeError: encryption is required, or TLS has no certificate
             hint = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
             got = f"'{scheduler}' ({' '.join(str(error).split()) or type(error).__name__})"
             raise invalid("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", hint) from None
@@ -130,7 +138,8 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
     left: Calls[Task, Shared] = dict(enumerate(calls))
     deadly: Calls[Task, Shared] = {}
     address = workers.client.scheduler.address if workers.client else ""  # a closed client has forgotten it
-    workers = Workers() if len(calls) == 1 and not workers.client else workers  # one call does not need a process
+    if not workers.client and (len(calls) == 1 or (workers.jobs > 1 and not processes_work())):
+        workers = Workers()  # one call does not need a process
 
     def attempt(batch: Calls[Task, Shared]) -> Iterator[Result]:
         """Yield results, removing finished calls from the batch; stop when a worker dies."""
@@ -167,6 +176,25 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
             f"workers ({workers}): each of these tasks ended its process, even when run alone: {named}. Often the system is out "
             "of memory. Finished rows are kept, and the same command continues from them; --jobs 1 shows the error."
         )
+
+
+@lru_cache
+def processes_work() -> bool:
+    """Return whether this machine can have workers, with a warning if it cannot: their locks are files of /dev/shm."""
+    import _multiprocessing  # type: ignore[import-not-found]
+
+    try:
+        _multiprocessing.SemLock(0, 0, 1, f"/pixsim-{secrets.token_hex(8)}", True)
+    except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            raise
+        hint = "mount /dev/shm (docker run --shm-size 64m), or give --jobs 1"
+        warn(
+            f"no worker processes, since /dev/shm cannot be written ({error.strerror}): one process does all; {hint}",
+            MachineWarning,
+        )
+        return False
+    return True
 
 
 def check_scheduler(client: Any, address: str) -> None:
@@ -296,7 +324,7 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
     """
     from joblib import Parallel, delayed, parallel_config
 
-    with temporary_folder() as folder, closing(SharedFiles(folder, [make for _, make in calls.values()])) as files:
+    with safe_children(), temporary_folder() as folder, closing(SharedFiles(folder, [make for _, make in calls.values()])) as files:
         makers = {index: make for index, (_, make) in calls.items()}
         left = Counter(map(id, makers.values()))
 
@@ -407,6 +435,33 @@ def watch_parent(parent: int) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
     threading.Thread(target=run, name="pixsim parent", daemon=True).start()
+
+
+_blocks, _before = 0, dict[str, str | None]()  # of `safe_children`: how many run, and the variables before the first one
+_changing = threading.Lock()
+
+
+@contextmanager
+def safe_children() -> Iterator[None]:
+    """Give `safe_variables` to all processes that are started meanwhile, also by joblib's threads and its trackers.
+
+    Blocks of several threads may overlap. A user's own modules reach the workers with the path of this process.
+    """
+    global _blocks
+    with _changing:
+        if not _blocks:
+            _before.update({name: os.environ.get(name) for name in safe_variables()})
+            os.environ |= safe_variables()
+        _blocks += 1
+    try:
+        yield
+    finally:
+        with _changing:
+            _blocks -= 1
+            if not _blocks:
+                for name, value in _before.items():
+                    os.environ.pop(name, None)
+                    os.environ |= {} if value is None else {name: value}
 
 
 @contextmanager

@@ -12,13 +12,14 @@ import errno
 import math
 import os
 import shutil
+import stat
 import threading
 from collections.abc import Callable, Collection, Container, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cache as cache_once, cached_property, partial
 from hashlib import blake2b
-from itertools import chain, islice
+from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import IO, Any
 
@@ -27,7 +28,7 @@ import numpy as np
 from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import opened, replacing
+from pixsim.base.files import digest_of, kind_of, opened, replacing
 from pixsim.base.notes import warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, channels_of, content_hash, pixel_of
 from pixsim.base.progress import Progress
@@ -114,14 +115,15 @@ class ResultsFile:
                 raise invalid("results", f"'{self.path}' ({error.strerror})", allowed) from None
 
     def check_replaceable(self) -> None:
-        """Raise PixsimError if the file has content and does not begin with the columns of a study: it is another program's."""
+        """Raise PixsimError if the file is a link, or does not begin with the columns of a study: it is another program's."""
         if not os.path.lexists(self.path):
             return
-        allowed = "the rows of a study, or no such file"
+        allowed, hint = "the rows of a study, or no such file", "Choose another folder with --out, or move the file away."
+        if not stat.S_ISREG(mode := self.path.lstat().st_mode):
+            raise invalid("results", f"'{self.path}', {kind_of(mode)}", allowed, hint)
         with opened(self.path, "results", allowed) as file:
             first = file.readline(MAX_LINE)
         if first and not first.startswith(",".join(COLUMNS[:3]).encode()):
-            hint = "Choose another folder with --out, or move the file away."
             raise invalid("results", f"'{self.path}', not written by pixsim", allowed, hint)
 
     def _is_whole(self, row: Row) -> bool:
@@ -131,48 +133,66 @@ class ResultsFile:
         except (KeyError, TypeError, ValueError):
             return False
 
-    def resume(self, is_expected: Callable[[Row], bool]) -> RowStore:
-        """Return the expected rows by key. If there are others, copy the file to FILE.old; leave only the expected rows.
+    def resume(self, is_expected: Callable[[Row], bool], is_edited: Callable[[Row], bool] = lambda _: False) -> RowStore:
+        """Return the expected rows by key. If there are others, copy the file (`_back_up`); leave only the expected rows.
 
-        Warns of a file of another schema: its rows are not mixed with those of this one, but computed again.
+        is_edited : whether a row that is not expected has the key of one that is
+
+        Warns of rows of another schema, and of rows that cannot be: they are computed again.
         """
-        done, has_others = RowStore(self.columns), False
+        done, has_others, impossible = RowStore(self.columns), False, 0
         for row in self._whole_rows():
-            if is_expected(row):
+            expected = is_expected(row)
+            if expected and is_possible(row):
                 done[row["key"]] = row
             else:
                 has_others = True
+                impossible += expected or is_edited(row)
                 done.pop(row["key"], None)
         has_content = self.path.is_file() and self.path.stat().st_size > len(self._text([self._head])) + 1
-        if self.another_schema is not None:
-            kept = f"They are kept in '{self.path.name}.old', and computed again."
-            warn(f"results: rows of '{self.path}' state {of_another(self.another_schema)}. {kept}")
         if has_content and (has_others or not done or self.another_schema is not None):
-            self._back_up()
+            backup = self._back_up()
+            if self.another_schema is not None:
+                kept = f"They are kept in '{backup}', and computed again."
+                warn(f"results: rows of '{self.path}' state {of_another(self.another_schema)}. {kept}")
+            if impossible:
+                which = f"{impossible} row{'s' * (impossible > 1)} of '{self.path}' cannot be, by ΔE, size or another number"
+                warn(f"results: {which}. The file is kept as '{backup}', and they are computed again.")
         self.write(done.values())
         return done
 
     def finish(self, parts: Sequence[StoredRows]) -> None:
-        """Leave only the rows of these parts in the file, copied to FILE.old first if it holds others."""
+        """Leave only the rows of these parts in the file, copied first (`_back_up`) if it holds others."""
         keys = {key for rows in parts for key in rows.keys}
         if any(row["key"] not in keys for row in self._whole_rows()):
             self._back_up()
         self.write(row for rows in parts for row in rows)
 
-    def _back_up(self) -> None:
-        shutil.copyfile(self.path, self.path.with_name(self.path.name + ".old"))
+    def _back_up(self) -> str:
+        """Copy the file to FILE.old, or FILE.old2 and so on if there are such copies of other content; return the name."""
+        with self._clear_write_errors(), opened(self.path, "results", "the rows of a study", MAX_BYTES) as content:
+            digest = digest_of(self.path)
+            copy, number = self.path.with_name(f"{self.path.name}.old"), 1
+            while os.path.lexists(copy):
+                if stat.S_ISREG(copy.lstat().st_mode) and digest_of(copy) == digest:
+                    return copy.name
+                number += 1
+                copy = self.path.with_name(f"{self.path.name}.old{number}")
+            with replacing(copy, named=False) as partial, partial.open("wb") as file:
+                shutil.copyfileobj(content, file)
+            return copy.name
 
     def write(self, rows: Iterable[Row]) -> None:
         """Replace the file, completely or not at all."""
         left = chain([self._head], rows)
-        with self._clear_write_errors(), replacing(self.path) as partial, partial.open("wb") as file:
+        with self._clear_write_errors(), replacing(self.path, named=False) as partial, partial.open("wb") as file:
             while some := list(islice(left, ROWS_AT_ONCE)):
                 file.write(self._text(some))
 
     def append(self, rows: Collection[Row]) -> None:
         """Append all of the rows, or none if writing fails."""
         text = self._text(rows)
-        with self._clear_write_errors(), self.path.open("ab", buffering=0) as file:
+        with self._clear_write_errors(), open(self.path, "ab", 0, opener=not_through_links) as file:
             before = file.tell()
             try:
                 if file.write(text) != len(text):
@@ -198,6 +218,29 @@ class ResultsFile:
 
     def _text(self, rows: Iterable[Row]) -> bytes:
         return csv_text([*(row[name] for name in self.columns), row.get(KEY, str(SCHEMA))] for row in rows).encode()
+
+
+MAX_DELTA_E = 1e3  # of any two colours: black and white differ by 100, the most saturated ones by 260
+ROUNDING = 1e-5  # relative, of means in single precision
+BOUNDS = {**dict.fromkeys(DELTA_E_STATISTICS, (0.0, MAX_DELTA_E)), **dict.fromkeys(PIXEL_STATISTICS, (0.0, math.inf))}
+
+
+def is_possible(row: Row) -> bool:
+    """Return whether the numbers of a row can be those of an evaluation: within bounds, no statistic of ΔE above its maximum.
+
+    A row is trusted otherwise: its key tells what it is of, not what came out.
+    """
+    values = {name: float(row[name]) for name in BOUNDS}
+    if not all(low <= values[name] <= high * (1 + ROUNDING) for name, (low, high) in BOUNDS.items()):
+        return False
+    mean, *rising = (values[name] for name in DELTA_E_STATISTICS)
+    largest = rising[-1] * (1 + ROUNDING)
+    return mean <= largest and all(one <= other * (1 + ROUNDING) for one, other in pairwise(rising))
+
+
+def not_through_links(path: str, flags: int) -> int:
+    """Open a file that is not a link, as `os.open`."""
+    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
 
 
 FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola
@@ -772,7 +815,17 @@ class Evaluations:
             others = self.parts if len(self.parts) <= FEW_PARTS else ()
             return any(part.fingerprints.is_expected_row(row) for part in (*own, *others))
 
-        self._done = self._results.resume(is_expected)
+        @cache_once
+        def expected_keys() -> set[str]:
+            return {
+                key
+                for part in self.parts
+                for technology, sensors in part.fingerprints.first_sampling.items()
+                for pitch_um, number in sensors.items()
+                for key in part.fingerprints.keys(technology, pitch_um, range(number)).values()
+            }
+
+        self._done = self._results.resume(is_expected, lambda row: row["key"] in expected_keys())
         self.counts.evaluations_reused = len(self._done)
         try:
             yield

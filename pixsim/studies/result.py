@@ -22,7 +22,7 @@ from pixsim.sensor.collection import least_fresnel_number
 from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.pixel import has_microlens, photodiode_widths_um, physics_of, smallest_pitch_um
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of, with_fill_factor_law
-from pixsim.show.figures import LOOKS, Look, literal, new_figure
+from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, html_cell, rows_csv, set_words
 from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import (
@@ -47,7 +47,7 @@ from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
-from pixsim.viewer.score import ImagingChain, SceneCache, Score, clip_words, clips_dark, dark_clip
+from pixsim.viewer.score import ImagingChain, SceneCache, Score, clip_words, clips_dark, dark_clip, rounded_up
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,7 +56,6 @@ if TYPE_CHECKING:
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
-ROUNDING = 1e-9  # relative, of a number that is rounded up
 SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
 
@@ -615,14 +614,8 @@ def flat_words(curve: Any, end: int, size: str) -> str:
     best = curve.optimum
     if not best.inside or not best.mean_delta_e > 0:
         return ""
-    rise = max(0.0, float(curve.fit.delta_e[end]) / best.mean_delta_e - 1)
-    return f"flat to the {size}: within {rounded_up(100 * rise)} %"
-
-
-def rounded_up(value: float) -> str:
-    """Return a value as text, rounded up to two digits."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1) if value > 0 else 0.1
-    return f"{math.ceil(value / unit - ROUNDING) * unit:.2g}"
+    percent = 100 * (float(curve.fit.delta_e[end]) / best.mean_delta_e - 1)
+    return f"flat to the {size}: within {rounded_up(percent, 2) if percent > 0 else 0:g} %"
 
 
 def within_words(ends: tuple[float | None, float | None], curve: Any) -> str:
@@ -698,6 +691,7 @@ def fill_factor_axis(axes: Axes, curve: Curve) -> None:
     top.set_xlabel("fill factor (%)")
 
 
+@own_style()
 def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: str = "delta_e_against_pitch") -> Plate:
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()

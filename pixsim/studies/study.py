@@ -37,7 +37,7 @@ from pixsim.light.stored import PictureFile
 from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import PixelPhysics, physics_of, warn_of_disagreements, warn_of_implausible_numbers
-from pixsim.sensor.technology import label_of, labels_of, technology_of
+from pixsim.sensor.technology import check_name, label_of, labels_of, technology_of
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
@@ -314,6 +314,7 @@ def check_technologies(study: Study) -> None:
         if name not in study.technologies:
             raise invalid("process", f"'{name}'", f"technologies of the study: {', '.join(study.technologies)}")
     for name in study.technologies:
+        check_name(name)
         sheet = study.sensors[name].model_dump() if name in study.sensors else None
         content = content_hash([technology_of(study, name).content, sheet])
         if content in processes:

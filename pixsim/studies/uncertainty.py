@@ -25,7 +25,7 @@ from pixsim.base.config import spreads_of_study
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.parameters import MIN_FRACTION, PixelOptions, Record, Spread, StackOptions, Study, excluded_by, stack_excluded_by
 from pixsim.sensor.technology import Junction, Technology, label_of, technology_of
-from pixsim.show.figures import COLOURS, literal, new_figure
+from pixsim.show.figures import COLOURS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, rows_csv
 from pixsim.studies.indices import FirstOrder, Marginal, first_order, saltelli
 
@@ -688,6 +688,7 @@ def few_pitches_um(
     return few
 
 
+@own_style()
 def distribution_plate(result: UncertaintyResult) -> Plate:
     """Plot the distributions of the optimum and of the least ΔE over the sensor types."""
     figure = new_figure(9.0, 3.2)
@@ -749,6 +750,7 @@ def distribution_words(distribution: ResultDistribution, what: str, unit: str) -
     return words
 
 
+@own_style()
 def indices_plate(result: UncertaintyResult) -> Plate:
     """Plot the first-order indices of the optimum and of the least ΔE as bars with their intervals, the largest first."""
     shown = result.first_order

@@ -148,7 +148,7 @@ def dot_edges_um(
 def pixel_edges_um(length_um: float, count: int, pitch_um: float, registration: float | None = None) -> Array:
     """Return the edges of a line of `count` pixels, (count + 1,), measured from the picture's edge.
 
-    registration : of the pixels along this axis, as of `PixelPhysics`
+    registration : of the pixels along this axis, as of `PixelPhysics`: a fraction of the pitch; None for a centred line
     """
     if registration is None:
         return length_um / 2 + (np.arange(count + 1.0) - count / 2) * pitch_um

@@ -55,7 +55,7 @@ from pixsim.sensor.readout import (
     sample_sensor,
 )
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
-from pixsim.show.figures import new_figure
+from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import html_cell, rounded, rows_csv, set_words
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
@@ -138,6 +138,7 @@ class Score:
             **gamut,
         }
 
+    @own_style()
     def plot(self) -> Figure:
         """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map with its scale."""
         figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)

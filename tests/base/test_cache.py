@@ -7,7 +7,6 @@ import math
 import multiprocessing
 import os
 import re
-import time
 import warnings
 from pathlib import Path
 from unittest.mock import Mock
@@ -18,7 +17,8 @@ from helpers.processes import HANG_S
 
 import pixsim
 from pixsim.base import cache
-from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.files import FOLDER_VARIABLE, private_folder
+from pixsim.base.locks import PARTIAL_FILE, unfinished
 
 NOT_ROOT = pytest.mark.skipif(os.geteuid() == 0, reason="root can write to any folder")
 
@@ -104,7 +104,8 @@ def test_load_or_compute_two_processes_share_entries(folder):
         process.join(HANG_S)
     assert [process.exitcode for process in processes] == [0, 0]
     for number in range(40):
-        assert json.loads((folder / f"kind/key{number}.json").read_text(encoding="utf-8")) == {"number": number}
+        entry = {"entry": f"pixsim cache kind/key{number}", "value": {"number": number}}
+        assert json.loads((folder / f"kind/key{number}.json").read_text(encoding="utf-8")) == entry
 
 
 def test_folder_follows_xdg(monkeypatch, tmp_path):
@@ -168,14 +169,14 @@ def test_arrays_damaged_file_is_rejected(folder):
 def test_clear_skips_files_of_other_users(small, monkeypatch):
     for number in range(12):
         cache.store_arrays("kind", f"{number:02d}", big(1))
-    unlink = Path.unlink
+    unlink = os.unlink
 
-    def fail(self: Path, missing_ok: bool = False) -> None:
-        if self.stem < "08":
+    def fail(path: str, *, dir_fd: int) -> None:
+        if path < "08":
             raise PermissionError(13, "Permission denied")
-        unlink(self, missing_ok)
+        unlink(path, dir_fd=dir_fd)
 
-    monkeypatch.setattr(Path, "unlink", fail)
+    monkeypatch.setattr(os, "unlink", fail)
     assert cache.clear() > 0
     assert {entry.path.stem for entry in cache.entries()} <= {f"{number:02d}" for number in range(8)}
 
@@ -183,11 +184,13 @@ def test_clear_skips_files_of_other_users(small, monkeypatch):
 def test_clear_keeps_kernels_unless_named(folder):
     cache.store_arrays("kind", "key", CONTENT)
     (folder / "kernels").mkdir()
-    (folder / "kernels/a.bin").write_bytes(b"kernel")
+    kernel, other = folder / f"kernels/{'0a' * 16}.llvm.v6.bin", folder / "kernels/notes.txt"
+    for path in (kernel, other):
+        path.write_bytes(b"kernel")
     assert [entry.kind for entry in cache.entries()] == ["kind"]
     cache.clear()
-    assert (folder / "kernels/a.bin").exists()
-    assert cache.clear("kernels") == 6
+    assert kernel.exists()
+    assert (cache.clear("kernels"), kernel.exists(), other.exists()) == (6, False, True)
 
 
 def big(mib: float) -> cache.Arrays:
@@ -235,15 +238,105 @@ def test_limit_bytes_invalid_value_raises(monkeypatch, text):
         cache.limit_bytes()
 
 
-def test_trim_removes_old_partial_files(folder):
+def test_trim_removes_partial_files_of_ended_processes(folder):
     cache.store_arrays("kind", "key", CONTENT)
-    for name, age_s in ((".old", 7200), (".new", 60)):
-        (folder / "kind" / name).write_bytes(b"half")
-        then = time.time() - age_s
-        os.utime(folder / "kind" / name, (then, then))
-    cache.trim()
-    assert sorted(path.name for path in (folder / "kind").iterdir()) == [".new", "key.npz"]
+    with unfinished(folder / "kind", ".key.npz.", PARTIAL_FILE, is_folder=False) as running:
+        for name in (".key.npz.0123abcd.part", ".notes"):
+            (folder / "kind" / name).write_bytes(b"half")
+        cache.trim()
+        assert sorted(path.name for path in (folder / "kind").iterdir()) == sorted([".notes", "key.npz", running.name])
     assert len(cache.entries()) == 1
+
+
+def add_foreign(kind: Path) -> dict[str, bytes]:
+    """Files of a user beside entries, also with their endings; one of them is a copy of an entry."""
+    np.savez(kind / "measured.npz", a=np.ones(3))
+    contents = {"notes.txt": b"mine", "data.json": b'{"a": 1}', "chart.exr": b"\x76\x2f\x31\x01mine"}
+    contents |= {"measured.npz": (kind / "measured.npz").read_bytes(), "copy.json": (kind / "key.json").read_bytes()}
+    for name, content in contents.items():
+        (kind / name).write_bytes(content)
+        os.utime(kind / name, (1, 1))  # the first ones that would be removed
+    return contents
+
+
+@pytest.mark.parametrize("how", ["clear", "clear kind", "trim"])
+def test_only_entries_are_removed(folder, how, monkeypatch, tmp_path):
+    """Not what lies beside them, what a link leads to, or what a linked folder holds."""
+    cached(1.0)
+    cache.store_arrays("other", "key", CONTENT)
+    contents = add_foreign(folder / "kind")
+    mine = tmp_path / "mine"
+    (folder / "kind").rename(mine)  # with an entry, and under the name of its kind
+    (folder / "kind").symlink_to(mine)
+    (folder / "other/linked.json").symlink_to(mine / "key.json")
+    (folder / "other/notes").mkdir()
+    if how == "trim":
+        monkeypatch.setenv(cache.LIMIT_VARIABLE, "1e-9")
+        cache.trim()
+    else:
+        cache.clear("kind" if how == "clear kind" else None)
+    assert {name: (mine / name).read_bytes() for name in contents} == contents
+    assert (mine / "key.json").exists()
+    assert sorted(path.name for path in (folder / "other").iterdir()) == ["key.npz"] * (how == "clear kind") + [
+        "linked.json",
+        "notes",
+    ]
+
+
+def test_entries_are_removed_beside_other_files(folder):
+    cached(1.0)
+    contents = add_foreign(folder / "kind")
+    assert cache.foreign_bytes() == sum(map(len, contents.values()))
+    assert cache.clear() == len(contents["copy.json"])
+    assert sorted(path.name for path in (folder / "kind").iterdir()) == sorted(contents)
+
+
+@pytest.mark.parametrize("change", ["of another key", "of another kind", "behind a link", "in a linked folder"])
+def test_only_an_entry_of_its_own_label_is_read(folder, change, tmp_path):
+    """A file of another key would be another result in silence; a link may lead to any file."""
+    cached(1.0, "other")
+    cache.load_or_compute("another", "key", read, lambda: {"number": 2.0}, dict)
+    source = folder / {"of another key": "kind/other.json", "of another kind": "another/key.json"}.get(change, "kind/key.json")
+    cached(3.0)
+    if change == "in a linked folder":
+        (folder / "kind").rename(tmp_path / "theirs")
+        (folder / "kind").symlink_to(tmp_path / "theirs")
+    elif change == "behind a link":
+        source.rename(tmp_path / "theirs.json")
+        source.symlink_to(tmp_path / "theirs.json")
+    else:
+        (folder / "kind/key.json").write_bytes(source.read_bytes())
+    before = {path: path.read_bytes() for path in tmp_path.rglob("theirs*/*.json")}
+    with warnings.catch_warnings(record=True):
+        warnings.simplefilter("always")
+        assert cached(4.0) == ({"number": 4.0}, 1)
+    assert {path: path.read_bytes() for path in before} == before
+
+
+@pytest.mark.parametrize("fault", [None, "can be written by others", "belongs to another user", "is a link or a file"])
+def test_kernels_are_used_only_from_a_folder_of_ones_own(folder, fault, tmp_path, monkeypatch):
+    before = os.umask(0)
+    try:
+        if fault == "is a link or a file":
+            folder.mkdir()
+            (tmp_path / "theirs").mkdir()
+            (folder / "kernels").symlink_to(tmp_path / "theirs")
+        elif fault is not None:
+            private_folder("kernels")
+        if fault == "can be written by others":
+            (folder / "kernels").chmod(0o770)
+        elif fault == "belongs to another user" and os.geteuid() == 0:
+            os.chown(folder / "kernels", 12345, -1)
+        elif fault == "belongs to another user":
+            pytest.skip("only root can give a folder away")
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            found = private_folder("kernels")
+    finally:
+        os.umask(before)
+    assert [fault in str(each.message) for each in told] == [True] * (fault is not None)
+    assert (found == folder / "kernels") == (fault is None)
+    assert (found.stat().st_mode & 0o777, found.stat().st_uid) == (0o700, os.geteuid())
 
 
 def test_clear_removes_one_kind_or_all(folder):

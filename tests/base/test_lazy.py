@@ -62,11 +62,12 @@ import hashlib, sys
 from pixsim.base import lazy
 if sys.argv[1] == "command":
     lazy.import_less()
-from pixsim.show.figures import new_figure, svg_text
-figure = new_figure(2, 2)
-figure.subplots().plot([1, 2, 4], color="red", label="a line")
-figure.axes[0].set(xlabel="x", xscale="log")
-figure.legend()
+from pixsim.show.figures import new_figure, own_style, svg_text
+with own_style():
+    figure = new_figure(2, 2)
+    figure.subplots().plot([1, 2, 4], color="red", label="a line")
+    figure.axes[0].set(xlabel="x", xscale="log")
+    figure.legend()
 from matplotlib.lines import Line2D
 print(hashlib.blake2b(svg_text(figure).encode()).hexdigest(), "linestyle" in Line2D.set.__doc__)
 """

@@ -29,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.timing import fresh
 
 import pixsim
+from pixsim.show.figures import COLOURS, new_figure, own_style, svg_text
 from pixsim.studies import evaluations
 from pixsim.studies.study import render_for, study
 from pixsim.viewer.score import ImagingChain
@@ -152,9 +153,8 @@ def leaves_linear(values: list[int], seconds: list[float], power_of_work: int) -
     return str(values[above.index(True)]) if any(above) else "-"
 
 
+@own_style()
 def draw(results: dict[str, tuple[list[int], list[dict[str, float]]]], path: Path) -> None:
-    from pixsim.show.figures import COLOURS, new_figure, svg_text
-
     figure = new_figure(9.0, 5.6)
     grid = figure.subplots(2, -(-len(results) // 2), squeeze=False)
     for spare in grid.flat[len(results) :]:

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.dense_curves import covers, simulated, simulation_options
 
 from pixsim.base.parameters import Study
-from pixsim.show.figures import LOOKS, new_figure, svg_text
+from pixsim.show.figures import LOOKS, new_figure, own_style, svg_text
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.study import load_study
 
@@ -62,6 +62,7 @@ def medians(studies: list[list[tuple[int, float, bool]]]) -> tuple[np.ndarray, n
     return np.median(table[:, :, 0], axis=0), np.median(table[:, :, 1], axis=0)
 
 
+@own_style()
 def draw(grid: tuple[np.ndarray, np.ndarray], rounds: tuple[np.ndarray, np.ndarray], start: tuple[int, int], path: Path) -> None:
     figure = new_figure(5.2, 3.4)
     axes = figure.subplots()

@@ -121,7 +121,7 @@ FILES: dict[str, tuple[str, str | bytes, str]] = {
     "zmx in UTF-16": (".zmx", zmx(("N-BK7", "N-BK7_MOLD")).encode("utf-16"), "surface 1 (line 8), line 12: GLAS: got the unknown"),
     "empty zmx": (".zmx", b"", "without a line SURF"),
     "empty toml": (".toml", b"", "lens.toml: aperture: missing; it is required, as in [aperture] with type"),
-    "unit": (".zmx", zmx(("UNIT MM", "UNIT FURLONG")), "line 3: got UNIT FURLONG; allowed: MM, CM, IN"),
+    "unit": (".zmx", zmx(("UNIT MM", "UNIT FURLONG")), "line 3: got UNIT with a text of 7 characters; allowed: MM, CM, IN"),
     "mirror": (".zmx", zmx(("N-BK7", "MIRROR")), "surface 1 (line 8), line 12: GLAS: got 'MIRROR', a mirror"),
     "mirror in toml": (".toml", toml(r'(?m)^glass = "[^"]+"', 'glass = "MIRROR"'), "surface 1 (line "),
     "gradient": (".zmx", zmx((SURFACE, f"{SURFACE}  TYPE GRINSUR3\n")), "surface 1 (line 8): got the surface type GRINSUR3, a gr"),

@@ -11,12 +11,14 @@ import tomllib
 from pathlib import Path
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from helpers.commands import assert_refused, command, process
 from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
 import pixsim
+from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import Run, Study
 from pixsim.cli import options
@@ -63,12 +65,12 @@ def test_main_exception_sets_exit_code(failure: BaseException, code: int, messag
 
 def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
-    (tmp_path / "render").mkdir()
-    (tmp_path / "render/a.npz").write_bytes(b"x" * (1 << 20))
+    cache.store_arrays("render", "a", {"x": np.zeros(1 << 20, np.uint8)})
+    size = sum(entry.size_bytes for entry in cache.entries())
     assert command("cache")[1].splitlines() == [f"{tmp_path}: 1.0 MiB of 4096", "  render            1 entries        1.0 MiB"]
     assert_refused(*command("cache --kind frame"), ["--kind: got 'frame'; allowed: render"])
     code, out, _ = command("cache --clear --json")
-    assert (code, json.loads(out)["freed_bytes"], json.loads(out)["kinds"]) == (0, 1 << 20, {})
+    assert (code, json.loads(out)["freed_bytes"], json.loads(out)["kinds"]) == (0, size, {})
 
 
 def test_help_shows_usage_and_json() -> None:

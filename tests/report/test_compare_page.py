@@ -70,7 +70,7 @@ def test_compare_prints_answer(compared: tuple[Path, str, str]) -> None:
     assert lines[3].startswith("the same field of 18.8° × 14.1°, f/4 and focus at 1 m, as quiet; one chart, to 32 cycles across, ")
     for words in ("one display of 120 dots across, 23 per degree", "each exposed to 95 % of its own well", "3 pairs of frames"):
         assert words in lines[3]
-    assert "23 per degree, as stated; 116 × 86 are scored; range of viewing: 120 dots, 11.5 to 46 per degree" in lines[3]
+    assert "23 per degree, as stated; 114 × 84 are scored; range of viewing: 120 dots, 11.5 to 46 per degree" in lines[3]
     note = "note: quiet and noisy_one: the verdict is the same on other displays (64 to 120 dots, 11.5 to 46 per degree)"
     assert lines[4] == note
     assert lines[-1] == f"report: {folder / 'report.html'}"
@@ -196,7 +196,8 @@ def under_study(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The folder of a comparison under three conditions, and what it printed."""
     folder = tmp_path_factory.mktemp("study")
     (folder / "both.toml").write_text(STUDY, encoding="utf-8")
-    options = f"--repeats 2 --jobs 1 --study '{folder / 'both.toml'}'"
+    # Two registrations leave an interval with one degree of freedom, wider than the difference; four are a balanced block.
+    options = f"--repeats 4 --jobs 1 --study '{folder / 'both.toml'}'"
     code, out, err = command(f"compare {options} --variant scalar_spectral", *write_sheets(folder), "--out", folder / "out")
     assert (code, err) == (0, "")
     return folder / "out", out
@@ -226,7 +227,7 @@ def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, s
         "the study both (not used: technologies); ΔE is the mean over its conditions with the weights never (0), "
         "day (0.75), night (0.25); the same field of 18.8° × 14.1°"
     )
-    for words in ("the same light in each condition", "at most 20 ms in day", "2 pairs of frames with the same seeds"):
+    for words in ("the same light in each condition", "at most 20 ms in day", "4 pairs of frames with the same seeds"):
         assert words in lines[6]
 
 
@@ -246,7 +247,7 @@ def test_compare_study_settings_make_the_same_numbers(under_study: tuple[Path, s
     folder = under_study[0]
     line = (folder / "settings.toml").read_text(encoding="utf-8").splitlines()[1]
     files = "sensors/quiet.toml sensors/noisy_one.toml"
-    assert line == f"# pixsim compare {files} --study settings.toml --match view --repeats 2 --variant scalar_spectral"
+    assert line == f"# pixsim compare {files} --study settings.toml --match view --repeats 4 --variant scalar_spectral"
     monkeypatch.chdir(folder)
     code, out, err = command(line.removeprefix("# pixsim "), "--json", "--out", tmp_path / "again")
     assert code == 0, err

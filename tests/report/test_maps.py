@@ -30,7 +30,7 @@ from pixsim.report.maps import (
     plate_names,
     round_numbers,
 )
-from pixsim.show.figures import new_figure
+from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.optimum import FittedCurve, fit_curve
@@ -582,6 +582,7 @@ def test_alone_axes_are_not_in_the_maps() -> None:
     assert axis_plates(result)[0].table["lens"] == [2.8, 8.0]
 
 
+@own_style()
 def test_ticks_of_a_logarithmic_axis_do_not_overlap() -> None:
     """Seven values in a panel of half the width: those of fewest digits have labels."""
     scale = Scale.of(Axis(name="light", set=("pixel.dsnu",), first=1.0, to=1000.0, count=7, spacing="log"))

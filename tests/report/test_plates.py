@@ -29,7 +29,7 @@ from pixsim.report.pictures import MAX_TICKS, picture_axes
 from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
 from pixsim.report.views import study_pictures
 from pixsim.scene.charts import DIE_MM
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, svg_text
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_style, svg_text
 from pixsim.show.pages import Plate, answer_and_rest
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
 from pixsim.studies.optimum import Optimum
@@ -120,6 +120,7 @@ def test_plate_csv_is_complete_with_units(plates: dict[str, Plate]) -> None:
                 assert not np.isnan(read).any()
 
 
+@own_style()
 def test_plate_csv_unequal_columns_raise() -> None:
     with pytest.raises(ValueError, match="shorter"):
         _ = Plate("odd", "", new_figure(1, 1), {"a": [1.0, 2.0], "b": [1.0]}).csv
@@ -344,6 +345,7 @@ def test_other_statistics_caption_by_chart(tiny_result: StudyResult, monkeypatch
 # --- axes -------------------------------------------------------------------------------------------------------------
 
 
+@own_style()
 def axes_for(width: int, height: int, pitch_um: float, header: dict[str, object]) -> Axes:
     irradiance = SpectralImage([550.0], [10.0], pitch_um, data=np.ones((height, width, 1)), header=header)
     axes = new_figure(3, 3).subplots()

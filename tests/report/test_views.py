@@ -248,7 +248,8 @@ def test_contact_sheet_png_long_title_is_bounded(title: str) -> None:
 
 
 def test_study_detail_does_not_change_rows(tiny_result: StudyResult, tmp_path: Path) -> None:
-    again = pixsim.study(tiny(**merge(WHOLE_CHART, {"display": {"dots": 120}}), paper=True, detail=[0.1, 0.2]), tmp_path, jobs=1)
+    own = merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 512, "paper": True, "detail": [0.1, 0.2]})
+    again = pixsim.study(tiny(**own), tmp_path, jobs=1)
     np.testing.assert_array_equal(again.curves[0].delta_e, tiny_result.curves[0].delta_e)
     assert replace(again, study=tiny_result.study).as_dict() == tiny_result.as_dict()
     text = (tmp_path / "results.csv").read_text(encoding="utf-8")

@@ -208,10 +208,10 @@ def test_texture_file_on_full_disk_is_temporary(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
     write, full = charts.write_channels, [tmp_path]
 
-    def write_if_room(path: Path, *content: dict[str, object]) -> None:
+    def write_if_room(path: Path, *content: dict[str, object], named: bool = True) -> None:
         if any(path.is_relative_to(folder) for folder in full):
             raise PixsimError(f"output file: got '{path}' (No space left on device)")
-        write(path, *content)
+        write(path, *content, named=named)
 
     monkeypatch.setattr(charts, "write_channels", write_if_room)
     path = charts.texture_file(["full"], lambda: np.ones((2, 2), np.float32))

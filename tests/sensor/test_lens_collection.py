@@ -39,7 +39,7 @@ def traced(camera: Camera, x_mm: float, y_mm: float, count: int = 160) -> tuple[
     across, along = (part.ravel() for part in np.meshgrid(*2 * [(np.arange(count) - (count - 1) / 2) * step]))
     along = along + chief
     height = np.array([np.hypot(x_mm, y_mm)])
-    through = lens._widths(height, nm, across[None], along[None])[0] <= 1
+    through = lens._widths(np.array([field]), height, nm, across[None], along[None])[0] <= 1
     outward = np.array([x_mm, y_mm]) / np.hypot(x_mm, y_mm)
     aside = np.array([outward[1], -outward[0]])
     cosines = along[through, None] * outward + across[through, None] * aside

@@ -95,8 +95,11 @@ RANGES = [
     ("[0.1, 101]", r"range of dsnu: dsnu: got 101.*less than or equal to 100"),
     ("[0.1, inf]", r"dsnu\.1: got inf; allowed: a finite number"),
     ("[0.1]", r"ranges\.dsnu"),
-    ('"wide"', r"ranges\.dsnu: got 'wide'"),
-    ('[0.1, 0.6]\ndistribution = "flat"', r"distributions\.dsnu: got 'flat'; allowed: 'uniform', 'normal' or 'lognormal'"),
+    ('"wide"', r"ranges\.dsnu: got a text of 4 characters"),
+    (
+        '[0.1, 0.6]\ndistribution = "flat"',
+        r"distributions\.dsnu: got a text of 4 characters; allowed: 'uniform', 'normal' or 'lognormal'",
+    ),
     ('[0.0, 0.6]\ndistribution = "lognormal"', r"range of dsnu: got \[0, 0\.6\]; allowed: 0 < low < high for a lognormal"),
     ('[0.3, 0.3]\ndistribution = "lognormal"', r"range of dsnu: got \[0\.3, 0\.3\]; allowed: 0 < low < high"),
 ]
@@ -110,7 +113,7 @@ RANGES = [
         ("range = [0.9, 1.5]", "range = [0.9, 2.3]", r"range of voltage_swing_v: .*2\.3 exceeds reset_voltage_v = 2\.2"),
         ("range = [0.1, 0.6]", 'distribution = "normal"', r"distribution of dsnu: got 'normal' without a range"),
         ('source = "name of the process"', "", "source"),
-        ("range = [0.1, 0.6]", 'distribtion = "normal"', r"mine\.toml: dsnu: got 'distribtion'.*Did you mean 'distribution'"),
+        ("range = [0.1, 0.6]", 'distribtion = "normal"', r"dsnu: got a text of 11 characters.*Did you mean 'distribution'"),
     ],
 )
 def test_load_technology_damaged_file_raises(written, instead, message, tmp_path):

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from itertools import combinations
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 from helpers.looks import grey_look
+from helpers.processes import HANG_S
 from matplotlib.colors import same_color, to_rgb
+from matplotlib.figure import Figure
 
-from pixsim.show.figures import COLOURS, LOOKS, literal, new_figure
+from pixsim.show.figures import COLOURS, LOOKS, literal, new_figure, own_style, svg_text
 
 TOGETHER = 4  # most lines that differ by colour and dashes only
 EYES = (None, "Protanomaly", "Deuteranomaly", "Tritanomaly")
@@ -52,6 +59,7 @@ def test_looks_in_grey_are_distinct() -> None:
     assert np.diff(lightness).min() > 7
 
 
+@own_style()
 def test_grey_look_ignores_colour(tmp_path: Path) -> None:
     axes = new_figure(2, 2).subplots()
     one, other, dashed = axes.plot([0, 1], color=COLOURS[0]) + axes.plot([1, 0], color=COLOURS[1]) + axes.plot([1, 1], "--")
@@ -60,9 +68,67 @@ def test_grey_look_ignores_colour(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
+@own_style()
 def test_literal_text_is_drawn_without_warnings() -> None:
     """Mathematics, control characters, and scripts that the font does not have."""
     assert literal("x$y$ 光 µm\n") == "x\\$y\\$ \ufffd µm\ufffd"
     figure = new_figure(2, 2)
     figure.subplots().set_title(literal("光度 $x$ 明 ✓ Ω"))
     figure.draw_without_rendering()
+
+
+# --- Settings of the user --------------------------------------------------------------------------------------------------
+
+SETTINGS = {"lines.linewidth": 9.0, "text.usetex": True, "font.size": 30.0, "axes.facecolor": "red", "font.family": ["cursive"]}
+
+
+@own_style()
+def figure() -> Figure:
+    figure = new_figure(2, 2)
+    figure.subplots().plot([1, 2, 4], label="a line")
+    figure.legend()
+    return figure
+
+
+def test_settings_of_the_user_change_no_figure_and_stay() -> None:
+    """Those of another program would need LaTeX. The user's own are there again, also after two blocks that overlap."""
+    expected = svg_text(figure())
+    with matplotlib.rc_context(SETTINGS):
+        before = dict(matplotlib.rcParams)
+        with ThreadPoolExecutor(2) as pool:
+            assert set(pool.map(lambda _: literal("$"), range(8))) == {r"\$"}
+        assert svg_text(figure()) == expected
+        assert dict(matplotlib.rcParams) == before
+    with pytest.raises(AssertionError, match="takes its style"):
+        new_figure(2, 2)
+
+
+COMMAND = """
+import sys
+from pixsim.base.lazy import import_less
+if sys.argv[1] == "command":
+    import_less()
+import os
+from pixsim.show.figures import new_figure, own_style
+before = os.getcwd()
+with own_style():
+    new_figure(2, 2).subplots()
+import matplotlib
+print(os.getcwd() == before, matplotlib.rcParams["lines.linewidth"])
+"""
+
+
+@pytest.mark.parametrize("what", ["a file", "a pipe", "a wrong file"])
+@pytest.mark.parametrize("who", ["command", "library"])
+def test_a_matplotlibrc_of_the_current_folder(what: str, who: str, tmp_path: Path) -> None:
+    """A command reads none. A library leaves the user's settings to Matplotlib, but does not wait for a pipe."""
+    rc = tmp_path / "matplotlibrc"
+    os.mkfifo(rc) if what == "a pipe" else rc.write_text("lines.linewidth: 9\n" if what == "a file" else "no.such.name: 1\n")
+    line = [sys.executable, "-c", COMMAND, who]
+    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S)
+    if (what, who) == ("a pipe", "library"):
+        assert "PixsimError: matplotlibrc: got a link to nothing, a pipe or a device in the current folder" in done.stderr
+    else:
+        linewidth = 9.0 if (what, who) == ("a file", "library") else 1.5
+        assert done.stdout == f"True {linewidth}\n", done.stderr
+        assert ("no.such.name" in done.stderr) == ((what, who) == ("a wrong file", "library"))

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import tracemalloc
+from pathlib import Path
 
-from pixsim.studies.evaluations import COLUMNS
+import pytest
+from helpers.tiny import tiny
+
+import pixsim
+from pixsim.studies.evaluations import COLUMNS, ResultsFile
 from pixsim.studies.rows import Row, RowStore, StoredRows
 
 COUNT = 5000
@@ -46,3 +51,32 @@ def test_a_row_takes_little_memory() -> None:
     stored, as_tables = each_bytes(RowStore(COLUMNS)), each_bytes({})
     assert 16 + 12 * 20 < stored < 560
     assert stored < as_tables / 3
+
+
+ROW = dict.fromkeys(ResultsFile(Path()).columns, "1")
+IMPOSSIBLE = {
+    "mean_delta_e": ["-0.5", "1e9", "1.01"], "median_delta_e": ["1.5", "-1"], "p99_delta_e": ["0.5"], "max_delta_e": ["0.5", "2e3"],
+    "fill_factor": ["-1"], "saturated_fraction": ["-0.1"], "integration_s": ["-1"], "full_well_e": ["-1"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in IMPOSSIBLE.items() for value in values])
+def test_rows_that_cannot_be_are_computed_again_with_a_note(name: str, value: str, tmp_path: Path) -> None:
+    results = ResultsFile(tmp_path / "results.csv")
+    results.write([ROW | {"key": "right"}, ROW | {"key": "wrong", name: value}])
+    before = results.path.read_bytes()
+    with pytest.warns(UserWarning, match=r"1 row of '.*' cannot be.*kept as 'results.csv.old', and they are computed again"):
+        assert list(results.resume(lambda _: True)) == ["right"]
+    assert (tmp_path / "results.csv.old").read_bytes() == before
+
+
+def test_a_row_of_another_size_under_a_known_key_is_computed_again_with_a_note(tmp_path: Path) -> None:
+    """The pixel size of a row was edited: its key is that of another one."""
+    study = pixsim.study(tiny(), tmp_path, jobs=1)
+    path = tmp_path / "results.csv"
+    edited = path.read_text(encoding="utf-8").replace(",6.0,0,", ",6.25,0,", 1)
+    assert edited != path.read_text(encoding="utf-8")
+    path.write_text(edited, encoding="utf-8")
+    with pytest.warns(UserWarning, match="1 row of .* cannot be, by ΔE, size"):
+        again = pixsim.study(tiny(), tmp_path, jobs=1)
+    assert [row.optimum.pitch_um for row in again.curves] == [row.optimum.pitch_um for row in study.curves]

@@ -478,12 +478,14 @@ def test_study_chen2000_matches_paper(tmp_path: Path) -> None:
 
 
 def test_quick_says_what_it_found() -> None:
-    """A study without the table, and one whose table sets only what an option sets too."""
+    """A study without the table, and one whose table sets only what options set too; what they leave of it holds."""
     with pytest.warns(UserWarning, match=r"^the study tiny has no \[quick\] table: running it in full"):
         prepare(tiny_study(), quick=True)
-    replaced = load_study("chen2000", pixel={"technology": "0.25um"})
+    replaced = load_study("chen2000", pixel={"technology": "0.25um"}, repeats=6)
     with pytest.warns(UserWarning, match=r"^the \[quick\] table of the study chen2000 changes nothing") as caught:
         prepare(replaced, quick=True)
     assert len(caught) == 1
     with warnings.catch_warnings(action="error"):
         assert prepare(load_study("chen2000"), quick=True).study.technologies == ("0.35um",)
+        in_part = prepare(load_study("chen2000", pixel={"technology": "0.25um"}), quick=True).study
+        assert (in_part.technologies, in_part.repeats) == (("0.25um",), load_study("chen2000").quick["repeats"])

@@ -1,0 +1,132 @@
+"""Nothing in the current folder is run, by a command, its workers, or any other process that it starts."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+from helpers.commands import process
+from helpers.processes import HANG_S
+from helpers.tiny import tiny_toml
+
+import pixsim
+from pixsim.base.children import without_empty_parts
+from pixsim.cli.commands import app
+
+HOME = str(Path(pixsim.__file__).parents[1])
+SMALL = "--resolution 64 --display.dots 64"
+COMMANDS = {  # each command, with two jobs where it takes them
+    "run": "run own.xml --resolution 32 --display.dots 32 --render-noise 10 --raw tiff --out run",
+    "plan": "plan flat",
+    "study": "study tiny.toml --jobs 2 --out study",
+    "compare": f"compare 0.35um 0.25um --jobs 2 --repeats 2 {SMALL} --out compare",
+    "datasheet": "datasheet 0.35um --pixel.pitch-um 6.5 --out datasheet",
+    "lens": "lens singlet --out lens",
+    "sfr": "sfr run/raw.tiff --out sfr",
+    "chart": "chart flat --width 8 --height 8 -o chart.exr",
+    "template": "template sensor -o sensor.toml",
+    "schema": "schema sensor",
+    "cache": "cache",
+    "completion": "completion bash",
+    "doctor": "doctor",
+}
+NAMES = [
+    name
+    for name in sorted({*sys.stdlib_module_names, *packages_distributions(), "sitecustomize", "usercustomize"})
+    if name.isidentifier()
+]
+CODE = "open({log!r}, 'a').write({name!r} + '\\n')\nraise ImportError('of the current folder')\n"
+SCRIPT = '#!/bin/sh\necho {name} >> "{log}"\n'
+PROGRAMS = ("nvidia-smi", "ldconfig", "fc-list", "lscpu", "gcc", "cc", "ld", "uname", "python", "python3")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A current folder with files that commands take."""
+    place = tmp_path / "theirs"
+    place.mkdir()
+    (place / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+    for name in ("spectra", "charts"):
+        shutil.copytree(Path(HOME, "scenes", name), place / name)
+    scene = Path(HOME, "scenes/line_lamp.xml").read_text(encoding="utf-8")
+    (place / "own.xml").write_text(f"{scene}<!-- not pixsim's: a child renders it -->", encoding="utf-8")
+    return place
+
+
+def plant(folder: Path, names: Sequence[str]) -> Path:
+    """Put a module of each name, and programs, into a folder; return the file where they write their names when they are run."""
+    log = folder.parent / "log"
+    for name in names:
+        (folder / f"{name}.py").write_text(CODE.format(log=str(log), name=name), encoding="utf-8")
+    for name in PROGRAMS:
+        (folder / name).write_text(SCRIPT.format(log=log, name=name), encoding="utf-8")
+        (folder / name).chmod(0o755)
+    return log
+
+
+def run(name: str, folder: Path, **variables: str) -> None:
+    done = process(COMMANDS[name], folder=folder, **variables)
+    assert done.returncode in (0, 2 if name == "sfr" else 0, 1 if name == "doctor" else 0), done.stderr
+
+
+def test_each_command_is_here() -> None:
+    assert {*COMMANDS, "accuracy"} == {name for name in app if not name.startswith("-")}, "accuracy starts no process of its own"
+
+
+def test_no_module_of_the_current_folder_is_run(folder: Path) -> None:
+    """Of any name of the standard library and of the packages that are installed; by a child that renders, and by workers."""
+    log = plant(folder, NAMES)
+    for name in ("run", "study"):
+        run(name, folder, PYTHONPATH=HOME)
+    assert not log.exists(), log.read_text()
+
+
+@pytest.mark.slow  # the two commands that start all kinds of processes are in the test before
+def test_no_module_of_the_current_folder_is_run_by_any_command(folder: Path) -> None:
+    log = plant(folder, NAMES)
+    for name in COMMANDS:
+        run(name, folder, PYTHONPATH=HOME)
+    assert not log.exists(), log.read_text()
+
+
+def test_empty_parts_of_variables_are_not_the_current_folder(folder: Path) -> None:
+    """Of PYTHONPATH and PATH; but for what Python itself imports before the first line of a command."""
+    log = plant(folder, ["joblib", "multiprocessing", "numpy", "scipy", "pydantic", "matplotlib", "mitsuba", "PIL"])
+    for name in ("plan", "study"):
+        run(name, folder, PYTHONPATH=f":{HOME}:", PATH=f":{os.environ['PATH']}")
+    assert not log.exists(), log.read_text()
+
+
+def test_without_empty_parts_keeps_the_others() -> None:
+    assert [without_empty_parts(text) for text in ("", ":", ":/a::b:", ".:/a")] == ["", "", "/a:b", ".:/a"]
+
+
+MINE = "def double(task, _):\n    return 2 * task\n"
+SCRIPT_OF_USER = """
+import os
+import mine
+from pixsim.studies.engine import Workers, results_of
+
+if __name__ == "__main__":
+    names = "PATH", "PYTHONPATH", "PYTHONSAFEPATH"
+    before = [os.environ.get(name) for name in names]
+    print(sorted(results_of(mine.double, [(task, lambda: None) for task in (1, 2, 3)], Workers(2))))
+    print([os.environ.get(name) for name in names] == before, "PYTHONSAFEPATH" in os.environ)
+"""
+
+
+def test_a_users_own_modules_reach_the_workers(folder: Path, tmp_path: Path) -> None:
+    """Those beside the script; and the variables of its process are afterwards as before."""
+    (tmp_path / "mine.py").write_text(MINE, encoding="utf-8")
+    (tmp_path / "script.py").write_text(SCRIPT_OF_USER, encoding="utf-8")
+    log = plant(folder, ["joblib", "multiprocessing", "numpy"])
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"} | {"PYTHONPATH": HOME}
+    command = [sys.executable, tmp_path / "script.py"]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=HANG_S)
+    assert (done.stdout, log.exists()) == ("[2, 4, 6]\nTrue False\n", False), done.stderr
