@@ -295,9 +295,9 @@ NEEDED = {
     "bumpmap": '<texture type="checkerboard"/><bsdf type="diffuse"/>',
     "normalmap": '<texture name="normalmap" type="checkerboard"/><bsdf type="diffuse"/>',
     "mesh_attribute": '<string name="name" value="vertex_c"/>', "volume": '<volume name="volume" type="constvolume"/>',
-    "regular": '<string name="values" value="1, 2"/><float name="wavelength_min" value="400"/>'
+    "regular": '<string name="values" value="0.1, 0.2"/><float name="wavelength_min" value="400"/>'
     '<float name="wavelength_max" value="500"/>',
-    "irregular": '<string name="values" value="1, 2"/><string name="wavelengths" value="400, 500"/>',
+    "irregular": '<string name="values" value="0.1, 0.2"/><string name="wavelengths" value="400, 500"/>',
     "uniform": '<float name="value" value="1"/>',
     "srgb": '<rgb name="color" value="0.1, 0.2, 0.3"/>', "blackbody": '<float name="temperature" value="5000"/>',
     "bitmap": '<string name="filename" value="chart.exr"/>', "envmap": '<string name="filename" value="sky.exr"/>',

@@ -5,7 +5,6 @@ The name of a field ends in its unit: µm on the sensor, mm for die and focal le
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import inspect
 import json
@@ -42,7 +41,17 @@ from pydantic_core import ErrorDetails
 
 from pixsim.base.arguments import brief, checks_arguments
 from pixsim.base.errors import PLAIN_WORD, PixsimError, did_you_mean, excerpt, invalid, name_fault, names_in, quoted
-from pixsim.base.files import read_text
+from pixsim.base.tables import (
+    A_PER_W,
+    IN_BRACKETS,
+    PERCENT,
+    Table,
+    as_number,
+    quantum_efficiency_of,
+    read_cells,
+    read_table,
+    unit_hint,
+)
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -391,66 +400,42 @@ def as_float(value: Any) -> float:
         return math.inf if value > 0 else -math.inf
 
 
-def read_cells(path: Path, what: str, allowed: str) -> tuple[list[tuple[int, list[str]]], str]:
-    """Rows of a CSV file that are neither blank nor comments, each with its line number, and the file's decimal mark.
-
-    Cells are stripped. Semicolons and tabs separate columns too, and then a comma is the decimal mark. ValueError if it is no text.
-    """
-    try:
-        lines = read_text(path, what, allowed, MAX_FILE_BYTES).splitlines()
-    except PixsimError as error:
-        raise ValueError(str(error).removesuffix(".").partition(": ")[2]) from None
-    plain = [line for line in lines if not line.lstrip().startswith("#")]  # a comment may have any mark
-    separator = next((mark for mark in ";\t" if any(mark in line for line in plain)), ",")
-    try:
-        rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
-    except csv.Error as error:
-        raise ValueError(f"got '{path}' ({error}); allowed: {allowed}") from None
-    used = [(number, row) for number, row in enumerate(rows, 1) if any(row) and not row[0].startswith("#")]
-    return used, "," if separator != "," else "."
-
-
 def read_curve(path: Path) -> EfficiencyCurve:
-    """Quantum efficiency from the first two columns of a CSV file, after any title lines. ValueError if they are not a curve."""
-    _, rows = _read_columns(path, "quantum efficiency", ALLOWED_FILE, 1)
-    return _check_curve(tuple((nm, value) for nm, value, *_ in rows), f"'{path}'")
+    """Quantum efficiency from the first two columns of a table, in A/W too. ValueError if they are not a curve."""
+    table = read_table(path, "quantum efficiency", ALLOWED_FILE, 1, MAX_FILE_BYTES, ALLOWED_NM)
+    return _check_curve(_efficiencies(table, path)[0] if table.columns else (), f"'{path}'")
 
 
-def _read_columns(path: Path, name: str, allowed: str, least: int) -> tuple[list[str], list[tuple[float, ...]]]:
-    """Title and numbers of a CSV file: wavelength, then at least so many values in each line. ValueError if they are none.
+def _efficiencies(table: Table, path: Path) -> list[EfficiencyCurve]:
+    """Quantum efficiency of each column, in the order of the wavelengths. ValueError if a responsivity makes it more than 1."""
+    nm = [float(each) for each in table.nm]
+    for column in table.columns:
+        highest = max(quantum_efficiency_of(column, table.nm), default=0.0)
+        if column.unit == A_PER_W and highest > 1:
+            got = f"'{path}' in A/W, by its title, which makes a quantum efficiency of {highest:.3g}"
+            raise ValueError(f"got {got}; allowed: up to 1, λ/1239.84 nm in A/W. In mA/W? Or relative values?")
+    return [tuple(zip(nm, quantum_efficiency_of(column, table.nm), strict=True)) for column in table.columns]
 
-    The title is the last line before the numbers; empty without one.
-    """
-    table, decimal = read_cells(path, name, allowed)
-    title: list[str] = []
-    rows: list[tuple[float, ...]] = []
-    for number, cells in table:
-        used = cells if least > 1 else cells[:2]
-        try:
-            numbers = tuple(float(cell.replace(decimal, ".")) for cell in used)
-            if len(numbers) <= least:
-                raise IndexError
-            rows.append(numbers)
-        except (ValueError, IndexError):
-            if rows or cells[0][:1].isdigit():  # not a title
-                # The line is not quoted: the file may be another than the user believes, such as a key.
-                words = "two numbers" if least == 1 else f"{least + 1} numbers"
-                values = "value" if least == 1 else f"{least} values"
-                raise ValueError(f"got no {words} in line {number} of '{path}'; allowed: wavelength in nm, {values}") from None
-            title = cells
-    return title, rows
+
+IN_PER_CENT = "In per cent? Divide percentages by 100, or write % into the title, as nm,QE (%)"
+
+
+def _rising(pairs: EfficiencyCurve) -> EfficiencyCurve:
+    """Pairs of a wavelength and a value, turned round if all wavelengths decrease."""
+    return pairs[::-1] if all(one > other for (one, _), (other, _) in pairwise(pairs)) else pairs
 
 
 def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
     if len(pairs) < 2:
         raise ValueError(f"got {source} of {len(pairs)} points; allowed: at least two points, {ALLOWED}")
+    pairs = _rising(pairs)
+    unit = unit_hint([nm for nm, _ in pairs], ALLOWED_NM)
     for (nm, efficiency), (following, _) in pairwise([*pairs, (math.inf, 0.0)]):
         if not (ALLOWED_NM[0] <= nm <= ALLOWED_NM[1] and following > nm):
-            swapped = " Are the columns swapped?" if efficiency > 1 else " Multiply wavelengths in µm by 1000."
-            hint = swapped if 0 < nm < 2 else ""
+            hint = f" {unit}." if unit else ""
             raise ValueError(f"got {source} with {nm:g} nm followed by {following:g} nm; allowed: {ALLOWED}.{hint}")
         if not 0 <= efficiency <= 1:
-            hint = " Divide percentages by 100." if 1 < efficiency <= 100 else ""
+            hint = f" {IN_PER_CENT}." if 1 < efficiency <= 100 else ""
             raise ValueError(f"got {source} with {efficiency:g} at {nm:g} nm; allowed: {ALLOWED}.{hint}")
     if not any(efficiency >= MIN_FRACTION for _, efficiency in pairs):
         raise ValueError(f"got {source} that is 0 at every wavelength; allowed: {ALLOWED}")
@@ -483,19 +468,35 @@ def as_chief_ray_angles(value: Any) -> Any:
 
 def read_chief_rays(path: Path) -> ChiefRayAngles:
     """Chief ray angles from a CSV file whose first line names its columns. ValueError if they are none."""
-    rows, decimal = read_cells(path, "chief ray angles", ALLOWED_CHIEF_RAYS)
-    names = tuple(name.lower() for name in rows[0][1]) if rows else ()
+    cells = read_cells(path, "chief ray angles", ALLOWED_CHIEF_RAYS, MAX_FILE_BYTES)
+    rows = cells.rows
+    names = tuple((rows[0][1] if len(rows[0][1]) > 1 else rows[0][1][0].split()) if rows else ())
+    shares = [bool(PERCENT.search(name)) for name in names]
+    names = tuple(map(_chief_ray_column, names))
     known = CHIEF_RAY_COLUMNS[:2], CHIEF_RAY_COLUMNS
     if sorted(names) not in map(sorted, known):
         hint = f" Make the first line of '{path}' {','.join(known[0])} or {','.join(known[1])}."
         raise ValueError(f"got a file without these columns; allowed: {ALLOWED_CHIEF_RAYS}.{hint}")
     order, table = [names.index(name) for name in CHIEF_RAY_COLUMNS[: len(names)]], []
-    for number, cells in rows[1:]:
-        try:
-            table.append(tuple(float(cells[at].replace(decimal, ".")) for at in order))
-        except (ValueError, IndexError):
+    for number, row in rows[1:]:
+        numbers = [as_number(cell, cells.decimal) for cell in row]
+        if len(numbers) < len(order) or None in (found := [numbers[at] for at in order]):
             raise ValueError(f"got no {len(order)} numbers in line {number} of '{path}'; allowed: {', '.join(names)}") from None
+        scaled = (each.scaleb(-2) if shares[at] else each for each, at in zip(found, order, strict=True) if each is not None)
+        table.append(tuple(map(float, scaled)))
+    if all(one[0] > other[0] for one, other in pairwise(table)):
+        table.reverse()
     return _check_chief_rays(tuple(table), f"'{path}'")
+
+
+def _chief_ray_column(title: str) -> str:
+    """Name of a column of `CHIEF_RAY_COLUMNS` that a title states with its unit, as Image height (mm); else the title."""
+    plain = title.lower()
+    if "height" in plain and re.search(r"(?<![a-z])mm(?![a-z])", plain):
+        return CHIEF_RAY_COLUMNS[0]
+    if re.search(r"cra|angle", plain) and re.search(r"deg|°", plain):
+        return CHIEF_RAY_COLUMNS[1]
+    return CHIEF_RAY_COLUMNS[2] if re.search(r"relative[ _]illumination", plain) else plain
 
 
 def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
@@ -562,17 +563,30 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
 
 
 def _read_curves(path: Path, kind: str, highest: float) -> Curves:
-    """Curves of channels from the columns of a CSV file."""
-    title, rows = _read_columns(path, kind, ALLOWED_CURVES, 2)
-    count = min((len(row) for row in rows), default=1) - 1
-    letters = [_letter(word) for word in title[1:] if word] or list("RGB")
+    """Curves of channels from the columns of a table: in A/W those of quantum efficiencies are converted, sensitivities not."""
+    table = read_table(path, kind, ALLOWED_CURVES, 2, MAX_FILE_BYTES, ALLOWED_NM)
+    titles = [IN_BRACKETS.sub("", PERCENT.sub("", column.title)).strip(" _") for column in table.columns]
+    letters = [_letter(title) for title in titles if title] or list("RGB")
+    count = len(table.columns)
     if len(letters) != count:
-        titles = f"{len(letters)} channels in the title" if title else "no title"
-        raise ValueError(f"got '{path}' with {titles} and {count} values; allowed: {ALLOWED_CURVES}, as wavelength_nm,R,G,B")
+        named = f"{len(letters)} channels in the title" if any(titles) else "no title"
+        raise ValueError(f"got '{path}' with {named} and {count} values; allowed: {ALLOWED_CURVES}, as wavelength_nm,R,G,B")
     if twice := [letter for place, letter in enumerate(letters) if letter in letters[:place]]:
         raise ValueError(f"got '{path}' with two channels {twice[0]}; allowed: each letter once")
-    columns = {letter: tuple((row[0], row[at]) for row in rows) for at, letter in enumerate(letters, 1)}
-    return {letter: _check_channel(curve, kind, highest, f"'{path}', channel {letter}") for letter, curve in columns.items()}
+    if len({column.unit == A_PER_W for column in table.columns}) > 1 or (
+        kind == "transmittances" and table.columns[0].unit == A_PER_W
+    ):
+        raise ValueError(f"got '{path}' with {kind} in A/W; allowed: all channels of a sensor in A/W, or none")
+    if kind == "sensitivities":  # relative to energy, as A/W are
+        curves = [
+            tuple((float(nm), float(value)) for nm, value in zip(table.nm, column.values, strict=True)) for column in table.columns
+        ]
+    else:
+        curves = _efficiencies(table, path)
+    return {
+        letter: _check_channel(curve, kind, highest, f"'{path}', channel {letter}")
+        for letter, curve in zip(letters, curves, strict=True)
+    }
 
 
 def _letter(name: str) -> str:
@@ -587,11 +601,15 @@ def _check_channel(curve: EfficiencyCurve, kind: str, highest: float, source: st
     """The curve of a channel. ValueError if it has gaps, or values that are out of range or all zero."""
     values = "0 or more" if highest == math.inf else f"0 to {highest:g}"
     allowed = f"{kind} of {values}, wavelengths in nm that increase"
+    curve = _rising(curve)
+    unit = unit_hint([nm for nm, _ in curve], ALLOWED_NM)
     for (nm, value), (following, _) in pairwise([*curve, (math.inf, 0.0)]):
         if not (ALLOWED_NM[0] <= nm <= ALLOWED_NM[1] and following > nm):
-            raise ValueError(f"got {source} with {nm:g} nm followed by {following:g} nm; allowed: {allowed}")
+            raise ValueError(
+                f"got {source} with {nm:g} nm followed by {following:g} nm; allowed: {allowed}." + (f" {unit}." if unit else "")
+            )
         if not 0 <= value <= highest or value == math.inf:
-            hint = " Divide percentages by 100." if 1 < value <= 100 else ""
+            hint = f" {IN_PER_CENT}." if 1 < value <= 100 else ""
             hint = " Set negative values, as noise of a measurement leaves them, to 0." if value < 0 else hint
             raise ValueError(f"got {source} with {value:g} at {nm:g} nm; allowed: {allowed}.{hint}")
     low, high = SURELY_SEEN_NM

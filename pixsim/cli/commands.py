@@ -912,6 +912,31 @@ def cache_summary(kind: str | None = None) -> dict[str, Any]:
 
 
 @app.command
+def cameras(*, json: Json = False) -> None:
+    """List the measured cameras and typical filters for pixel.colour.sensitivities, with what each is.
+
+    Example: pixsim cameras
+
+    Measured ones are of whole cameras with their infrared filter. Typical ones stand for sensors of a kind, and are marked so.
+    """
+    from pixsim.sensor import camera_data
+
+    entries = camera_data.cameras()
+    width = max(len(entry.name) for entry in entries)
+    lines = [
+        f"{entry.name:<{width}}  {entry.kind:<8}  {entry.channels:<4}  {entry.range_nm[0]:g}-{entry.range_nm[1]:g} nm, "
+        f"peaks {', '.join(f'{nm:g}' for nm in entry.peak_nm)} nm  {entry.title}"
+        + (f"; {camera_data.OWN_SCALES}" if camera_data.OWN_SCALES in entry.notes else "")
+        for entry in entries
+    ]
+    lines += [f"measured: {camera_data.ORIGIN}", f"typical: {camera_data.OF_TYPICAL}"]
+    lines += [
+        'use: pixel.colour.sensitivities = "NAME" with pixel.colour.peak_quantum_efficiency; pixsim cameras --json has the notes'
+    ]
+    show({"cameras": [asdict(entry) for entry in entries]}, json, "\n".join(lines))
+
+
+@app.command
 def completion(
     shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="bash, zsh (into a folder of $fpath, as _pixsim) or fish.")],
     *,

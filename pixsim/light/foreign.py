@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array, ArrayHeader, first_where, read_arrays, strips
 from pixsim.base.errors import PixsimError, excerpt, invalid, names_in
 from pixsim.base.files import check_size, read_bytes, reason, size_of
+from pixsim.base.notes import warn
+from pixsim.base.tables import POWERS, as_number, as_text, unit_of_wavelength
 from pixsim.light.exr import read_channels, read_header
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, bands_last_hint
 
@@ -99,6 +102,9 @@ def _factor(tokens: list[str]) -> Powers:
 SHOWN_NAMES = 12
 # Fichet et al.: a Stokes component, a number with a decimal comma, a prefix, and metres or hertz.
 CHANNEL = re.compile(rf"(S[0-3])\.(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{{1,3}})?({PREFIX})?(m|Hz)")
+# Mitsuba 0.6 and its kin: 400.00-420.00nm, the edges of a band; others: 550nm, or a word and a dot before it.
+EDGES = re.compile(r"(?:[A-Za-z]\w*\.)?(\d{2,4}(?:[.,]\d{1,9})?)\s*-\s*(\d{2,4}(?:[.,]\d{1,9})?)\s*nm", re.IGNORECASE)
+CENTRE = re.compile(r"(?:[A-Za-z]\w*\.)?(\d{2,4}(?:[.,]\d{1,9})?)\s*nm", re.IGNORECASE)
 NPZ_NEEDED = ("data", "wavelength_nm", "units")
 NPZ_OPTIONAL = ("band_width_nm", "pitch_um", "white_cd_per_m2")
 NPZ_SHAPES = "real numbers: data (rows, columns, bands) and wavelength_nm (bands,)"
@@ -106,8 +112,9 @@ MAX_METADATA = 1 << 16  # bytes of every array but the picture
 MAX_ENVI_HEADER, MAX_ENVI_LINES = 1 << 20, 20_000  # SPy's time grows as the square of the lines
 GAP_VALUES = 1 << 22  # of a strip
 ENVI_DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, IndexError)
-ENVI_NM = {"nanometer": 1.0, "nm": 1.0, "micrometer": 1e3, "micron": 1e3, "um": 1e3, "µm": 1e3, "μm": 1e3}
 ENVI_INTERLEAVES = ("bsq", "bil", "bip")
+ENVI_ORDER = re.compile(r"^\s*byte order\s*=", re.MULTILINE | re.IGNORECASE)
+ENVI_ASCII = {ord("µ"): "u", ord("μ"): "u", ord("Å"): "Angstrom", ord("²"): "^2", ord("⁻"): "^-", ord("¹"): "1", ord("·"): " "}
 ENVI_COMPLEX = ("6", "9")  # data types
 # Header fields that change the meaning of the stored values, with the value that changes nothing.
 ENVI_NEUTRAL = {"data gain values": 1.0, "data offset values": 0.0, "reflectance scale factor": 1.0}
@@ -118,6 +125,7 @@ ENVI_NEUTRAL |= {"calibration scale factor": 1.0, "bbl": 1.0}  # a bbl of 0 mark
 class Cube:
     """Values (H, W, B) and band centres (B,) as a file states them, and its other metadata; None or "" if it has none.
 
+    wavelength_unit : symbol of the unit that the file states for its wavelengths, if it does
     per_nm : whether the format writes W m⁻² sr⁻¹ and means W m⁻² sr⁻¹ nm⁻¹
     """
 
@@ -127,6 +135,7 @@ class Cube:
     band_width_nm: Any = None
     pitch_um: Any = None
     white_cd_per_m2: Any = None
+    wavelength_unit: str = ""
     per_nm: bool = False
 
 
@@ -144,7 +153,11 @@ def read_cube(path: Path) -> Cube:
     if reader is None:
         raise invalid("picture", f"'{path}'", "a name that ends in .exr, .npz or .hdr (ENVI, with its raw file)")
     size_of(path, "picture", "a readable file")
-    return reader(path)
+    cube = reader(path)
+    if cube.wavelength_nm.size < 2 or not np.all(np.diff(cube.wavelength_nm) < 0) or cube.data.shape[2] != cube.wavelength_nm.size:
+        return cube
+    width_nm = cube.band_width_nm[::-1] if np.ndim(cube.band_width_nm) == 1 else cube.band_width_nm
+    return replace(cube, data=cube.data[:, :, ::-1], wavelength_nm=cube.wavelength_nm[::-1], band_width_nm=width_nm)
 
 
 def _check_size(path: Path, shape: tuple[int, ...]) -> None:
@@ -169,9 +182,16 @@ def read_spectral_exr(path: Path) -> Cube:
         raise invalid("spectral EXR", f"reflectances, {channel_list}", "light, in channels such as S0.550,0nm", hint)
     matches = {name: match for name in names if (match := CHANNEL.fullmatch(name))}
     centre_nm = {name: _channel_nm(match) for name, match in matches.items() if match[1] == "S0"}
+    edges_nm: dict[str, tuple[float, float]] = {}
+    if not matches:
+        edges_nm = {name: _edges(match) for name in names if (match := EDGES.fullmatch(name))}
+        centre_nm = {name: sum(edges) / 2 for name, edges in edges_nm.items()}
+        if not edges_nm:
+            centre_nm = {name: float(match[1].replace(",", ".")) for name in names if (match := CENTRE.fullmatch(name))}
     if not centre_nm:
         hint = 'RGB is not a spectrum. Render spectrally, in pbrt-v4 with Film "spectral".'
-        raise invalid("spectral EXR", channel_list, "one channel per wavelength, with names such as S0.550,0nm", hint)
+        named = "one channel per wavelength, with names such as S0.550,0nm, 550nm or 540.00-560.00nm"
+        raise invalid("spectral EXR", channel_list, named, "" if _is_not_rgb(names) else hint)
     window, whole = header["dataWindow"], header["displayWindow"]
     if not np.array_equal(window, whole) or header.get("pixelAspectRatio", 1.0) != 1:
         raise invalid("spectral EXR", f"a crop window or non-square pixels in '{path}'", "a full image with square pixels")
@@ -189,7 +209,19 @@ def read_spectral_exr(path: Path) -> Cube:
     plain = {key: value for key, value in header.items() if isinstance(value, str | int | float | np.ndarray)}
     optional: dict[str, Any] = {key: plain.get(key) for key in NPZ_OPTIONAL}
     centres = np.array([centre_nm[name] for name in order])
+    if edges_nm and optional["band_width_nm"] is None:
+        optional["band_width_nm"] = np.array([edges_nm[name][1] - edges_nm[name][0] for name in order])
     return Cube(data, centres, str(plain.get("emissiveUnits", "")), per_nm=True, **optional)
+
+
+def _edges(match: re.Match[str]) -> tuple[float, float]:
+    low, high = (float(text.replace(",", ".")) for text in match.groups())
+    return low, high
+
+
+def _is_not_rgb(names: Sequence[str]) -> bool:
+    """Whether channels have other names than those of colours, depth and opacity."""
+    return not any(name.rpartition(".")[2].upper() in ("R", "G", "B", "Y", "X", "Z") for name in names)
 
 
 def _channel_nm(match: re.Match[str]) -> float:
@@ -239,15 +271,15 @@ def read_envi(path: Path) -> Cube:
         from spectral.io import envi
     except ImportError:
         raise invalid("ENVI file", f"'{path}', but SPy is not installed", "pip install 'pixsim[envi]'") from None
-    name = str(path.absolute())
-    if read_bytes(path, "ENVI file", "an ENVI header", MAX_ENVI_HEADER).count(b"\n") > MAX_ENVI_LINES:
+    content = read_bytes(path, "ENVI file", "an ENVI header", MAX_ENVI_HEADER)
+    if content.count(b"\n") > MAX_ENVI_LINES:
         raise invalid("ENVI file", f"'{path}' of more than {MAX_ENVI_LINES} lines", "a shorter ENVI header")
     try:
-        with warnings.catch_warnings(action="ignore"):  # SPy warns of capitals in field names
+        with warnings.catch_warnings(action="ignore"), _plain_envi(path, content) as (name, raw):  # SPy warns of capitals
             header: dict[str, Any] = envi.read_envi_header(name)
             envi.check_compatibility(header)
             _check_envi(path, header)
-            image = envi.open(name)
+            image = envi.open(name, raw)
         if not image.using_memmap:
             got = f"{Path(image.filename).stat().st_size} bytes in '{image.filename}'"
             raise invalid("ENVI file", got, f"the {' × '.join(map(str, image.shape))} values that '{path.name}' declares")
@@ -263,13 +295,42 @@ def read_envi(path: Path) -> Cube:
     if gap is not None:
         got = f"no data ({header['data ignore value']}) at row {gap[0]}, column {gap[1]}, band {gap[2]}"
         raise invalid(f"light in '{path}'", got, "a value in every pixel", "Fill the gaps or crop them.")
+    if ENVI_ORDER.search(as_text(content) or "") is None:
+        warn(f"'{path.name}' states no byte order: it is read as 0, the least significant byte first")
     if nm is None:
         raise invalid("ENVI file", f"'{path}' without wavelength", "a header with wavelength = { … } and wavelength units")
-    if width_nm is not None and width_nm.shape == nm.shape and np.any(np.diff(nm) < 0.999 * (width_nm[1:] + width_nm[:-1]) / 2):
+    if (
+        width_nm is not None
+        and width_nm.shape == nm.shape
+        and np.any(np.abs(np.diff(nm)) < 0.999 * (width_nm[1:] + width_nm[:-1]) / 2)
+    ):
         width_nm = None
     extra: dict[str, Any] = {key: header.get(key) for key in ("pitch_um", "white_cd_per_m2")}
     units = header.get("data units", header.get("radiance data units", ""))
-    return Cube(data, nm, ", ".join(np.atleast_1d(units)), width_nm, **extra)
+    unit = unit_of_wavelength(str(header.get("wavelength units", "")))
+    return Cube(data, nm, ", ".join(np.atleast_1d(units)), width_nm, wavelength_unit=unit, **extra)
+
+
+@contextmanager
+def _plain_envi(path: Path, content: bytes) -> Iterator[tuple[str, str | None]]:
+    """The names of a header that SPy reads, and of its raw file; None where SPy finds it.
+
+    SPy needs a byte order, and reads text in the encoding of the system. A copy states the order of nearly all machines, in ASCII.
+    """
+    text = as_text(content)
+    has_order = text is None or ENVI_ORDER.search(text) is not None
+    if text is None or (has_order and text.isascii()):
+        yield str(path.absolute()), None
+        return
+    suffixes = ("", ".img", ".dat", *(f".{kind}" for kind in ENVI_INTERLEAVES), ".raw")
+    others = (path.with_suffix(suffix) for end in suffixes for suffix in (end, end.upper()))
+    raw = next((str(other.absolute()) for other in others if other.is_file()), None)
+    if not has_order:
+        text += "\nbyte order = 0\n"
+    with TemporaryDirectory() as folder:
+        name = Path(folder) / path.with_suffix(".hdr").name
+        name.write_text(text.translate(ENVI_ASCII), encoding="ascii", errors="replace")
+        yield str(name), raw
 
 
 def _first_gap(data: NDArray[Any], ignored: float) -> tuple[int, int, int] | None:
@@ -297,13 +358,15 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
 def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:
     if field not in header:
         return None
-    unit = str(header.get("wavelength units", "none"))
-    scale = ENVI_NM.get(unit.strip().lower().rstrip("s"))
-    if scale is None:
-        raise invalid(
-            f"wavelength units in '{path}'", names_in([unit])[0], "Nanometers or Micrometers", "Write them into the header."
-        )
-    return scale * np.atleast_1d(header[field]).astype(float)
+    stated = str(header.get("wavelength units", "none"))
+    unit = unit_of_wavelength(stated)
+    if not unit:
+        allowed, hint = "Nanometers, Micrometers or Angstroms", "Write them into the header."
+        raise invalid(f"wavelength units in '{path}'", names_in([stated])[0], allowed, hint)
+    numbers = [as_number(str(text), ".") for text in np.atleast_1d(header[field])]
+    if None in numbers:
+        raise ValueError(field)
+    return np.array([float(number.scaleb(POWERS[unit])) for number in numbers if number is not None])
 
 
 READERS: dict[str, Callable[[Path], Cube]] = {".exr": read_spectral_exr, ".npz": read_npz, ".hdr": read_envi}

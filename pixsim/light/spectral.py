@@ -373,9 +373,58 @@ RINGS = "rings"  # entry of an image's header: its light is still to be blurred 
 MAX_RING = 1.5  # of the largest value, below zero: 1.15 of the worst picture in a quintic spline, and its means over other cells
 
 
+OUTLIER, MOST_OUTLIERS = 100.0, 10_000
+
+
 def lowest_allowed(header: dict[str, Any], highest: float) -> float:
     """Return the lowest value that the planes of an image may have, by its header and its highest value."""
     return -MAX_RING * max(highest, 0.0) if header.get(RINGS) is True else 0.0
+
+
+OUTLIERS = "outlier_samples"  # entry of a header: row, column of samples far above all others, which do not set exposure or white
+
+
+def find_outliers(picture: Array) -> list[tuple[int, int]]:
+    """Return the samples (row, column) of a picture (H, W) that stand alone, far above all others: at most 1 in 10 000.
+
+    Such are fireflies of a path tracer, and hot pixels. Each is more than `OUTLIER` times the brightest other sample and its
+    neighbours; none is in a picture that is dark beside them, as of a star.
+
+    >>> picture = np.ones((50, 50))
+    >>> picture[3, 4] = 1e6
+    >>> find_outliers(picture)
+    [(3, 4)]
+    """
+    most = max(1, picture.size // MOST_OUTLIERS)
+    if picture.size <= most + 1:
+        return []
+    order = np.argpartition(picture, -most - 1, axis=None)[-most - 1 :]
+    order = order[np.argsort(picture.ravel()[order])[::-1]]
+    values = picture.ravel()[order]
+    steps = np.flatnonzero((values[:-1] > OUTLIER * values[1:]) & (values[1:] > 0))
+    if not steps.size:
+        return []
+    places = [divmod(int(at), picture.shape[1]) for at in order[: steps[-1] + 1]]
+    rest = values[steps[-1] + 1]
+    around = [picture[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] for row, column in places]
+    return places if all(np.count_nonzero(near > rest) == 1 for near in around) else []
+
+
+def without_outliers(image: SpectralImage) -> SpectralImage | None:
+    """Return an image whose outliers, as its header states them, are the median of their neighbours; None if it states none."""
+    places = image.header.get(OUTLIERS)
+    if not isinstance(places, list) or not places:
+        return None
+    planes = np.array(image.planes)
+    for place in places:
+        if not (isinstance(place, list) and len(place) == 2 and all(isinstance(at, int) for at in place)):
+            return None  # the header of another program
+        row, column = place
+        if not (0 <= row < planes.shape[1] and 0 <= column < planes.shape[2]):
+            return None
+        near = planes[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        planes[:, row, column] = np.median(near, axis=(1, 2))
+    return image.with_planes(planes, header={name: value for name, value in image.header.items() if name != OUTLIERS})
 
 
 def white_words(known: bool, lamps: Sequence[str] = ()) -> str:

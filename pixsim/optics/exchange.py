@@ -21,16 +21,21 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import replacing
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, CameraOptions, Layer, LensOptions
+from pixsim.base.tables import unit_hint
 from pixsim.base.version import VERSION
 from pixsim.light import foreign
 from pixsim.light.exr import read_exr, read_header
-from pixsim.light.spectral import MAX_VALUE, RINGS, SpectralImage, lowest_allowed
+from pixsim.light.spectral import MAX_VALUE, OUTLIER, OUTLIERS, RINGS, SpectralImage, find_outliers, lowest_allowed, luminous_weight
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.optics.camera_light import camera_factor
 
 ALLOWED_NM = (300.0, 1200.0)  # where glass transmits and silicon responds
 PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
 PARTS_OF_A_BAND = 10
+WIDE_BAND_NM = 40.0  # of a band; filters of a camera are about 80 nm wide
+# On the sensor: starlight through f/2 gives 1e-5 lx; sunlit snow of 3e4 cd/m² through f/1, 2e4 lx. Beyond it, by a hundred.
+USUAL_LX = (1e-7, 1e6)
+MOST_NEGATIVE = 0.01  # of a band's largest value: sums of factors fall below zero by their rounding, and by noise of a render
 
 
 @checks_arguments
@@ -112,10 +117,47 @@ def _from_cube(path: Path, cube: foreign.Cube, camera: Camera | None, units: str
             data[:, :, band] = file_values.astype(float) * light
         _check_band(path, data[:, :, band], file_values, centre_nm)
     _check_lit(path, data.any())
+    luminous = data @ luminous_weight(nm, width_nm)
+    if outliers := find_outliers(data @ width_nm):
+        header[OUTLIERS] = [list(place) for place in outliers]
+        row, column = outliers[0]
+        named = f"row {row}, column {column}" + (f" and {len(outliers) - 1} more" if len(outliers) > 1 else "")
+        warn(
+            f"'{path.name}' has samples that stand alone, more than {OUTLIER:g} times all others ({named}), as fireflies of a path "
+            "tracer do: the automatic exposure is as if they were like their neighbours. Remove them at their source"
+        )
+    _note_bands(path, nm, width_nm)
+    _note_luminance(path, luminous, unit.radiance, text, cube.per_nm, width_nm)
     # The light is taken as uniform within each band.
     nodes = nm[:, None] + width_nm[:, None] * ((np.arange(PARTS_OF_A_BAND) + 0.5) / PARTS_OF_A_BAND - 0.5)
     within = nodes, np.full(nodes.shape, 1 / PARTS_OF_A_BAND)
     return SpectralImage(nm, width_nm, sampling_um, data=data, within=within, header=header)
+
+
+def _note_bands(path: Path, nm: Array, width_nm: Array) -> None:
+    """Warn of bands so wide that lines and filters within them are not resolved."""
+    if nm.size > 1 and width_nm.max() > WIDE_BAND_NM:
+        low, high = nm[0] - width_nm[0] / 2, nm[-1] + width_nm[-1] / 2
+        warn(
+            f"'{path.name}' has {nm.size} bands of up to {width_nm.max():g} nm: they stand for {low:g}-{high:g} nm, with the light "
+            f"uniform within each and none outside. Colour and quantum efficiency need bands of {WIDE_BAND_NM:g} nm or less"
+        )
+
+
+def _note_luminance(path: Path, luminous: Array, is_radiance: bool, text: str, per_nm: bool, width_nm: Array) -> None:
+    """Warn of light that hardly any scene has, as that of another unit.
+
+    luminous : lx on the sensor, (H, W)
+    """
+    lit = luminous[luminous > 0]
+    usual = float(np.median(lit)) if lit.size else 0.0
+    low, high = USUAL_LX
+    if lit.size and not low <= usual <= high:
+        what = f"'{path.name}' gives {usual:.2g} lx on the sensor for the median of its samples, in {text}"
+        band = f"{width_nm.min():g}" if width_nm.min() == width_nm.max() else f"{width_nm.min():g} to {width_nm.max():g}"
+        of_band = f" Values in watts per band must be divided by its width, {band} nm" if usual > high else ""
+        layout = ", which this layout means per nm" if per_nm and is_radiance else ""
+        warn(f"{what}{layout}: that is {'more' if usual > high else 'less'} than cameras see; is the unit right?{of_band}")
 
 
 @checks_arguments
@@ -157,6 +199,10 @@ def _read_pixsim_exr(path: Path, camera: Camera | None, units: str | None, pitch
     for plane, centre_nm in zip(planes, np.resize(image.wavelength_nm, len(planes)), strict=True):
         _check_band(path, plane, plane, float(centre_nm), lowest_allowed(image.header, float(np.nanmax(plane, initial=0.0))))
     _check_lit(path, any(plane.any() for plane in planes))
+    if image.factors and (image.factors[0] < 0).any() and image.header.get(RINGS) is not True:
+        for band, centre_nm in enumerate(image.wavelength_nm):
+            plane = image.band(band)
+            _check_band(path, plane, plane, float(centre_nm), -MOST_NEGATIVE * max(float(plane.max()), 0.0))
     return image
 
 
@@ -167,7 +213,8 @@ def _bands(path: Path, cube: foreign.Cube) -> tuple[Array, Array]:
     if nm.shape != cube.data.shape[2:] or not np.all(np.diff(nm) > 0) or not np.all((nm >= low) & (nm <= high)):
         got = f"{foreign.shortened(nm.tolist())} nm for {cube.data.shape[2]} bands"
         allowed = f"one per band, increasing, from {low:g} to {high:g} nm"
-        raise invalid(f"wavelengths in '{path}'", got, allowed, "Remove the bands outside this range.")
+        unit = unit_hint(nm.tolist(), ALLOWED_NM, cube.wavelength_unit, "the header")
+        raise invalid(f"wavelengths in '{path}'", got, allowed, f"{unit}." if unit else "Remove the bands outside this range.")
     if cube.band_width_nm is not None:
         width_nm = np.asarray(cube.band_width_nm)
         numbers = width_nm.shape in ((), nm.shape) and width_nm.dtype.kind in "iuf"

@@ -10,12 +10,15 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable
+from contextlib import suppress
+from decimal import Decimal
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from pixsim.base.errors import invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import (
     MAX_ASSET,
     MAX_PICTURE,
@@ -25,10 +28,12 @@ from pixsim.base.files import (
     judge_picture,
     missing,
     opened,
-    read_text,
     size_of,
 )
+from pixsim.base.notes import warn
+from pixsim.base.tables import A_PER_W, read_table
 from pixsim.light.exr import judge_exr
+from pixsim.light.foreign import parse_light_unit
 from pixsim.scene.meshes import judge_mesh
 
 EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
@@ -45,6 +50,9 @@ MAX_HEAD = 1 << 12
 VOLUME_HEAD, VOLUME_VERSION, FLOAT32 = 48, 3, 1
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?")
 NO_METAL = "none"
+MAX_SHARE = 1.5  # of a reflectance: samples measured against a white standard exceed 1 by fluorescence or error, not by half
+ALLOWED_SPECTRUM = "lines of a wavelength in nm and a value, as numbers"
+MIN_PLAIN, MAX_PLAIN = -5, 16  # powers of ten between which numbers are written without an exponent, as Python's floats
 
 
 def found(name: str, folders: Iterable[Path], what: str, place: str, scene_folder: Path) -> Path:
@@ -78,26 +86,47 @@ def _judged(path: Path, judge: Callable[[Path], str | None], _: tuple[int, ...])
 
 
 def spectrum_value(path: Path) -> str:
-    """Return the table of a spectrum's file, lines of nm and value, as the value of a <spectrum>."""
+    """Return the table of a spectrum's file as the value of a <spectrum>, nm and values in Mitsuba's units."""
     return judged(path, _read_spectrum, MAX_SPECTRUM, "spectrum")
 
 
 def _read_spectrum(path: Path) -> str:
-    allowed = "lines of a wavelength in nm and a value, as numbers"
-    pairs, last = [], -math.inf
-    for index, line in enumerate(read_text(path, "spectrum", allowed, MAX_SPECTRUM).split("\n"), 1):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        if len(words) < 2 or not all(NUMBER.fullmatch(word) for word in words[:2]):
-            raise invalid(f"spectrum '{path}'", f"no two numbers in line {index}", allowed)
-        if not float(words[0]) > last:
-            raise invalid(f"spectrum '{path}'", f"a wavelength in line {index} that is not above the last", "rising wavelengths")
-        last = float(words[0])
-        pairs.append(f"{words[0]}:{words[1]}")
-    if len(pairs) < 2:
-        raise invalid(f"spectrum '{path}'", f"{len(pairs)} lines with numbers", "at least two")
-    return ", ".join(pairs)
+    """The numbers as the file writes them, but for the powers of ten of the units that it states."""
+    try:
+        table = read_table(path, "spectrum", ALLOWED_SPECTRUM, 1, MAX_SPECTRUM)
+    except ValueError as error:
+        raise PixsimError(f"spectrum: {error}") from None
+    if len(table.nm) < 2:
+        raise invalid(f"spectrum '{path}'", f"{len(table.nm)} lines with numbers", "at least two")
+    if fall := next(((one, other) for one, other in pairwise(map(float, table.nm)) if not one < other), None):
+        got = f"{fall[0]:g} nm followed by {fall[1]:g} nm"
+        raise invalid(f"spectrum '{path}'", got, "wavelengths that all rise, or all fall")
+    (column,) = table.columns
+    power = 0
+    if column.unit == A_PER_W:
+        raise invalid(f"spectrum '{path}'", "values in A/W, by its title", "light, a reflectance or an index")
+    with suppress(PixsimError):  # another text in brackets is no unit of light
+        power = unit.exponent if (unit := parse_light_unit(column.unit)).spectral else 0
+    values = (value.scaleb(power) if power else value for value in column.values)
+    return ", ".join(f"{_plain(nm)}:{_plain(value)}" for nm, value in zip(table.nm, values, strict=True))
+
+
+def _plain(number: Decimal) -> str:
+    """A number as Mitsuba reads it."""
+    return f"{number:f}" if number.is_zero() or MIN_PLAIN < number.adjusted() < MAX_PLAIN else repr(float(number))
+
+
+def check_share(highest: float, what: str, place: str) -> None:
+    """Warn of a reflectance above 1, as of fluorescent or badly calibrated samples; raise PixsimError above 1.5.
+
+    highest : of the property `what`, which stands at `place`
+    """
+    if highest > MAX_SHARE:
+        hint = f"In per cent? Divide by 100: {highest / 100:g}." if highest <= 100 else ""
+        allowed = f"up to 1, a share of the light, and with a warning up to {MAX_SHARE:g}"
+        raise invalid(what, f"{highest:g} in {place}", allowed, hint)
+    if highest > 1:
+        warn(f"{what} is {highest:g} in {place}: a surface that sends back more light than it gets; 1 is all of it")
 
 
 def judge_asset(path: Path, kind: str, plugin: str, shape_index: int = 0) -> None:

@@ -19,7 +19,7 @@ from pixsim.base.parameters import Camera
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, WHITE_LAMPS, Spectrum, grid_nm, tabulated
-from pixsim.scene.assets import EIGHT_BIT
+from pixsim.scene.assets import EIGHT_BIT, check_share
 from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
 
 # The property with the spectrum of each stock emitter.
@@ -536,13 +536,17 @@ def check_textures(state: Any) -> None:
     """Raise PixsimError for NaN, infinite and negative texels, which Mitsuba would interpolate into their neighbours."""
     maps_or_weights: set[int] = set()  # textures of normals, bumps, opacity, weights, roughness
     others: set[int] = set()
+    shares: dict[int, str] = {}  # textures of reflectances
     for node in state.nodes:
         for name, index in children(node, state).items():
+            if node.type.name == "BSDF" and (name.endswith(("reflectance", "transmittance")) or name == "base_color"):
+                shares[index] = f"{node.props.plugin_name()}.{name}"
             (maps_or_weights if node.props.plugin_name() in MAPS or name in MAP_NAMES else others).add(index)
     maps = maps_or_weights - others
     files = {index: _file_of(node) for index, node in nodes_of(state, "Texture") if "filename" in node.props}
     raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
     numbers = {path for index, path in files.items() if index in maps}
+    named = {files[index]: name for index, name in shares.items() if index in files}
     for path in named_files(state):
         if path in numbers and path not in raw:
             continue
@@ -560,6 +564,8 @@ def check_textures(state: Any) -> None:
                     got = f"{texels[row, column]} at row {row}, column {column} of channel {name}"
                     raise invalid(what, got, "finite texels of 0 or more")
             _sound.add(digest)
+            if path in named:
+                check_share(max(float(texels.max()) for texels in channels.values()), named[path], f"'{path.name}'")
 
 
 BEYOND: dict[str, Literal["edge", "wrap", "symmetric"]] = {"clamp": "edge", "repeat": "wrap", "mirror": "symmetric"}

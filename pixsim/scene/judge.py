@@ -14,7 +14,9 @@ from itertools import pairwise
 from pathlib import Path
 
 from pixsim.base.errors import did_you_mean, excerpt, invalid, quoted
-from pixsim.scene.assets import NUMBER, found, judge_asset, metals, spectrum_value
+from pixsim.base.tables import unit_hint
+from pixsim.light.spectral import HIGH_NM, LOW_NM
+from pixsim.scene.assets import NUMBER, check_share, found, judge_asset, metals, spectrum_value
 from pixsim.scene.files import Node, SceneFiles, judge_references, read_scene, written
 from pixsim.scene.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, REASONS, SMALLEST, Plugin, Rule
 
@@ -37,6 +39,8 @@ MAX_NAME = 256
 MAX_TABLES = 16 << 20  # characters of all files of spectra, which become part of the text
 WHOLE = re.compile(r"\s*-?\d{1,18}\s*")
 FLAGS = ("true", "false")
+OF_TEXTURES = ("value", "values", "color0", "color1")  # what a texture gives
+LIKELY_NM = (150.0, 3000.0)  # of a table: one without any that is computed, and whose numbers are so in another unit, has that unit
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,7 @@ class _Judge:
     def __init__(self, files: SceneFiles, unread: Path | None) -> None:
         self.files, self.unread = files, unread
         self.left_of_tables = MAX_TABLES
+        self.in_share = False  # within a texture that is a share of the light
         self.counts: Counter[str] = Counter()
         self.kinds: list[str] = []  # of each object, in the order of the text
         self.ids: dict[str, int] = {}
@@ -157,7 +162,11 @@ class _Judge:
             if kind not in kinds:
                 self.unknown(name, node, parent, plugin, f"<{node.tag}>" + (f" whose name is {excerpt(name)}" if name else ""))
             self.children[owner].append(len(self.kinds))
-            return self.object(node, kind)
+            outer, self.in_share = self.in_share, (rule.is_share if rule else self.in_share and kind == "texture")
+            try:
+                return self.object(node, kind)
+            finally:
+                self.in_share = outer
         if kind not in ATTRIBUTES or kind in STEPS_OF_TRANSFORM:
             known = (*PLUGINS, *ATTRIBUTES)
             raise invalid(
@@ -189,6 +198,8 @@ class _Judge:
         """Return a property with its value judged, and its file found."""
         attributes = node.attributes
         value = attributes.get("value", "")
+        if self.in_share and attributes["name"] in OF_TEXTURES:
+            rule = replace(rule, is_share=True)
         match node.tag:
             case "float":
                 _check_numbers([value.strip()], rule, what, node)
@@ -285,6 +296,8 @@ def _check_numbers(texts: list[str], rule: Rule, what: str, node: Node, counts: 
             got = excerpt(text, typed=node.typed) if number is None else f"'{text[:MAX_NAME]}'"
             raise invalid(what, f"{got} in {node.place}", bounds)
         values.append(abs(number))
+    if rule.is_share:
+        check_share(max(values, default=0.0), what, node.place)
     if 0 < max(values, default=0) < rule.smallest:
         raise invalid(what, f"{max(values):g} in {node.place}", f"0, or at least {SMALLEST:g}")
 
@@ -301,6 +314,10 @@ def _check_table(value: str, rule: Rule, what: str, node: Node) -> None:
     _check_numbers(wavelengths, Rule((), 0, LARGEST), what, node, None)
     if any(not float(one) < float(other) for one, other in pairwise(wavelengths)):
         raise invalid(what, f"wavelengths in {node.place} that do not rise", "rising wavelengths in nm")
+    nm = [float(each) for each in wavelengths]
+    if (max(nm) < LOW_NM or min(nm) > HIGH_NM) and (hint := unit_hint(nm, LIKELY_NM)):
+        got = f"wavelengths from {min(nm):g} to {max(nm):g} nm in {node.place}"
+        raise invalid(what, got, f"nm, of which {LOW_NM:g} to {HIGH_NM:g} are computed", f"{hint}.")
     return _check_numbers([pair[1] for pair in pairs], rule, what, node, None)
 
 

@@ -34,6 +34,7 @@ class Rule:
     words : the values of a string; None for any that `pattern` matches
     kinds : plugins that it may be, besides
     rgb_of_surface : each number of an <rgb> is from 0 to 1, as Mitsuba has it where it makes a reflectance of them
+    is_share : a share of the light, as a reflectance is: numbers above 1 are warned of, and those above 1.5 refused
     file : kind of the file that it names: picture, mesh, volume; or metal, a table of Mitsuba's own
     """
 
@@ -46,6 +47,7 @@ class Rule:
     kinds: tuple[str, ...] = ()
     file: str | None = None
     rgb_of_surface: bool = False
+    is_share: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,7 @@ TRANSFORM = Rule(("transform",))
 PLACE = Rule(("point", "vector"))
 COLOUR = Rule(COLOUR_TAGS, smallest=SMALLEST, kinds=("texture",))
 SURFACE = replace(COLOUR, rgb_of_surface=True)
+SHARE = replace(SURFACE, is_share=True)
 NUMBERS = Rule(("string",), smallest=SMALLEST, pattern="numbers")
 # A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
 INDEX = Rule(("string", *COLOUR_TAGS), 0, 1e3, pattern=r"[\w .+-]{1,64}", kinds=("texture",))
@@ -122,17 +125,18 @@ OF_PICTURES = {
 }  # fmt: skip
 OF_TABLES = {"wavelength_min": number(*LIGHT_NM), "wavelength_max": number(*LIGHT_NM)}
 OF_DIELECTRICS = {
-    "int_ior": INDEX, "ext_ior": INDEX, "specular_reflectance": SURFACE, "specular_transmittance": SURFACE,
+    "int_ior": INDEX, "ext_ior": INDEX, "specular_reflectance": SHARE, "specular_transmittance": SHARE,
 }  # fmt: skip
 OF_ROUGH = {
     "alpha": COLOUR, "alpha_u": COLOUR, "alpha_v": COLOUR, "distribution": words("beckmann", "ggx"), "sample_visible": FLAG,
 }  # fmt: skip
-OF_METALS = {"material": METAL, "eta": COLOUR, "k": COLOUR, "specular_reflectance": SURFACE}
+OF_METALS = {"material": METAL, "eta": COLOUR, "k": COLOUR, "specular_reflectance": SHARE}
 OF_PLASTICS = {
-    "diffuse_reflectance": SURFACE, "specular_reflectance": SURFACE, "int_ior": INDEX, "ext_ior": INDEX, "nonlinear": FLAG,
+    "diffuse_reflectance": SHARE, "specular_reflectance": SHARE, "int_ior": INDEX, "ext_ior": INDEX, "nonlinear": FLAG,
 }  # fmt: skip
 OF_PRINCIPLED = {
-    **dict.fromkeys(("base_color", "roughness", "anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint"), SURFACE),
+    "base_color": SHARE,
+    **dict.fromkeys(("roughness", "anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint"), SURFACE),
     "flatness": SURFACE, "eta": number(0, 1e3), "diffuse_reflectance_sampling_rate": number(0, 1e6),
 }  # fmt: skip
 OF_MEDIA = {
@@ -223,7 +227,7 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "instance": Plugin({"to_world": TRANSFORM}, holds=("shape",)),
     },
     "bsdf": {
-        "diffuse": Plugin({"reflectance": SURFACE}),
+        "diffuse": Plugin({"reflectance": SHARE}),
         **dict.fromkeys(("dielectric", "thindielectric"), Plugin(OF_DIELECTRICS)),
         "roughdielectric": Plugin(more(OF_DIELECTRICS, OF_ROUGH)),
         "conductor": Plugin(OF_METALS),

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import ColourOptions, Curves, PixelOptions, channels_of
-from pixsim.sensor.camera_data import camera_sensitivities
+from pixsim.sensor.camera_data import camera_channels, camera_sensitivities
 
 STACK_MARK, ROW_MARK = "+", "/"
 Values = TypeVar("Values", np.float64, np.bool_)
@@ -147,7 +147,9 @@ def _curves(colour: ColourOptions) -> Curves:
 @lru_cache
 def _of_camera(name: str, letters: tuple[str, ...]) -> Curves:
     nm, values = camera_sensitivities(name)
-    if missing := [letter for letter in letters if letter not in "RGB"]:
+    channels = camera_channels(name)
+    if missing := [letter for letter in letters if letter not in channels]:
         hint = "Give their responses by a CSV file with a column for each letter."
-        raise invalid("pixel.colour.sensitivities", f"'{name}', which has no channel {missing[0]}", "channels R, G and B", hint)
-    return {letter: tuple(zip(nm.tolist(), values[:, "RGB".index(letter)].tolist(), strict=True)) for letter in letters}
+        allowed = f"channels {', '.join(channels[:-1])} and {channels[-1]}"
+        raise invalid("pixel.colour.sensitivities", f"'{name}', which has no channel {missing[0]}", allowed, hint)
+    return {letter: tuple(zip(nm.tolist(), values[:, channels.index(letter)].tolist(), strict=True)) for letter in letters}

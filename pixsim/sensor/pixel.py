@@ -23,6 +23,7 @@ from pixsim.base.parameters import (
     ABSOLUTE_ZERO_C,
     BIN,
     CENTRED_BORDER,
+    DATA_SHEET,
     MIN_FRACTION,
     NO_TECHNOLOGY,
     REGISTERED_BORDER,
@@ -713,6 +714,18 @@ def other_unit_of_well(name: str, well_e: float) -> str:
     return f"{well_e:g} ke- is {name} = {1e3 * well_e:g}." if well_e < SMALL_WELL_E else ""
 
 
+def incomplete_sheet(pixel: Pixel, technology: Technology) -> PixsimError:
+    """The error of a data sheet that lacks numbers, for a pixel that the assumed technology cannot have instead."""
+    missing = pixel.assumed
+    named = ", ".join(missing)
+    hint = (
+        f"Give {named}, and the pixel needs no technology; the assumed one, {technology.name}, has pixels above "
+        f"{smallest_pitch_um(technology):.4g} µm only. Or choose a technology, as 4t-bsi."
+    )
+    allowed = f"all of pitch_um, {', '.join(DATA_SHEET)}, under any of their words, or a technology"
+    return invalid("pixel", f"a data sheet without {named}", allowed, hint)
+
+
 @checks_arguments
 def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float, full_well_e: float | None = None) -> float:
     """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is not given.
@@ -726,6 +739,8 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float
         return 1.0
     fill_factor = pixel.fill_factor or float(fill_factor_law(measured_um, technology))
     if fill_factor < MIN_FRACTION:
+        if 0 < len(pixel.assumed) < len(DATA_SHEET):
+            raise incomplete_sheet(pixel, technology)
         allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
         raise invalid("pixel.data_sheet_pitch_um", f"{measured_um:g}", allowed)
     growth = area_um2 / (fill_factor * measured_um**2)
@@ -934,6 +949,8 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         usual = min(0.05, technology.fill_factor_limit / 2)
         allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
         hint = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
+        if 0 < len(pixel.assumed) < len(DATA_SHEET):
+            raise incomplete_sheet(pixel, technology)
         if missing := ", ".join(pixel.assumed):
             hint = f"No technology was chosen: the default would supply {missing}. Give {missing}, and the pixel needs none. {hint}"
         raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, hint)

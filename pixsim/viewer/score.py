@@ -30,7 +30,7 @@ from pixsim.base.parameters import (
     check_develop,
     content_hash,
 )
-from pixsim.light.spectral import SpectralImage
+from pixsim.light.spectral import SpectralImage, without_outliers
 from pixsim.optics.camera_lens import ideal_light
 from pixsim.sensor.collection import (
     Collection,
@@ -444,6 +444,8 @@ class PreparedScene:
     array_um : (height, width) that the pixels fill
     beyond_white : fraction of the ideal image's dots that are brighter than display white
     rendition : what the channels see of a chart; None for a monochrome sensor
+    exposed_for : light of each channel without samples that stand alone far above all others, which sets the automatic exposure;
+        None: all light does
     """
 
     lights: tuple[ChannelLight, ...]
@@ -453,6 +455,7 @@ class PreparedScene:
     array_um: tuple[float, float]
     beyond_white: float = 0.0
     rendition: Rendition | None = None
+    exposed_for: tuple[ChannelLight, ...] | None = None
     _collections: list[ColourCollection] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @property
@@ -633,7 +636,9 @@ def prepare_scene(
         lights = tuple(replace(one, illumination=replace(one.illumination, spare_e=0.0)) for one in lights)
     whites = tuple(displays.white_rate(irradiance, camera, channel, display) for channel in channels)
     array_um = array_size_um(irradiance, camera)
-    return PreparedScene(lights, irradiance.pitch_um, whites, screen, array_um, beyond_white, rendition)
+    calm = without_outliers(irradiance)
+    exposed_for = None if calm is None else lights_of(calm, camera, physics)
+    return PreparedScene(lights, irradiance.pitch_um, whites, screen, array_um, beyond_white, rendition, exposed_for)
 
 
 def screen_of(
@@ -732,6 +737,10 @@ def chain_at_pitch(
 ) -> ImagingChain:
     """Return the imaging chain of a pixel of any pitch and registration, from light prepared for its spectral response."""
     signal, collections = array_signal(light.lights, light.sample_pitch_um, physics, light.array_um)
+    if light.exposed_for is not None and exposure.integration_s is None:
+        calm, _ = array_signal(light.exposed_for, light.sample_pitch_um, physics, light.array_um)
+        time_s = integration_time_s(exposure, physics.as_read.at_gain(exposure.gain_db), float(calm.max()))
+        exposure = exposure.model_copy(update={"integration_s": time_s})
     return _chain(light, physics, exposure, correction, develop, signal, collections)
 
 

@@ -21,7 +21,6 @@ from pixsim.base.parameters import (
     content_hash,
     explain,
     merge,
-    read_curve,
 )
 from pixsim.sensor.pixel import derive
 
@@ -83,48 +82,6 @@ def test_quickened_applies_quick_table():
     assert study.quickened.quickened == study.quickened
     with pytest.raises(PixsimError, match="counts"):
         _ = Study(name="x", quick={"pitch": {"counts": 6}}).quickened
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        *("400;0,3\n500;0,4\n", "400\t0.3\n500\t0.4\n", "nm;QE\n400,0;0,3\n500;0.4\n"),
-        "\ufeff400,0.3\n500,0.4\n",  # with a byte order mark, as spreadsheets write
-    ],
-)
-def test_read_curve_accepts_other_separators(text, tmp_path):
-    (tmp_path / "qe.csv").write_text(text, encoding="utf-8")
-    assert Pixel(quantum_efficiency=tmp_path / "qe.csv").quantum_efficiency == ((400.0, 0.3), (500.0, 0.4))
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("400,0.3\n350,0.4\n", "400 nm followed by 350 nm"),
-        ("0.4,0.3\n0.5,0.4\n", "Multiply wavelengths in µm by 1000"),
-        ("400,30\n500,40\n", "Divide percentages by 100"),
-        ("400,-0.1\n500,0.4\n", "-0.1 at 400 nm"),
-        ("400,nan\n500,0.4\n", "nan at 400 nm"),
-        ("400,1e999\n500,1", "inf at 400 nm"),
-        ("400,0\n500,0\n", "0 at every wavelength"),
-        ("400,0.3\n", "of 1 points"),
-        ("", "of 0 points"),
-        ("400,0.3\nfive hundred,0.4\n", "no two numbers in line 2"),
-        ("400;0.3\n500;much\n", "line 2"),
-        ("400 0.3\n500 0.4\n", "no two numbers in line 1"),
-        ("0.3,400\n30,500\n", "columns swapped"),
-        ("\0", "of 0 points"),
-        ("a,b\n1", "line 2"),
-        ("400,1\n" * 2, "400 nm followed by 400 nm"),
-        ('400,"' + "x" * 200_000, "field larger"),
-        ("4" * 10**6 + ",1", "file of wavelength in nm"),
-    ],
-)
-def test_read_curve_invalid_file_raises(text, message, tmp_path):
-    (tmp_path / "qe.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match="allowed") as error:
-        read_curve(tmp_path / "qe.csv")
-    assert message in str(error.value)
 
 
 def test_merge_later_values_take_precedence():

@@ -401,3 +401,14 @@ sys.argv = ["pixsim", "--help"]
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=HANG_S)
     assert done.stdout.endswith("slow: []\n")
+
+
+def test_cameras_are_listed_with_what_they_are() -> None:
+    code, out, _ = command("cameras")
+    assert code == 0
+    assert re.search(r"^Canon_EOS_R5 +measured +RGB +380-780 nm, peaks .*Canon EOS R5$", out, re.MULTILINE)
+    assert re.search(r"^Nikon_D5100 +measured.*ratio between channels lost$", out, re.MULTILINE)
+    assert re.search(r"^Typical_RGB_NIR +typical +RGBN ", out, re.MULTILINE)
+    listed = json.loads(command("cameras --json")[1])["cameras"]
+    assert len(listed) == 55
+    assert all(entry["notes"] for entry in listed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -14,9 +15,10 @@ from spectral.io import envi
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light.foreign import parse_light_unit
-from pixsim.light.spectral import RINGS, SpectralImage, bands_last_hint
+from pixsim.light.spectral import OUTLIERS, RINGS, SpectralImage, bands_last_hint, find_outliers
 from pixsim.optics.exchange import read_irradiance
 
+CASES = Path(__file__).parents[1] / "data/cases"
 UNIT = "W.m^-2.nm^-1"
 RADIANCE = "W.m^-2.sr^-1.nm^-1"
 NM = [500.0, 510.0, 520.0]
@@ -103,7 +105,9 @@ def test_write_npz_image_reads_back_bit_for_bit(tmp_path):
     image = own_image()
     image.data.flat[:3] = 0.0, 1e-42, 3e38
     pixsim.write_npz(tmp_path / "image.npz", image)
-    back = pixsim.read_irradiance(tmp_path / "image.npz")
+    with pytest.warns(UserWarning, match="stand alone"):
+        back = pixsim.read_irradiance(tmp_path / "image.npz")
+    assert back.header.pop(OUTLIERS) == [[0, 0]]
     assert np.array_equal(bits(back.data), bits(image.data))
     assert np.array_equal(back.wavelength_nm, image.wavelength_nm)
     assert np.array_equal(back.band_width_nm, image.band_width_nm)
@@ -352,11 +356,107 @@ def test_read_irradiance_band_widths(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "nm", [[500, 510], [520, 510, 500], [500, 500, 510], [299, 510, 520], [500, 510, 1201], [500, 510, np.nan]]
+    "nm", [[500, 510], [520, 500, 510], [500, 500, 510], [299, 510, 520], [500, 510, 1201], [500, 510, np.nan]]
 )
 def test_read_irradiance_invalid_wavelengths_raise(tmp_path, nm):
     got = ", ".join(str(float(item)) for item in nm)
     refused(npz(tmp_path / "a.npz", wavelength_nm=nm), f"{got} nm for 3 bands", "increasing, from 300 to 1200 nm", "Remove")
+
+
+def test_band_names_of_other_renderers(tmp_path):
+    """Mitsuba 0.6 writes the edges of its bands; a plain wavelength is a centre."""
+    image = pixsim.read_irradiance(CASES / "17-exr-mitsuba06-names/names.exr", CAMERA)
+    assert image.wavelength_nm.tolist() == [410.0 + 20 * band for band in range(16)]
+    assert image.band_width_nm.tolist() == [20.0] * 16
+    same = exr(tmp_path / "a.exr", stokes(light(), ("500.0nm", "Radiance.510nm", "520,0 nm")), emissiveUnits=UNIT)
+    assert pixsim.read_irradiance(same, pitch_um=1.0).wavelength_nm.tolist() == NM
+    other = exr(tmp_path / "b.exr", stokes(light(), ("band1", "band2", "band3")), emissiveUnits=UNIT)
+    with pytest.raises(PixsimError, match=r"names such as S0\.550,0nm, 550nm or 540\.00-560\.00nm\.$"):
+        pixsim.read_irradiance(other, pitch_um=1.0)
+
+
+def test_few_wide_bands_are_noted():
+    with pytest.warns(UserWarning, match=r"has 3 bands of up to 100 nm: they stand for 400-655 nm"):
+        pixsim.read_irradiance(CASES / "20-exr-sparse/rgb3.exr", CAMERA)
+
+
+def test_outlier_of_one_sample_is_named_and_does_not_set_the_exposure():
+    """The rest is uniform: the exposure is that of the picture without the outlier, but for its halo."""
+    camera = pixsim.Camera(focal_length_mm=4.0, die_mm=0.2)
+    with pytest.warns(UserWarning, match=r"stand alone, more than 100 times all others \(row 3, column 4\)"):
+        image = pixsim.read_irradiance(CASES / "18-exr-nan-inf/firefly.exr", camera)
+    pixel, display = pixsim.Pixel(technology="4t-bsi", pitch_um=5.0), pixsim.Display(white_cd_per_m2=800)
+    found = pixsim.evaluate(image, camera, pixel, display=display).frame.integration_s
+    data = image.data.copy()
+    data[3, 4] = data[3, 5]
+    header = {name: value for name, value in image.header.items() if name != OUTLIERS}
+    clean = SpectralImage(image.wavelength_nm, image.band_width_nm, image.pitch_um, data=data, header=header)
+    right = pixsim.evaluate(clean, camera, pixel, display=display).frame.integration_s
+    assert found == pytest.approx(right, rel=2e-3)  # cos⁴ of neighbours; by the brightest pixel it was 2e-5 of it
+
+
+def test_star_and_highlight_are_no_outliers():
+    picture = np.zeros((40, 40))
+    picture[3, 4] = 1.0
+    assert find_outliers(picture) == []  # dark beside it
+    picture += 1e-6
+    picture[3, 5] = 0.5
+    assert find_outliers(picture) == []  # a highlight of several samples
+    picture[3, 5] = 1e-6
+    assert find_outliers(picture) == [(3, 4)]
+
+
+def test_light_of_another_unit_is_noted(tmp_path):
+    """Watts per band of a radiance that this layout means per nm; a usual picture has no note."""
+    bright = exr(tmp_path / "a.exr", stokes(1e6 * light()), emissiveUnits="W.m^-2.sr^-1")
+    with pytest.warns(UserWarning, match=r"lx on the sensor.*means per nm: that is more than cameras see.*its width, 10 nm"):
+        pixsim.read_irradiance(bright, CAMERA)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pixsim.read_irradiance(exr(tmp_path / "b.exr", stokes(0.1 * light()), emissiveUnits="W.m^-2.sr^-1"), CAMERA)
+
+
+def test_factors_whose_sum_is_negative_are_refused(tmp_path):
+    spectra, pictures = np.array([[1.0, 1.0, 1.0], [0.0, -2.0, 0.0]]), np.full((2, 4, 5), 1.0, np.float32)
+    image = SpectralImage(NM, 10.0, 2.5, factors=(spectra, pictures))
+    pixsim.write_exr(tmp_path / "a.exr", image)
+    refused(tmp_path / "a.exr", "got -1.0 at row 0, column 0 of the band at 510 nm")
+    small = SpectralImage(NM, 10.0, 2.5, factors=(np.array([[1.0, 1.0, 1.0], [0.0, -0.9, 0.0]]), pictures))
+    pixsim.write_exr(tmp_path / "b.exr", small)
+    assert pixsim.read_irradiance(tmp_path / "b.exr").band(1)[0, 0] == pytest.approx(0.1, rel=1e-6)
+
+
+def test_bands_in_descending_order_are_turned_round(tmp_path):
+    data = light()
+    path = npz(tmp_path / "a.npz", data=data[:, :, ::-1], wavelength_nm=NM[::-1], band_width_nm=[3.0, 2.0, 1.0])
+    image = pixsim.read_irradiance(path)
+    assert (image.wavelength_nm.tolist(), image.band_width_nm.tolist()) == (NM, [1, 2, 3])
+    assert np.array_equal(image.data, data)
+    turned = cube(tmp_path / "b.hdr", data, wavelength=NM[::-1], fwhm=[8.0, 8.0, 8.0])
+    assert np.array_equal(pixsim.read_irradiance(turned, pitch_um=1.0).data, data[:, :, ::-1])
+    assert pixsim.read_irradiance(turned, pitch_um=1.0).band_width_nm.tolist() == [8, 8, 8]
+
+
+def test_unit_that_wavelengths_seem_to_have_is_named(tmp_path):
+    """In an npz, which states nm by a name, and in an ENVI header, whose label may be wrong."""
+    refused(npz(tmp_path / "a.npz", wavelength_nm=[0.5, 0.51, 0.52]), "These seem to be in µm. Multiply wavelengths in µm by 1000")
+    label = {"wavelength_units": "Micrometers"}
+    refused(cube(tmp_path / "b.hdr", light(), **label), "These seem to be in nm, though the header says µm")
+    right = cube(tmp_path / "c.hdr", light(), wavelength=[5000.0, 5100.0, 5200.0], wavelength_units="Angstroms")
+    assert pixsim.read_irradiance(right, pitch_um=1.0).wavelength_nm.tolist() == NM
+
+
+def test_envi_header_without_byte_order_and_in_latin_1_is_read(tmp_path):
+    path = cube(tmp_path / "a.hdr", light())
+    text = path.read_text()
+    path.write_text("".join(line for line in text.splitlines(True) if "byte order" not in line))
+    with pytest.warns(UserWarning, match=r"'a\.hdr' states no byte order: it is read as 0"):
+        image = pixsim.read_irradiance(path, pitch_um=1.0)
+    assert np.array_equal(image.data, light())
+    path.write_text(
+        text.replace("Nanometers", "µm").replace("500.0", "0.5").replace("510.0", "0.51").replace("520.0", "0.52"), "latin-1"
+    )
+    assert pixsim.read_irradiance(path, pitch_um=1.0).wavelength_nm.tolist() == NM
 
 
 def test_read_irradiance_contradicting_pitch_raises(tmp_path):
@@ -503,8 +603,8 @@ def test_read_envi_fwhm_of_overlapping_bands_is_ignored(tmp_path):
         ({"calibration_scale_factor": 0.1}, ("'calibration scale factor'", "0.1")),
         ({"bbl": [1, 0, 1]}, ("'bbl'", "leave bad bands out")),
         ({"data_ignore_value": float(light()[1, 2, 0])}, ("no data", "at row 1, column 2, band 0", "Fill the gaps")),
-        ({"wavelength_units": "Unknown"}, ("wavelength units", "Unknown", "Nanometers or Micrometers")),
-        ({"wavelength_units": None}, ("wavelength units", "got none", "Nanometers or Micrometers")),
+        ({"wavelength_units": "Unknown"}, ("wavelength units", "Unknown", "Nanometers, Micrometers or Angstroms")),
+        ({"wavelength_units": None}, ("wavelength units", "got none", "Nanometers, Micrometers or Angstroms")),
         ({"wavelength": None}, ("without wavelength",)),
         ({"wavelength": ["a", "b", "c"]}, ("an ENVI header with its raw file in the same folder",)),
         ({"data_units": "Reflectance"}, ("got a text of 11 characters", "--units")),

@@ -1,0 +1,317 @@
+"""Read tables of numbers against wavelength, in the forms that instruments, spreadsheets and other programs write.
+
+Columns are parted by commas, semicolons, tabs or blanks, numbers have a point or a comma, in UTF-8, UTF-16 or Latin-1, in rising or
+falling order. Units that a title states are obeyed. What a file holds is not quoted in messages, but for its numbers: it may be
+another than the user believes, such as a key.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from itertools import pairwise
+from pathlib import Path
+
+from pixsim.base.errors import PixsimError
+from pixsim.base.files import read_bytes
+from pixsim.base.notes import warn
+
+COMMENT = "#"
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?|[+-]?(nan|inf)", re.IGNORECASE)
+BEGINS_NUMBER = re.compile(r'\s*"?[+-]?[.,]?\d')
+# Between titles that blanks part: two blanks, one that is neither before nor within brackets, a comma, one after a bracket.
+WAYS = (r"\s{2,}|\t", r"\s+(?![(\[])(?![^(\[]*[)\]])", r"\s*,\s*", r"(?<=[)\]])\s+")
+MAX_DIGITS = 400  # of a cell: more than any double needs
+# Words of a title for a unit of wavelength: its symbol. A lone A is one only in brackets.
+UNIT_WORDS = {
+    **dict.fromkeys(("nm", "nanometer", "nanometre"), "nm"),
+    **dict.fromkeys(("um", "μm", "micron", "micrometer", "micrometre"), "µm"),
+    **dict.fromkeys(("å", "angstrom", "ångstrom", "ångström", "angström"), "Å"),
+    **dict.fromkeys(("pm", "picometer", "picometre"), "pm"),
+    **dict.fromkeys(("m", "meter", "metre"), "m"),
+}
+POWERS = {"nm": 0, "µm": 3, "Å": -1, "pm": -3, "m": 9}  # of ten, to nm; the likelier first
+NO_WAVELENGTH = {"ev": "eV", "cm": "cm⁻¹", "wavenumber": "cm⁻¹", "thz": "THz", "hz": "Hz"}
+IN_BRACKETS = re.compile(r"[(\[]([^)\]]*)[)\]]")
+PERCENT = re.compile(r"%|(?<![a-z])(per ?cent|pct|prozent|pourcent)(?![a-z])", re.IGNORECASE)
+AMPERE_PER_WATT = re.compile(r"(?<![^\W_])([mµμu]?)A(?:\s*/\s*W|[\s·.*]?W\s*\^?\(?[-−]1\)?|⋅?W⁻¹|[\s_]per[\s_]W)(?![a-z])")
+PREFIXES = {"": 0, "m": -3, "u": -6, "µ": -6, "μ": -6}
+A_PER_W = "A/W"
+PLANCK_J_S, LIGHT_SPEED_M_PER_S, ELEMENTARY_CHARGE_C = 6.62607015e-34, 299792458.0, 1.602176634e-19  # SI 2019, exact
+SURELY_WAVELENGTHS_NM = (100.0, 100_000.0)
+HC_PER_Q_NM_W_PER_A = PLANCK_J_S * LIGHT_SPEED_M_PER_S / ELEMENTARY_CHARGE_C * 1e9
+
+
+@dataclass(frozen=True)
+class Column:
+    """Values of a table's column, as the file writes them but for the power of ten of their unit.
+
+    title : of the column; empty without one
+    unit : "" for plain numbers, to which those in per cent are converted; A/W; or what else stands in the title's brackets
+    """
+
+    title: str
+    unit: str
+    values: tuple[Decimal, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Wavelengths in nm that increase, if the file's order is one, and columns of values against them."""
+
+    nm: tuple[Decimal, ...]
+    columns: tuple[Column, ...]
+
+
+def as_text(content: bytes) -> str | None:
+    """Text of a file in UTF-8 or UTF-16, with or without a byte order mark, or in Latin-1; None if it is no text."""
+    halves = [content[start::2].count(0) for start in (0, 1)]
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        encoding = "utf-16"
+    elif max(halves) > len(content) / 5 and not min(halves):
+        encoding = "utf-16-le" if halves[1] else "utf-16-be"
+    else:
+        encoding = "utf-8-sig"
+    try:
+        text = content.decode(encoding)
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    return None if "\0" in text else text
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Rows of a table that are neither blank nor comments, with their line numbers, as cells without blanks around them.
+
+    separator : of the columns; None for blanks
+    comment : the last line of comment before the first row of numbers
+    """
+
+    rows: list[tuple[int, list[str]]]
+    separator: str | None
+    comment: str
+
+    @property
+    def decimal(self) -> str:
+        """Mark of decimals."""
+        return "." if self.separator == "," else ","
+
+
+def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
+    """Cells of a table. ValueError if the file cannot be read or is no text.
+
+    what, allowed : of the setting, for messages
+    """
+    try:
+        text = as_text(read_bytes(path, what, allowed, max_bytes))
+    except PixsimError as error:
+        raise ValueError(str(error).removesuffix(".").partition(": ")[2]) from None
+    if text is None:
+        raise ValueError(f"got '{path}', which is no text; allowed: {allowed}")
+    lines = text.replace("−", "-").splitlines()
+    plain = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENT)]
+    separator = _separator([line for line in plain if BEGINS_NUMBER.match(line)] or plain)
+    if separator is None:
+        rows = [re.sub(r"(?<=\d)\s+%", "%", line).split() if BEGINS_NUMBER.match(line) else [line.strip()] for line in lines]
+    else:
+        try:
+            rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
+        except csv.Error as error:
+            raise ValueError(f"got '{path}' ({error}); allowed: {allowed}") from None
+    used = [(number, row) for number, row in enumerate(rows, 1) if any(row) and not row[0].startswith(COMMENT)]
+    for _, row in used:
+        while not row[-1]:
+            row.pop()
+    start = next((number for number, row in used if BEGINS_NUMBER.match(row[0])), len(lines) + 1)
+    comments = [line.strip().lstrip(COMMENT).strip() for line in lines[: start - 1] if line.lstrip().startswith(COMMENT)]
+    return Cells(used, separator, comments[-1] if comments else "")
+
+
+def _separator(lines: Sequence[str]) -> str | None:
+    """The mark between the columns of lines of numbers; None for blanks."""
+    if any(";" in line for line in lines):
+        return ";"
+    if lines and all("\t" in line.strip() for line in lines):
+        return "\t"
+    # In 400 0,3 the comma is a decimal mark; in 400, 0.3 it is not.
+    if all(len(words := line.split()) > 1 and all(as_number(word, ",") is not None for word in words) for line in lines):
+        return None
+    return "," if any("," in line for line in lines) else None
+
+
+def as_number(cell: str, decimal: str) -> Decimal | None:
+    """Number of a cell, exactly; one in per cent with its sign as a fraction. None if it is no number."""
+    plain = cell.replace(decimal, ".")
+    bare = plain.removesuffix("%").rstrip()
+    if len(bare) > MAX_DIGITS or not NUMBER.fullmatch(bare):
+        return None
+    return Decimal(bare).scaleb(-2) if bare != plain else Decimal(bare)
+
+
+def read_table(
+    path: Path, what: str, allowed: str, least: int, max_bytes: int, bounds_nm: tuple[float, float] = (0.0, math.inf)
+) -> Table:
+    """Read a table whose first column is wavelength.
+
+    what, allowed : of the setting, for messages
+    least : number of columns of values that each line must have; with 1 others are left out
+    bounds_nm : that wavelengths have; outside, the unit that they seem to have is named
+
+    ValueError if it is none: where no numbers stand, which wavelengths cannot be, or which unit is none of wavelength.
+    """
+    cells = read_cells(path, what, allowed, max_bytes)
+    headers: list[list[str]] = []
+    rows: list[tuple[Decimal, ...]] = []
+    marked = set[int]()  # columns whose cells say per cent themselves
+    for number, row in cells.rows:
+        numbers = [as_number(cell, cells.decimal) for cell in (row if least > 1 else row[:2])]
+        if len(numbers) > least and None not in numbers:
+            rows.append(tuple(each for each in numbers if each is not None))
+            marked |= {at for at, cell in enumerate(row) if cell.endswith("%")}
+        elif rows or row[0][:1].isdigit():  # not a title
+            words = "two numbers" if least == 1 else f"{least + 1} numbers"
+            values = "value" if least == 1 else f"{least} values"
+            raise ValueError(f"got no {words} in line {number} of '{path}'; allowed: wavelength in nm, {values}")
+        else:
+            headers.append(row)
+    if least == 1 and cells.separator == "," and _has_decimal_commas_too([row for _, row in cells.rows[len(headers) :]]):
+        raise ValueError(f"got '{path}' with commas between columns and within numbers; allowed: {allowed}. Part columns by ;")
+    if rows and all(float(one[0]) > float(other[0]) for one, other in pairwise(rows)):
+        rows.reverse()
+    count = min(map(len, rows), default=1)
+    width = min((len(row) for _, row in cells.rows[len(headers) :]), default=1)
+    named = [titles for header in headers if (titles := _titles(header, width, cells.separator))]
+    if least > 1 and not named and headers and len(headers[-1]) > 1:
+        got = f"'{path}' with {len(headers[-1]) - 1} channels in the title and {count - 1} values"
+        raise ValueError(f"got {got}; allowed: {allowed}, as wavelength_nm,R,G,B")
+    comment: list[str] = []
+    if cells.comment and not re.search(r"\d", cells.comment):
+        parted = [cell.strip() for cell in cells.comment.split(cells.separator or ",")]
+        # Units of a comment may be those of columns that are no longer there: it must fit as it is.
+        comment = _titles([cells.comment], width, None, WAYS[:3]) or _titles(parted, width, ",")
+    unit, units = "", [("", 0)] * count
+    for titles in ([comment] if comment else []) + named:
+        unit = _wavelength_unit(titles[0], path, allowed) or unit
+        units[1:] = [_value_unit(title) or known for title, known in zip(titles[1:count], units[1:], strict=True)]
+    names = next((titles for titles in reversed(named) if not _is_of_units(titles)), named[-1] if named else [""] * count)
+    units = [("", 0) if at in marked else stated for at, stated in enumerate(units)]
+    if len({stated == "%" for stated, _ in units[1:]}) > 1:
+        raise ValueError(f"got '{path}' with some columns in per cent and others not; allowed: {allowed}")
+    columns = []
+    for at in range(1, count):
+        stated, power = units[at]
+        highest = max(float(row[at]) for row in rows)
+        if stated == "%" and highest <= 1:
+            warn(
+                f"'{path}' states per cent, and no value is above {highest:g} %: it is read so. Fractions have no % in their title"
+            )
+        scaled = tuple(_scaled(row[at], power) for row in rows)
+        columns.append(Column(names[at], "" if stated == "%" else stated, scaled))
+    nm = tuple(_scaled(row[0], POWERS[unit or "nm"]) for row in rows)
+    if columns and _are_swapped(nm, columns[0]):
+        raise ValueError(f"got '{path}' with {float(nm[0]):g} nm; allowed: {allowed}. Are the columns swapped?")
+    if hint := unit_hint([float(each) for each in nm], bounds_nm, unit, "the title"):
+        mend = "" if unit else ", or state the unit in the title"
+        raise ValueError(f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}. {hint}{mend}")
+    return Table(nm, tuple(columns))
+
+
+def _scaled(number: Decimal, power: int) -> Decimal:
+    return number.scaleb(power) if power else number
+
+
+def _has_decimal_commas_too(rows: Sequence[Sequence[str]]) -> bool:
+    """Whether rows as 400,0,231 are a wavelength and a value below 1 with a decimal comma."""
+    return bool(rows) and all(len(row) > 2 and row[1] in ("0", "1") and all(cell.isdigit() for cell in row) for row in rows)
+
+
+def _are_swapped(nm: Sequence[Decimal], values: Column) -> bool:
+    """Whether the first column can be no wavelength, and the second can."""
+    low, high = SURELY_WAVELENGTHS_NM
+    return bool(nm) and all(float(each) < low for each in nm) and all(low <= float(each) <= high for each in values.values)
+
+
+def _titles(header: Sequence[str], count: int, separator: str | None, ways: Sequence[str] = WAYS) -> list[str]:
+    """Title of each of `count` columns; empty if a header has another number of them."""
+    if separator is not None or not header:
+        return list(header) if len(header) == count else []
+    (line,) = header
+    return next((titles for way in ways if len(titles := re.split(way, line)) == count), [])
+
+
+def _words(title: str) -> list[str]:
+    return [word.removesuffix("s") for word in re.findall(r"[^\W\d_]+", title.casefold())]
+
+
+def _wavelength_unit(title: str, path: Path, allowed: str) -> str:
+    """Symbol of the unit that a title of wavelengths states; empty without one. ValueError for one of energy or frequency."""
+    unit = unit_of_wavelength(title)
+    if not unit and (other := next((NO_WAVELENGTH[word] for word in _words(title) if word in NO_WAVELENGTH), "")):
+        raise ValueError(f"got '{path}' in {other}, by its title; allowed: {allowed}. Convert it to wavelength in nm")
+    return unit
+
+
+def unit_of_wavelength(text: str) -> str:
+    """Symbol of the unit of wavelength that a text states; empty without one.
+
+    >>> unit_of_wavelength("wavelength_nm"), unit_of_wavelength("Micrometers"), unit_of_wavelength("λ (A)")
+    ('nm', 'µm', 'Å')
+    """
+    if any(inner.strip() == "A" for inner in IN_BRACKETS.findall(text)):
+        return "Å"
+    return next((UNIT_WORDS[word] for word in _words(text) if word in UNIT_WORDS), "")
+
+
+def _value_unit(title: str) -> tuple[str, int] | None:
+    """Unit that the title of values states, and the power of ten that converts to it; None without one."""
+    if found := AMPERE_PER_WATT.search(title):
+        return A_PER_W, PREFIXES[found[1]]
+    if PERCENT.search(title):
+        return "%", -2
+    inner = IN_BRACKETS.findall(title)
+    return (inner[-1].strip(), 0) if inner and inner[-1].strip() else None
+
+
+def _is_of_units(titles: Sequence[str]) -> bool:
+    """Whether a row below the titles has the units alone, as nm and %."""
+    bare = [title.strip("()[] ") for title in titles]
+    return unit_of_wavelength(titles[0]) != "" and all(
+        not re.search(r"[^\W\d]", PERCENT.sub("", AMPERE_PER_WATT.sub("", one))) for one in bare[1:]
+    )
+
+
+def unit_hint(wavelengths: Sequence[float], bounds_nm: tuple[float, float], stated: str = "", where: str = "") -> str:
+    """What unit wavelengths seem to have, if they cannot be what they are said to be; empty if they can, or no unit fits.
+
+    wavelengths : in nm, by the unit `stated`; empty for none, which is nm
+    bounds_nm : that they have
+    where : the unit is stated, for the message
+    """
+    low, high = min(wavelengths, default=math.nan), max(wavelengths, default=math.nan)
+    if not (0 < low <= high < math.inf) or (bounds_nm[0] <= low and high <= bounds_nm[1]):
+        return ""
+    known = POWERS[stated or "nm"]
+    fits = [
+        unit
+        for unit in POWERS
+        if bounds_nm[0] <= low * 10.0 ** (POWERS[unit] - known) <= high * 10.0 ** (POWERS[unit] - known) <= bounds_nm[1]
+    ]
+    if not fits:
+        return ""
+    though = f", though {where} says {stated}" if stated else ""
+    power = POWERS[fits[0]]
+    mend = f"Multiply wavelengths in {fits[0]} by {10.0**power:g}" if power else "Correct the unit"
+    return f"These seem to be in {fits[0]}{though}. {mend}"
+
+
+def quantum_efficiency_of(column: Column, nm: Sequence[Decimal]) -> tuple[float, ...]:
+    """Quantum efficiency of a column: as it is, or of a responsivity R in A/W, R h c / (q λ)."""
+    if column.unit != A_PER_W:
+        return tuple(map(float, column.values))
+    return tuple(
+        float(value) * HC_PER_Q_NM_W_PER_A / float(at) if at else math.nan for value, at in zip(column.values, nm, strict=True)
+    )
