@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import struct
 import sys
 import warnings
 import zlib
@@ -310,6 +311,9 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
     # Pillow warns of oddities in files that it can read.
     with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
         is_deep_colour = image.mode in ("RGB", "RGBA") and ";16" in str(image.tile)
+        tags = getattr(image, "tag_v2", {})
+        if tags.get(PLANAR, 1) == 2 and (found := _read_other_tiff(path, name, expected)) is not None:
+            return found
         if image.mode not in ("I;16", "I;16B", "I;16L", "I", "F") and not is_deep_colour:
             hint = "Images of 8 bits are encoded for a display: write the raw digital numbers, linear in light."
             if ";16" in str(image.tile):
@@ -317,13 +321,13 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
             raise invalid(f"{name} '{path}'", f"a picture of mode {image.mode}", "grey or RGB, of 16 bits, or float", hint)
         if is_deep_colour and 3 * image.width * image.height > MAX_PICTURE:
             raise invalid(f"{name} '{path}'", f"3 × {image.width} × {image.height} samples", f"up to {MAX_PICTURE} in all")
+        tiles = list(image.tile)  # before the texts of a PNG, for which Pillow reads all of it
         metadata: dict[str, Any] = dict(getattr(image, "text", {}))
         encoded = [word for word in ("srgb", "gamma", "icc_profile") if word in image.info]
         if encoded and abs(float(image.info.get("gamma", 0.0)) - 1.0) > 1e-3:
             metadata[ENCODING] = encoded[0]
-        tiles = list(image.tile)
         samples = np.asarray(image)
-        metadata |= _metadata_of_tags(getattr(image, "tag_v2", {}))
+        metadata |= _metadata_of_tags(tags)
     if is_deep_colour:
         with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
             # Pillow keeps the upper byte of each sample of RGB; in the other order of bytes that is the lower one.
@@ -371,7 +375,11 @@ def _read_other_tiff(path: Path, name: str, expected: str) -> tuple[NDArray[Any]
         if (head := file.read(8))[:4] not in (b"II*\0", b"MM\0*"):
             return None
         try:
-            tags = ImageFileDirectory_v2(head)
+            tags, stored = ImageFileDirectory_v2(head), os.fstat(file.fileno()).st_size
+            file.seek(tags.next)
+            (entries,) = struct.unpack("<H" if head[:2] == b"II" else ">H", file.read(2))
+            if tags.next + 2 + 12 * entries > stored:
+                return None
             file.seek(tags.next)
             tags.load(file)
             width, height, count = int(tags[WIDTH]), int(tags[HEIGHT]), int(tags.get(COUNT, 1))
@@ -403,7 +411,6 @@ def _read_other_tiff(path: Path, name: str, expected: str) -> tuple[NDArray[Any]
         strips = -(-height // rows)
         if len(offsets) != planes * strips or len(sizes) != planes * strips:
             return None
-        stored = os.fstat(file.fileno()).st_size
         check_compression(f"{name} '{path}'", width * height * count * kind.itemsize, stored)
         data = np.empty((planes, height, width, each), kind)
         for number, (offset, size) in enumerate(zip(offsets, sizes, strict=True)):

@@ -182,9 +182,8 @@ def test_luminance_weighs_channels_that_see_other_edges() -> None:
 
 
 def test_stacked_sensor_measures_a_plane() -> None:
-    picture = np.concatenate(
-        [GAINS[letter] * gaussian_edge(sigma_px=sigma) for letter, sigma in zip("RGB", (0.5, 0.6, 0.9), strict=True)]
-    )
+    sigmas = {"R": 0.5, "G": 0.6, "B": 0.9}
+    picture = np.concatenate([GAINS[letter] * gaussian_edge(sigma_px=sigma) for letter, sigma in sigmas.items()])
     edge = edge_response(picture, layout="R+G+B", channel="G")
     assert edge.mtf50_cy_per_px == pytest.approx(TRUE_MTF50, abs=3e-4)
     with pytest.raises(PixsimError, match=r"one channel\. As in --channel R"):
@@ -207,7 +206,8 @@ def test_frame_of_a_colour_sensor_is_measured_by_its_layout(suffix: str, tmp_pat
     ("line", "warnings"),
     [
         ("ex1.0.png", 0), ("mosaic_tagged.tif --channel G", 0), ("mosaic_tagged.tif --channel R", 0), ("mild.tif --channel 1,1", 0),
-        ("mild.tif --channel luminance --layout RG/GB", 0), ("mild.tif --channel G", 1), ("rgb16.tif", 0), ("rgb16.tif --channel B", 0),
+        ("mild.tif --channel luminance --layout RG/GB", 0), ("mild.tif --channel G", 1), ("rgb16.tif", 0),
+        ("rgb16.tif --channel B", 0),
     ],
 )  # fmt: skip
 def test_pictures_of_other_programs_are_measured(line: str, warnings: int, tmp_path: Path) -> None:
