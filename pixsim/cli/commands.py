@@ -678,14 +678,16 @@ def sfr(
         str | None,
         Parameter(
             help="Channel of a picture in colour: R, G, B, or another letter of its filters, luminance, or a place of the "
-            "mosaic as 0,1 (row,column) [default: luminance of RGB; a mosaic has none]."
+            "mosaic as 0,1 (row,column) [default: luminance of RGB; a mosaic has none].",
+            metavar="CHANNEL",
         ),
     ] = None,
     layout: Annotated[
         str | None,
         Parameter(
             help="Colour filters of a mosaic, upper row first, as RG/GB; R+G+B for planes one below the other "
-            "[default: from the file]."
+            "[default: from the file].",
+            metavar="ROWS",
         ),
     ] = None,
     black_level_dn: Annotated[
@@ -719,15 +721,19 @@ def sfr(
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
-    from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, sfr_summary as summary, write_sfr
+    from pixsim.measure.sfr import FILES, edge_response, read_edge_picture, sfr_line, sfr_summary as summary, write_sfr
 
     if pitch_um is not None and not 0 < pitch_um < float("inf"):
         raise invalid("--pitch-um", f"{pitch_um:g}", "a number above 0")
     for name, value in (("--black", black_level_dn), ("--saturation", saturation)):
         if value is not None and not math.isfinite(value):
             raise invalid(name, f"{value:g}", "a finite number")
+    folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
+    check_replaceable(folder, FILES)
     with collected_notes() as notes:
         picture = read_edge_picture(image, channel)
+        if layout is not None and picture.channel is not None:
+            raise invalid("--layout", f"{layout} for red, green and blue at each pixel of '{image}'", "the filters of a mosaic")
         pitch = picture.pitch_um if pitch_um is None else pitch_um
         black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn
         top = picture.top if saturation is None else saturation
@@ -746,7 +752,6 @@ def sfr(
     if picture.channel is not None:
         response = replace(response, channel=picture.channel)
     result = summary(response, pitch, notes)
-    folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
     write_sfr(folder, response, pitch, result)
     show(result, json, f"{sfr_line(result)}; curves in {folder}")
 

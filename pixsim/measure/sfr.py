@@ -490,8 +490,8 @@ def check_clipping(grids: Sequence[Grid], is_unclipped: bool) -> None:
                 natural = MAX_AT_TOP if noise_of(side, code) >= code else 1.0 - MAX_SATURATED
             if at_top <= natural:
                 continue
-            got = f"a {name} side with {at_top:.1%} of its pixels at exactly {sign * top:g}, beside noise of σ = {noise * code:.3g}"
-            got += " on the other side"
+            got = f"a {name} side with {at_top:.1%} of its pixels at exactly {sign * top:g} above black, "
+            got += f"beside noise of σ = {noise * code:.3g} on the other side"
             if name == "dark":
                 warn(f"edge picture: {got}: clipped at black? This sharpens the edge.")
             elif is_unclipped:
@@ -518,7 +518,7 @@ def highest_code(side: Array) -> tuple[float, float]:
 
 def check_mosaic(data: Array) -> None:
     """Raise PixsimError if a picture looks like a colour mosaic: the means of the places of a unit cell differ on a side."""
-    sides = outer(data)
+    sides = [side[: max(SAMPLED // side.shape[1], MIN_SIDE_PX)] for side in outer(data)]
     step = abs(sides[1].mean() - sides[0].mean())
     for cell in UNIT_CELLS:
         if min(sides[0].shape) < 2 * cell:
@@ -941,6 +941,9 @@ def edge_plate(edge: EdgeResponse, unit: str) -> Plate:
     axes.set_xlim(-edge.half_window_px, edge.half_window_px)
     table = {"distance_px": edge.distance_px.tolist(), "mean": edge.edge_spread.tolist()}
     return Plate("edge_spread", "Edge spread function.", figure, table)
+
+
+FILES = ("sfr.csv", "sfr.svg", "edge_spread.csv", "edge_spread.svg", "summary.json")
 
 
 def write_sfr(folder: Path, edge: EdgeResponse, pitch_um: float | None, result: dict[str, Any]) -> None:

@@ -222,7 +222,7 @@ def test_pictures_of_other_programs_are_measured(line: str, warnings: int, tmp_p
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("ex1.6.png", "exactly 4095, beside noise"),
+        ("ex1.6.png", "exactly 4095 above black, beside noise"),
         ("ex1.6.png --saturation 4095", "49.9% saturated"),
         ("mild.tif", "looks like a colour mosaic"),
         ("mild.tif --channel R", "--layout RG/GB"),
@@ -231,6 +231,7 @@ def test_pictures_of_other_programs_are_measured(line: str, warnings: int, tmp_p
         ("mosaic_tagged.tif", "As in --channel G"),
         ("mosaic_tagged.tif --channel X", "R, G, B, luminance"),
         ("rgb16.tif --channel 0,1", "R, G, B, luminance"),
+        ("rgb16.tif --layout RG/GB", "a mosaic"),
         ("ex1.0.png --black 5000 --saturation 4095", "more than it"),
     ],
 )
@@ -308,7 +309,9 @@ def test_interval_narrows_with_the_root_of_the_pixels() -> None:
     assert width(160) / width(640) == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.filterwarnings("ignore:edge picture")
 def test_curve_above_one_is_named() -> None:
+    """Each of the three causes; the pictures may have others besides."""
     sharp = gaussian_edge()
     sharp = sharp + 1.5 * (sharp - gaussian_edge(sigma_px=1.2))
     with pytest.warns(UserWarning, match="sharpened, or noise: the SFR is"):
