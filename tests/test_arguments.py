@@ -109,7 +109,7 @@ GOOD: dict[str, Any] = {
     "length_um": 100.0, "count": 3, "values": PLANE, "low_um": 0.0, "edges_um": (EDGES, EDGES), "degree": 1, "axis": 0,
     "interpolation": "linear", "white_e": 100.0, "relative_luminance": PLANE, "x": 0.5, "y": 0.5, "frequency_lp_per_mm": 3.0,
     "width": 4, "height": 4, "header": {}, "width_mm": 2.0, "content": "x", "make": lambda: lambda: np.ones((2, 2), np.float32),
-    "highest_lp_per_mm": 33.0, "die_mm": 2.0, "index": 0, "repeat": 1, "columns": 4, "part": (slice(0, 2), slice(0, 2)),
+    "highest_lp_per_mm": 33.0, "frequency_cy_per_px": 0.2, "die_mm": 2.0, "index": 0, "repeat": 1, "columns": 4, "part": (slice(0, 2), slice(0, 2)),
     "response": lambda: np.ones_like,
     "signal_e": 100.0, "statistic": "mean_delta_e", "resolution": 8, "state": lambda: scene().parse(), "options": CameraOptions(),
     "photodiode_side_um": 50.0, "height_um": 80.0,

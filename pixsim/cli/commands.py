@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import shutil
 import sys
@@ -681,13 +682,41 @@ def sfr(
     image: Annotated[
         Path,
         Parameter(
-            help="A linear grey image: raw.exr of `pixsim run`, another one-channel EXR, .npy, .npz, or 16-bit .png or .tiff."
+            help="A linear picture, grey, RGB or a mosaic: raw.exr of `pixsim run`, another .exr, .npy, .npz, .png of "
+            "16 bits, or .tiff of 16 bits or in floating point."
         ),
     ],
     *,
     pitch_um: Annotated[float | None, Parameter(help="Pixel pitch, for cycles/mm [default: from the file].")] = None,
+    channel: Annotated[
+        str | None,
+        Parameter(
+            help="Channel of a picture in colour: R, G, B, or another letter of its filters, luminance, or a place of the "
+            "mosaic as 0,1 (row,column) [default: luminance of RGB; a mosaic has none].",
+            metavar="CHANNEL",
+        ),
+    ] = None,
+    layout: Annotated[
+        str | None,
+        Parameter(
+            help="Colour filters of a mosaic, upper row first, as RG/GB; R+G+B for planes one below the other "
+            "[default: from the file].",
+            metavar="ROWS",
+        ),
+    ] = None,
     black_level_dn: Annotated[
-        float | None, Parameter(help="Black level, which affects the contrast only [default: from the file, or 0].")
+        float | None,
+        Parameter(
+            name=["--black", "--black-level-dn"],
+            help="Black level, which affects the contrast only [default: from the file, or 0].",
+            metavar="DN",
+        ),
+    ] = None,
+    saturation: Annotated[
+        float | None,
+        Parameter(
+            help="Value as stored from which a pixel counts as saturated [default: the file's white level or bits].", metavar="DN"
+        ),
     ] = None,
     region: Annotated[
         str | None,
@@ -706,17 +735,37 @@ def sfr(
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
-    from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, sfr_summary as summary, write_sfr
+    from pixsim.measure.sfr import FILES, edge_response, read_edge_picture, sfr_line, sfr_summary as summary, write_sfr
 
     if pitch_um is not None and not LEAST_LENGTH <= pitch_um <= 1 / LEAST_LENGTH:
         raise invalid("--pitch-um", f"{pitch_um:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
-    picture = read_edge_picture(image)
-    pitch = picture.pitch_um if pitch_um is None else pitch_um
-    black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn
-    saturation = None if picture.top is None else picture.top - black
-    response = edge_response(picture.data.astype(float) - black, region=corners(region), saturation=saturation)
-    result = summary(response, pitch)
+    for name, value in (("--black", black_level_dn), ("--saturation", saturation)):
+        if value is not None and not math.isfinite(value):
+            raise invalid(name, f"{value:g}", "a finite number")
     folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
+    check_replaceable(folder, FILES)
+    with collected_notes() as notes:
+        picture = read_edge_picture(image, channel)
+        if layout is not None and picture.channel is not None:
+            raise invalid("--layout", f"{layout} for red, green and blue at each pixel of '{image}'", "the filters of a mosaic")
+        pitch = picture.pitch_um if pitch_um is None else pitch_um
+        black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn
+        top = picture.top if saturation is None else saturation
+        if top is not None and top <= black:
+            raise invalid(
+                "--saturation" if saturation is not None else "--black", f"{top:g} with a black level of {black:g}", "more than it"
+            )
+        response = edge_response(
+            picture.data.astype(float) - black,
+            region=corners(region),
+            saturation=None if top is None else top - black,
+            is_unclipped=saturation is not None,
+            layout=layout or picture.layout,
+            channel=channel if picture.channel is None else None,
+        )
+    if picture.channel is not None:
+        response = replace(response, channel=picture.channel)
+    result = summary(response, pitch, notes)
     write_sfr(folder, response, pitch, result)
     show(result, json, f"{sfr_line(result)}; curves in {folder}")
 

@@ -1,28 +1,33 @@
 """Edge-based spatial frequency response (e-SFR) of a picture of a slanted edge, measured as in ISO 12233.
 
 ISO 12233:2023, clause 6 and annex D; ISO 12233:2017, annex D; P. D. Burns, Slanted-edge MTF for digital camera and scanner
-analysis, Proc. IS&T PICS (2000). The SFR is measured along the normal of the edge, in cycles per pixel.
+analysis, Proc. IS&T PICS (2000). The SFR is measured along the normal of the edge, in cycles per pixel of the sensor, also where a
+channel of a colour mosaic has only some of them.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal.windows import tukey
+from scipy.special import chndtrinc, erf, ndtri
 
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.files import output_folder, publishing, write_json
+from pixsim.base.notes import warn
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.raw import BITS_OF_PICTURES, SUFFIXES, layout_of, number_of, read_picture
+from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, layout_of, number_of, read_picture
 from pixsim.show.figures import COLOURS, new_figure, own_style
 from pixsim.show.pages import Plate
 
@@ -43,6 +48,24 @@ MIN_CONTRAST = 0.05  # Michelson contrast of linear data
 MIN_STEP_SIGMAS = 4.0  # a smaller step is hidden in the noise of a row
 MAX_RESIDUAL_PX = 2.0  # RMS distance of the rows' edges from the line
 MAX_SATURATED = 1e-3  # of a region's pixels
+LUMINANCE, LUMINANCE_WEIGHTS = "luminance", {"R": 0.2126, "G": 0.7152, "B": 0.0722}  # ISO 12233, of ITU-R BT.709
+COVERAGE = 0.95  # of the intervals
+FINER = 4  # frequencies for each of the DFT
+POOLED_BINS = 9  # neighbours whose residuals give one variance: the noise varies slowly with the signal
+MAX_SFR = 1.02  # without noise the SFR of a lens and a pixel does not rise; 0.02 is left for shading that matters to nobody
+MAX_SFR_SHOWN = 3.0  # in the plot
+LOW_CY_PER_PX = 0.05  # shading acts below it, sharpening above
+# A side that clips keeps the codes below its top: more pixels have the top code than noise as on the other side could leave there.
+TOP_QUANTILE = 0.9995  # above it are hot pixels
+MAX_AT_TOP = 0.01  # with noise of at least one code; Gaussian noise of one code leaves 0.2 % in the code at TOP_QUANTILE
+MIN_NOISE_CODES = 0.3  # less noise does not show in whole codes
+SAMPLED = 1 << 17  # pixels of a side that tests of its noise look at, at most
+MAX_SHADING = 0.02  # of the step, within half of the window
+SHADING_SIGMAS = 4.0
+MIN_NOISE = 1e-4  # of the step, less tells nothing
+MAX_CORRELATION = 0.2  # between neighbours, of noise that the interval takes as white
+UNIT_CELLS = (2, 4, 6)  # rows and columns of Bayer's, of four pixels a filter, and of X-Trans
+MAX_PARITY, PARITY_SIGMAS = 0.01, 6.0  # differences of the means of a cell's places on a side: of the step, and of their noise
 
 
 @checks_fields
@@ -50,33 +73,50 @@ MAX_SATURATED = 1e-3  # of a region's pixels
 class EdgeResponse:
     """The e-SFR of one edge (ISO 12233).
 
-    frequency_cy_per_px : (F,) along the edge's normal, 0 to 1
+    frequency_cy_per_px : (F,) along the edge's normal, in cycles per pixel of the sensor: 0 to 1, or to 0.5 or 0.25 where a
+        channel of a mosaic has too few pixels for bins of a quarter of a pixel
     sfr : (F,) 1 at frequency 0
-    distance_px, edge_spread : (N,) bin centres, a quarter of a pixel apart, and bin means in the picture's unit
+    sfr_low, sfr_high : (F,) interval of 95 % at each frequency, from the picture's own noise
+    distance_px, edge_spread : (N,) bin centres, a quarter of a pixel apart, or as above a half or a whole one, and bin means in the
+        picture's unit
     angle_deg : of the edge from the vertical, clockwise with row 0 on top, -45 to 135
     half_window_px : half of the window along the normal
-    rows_used : lines across the edge, which cover a whole number of the edge's steps of one pixel
+    rows_used : lines across the edge, which cover a whole number of the edge's steps of one pixel of the channel
     contrast : Michelson contrast
+    mtf50_interval_cy_per_px : interval of 95 % of the MTF50, from the picture's own noise; None for a bound above the last one
+    nyquist_cy_per_px : of the pixels measured, along the rows or columns across the edge: 0.5, or less for a channel of a mosaic
+    channel : that was measured; None for a picture of one channel
     """
 
     frequency_cy_per_px: Array = field(repr=False)
     sfr: Array = field(repr=False)
+    sfr_low: Array = field(repr=False)
+    sfr_high: Array = field(repr=False)
     distance_px: Array = field(repr=False)
     edge_spread: Array = field(repr=False)
     angle_deg: float
     half_window_px: float
     rows_used: int
     contrast: float
+    mtf50_interval_cy_per_px: tuple[float | None, float | None] = (None, None)
+    nyquist_cy_per_px: float = NYQUIST_CY_PER_PX
+    channel: str | None = None
 
     @property
     def mtf50_cy_per_px(self) -> float | None:
-        """Frequency at which the SFR first falls to one half; None if it does not up to 1 cy/px."""
+        """Frequency at which the SFR first falls to one half; None if it does not up to the last frequency."""
         return first_crossing(self.frequency_cy_per_px, self.sfr, 0.5)
 
     @property
     def at_nyquist(self) -> float:
-        """SFR at the Nyquist frequency, half a cycle per pixel: 1 for full contrast."""
-        return float(np.interp(NYQUIST_CY_PER_PX, self.frequency_cy_per_px, self.sfr))
+        """SFR at the Nyquist frequency of the sensor, half a cycle per pixel: 1 for full contrast."""
+        return self.at(NYQUIST_CY_PER_PX)[0]
+
+    def at(self, frequency_cy_per_px: float) -> tuple[float, float, float]:
+        """SFR at a frequency, and the bounds of its interval."""
+        curves = (self.sfr, self.sfr_low, self.sfr_high)
+        sfr, low, high = (float(np.interp(frequency_cy_per_px, self.frequency_cy_per_px, curve)) for curve in curves)
+        return sfr, low, high
 
     @checks_arguments
     def frequency_cy_per_mm(self, pitch_um: float) -> Array:
@@ -94,6 +134,28 @@ def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
     return float(frequency[left] + (sfr[left] - level) / (sfr[left] - sfr[right]) * (frequency[right] - frequency[left]))
 
 
+class Grid(NamedTuple):
+    """Pixels of one channel at one place of the unit cell, which are a grid of their own in the region.
+
+    data : (M, K)
+    row, x : (M,) and (K,) pixels of the region
+    """
+
+    data: Array
+    row: Array
+    x: Array
+
+    def turned(self) -> Grid:
+        return Grid(self.data.T, self.x, self.row)
+
+
+class Part(NamedTuple):
+    """Grids of one channel, and the weight of the channel in what is measured."""
+
+    weight: float
+    grids: list[Grid]
+
+
 @checks_arguments
 def edge_response(
     picture: ArrayLike,
@@ -101,6 +163,9 @@ def edge_response(
     region: Sequence[int] | None = None,
     half_window_px: float = HALF_WINDOW_PX,
     saturation: float | None = None,
+    is_unclipped: bool = False,
+    layout: str | None = None,
+    channel: str | None = None,
 ) -> EdgeResponse:
     """e-SFR of a picture with one straight, slanted edge.
 
@@ -110,11 +175,18 @@ def edge_response(
     region : x0, y0, x1, y1 in pixels, x1 and y1 excluded; by default the whole picture
     half_window_px : half of the window along the normal; reduced if the region is too small for it
     saturation : value from which a pixel counts as saturated, in the same unit
+    is_unclipped : whether a side that has too little noise is only warned of, where it would be refused as clipped
+    layout : of a frame with colour filters: RG/GB, the rows of a mosaic's unit cell, or R+G+B, planes one below the other
+    channel : a letter of the layout, `luminance`, or a place in the unit cell as row,column; without a layout the cell has 2 × 2
 
     The edge is a line through the centroids of the rows' derivatives. Pixels are binned by their distance from it, in bins of
     1/4 pixel. The SFR is |DFT| of the windowed derivative of the bin means, divided by the responses of the bin and of the
-    central difference (both sinc) and normalised at frequency 0. Non-uniform illumination acts as blur: correct the picture
-    with a flat field first.
+    central difference (both sinc) and normalised at frequency 0. Of a mosaic only the channel's own pixels are binned; nothing is
+    interpolated. Luminance is 0.2126 R + 0.7152 G + 0.0722 B of channels balanced to equal levels beside the edge, which is grey.
+    Non-uniform illumination acts as blur: correct the picture with a flat field first.
+
+    The interval takes the scatter of the pixels about the mean of their bin as white noise. It warns of noise that is not, of a
+    curve above 1.02, and of shading.
 
     Raises PixsimError if the picture is not one channel, is too small or saturated, has too little contrast or no straight
     edge, or if the edge is so close to the rows or columns that it does not sample every phase of a pixel.
@@ -125,29 +197,188 @@ def edge_response(
     >>> bool(abs(edge.at_nyquist - 2 / np.pi) < 0.005), round(edge.angle_deg, 1)
     (True, 5.0)
     """
-    data = cropped(picture, region)
-    if saturation is not None and (full := float(np.mean(data >= saturation))) > MAX_SATURATED:  # clipping sharpens the edge
-        hint = "Reduce the exposure (--exposure.well-target, --exposure.integration-s)."
-        raise invalid(
-            "edge picture", f"{full:.1%} saturated pixels", f"at most {MAX_SATURATED:.1%} from saturation = {saturation:g} on", hint
-        )
-    data, contrast, turned = upright(data)
-    intercept, slope = fit_edge(data, np.sign(contrast))
-    rows, half_px = rows_and_window(data.shape, intercept, slope, half_window_px)
-    distance_px, spread = edge_spread(data, rows, intercept, slope, half_px)
-    frequency, sfr = response(spread)
-    shown = frequency <= 1.0
+    parts, period, name = parts_of(picture, region, layout, channel)
+    if saturation is not None:
+        check_saturation(np.concatenate([grid.data.ravel() for part in parts for grid in part.grids]), saturation)
+    turned = is_turned(parts)
+    if turned:
+        parts = [Part(part.weight, [grid.turned() for grid in part.grids]) for part in parts]
+        period = period[::-1]
+    if name is None:
+        check_mosaic(parts[0].grids[0].data)
+    contrast = contrast_of(parts)
+    for part in parts:
+        check_clipping(part.grids, is_unclipped)
+    parts = balanced(parts)
+    grids = [grid for part in parts for grid in part.grids]
+    intercept, slope = fit_edge(grids, np.sign(contrast), period[1])
+    rows, half_px = rows_and_window(grids, intercept, slope, half_window_px, period[1])
+    parts = [Part(weight, [within(grid, rows) for grid in own]) for weight, own in parts]
+    for bins_a_pixel in bins_of(period[1]):
+        binned = [edge_spread(part.grids, intercept, slope, half_px, bins_a_pixel) for part in parts]
+        if all((one.pixels > 0).all() for one in binned):
+            break
+    else:
+        pixels = np.concatenate([one.pixels for one in binned])
+        got = f"{np.count_nonzero(pixels == 0)} of {pixels.size} bins without a pixel, at {np.degrees(np.arctan(slope)):.2f}°"
+        raise invalid("edge picture", got, "pixels in every bin", "This angle samples too few phases of the pixels: use 5°.")
+    distance_px = binned[0].distance_px
+    spread = np.asarray(sum(part.weight * one.mean for part, one in zip(parts, binned, strict=True)))
+    variance = np.asarray(sum(part.weight**2 * one.variance for part, one in zip(parts, binned, strict=True)))
+    frequency, sfr = response(spread, bins_a_pixel)
+    shown = frequency <= bins_a_pixel / BINS_A_PIXEL
+    frequency, sfr = frequency[shown], sfr[shown]
+    low, high = interval(spread, variance, bins_a_pixel, frequency)
     angle = float(np.degrees(np.arctan(slope)))  # anticlockwise, as y points down; clockwise if transposed
-    return EdgeResponse(
-        frequency[shown],
-        sfr[shown],
+    edge = EdgeResponse(
+        frequency,
+        sfr,
+        low,
+        high,
         distance_px,
         spread,
         angle_deg=90.0 + angle if turned else -angle,
         half_window_px=half_px,
         rows_used=rows.size,
         contrast=abs(contrast),
+        mtf50_interval_cy_per_px=mtf50_interval(spread, variance, bins_a_pixel, frequency),
+        nyquist_cy_per_px=min(nyquist_of(part.grids, period) for part in parts),
+        channel=name,
     )
+    warn_of_curve(edge)
+    warn_of_shading(distance_px, spread, variance)
+    warn_of_correlation([grid for part in parts for grid in part.grids], intercept, slope, distance_px, spread)
+    return edge
+
+
+def check_saturation(data: Array, saturation: float) -> None:
+    """Raise PixsimError if pixels are saturated: clipping sharpens the edge."""
+    if (full := float(np.mean(data >= saturation))) > MAX_SATURATED:
+        hint = "Reduce the exposure (--exposure.well-target, --exposure.integration-s)."
+        raise invalid(
+            "edge picture", f"{full:.1%} saturated pixels", f"at most {MAX_SATURATED:.1%} from saturation = {saturation:g} on", hint
+        )
+
+
+def parts_of(
+    picture: ArrayLike, region: Sequence[int] | None, layout: str | None, channel: str | None
+) -> tuple[list[Part], tuple[int, int], str | None]:
+    """The pixels to measure, the rows and columns after which they repeat, and the name of their channel, if any.
+
+    Raises PixsimError if the region is none of the picture, if the layout is not of it, or for an unknown channel.
+    """
+    whole = np.asarray(picture)
+    known = None
+    if layout is not None:
+        try:
+            known = Layout.of_text(layout)
+        except ValueError as error:
+            raise PixsimError(f"layout: {error}.") from None
+    if known is not None and known.planes > 1:
+        if whole.ndim != 2 or whole.shape[0] % known.planes:
+            raise invalid("layout", f"{layout} for a picture of shape {whole.shape}", f"rows that {known.planes} planes divide")
+        planes = dict(zip(known.channels, np.split(whole, known.planes), strict=True))
+        wanted = named_channels(known, channel)
+        return [Part(weight, [grid_of(cropped(planes[letter], region))]) for letter, weight in wanted], (1, 1), channel
+    data = cropped(whole, region)
+    if channel is None and (known is None or len(known.channels) == 1):
+        return [Part(1.0, [grid_of(data)])], (1, 1), None
+    period = (2, 2) if known is None else known.period
+    if min(data.shape) < MIN_SIDE_PX * max(period):
+        got = f"{data.shape[1]} × {data.shape[0]} pixels"
+        raise invalid("edge picture", got, f"at least {MIN_SIDE_PX * max(period)} a side, for one channel of a mosaic")
+    x0, y0 = (region[0], region[1]) if region is not None else (0, 0)
+
+    def grids(places: list[tuple[int, int]]) -> list[Grid]:
+        return [grid_of(data, ((row - y0) % period[0], (column - x0) % period[1]), period) for row, column in places]
+
+    if channel is not None and (place := re.fullmatch(r"(\d+),(\d+)", channel)):
+        row, column = int(place[1]), int(place[2])
+        if row >= period[0] or column >= period[1]:
+            raise invalid("channel", channel, f"a row,column from 0,0 to {period[0] - 1},{period[1] - 1}")
+        return [Part(1.0, grids([(row, column)]))], period, channel
+    if known is None:
+        return [Part(1.0, grids(green_places(data, channel or "", (y0, x0))))], period, channel
+    cell = [(row, column, letter) for row, line in enumerate(known.cell) for column, letter in enumerate(line)]
+    return [
+        Part(weight, grids([(row, column) for row, column, letter in cell if letter == wanted]))
+        for wanted, weight in named_channels(known, channel)
+    ], period, channel  # fmt: skip
+
+
+def grid_of(data: Array, place: tuple[int, int] = (0, 0), period: tuple[int, int] = (1, 1)) -> Grid:
+    """The pixels at one place (row, column) of the unit cells of a picture."""
+    row, x = (np.arange(start, side, step, dtype=float) for start, side, step in zip(place, data.shape, period, strict=True))
+    return Grid(data[place[0] :: period[0], place[1] :: period[1]], row, x)
+
+
+def named_channels(layout: Layout, channel: str | None) -> list[tuple[str, float]]:
+    """Letters of a layout and their weights. Raises PixsimError unless the channel is one of them, or their luminance."""
+    if channel in layout.channels:
+        return [(str(channel), 1.0)]
+    has_luminance = set(LUMINANCE_WEIGHTS) <= set(layout.channels)
+    if channel == LUMINANCE and has_luminance:
+        return list(LUMINANCE_WEIGHTS.items())
+    known = [
+        *layout.channels,
+        *([LUMINANCE] if has_luminance else []),
+        *([] if layout.is_stacked else ["a place as 0,1 (row,column)"]),
+    ]
+    if channel is not None:
+        raise invalid("channel", f"'{channel}' of the layout {layout}", ", ".join(known))
+    most = layout.channels[int(np.argmax(layout.shares))]
+    got = f"a frame of the channels {', '.join(layout.channels)} in the layout {layout}"
+    hint = f"As in --channel {most} (channel='{most}'); also {', '.join(one for one in known if one != most)}."
+    raise invalid("edge picture", got, "one channel", hint)
+
+
+def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tuple[int, int]]:
+    """Places of green in a mosaic that states no layout: the diagonal of 2 × 2 pixels whose steps agree, where the other's do not.
+
+    start : row and column of the frame in which the data begin
+
+    Raises PixsimError if there is no such diagonal, and for other channels, which only a layout tells apart.
+    """
+    hint = "State the filters as in --layout RG/GB (layout='RG/GB'), or measure one place of 2 × 2: --channel 0,0, 0,1, 1,0 or 1,1."
+    if channel != "G":
+        raise invalid("channel", f"'{channel}' of a picture that states no layout", "row,column, or G", hint)
+    steps = {}
+    for row in (0, 1):
+        for column in (0, 1):
+            part = grid_of(data, ((row - start[0]) % 2, (column - start[1]) % 2), (2, 2)).data
+            steps[row, column] = max(abs(np.subtract(*outer_quarters(one))) for one in (part, part.T))
+    apart = {
+        pair: abs(steps[pair[0]] - steps[pair[1]]) / max(steps[pair[0]] + steps[pair[1]], 1e-300)
+        for pair in (((0, 0), (1, 1)), ((0, 1), (1, 0)))
+    }
+    alike, other = sorted(apart, key=lambda pair: apart[pair])
+    if not (apart[alike] < MAX_PARITY and apart[other] > 5 * max(apart[alike], MAX_PARITY / 5)):
+        got = "'G' of a picture that states no layout, and in which no diagonal of 2 × 2 pixels stands out as green"
+        raise invalid("channel", got, "row,column", hint)
+    places = " and ".join(f"{row},{column}" for row, column in alike)
+    warn(
+        f"the picture states no layout: green is taken to be at {places} (row,column) of 2 × 2 pixels, which agree with each other."
+    )
+    return list(alike)
+
+
+def nyquist_of(grids: Sequence[Grid], period: tuple[int, int]) -> float:
+    """Nyquist frequency of the grids' pixels across the edge (cy/px), along the rows: half way to the nearest of their replicas.
+
+    Of a replica at the frequency (u, v) the half-way plane cuts the rows' axis at (u² + v²)/(2 u): for green of Bayer's mosaic at
+    0.5, as for all pixels, for red and blue at 0.25.
+    """
+    cell = np.zeros(period)
+    for grid in grids:
+        cell[int(grid.row[0]) % period[0], int(grid.x[0]) % period[1]] = 1.0
+    strength = np.abs(np.fft.fft2(cell)) / cell.sum()
+    found = [NYQUIST_CY_PER_PX]
+    for row in range(-(period[0] // 2), period[0] // 2 + 1):
+        for column in range(1, period[1] + 1):
+            if strength[row % period[0], column % period[1]] > 1e-6:
+                u, v = column / period[1], row / period[0]
+                found.append((u * u + v * v) / (2 * u))
+    return min(found)
 
 
 def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
@@ -171,27 +402,49 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     return data
 
 
-def upright(data: Array) -> tuple[Array, float, bool]:
-    """The picture with a near-vertical edge, its Michelson contrast (negative if bright on the left), and whether transposed.
+def is_turned(parts: Sequence[Part]) -> bool:
+    """Whether the edge runs along the rows."""
+    steps = [abs(sum(part.weight * step_of(part.grids, axis) for part in parts)) for axis in (0, 1)]
+    return bool(steps[1] < steps[0])
 
-    Raises PixsimError if the contrast is too low in itself or for the noise.
+
+def step_of(grids: Sequence[Grid], axis: int) -> float:
+    """Mean of the last quarter less that of the first, along an axis."""
+    low, high = sides_of(grids, axis)
+    return high - low
+
+
+def sides_of(grids: Sequence[Grid], axis: int = 1) -> tuple[float, float]:
+    """Means of the first and of the last quarter of the columns (axis 1), or of the rows."""
+    sides = np.array([outer_quarters(grid.data.T if axis else grid.data) for grid in grids]).mean(axis=0)
+    return float(sides[0]), float(sides[1])
+
+
+def contrast_of(parts: Sequence[Part]) -> float:
+    """Michelson contrast of a near-vertical edge, negative if bright on the left.
+
+    Raises PixsimError if it is too low in itself or for the noise.
     """
-    sides = [outer_quarters(data.T), outer_quarters(data)]
-    turned = bool(abs(np.diff(sides[0])) < abs(np.diff(sides[1])))
-    data = data.T if turned else data
-    low, high = sides[int(turned)]
+    sides = [(part.weight, *sides_of(part.grids)) for part in parts]
+    low, high = (sum(side[0] * side[at] for side in sides) for at in (1, 2))
     contrast = (high - low) / (high + low) if high + low > 0 else np.inf
     if not MIN_CONTRAST <= abs(contrast) < np.inf:
         got = f"a contrast of {abs(contrast):.2g} ({low:.4g} and {high:.4g} on the two sides)"
         hint = "Check that the region contains the edge and that the black level is right."
         raise invalid("edge picture", got, f"a Michelson contrast of at least {MIN_CONTRAST:g}", hint)
+    for part, (_, low, high) in zip(parts, sides, strict=True):
+        noise = max(np.diff(side, axis=0).std() / np.sqrt(2) for grid in part.grids for side in outer(grid.data))
+        if abs(high - low) < MIN_STEP_SIGMAS * noise:
+            hint = "Average several frames, or use more light."
+            got = f"a step of {abs(high - low) / noise:.2g} σ of its noise"
+            raise invalid("edge picture", got, f"at least {MIN_STEP_SIGMAS:g} σ", hint)
+    return float(contrast)
+
+
+def outer(data: Array) -> tuple[Array, Array]:
+    """The first and the last quarter of the columns."""
     quarter = data.shape[1] // 4
-    noise = max(np.diff(side, axis=0).std() / np.sqrt(2) for side in (data[:, :quarter], data[:, -quarter:]))
-    if abs(high - low) < MIN_STEP_SIGMAS * noise:
-        hint = "Average several frames, or use more light."
-        got = f"a step of {abs(high - low) / noise:.2g} σ of its noise"
-        raise invalid("edge picture", got, f"at least {MIN_STEP_SIGMAS:g} σ", hint)
-    return data, float(contrast), turned
+    return data[:, :quarter], data[:, -quarter:]
 
 
 def outer_quarters(data: Array) -> tuple[float, float]:
@@ -200,30 +453,126 @@ def outer_quarters(data: Array) -> tuple[float, float]:
     return float(data[:quarter].mean()), float(data[-quarter:].mean())
 
 
-def fit_edge(data: Array, sign: float) -> tuple[float, float]:
+def balanced(parts: list[Part]) -> list[Part]:
+    """The channels scaled to their weighted mean's levels on both sides of a grey edge; one channel is left as it is."""
+    if len(parts) == 1:
+        return parts
+    sides = [sides_of(part.grids) for part in parts]
+    low, high = (sum(part.weight * side[at] for part, side in zip(parts, sides, strict=True)) for at in (0, 1))
+    return [
+        Part(weight, [grid._replace(data=low + (grid.data - dark) * ((high - low) / (light - dark))) for grid in grids])
+        for (weight, grids), (dark, light) in zip(parts, sides, strict=True)
+    ]
+
+
+def sampled(side: Array) -> Array:
+    """Whole rows of a side, of at most `SAMPLED` pixels, evenly spread pairs of neighbours."""
+    pairs = side[: len(side) // 2 * 2].reshape(-1, 2, side.shape[1])
+    return pairs[:: max(1, -(-side.size // SAMPLED))].reshape(-1, side.shape[1])
+
+
+def check_clipping(grids: Sequence[Grid], is_unclipped: bool) -> None:
+    """Raise PixsimError if the bright side is clipped, which its noise shows; warn of a dark side that is.
+
+    Light adds noise. So on the bright side no code can hold more pixels than the noise of the dark side would leave in it.
+    """
+    for grid in grids:
+        dark, light = sorted((sampled(side) for side in outer(grid.data)), key=np.mean)
+        for name, side, other, sign in (("bright", light, dark, 1.0), ("dark", dark, light, -1.0)):
+            code = min((float(np.diff(values).min()) for one in (side, other) if (values := np.unique(one)).size > 1), default=0.0)
+            noise = 0.0 if code == 0.0 else noise_of(other, code) / code
+            if noise < MIN_NOISE_CODES or noise * code < MIN_NOISE * abs(float(light.mean() - dark.mean())):  # of rounding
+                continue
+            top, at_top = highest_code(sign * side)
+            if name == "bright":
+                natural = MAX_AT_TOP if noise >= 1.0 else float(erf(0.5 / noise / math.sqrt(2))) + 0.05
+            else:  # without clipping it may have less noise than the bright side, yet not none
+                natural = MAX_AT_TOP if noise_of(side, code) >= code else 1.0 - MAX_SATURATED
+            if at_top <= natural:
+                continue
+            got = f"a {name} side with {at_top:.1%} of its pixels at exactly {sign * top:g} above black, "
+            got += f"beside noise of σ = {noise * code:.3g} on the other side"
+            if name == "dark":
+                warn(f"edge picture: {got}: clipped at black? This sharpens the edge.")
+            elif is_unclipped:
+                warn(f"edge picture: {got}: clipped? This sharpens the edge.")
+            else:
+                hint = "Use less light. If these values are right, state a --saturation above them (is_unclipped=True)."
+                raise invalid(
+                    "edge picture", got, "noise on both sides, or on neither: this is clipped, which sharpens the edge", hint
+                )
+
+
+def noise_of(side: Array, code: float) -> float:
+    """Standard deviation of a side's noise, from differences between rows; a few outliers, as of the edge, do not count."""
+    difference = np.diff(side, axis=0)
+    return float(difference[np.abs(difference) <= 6 * max(float(np.median(np.abs(difference))), code)].std() / np.sqrt(2))
+
+
+def highest_code(side: Array) -> tuple[float, float]:
+    """Highest value but of hot pixels, and the fraction of pixels that have it."""
+    values, counts = np.unique(side, return_counts=True)
+    at = min(int(np.searchsorted(np.cumsum(counts), TOP_QUANTILE * side.size)), values.size - 1)
+    return float(values[at]), float(counts[at] / side.size)
+
+
+def check_mosaic(data: Array) -> None:
+    """Raise PixsimError if a picture looks like a colour mosaic: the means of the places of a unit cell differ on a side."""
+    sides = [side[: max(SAMPLED // side.shape[1], MIN_SIDE_PX)] for side in outer(data)]
+    step = abs(sides[1].mean() - sides[0].mean())
+    for cell in UNIT_CELLS:
+        if min(sides[0].shape) < 2 * cell:
+            return
+        for side in sides:
+            parts = [side[row::cell, column::cell] for row in range(cell) for column in range(cell)]
+            means = np.array([part.mean() for part in parts])
+            error = max(float(part.std()) / math.sqrt(part.size) for part in parts)
+            if np.ptp(means) > max(MAX_PARITY * step, PARITY_SIGMAS * math.sqrt(2) * error):
+                rows = " / ".join(" ".join(f"{value:.5g}" for value in line) for line in means.reshape(cell, cell))
+                places = "four parities" if cell == 2 else f"places of {cell} × {cell} pixels"
+                got = f"what looks like a colour mosaic: the means of the {places} differ ({rows})"
+                hint = "Measure one channel: state the filters and the channel, as in --layout RG/GB --channel G"
+                hint += ", or one parity, as in --channel 0,1 (row,column)." if cell == 2 else "."
+                raise invalid("edge picture", got, "one channel", hint)
+
+
+def fit_edge(grids: Sequence[Grid], sign: float, spacing: int) -> tuple[float, float]:
     """Intercept and slope (pixels per row) of the edge x = intercept + slope · row, with pixel centres at integers.
 
     The edge of a row is the centroid of its derivative under a Hann window around the current line. The first line goes
     through the steepest points of the smoothed rows. Raises PixsimError if the rows' edges are not on a line.
+
+    spacing : of the columns of each grid, in pixels
     """
-    row = np.arange(len(data), dtype=float)
-    x = np.arange(data.shape[1], dtype=float)
-    derivative = sign * np.gradient(data, axis=1)
-    steepest = uniform_filter1d(derivative, EDGE_SEARCH_PX, axis=1)[:, 1:-1].argmax(axis=1) + 1.0
+    derivatives = [sign * np.gradient(grid.data, axis=1) for grid in grids]
+    row = np.concatenate([grid.row for grid in grids])
+    order = np.argsort(row, kind="stable")
+    steepest = np.concatenate(
+        [
+            grid.x[uniform_filter1d(derivative, EDGE_SEARCH_PX, axis=1)[:, 1:-1].argmax(axis=1) + 1]
+            for grid, derivative in zip(grids, derivatives, strict=True)
+        ]
+    )[order]
+    row = row[order]
     half = len(row) // 2  # medians over pairs of rows half the picture apart are robust against outliers
-    slope = float(np.median((steepest[half:] - steepest[: len(row) - half]) / half))
+    slope = float(np.median((steepest[half:] - steepest[: len(row) - half]) / (row[half:] - row[: len(row) - half])))
     intercept = float(np.median(steepest - slope * row))
+    reach = CENTROID_HALF_PX * spacing
     for _ in range(FIT_ROUNDS):
-        away = x - (intercept + slope * row)[:, None]
-        weight = np.where(np.abs(away) < CENTROID_HALF_PX, np.cos(np.pi * away / (2 * CENTROID_HALF_PX)) ** 2, 0.0) * derivative
-        total = weight.sum(axis=1)
-        valid = total > 0
-        if valid.sum() < len(data) / 2:
-            raise no_edge(f"an edge in {np.count_nonzero(valid)} of {len(data)} lines")
-        centre = (weight[valid] * x).sum(axis=1) / total[valid]
-        slope, intercept = np.polyfit(row[valid], centre, 1)
-    residual = float(np.sqrt(np.mean((centre - intercept - slope * row[valid]) ** 2)))
-    if residual > MAX_RESIDUAL_PX:
+        rows, centres = [], []
+        for grid, derivative in zip(grids, derivatives, strict=True):
+            away = grid.x - (intercept + slope * grid.row)[:, None]
+            weight = np.where(np.abs(away) < reach, np.cos(np.pi * away / (2 * reach)) ** 2, 0.0) * derivative
+            total = weight.sum(axis=1)
+            valid = total > 0
+            centres.append((weight[valid] * grid.x).sum(axis=1) / total[valid])
+            rows.append(grid.row[valid])
+        found, centre = np.concatenate(rows), np.concatenate(centres)
+        if found.size < row.size / 2:
+            raise no_edge(f"an edge in {found.size} of {row.size} lines")
+        slope, intercept = np.polyfit(found, centre, 1)
+    residual = float(np.sqrt(np.mean((centre - intercept - slope * found) ** 2)))
+    if residual > MAX_RESIDUAL_PX * spacing:
         raise no_edge(f"an edge {residual:.2g} px (RMS) from a straight line")
     return float(intercept), float(slope)
 
@@ -234,63 +583,220 @@ def no_edge(got: str) -> PixsimError:
     )
 
 
-def rows_and_window(shape: tuple[int, int], intercept: float, slope: float, half_window_px: float) -> tuple[Array, float]:
+def rows_and_window(
+    grids: Sequence[Grid], intercept: float, slope: float, half_window_px: float, spacing: int
+) -> tuple[Array, float]:
     """Rows that contain the whole window, and half of the window along the normal in pixels.
 
-    The rows cover a whole number of the edge's steps of one pixel, which weights all phases equally. The window is reduced
-    until half of the rows contain it.
+    The rows cover a whole number of the edge's steps of one pixel of the channel, which weights all phases equally. The window is
+    reduced until half of the rows contain it.
+
+    spacing : of the columns of each grid, in pixels
     """
-    height, width = shape
+    height = int(max(grid.row[-1] for grid in grids)) + 1
+    first, last = max(grid.x[0] for grid in grids), min(grid.x[-1] for grid in grids)
     cos = 1 / np.hypot(1.0, slope)
     row = np.arange(height, dtype=float)
     edge = intercept + slope * row
-    margin_px = np.minimum(edge, width - 1 - edge) * cos
+    margin_px = np.minimum(edge - first, last - edge) * cos
     slant_deg = abs(np.degrees(np.arctan(slope)))
-    if abs(slope) * height < 1 or slant_deg < MIN_SLANT_DEG:
+    if abs(slope) * height < spacing or slant_deg < MIN_SLANT_DEG:
         got = f"an edge {slant_deg:.2g}° from the rows or columns, over {height} lines"
-        expected = f"at least {MIN_SLANT_DEG:g}° and one pixel sideways; 5° is usual"
+        sideways = "one pixel" if spacing == 1 else f"{spacing} pixels, which are one of the channel,"
+        expected = f"at least {MIN_SLANT_DEG:g}° and {sideways} sideways; 5° is usual"
         raise invalid("edge picture", got, expected, "Without a slant the edge samples only one phase of the pixels.")
-    half_px = float(np.floor(min(half_window_px, np.sort(margin_px)[height // 2]) * BINS_A_PIXEL) / BINS_A_PIXEL)
+    grain = min(bins_of(spacing))
+    half_px = float(np.floor(min(half_window_px, np.sort(margin_px)[height // 2]) * grain) / grain)
     if half_px < MIN_HALF_WINDOW_PX:
         got = f"{max(half_px, 0):.3g} px on either side of the edge"
         raise invalid("edge picture", got, f"at least {MIN_HALF_WINDOW_PX} px", "Give a --region with the edge in its middle.")
     inside = row[margin_px >= half_px]
-    steps = int(inside.size * abs(slope))
+    steps = int(inside.size * abs(slope) / spacing)
     if steps < 1:
-        expected = f"at least {np.ceil(1 / abs(slope)):.0f}, in which the edge moves by one pixel"
+        expected = f"at least {np.ceil(spacing / abs(slope)):.0f}, in which the edge moves by one pixel of the channel"
         raise invalid("edge picture", f"{inside.size} lines across the edge", expected)
-    count = round(steps / abs(slope))
+    count = round(steps * spacing / abs(slope))
     start = (inside.size - count) // 2
     return inside[max(start, 0) : max(start, 0) + count], half_px
 
 
-def edge_spread(data: Array, rows: Array, intercept: float, slope: float, half_px: float) -> tuple[Array, Array]:
-    """(N,) distances of the bins from the edge, rising from left to right, and (N,) means of the pixels in each bin."""
-    x = np.arange(data.shape[1], dtype=float)
-    distance = (x - (intercept + slope * rows)[:, None]) / np.hypot(1.0, slope)
-    index = np.floor((distance + half_px) * BINS_A_PIXEL).astype(int)
-    count = round(2 * half_px * BINS_A_PIXEL)
-    within = (index >= 0) & (index < count)
-    pixels = np.bincount(index[within], minlength=count)
+def bins_of(spacing: int) -> list[int]:
+    """Bins a pixel to try: 4, as ISO 12233 has them, to 4 a pixel of the channel, whose pixels are `spacing` apart."""
+    return [bins for bins in (BINS_A_PIXEL, 2, 1) if bins * spacing >= BINS_A_PIXEL]
+
+
+def within(grid: Grid, rows: Array) -> Grid:
+    """The rows of a grid in a range of rows."""
+    inside = (grid.row >= rows[0]) & (grid.row <= rows[-1])
+    return Grid(grid.data[inside], grid.row[inside], grid.x)
+
+
+class Binned(NamedTuple):
+    """An edge spread function: (N,) distances of the bins, numbers of pixels, their means, and the variances of the means."""
+
+    distance_px: Array
+    pixels: NDArray[np.intp]
+    mean: Array
+    variance: Array
+
+
+def edge_spread(grids: Sequence[Grid], intercept: float, slope: float, half_px: float, bins_a_pixel: int) -> Binned:
+    """Pixels in bins of their distance from the edge, which rises from left to right.
+
+    The variance is that of the pixels about the mean course through the bins, pooled over neighbouring bins.
+    """
+    count = round(2 * half_px * bins_a_pixel)
+    centre_px = (np.arange(count) + 0.5) / bins_a_pixel - half_px
+    indices, values, distances = [], [], []
+    for grid in grids:
+        distance = (grid.x - (intercept + slope * grid.row)[:, None]) / np.hypot(1.0, slope)
+        index = np.floor((distance + half_px) * bins_a_pixel).astype(int)
+        inside = (index >= 0) & (index < count)
+        indices.append(index[inside])
+        values.append(grid.data[inside])
+        distances.append(distance[inside])
+    index, value, away = np.concatenate(indices), np.concatenate(values), np.concatenate(distances)
+    pixels = np.bincount(index, minlength=count)
     if pixels.min() == 0:
-        got = f"{np.count_nonzero(pixels == 0)} of {count} bins without a pixel, at {np.degrees(np.arctan(slope)):.2f}°"
-        raise invalid("edge picture", got, "pixels in every bin", "This angle samples too few phases of the pixels: use 5°.")
-    total = np.bincount(index[within], weights=data[rows.astype(int)][within], minlength=count)
-    centre_px = (np.arange(count) + 0.5) / BINS_A_PIXEL - half_px
+        return Binned(centre_px, pixels, centre_px, centre_px)
     # Pixels fill a bin unevenly, so its mean belongs to their mean distance. Without this correction the SFR is 0.003 off.
-    off_px = np.bincount(index[within], weights=distance[within], minlength=count) / pixels - centre_px
-    spread = total / pixels
-    return centre_px, spread - off_px * np.gradient(spread, centre_px)
+    off_px = np.bincount(index, weights=away, minlength=count) / pixels - centre_px
+    spread = np.bincount(index, weights=value, minlength=count) / pixels
+    mean = spread - off_px * np.gradient(spread, centre_px)
+    squares = np.bincount(index, weights=(value - course(centre_px, mean)(away)) ** 2, minlength=count)
+    freedom = uniform_filter1d(np.maximum(pixels - 1.0, 0.0), POOLED_BINS)
+    scatter = np.maximum(uniform_filter1d(squares, POOLED_BINS), 0.0) / np.maximum(freedom, 1.0 / POOLED_BINS)
+    return Binned(centre_px, pixels, mean, scatter / pixels)
 
 
-def response(spread: Array) -> tuple[Array, Array]:
+def course(centre_px: Array, mean: Array) -> CubicSpline:
+    """The smooth course of which the bins hold the means."""
+    curvature = np.gradient(np.gradient(mean))
+    return CubicSpline(centre_px, mean - curvature / 24)  # a mean over a bin is 1/24 of the curvature above its middle
+
+
+def filter_response(frequency: Array, bins_a_pixel: int) -> Array:
+    """Response of the bins and of the central difference, limited as in ISO 12233."""
+    return np.maximum(np.sinc(frequency / bins_a_pixel) * np.sinc(2 * frequency / bins_a_pixel), 1 / MAX_CORRECTION)
+
+
+def response(spread: Array, bins_a_pixel: int = BINS_A_PIXEL) -> tuple[Array, Array]:
     """Frequency (cy/px) and SFR of an edge spread function in bins of 1/4 pixel, corrected for bins and derivative."""
     line = np.gradient(spread)  # central differences, ISO 12233
     line = line * tukey(line.size, TAPER)
-    frequency = np.asarray(np.fft.rfftfreq(line.size, 1 / BINS_A_PIXEL), float)
+    frequency = np.asarray(np.fft.rfftfreq(line.size, 1 / bins_a_pixel), float)
     modulation = np.asarray(np.abs(np.fft.rfft(line)), float)
-    filter_response = np.sinc(frequency / BINS_A_PIXEL) * np.sinc(2 * frequency / BINS_A_PIXEL)
-    return frequency, modulation / modulation[0] / np.maximum(filter_response, 1 / MAX_CORRECTION)
+    return frequency, modulation / modulation[0] / filter_response(frequency, bins_a_pixel)
+
+
+def interval(spread: Array, variance: Array, bins_a_pixel: int, frequency: Array) -> tuple[Array, Array]:
+    """Bounds of the SFR at frequencies (cy/px), an interval of 95 % for independent noise of a variance in each bin.
+
+    The noise of the DFT, less its part that the normalisation takes away, is a complex Gaussian number around the true SFR. So the
+    square of the measured one is noncentral χ² with 2 degrees of freedom, of which the interval is the exact one: noise can only
+    raise a modulus that is near 0.
+    """
+    window = tukey(spread.size, TAPER)
+    line = np.gradient(spread) * window
+    total = float(line.sum())
+    before, after = np.append(0.0, window[:-1]), np.append(window[1:], 0.0)  # a bin is in the differences on either side of it
+    place = np.arange(spread.size)
+    sfr, sigma = np.ones(frequency.size), np.zeros(frequency.size)
+    for number, one in enumerate(frequency):
+        turn = np.exp(-2j * np.pi * one / bins_a_pixel * place)
+        step = np.exp(2j * np.pi * one / bins_a_pixel)
+        value = complex(line @ turn) / total
+        change = turn * (before * step - after / step) / 2 - (before - after) / 2 * value
+        sfr[number] = abs(value)
+        sigma[number] = math.sqrt(float((change * np.conj(value / (abs(value) or 1.0))).real ** 2 @ variance)) / abs(total)
+    low, high = bounds(sfr, sigma)
+    correction = filter_response(frequency, bins_a_pixel)
+    return low / correction, high / correction
+
+
+def mtf50_interval(spread: Array, variance: Array, bins_a_pixel: int, frequency: Array) -> tuple[float | None, float | None]:
+    """Interval of 95 % of the MTF50: the frequencies at which the interval of the SFR holds one half; None for no such bound.
+
+    Frequencies between those of the DFT share their noise, so the bounds are of a finer scale. Both ends are where their bound
+    stays below one half up to the next frequency of the DFT: shorter dips are noise.
+
+    frequency : those of the DFT, from 0
+    """
+    fine = np.linspace(0.0, frequency[-1], FINER * (frequency.size - 1) + 1)
+    low, high = interval(spread, variance, bins_a_pixel, fine)
+    low, high = (np.where(maximum_filter1d(bound, FINER, origin=-(FINER // 2), mode="nearest") < 0.5, bound, np.maximum(bound, 0.5))
+                 for bound in (low, high))  # fmt: skip
+    return first_crossing(fine, low, 0.5), first_crossing(fine, high, 0.5)
+
+
+FAR_SIGMAS = 30.0  # from 0, where the modulus is as good as Gaussian
+
+
+def bounds(modulus: Array, sigma: Array) -> tuple[Array, Array]:
+    """Interval of 95 % for the modulus of a complex number measured with Gaussian noise of `sigma` in each of its two parts."""
+    z = float(ndtri((1 + COVERAGE) / 2))
+    low, high = np.maximum(modulus - z * sigma, 0.0), modulus + z * sigma
+    near = (sigma > 0) & (modulus < FAR_SIGMAS * sigma)
+    square = (modulus[near] / sigma[near]) ** 2
+    for bound, chance in ((low, (1 + COVERAGE) / 2), (high, (1 - COVERAGE) / 2)):
+        found = np.where(-np.expm1(-square / 2) < chance, 0.0, chndtrinc(square, 2.0, chance))  # none reaches it: 0 is nearest
+        bound[near] = np.sqrt(np.nan_to_num(found)) * sigma[near]
+    return low, high
+
+
+def warn_of_curve(edge: EdgeResponse) -> None:
+    """Warn of an SFR above 1.02, which neither lens nor pixel has."""
+    for is_low, cause in ((True, "noise or shading"), (False, "sharpened, or noise")):
+        among = (edge.frequency_cy_per_px < LOW_CY_PER_PX) == is_low
+        if not among.any() or (highest := float(edge.sfr[among].max())) <= MAX_SFR:
+            continue
+        at = int(np.flatnonzero(among)[edge.sfr[among].argmax()])
+        range_text = f"the noise leaves {edge.sfr_low[at]:.3g} to {edge.sfr_high[at]:.3g}"
+        warn(f"edge picture: {cause}: the SFR is {highest:.3g} at {edge.frequency_cy_per_px[at]:.3f} cy/px; {range_text}.")
+
+
+def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
+    """Warn if the light changes along the normal: the tails on the two sides have slopes that no lens gives them.
+
+    The tails of a lens are alike on both sides, and leave no difference. A slope of the illumination does, as it acts on each
+    side in proportion to its light.
+    """
+    half_px = -float(distance_px[0])
+    slopes, errors = [], []
+    sides = (distance_px < -half_px / 4, distance_px > half_px / 4)
+    for side in sides:
+        centred = distance_px[side] - distance_px[side].mean()
+        slopes.append(float(centred @ spread[side] / (centred @ centred)))
+        errors.append(float(centred**2 @ variance[side]) / float(centred @ centred) ** 2)
+    step = abs(float(spread[sides[1]].mean() - spread[sides[0]].mean()))
+    change = (slopes[1] - slopes[0]) * half_px
+    if abs(change) > max(MAX_SHADING * step, SHADING_SIGMAS * math.sqrt(sum(errors)) * half_px):
+        warn(
+            f"edge picture: shading: beside the edge the light changes by {abs(change) / step:.1%} of the step within "
+            f"{half_px:g} px, which the SFR takes for blur or sharpening at low frequency; correct the picture with a flat field, "
+            "or take a smaller region."
+        )
+
+
+def warn_of_correlation(grids: Sequence[Grid], intercept: float, slope: float, distance_px: Array, spread: Array) -> None:
+    """Warn if the noise of neighbours in a row is correlated, of which the intervals know nothing."""
+    half_px = -float(distance_px[0])
+    step = float(np.ptp(spread))
+    smooth = course(distance_px, spread)
+    found = []
+    for grid in grids:
+        distance = (grid.x - (intercept + slope * grid.row)[:, None]) / np.hypot(1.0, slope)
+        beside = (np.abs(distance) > half_px / 4) & (np.abs(distance) < half_px)
+        noise = np.diff(grid.data - smooth(np.clip(distance, -half_px, half_px)), axis=0)  # without shading along the edge
+        beside = beside[1:] & beside[:-1]
+        pairs = beside[:, 1:] & beside[:, :-1]
+        if pairs.any() and noise[beside].std() > MIN_NOISE * step:
+            found.append(float((noise[:, 1:] * noise[:, :-1])[pairs].mean() / (noise[beside] ** 2).mean()))
+    if found and max(found) > MAX_CORRELATION:
+        warn(
+            f"edge picture: the noise of neighbouring pixels is correlated ({max(found):.2f}), as after demosaicking, denoising or "
+            "scaling: the intervals are too narrow."
+        )
 
 
 # Of what a file states about a picture.
@@ -305,28 +811,38 @@ class EdgePicture:
 
     data : (H, W) as stored, including the black level; row 0 on top
     top : value from which a pixel counts as saturated
+    layout : of a frame with colour filters, as text
+    channel : of a picture of red, green and blue, which the data are
     """
 
     data: NDArray[Any] = field(repr=False)
     pitch_um: float | None = None
     black_level_dn: float | None = None
     top: float | None = None
+    layout: str | None = None
+    channel: str | None = None
 
 
-def read_edge_picture(path: Path) -> EdgePicture:
-    """A linear greyscale picture: raw.exr of `pixsim run`, an EXR of one channel, .npy, .npz of one array, 16-bit .png or .tiff.
+def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
+    """A linear picture: raw.exr of `pixsim run`, .exr, .npy, .npz of one array, .png of 16 bits, .tiff of 16 bits or more or float.
 
-    Raises PixsimError if the file is missing, damaged, in colour, of a sensor with colour filters, or encoded for a display, such
-    as an 8-bit PNG.
+    channel : of a picture of red, green and blue: R, G, B or `luminance`, which is the default; others have none, or a layout
+
+    Raises PixsimError if the file is missing, damaged, or encoded for a display, such as an 8-bit PNG.
     """
-    data, metadata = read_picture(path, "edge picture", (*SUFFIXES, ".npy"))
+    data, metadata = read_picture(path, "edge picture", (*SUFFIXES, ".npy"), in_colour=True)
     if data.dtype.kind not in "biuf":
         raise invalid("edge picture", f"'{path}' of {data.dtype}", "real numbers")
-    if (layout := layout_of(metadata, data.shape)) is not None and len(layout.channels) > 1:
-        got = f"'{path}', a frame of the channels {', '.join(layout.channels)} in the layout {layout}"
-        raise invalid(
-            "edge picture", got, "the pixels of one channel", one_channel(layout, data.shape, number_of(metadata, "pitch_um"))
-        )
+    if ENCODING in metadata:
+        stated = f"'{path}' states an encoding for displays ({metadata[ENCODING]})"
+        warn(f"{stated}: the SFR is that of light only if the values are linear in it.")
+    rgb = None
+    if data.ndim == 3:
+        rgb = channel or LUMINANCE
+        if rgb not in (*LUMINANCE_WEIGHTS, LUMINANCE):
+            raise invalid("channel", f"'{channel}' of '{path}', a picture of red, green and blue", f"R, G, B, {LUMINANCE}")
+        data = data @ np.array(list(LUMINANCE_WEIGHTS.values())) if rgb == LUMINANCE else data[..., "RGB".index(rgb)]
+    layout = layout_of(metadata, data.shape) if rgb is None else None
     numbers: dict[str, float] = {}
     is_image = path.suffix.lower() in (".png", ".tif", ".tiff")
     for name, (low, high) in METADATA_RANGES.items():
@@ -337,47 +853,57 @@ def read_edge_picture(path: Path) -> EdgePicture:
             got = f"{name} = {excerpt(str(metadata[name])) if math.isnan(value) else f'{value:g}'}"
             raise invalid(f"metadata of '{path}'", got, f"a number from {low:g} to {high:g}")
         numbers[name] = value
-    bits = numbers.get("bits", BITS_OF_PICTURES if is_image else None)
+    if number_of(metadata, "saturated_fraction") > MAX_SATURATED:
+        share = number_of(metadata, "saturated_fraction")
+        warn(f"'{path}' states {share:.1%} saturated pixels, which need not be at the top code; beside the edge they sharpen it.")
+    bits = numbers.get("bits", BITS_OF_PICTURES if is_image and data.dtype == np.uint16 else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
-    return EdgePicture(data, numbers.get("pitch_um"), numbers.get("black_level_dn"), top)
+    layout_text = None if layout is None or len(layout.channels) < 2 else str(layout)
+    return EdgePicture(data, numbers.get("pitch_um"), numbers.get("black_level_dn"), top, layout_text, rgb)
 
 
-def one_channel(layout: Layout, shape: tuple[int, ...], pitch_um: float) -> str:
-    """Return the lines of Python and the option that measure the channel with the most pixels of a frame (rows, columns)."""
-    letter = layout.channels[int(np.argmax(layout.shares))]
-    if layout.is_stacked:
-        rows = shape[0] // layout.planes
-        part, step = f"{layout.channels.index(letter) * rows}:{(layout.channels.index(letter) + 1) * rows}", 1
-    else:
-        row, column = next((y, cell.index(letter)) for y, cell in enumerate(layout.cell) if letter in cell)
-        part, step = f"{row}::{len(layout.cell)}, {column}::{len(layout.cell[0])}", len(layout.cell[0])
-    option = f", with --pitch-um {step * pitch_um:g}" if math.isfinite(pitch_um) else ""
-    return f"Save one of them, np.save('{letter}.npy', pixsim.read_frame(FILE).dn[{part}]), and measure that file{option}."
+def sfr_summary(edge: EdgeResponse, pitch_um: float | None, warnings: Sequence[str] = ()) -> dict[str, Any]:
+    """The results for JSON, with frequencies in cy/px, and in cy/mm if the pitch is known.
 
-
-def sfr_summary(edge: EdgeResponse, pitch_um: float | None) -> dict[str, Any]:
-    """The results for JSON, with frequencies in cy/px, and in cy/mm if the pitch is known."""
-    mtf50 = edge.mtf50_cy_per_px
+    warnings : of the picture
+    """
+    mtf50, interval_cy_per_px = edge.mtf50_cy_per_px, edge.mtf50_interval_cy_per_px
+    at_nyquist, at_own = edge.at(NYQUIST_CY_PER_PX), edge.at(edge.nyquist_cy_per_px)
     result: dict[str, Any] = {
-        "mtf50_cy_per_px": mtf50, "sfr_at_nyquist": edge.at_nyquist, "angle_deg": edge.angle_deg, "contrast": edge.contrast,
-        "half_window_px": edge.half_window_px, "rows_used": edge.rows_used, "pitch_um": pitch_um,
+        "mtf50_cy_per_px": mtf50, "mtf50_interval_cy_per_px": list(interval_cy_per_px),
+        "sfr_at_nyquist": at_nyquist[0], "sfr_at_nyquist_interval": list(at_nyquist[1:]), "interval_coverage": COVERAGE,
+        "channel": edge.channel, "channel_nyquist_cy_per_px": edge.nyquist_cy_per_px, "sfr_at_channel_nyquist": at_own[0],
+        "highest_frequency_cy_per_px": float(edge.frequency_cy_per_px[-1]),
+        "angle_deg": edge.angle_deg, "contrast": edge.contrast,
+        "half_window_px": edge.half_window_px, "rows_used": edge.rows_used, "pitch_um": pitch_um, "warnings": list(warnings),
     }  # fmt: skip
     if pitch_um is not None:
-        result["mtf50_cy_per_mm"] = None if mtf50 is None else mtf50 * 1e3 / pitch_um
-        result["nyquist_cy_per_mm"] = NYQUIST_CY_PER_PX * 1e3 / pitch_um
+        scale = 1e3 / pitch_um
+        result["mtf50_cy_per_mm"] = None if mtf50 is None else mtf50 * scale
+        result["mtf50_interval_cy_per_mm"] = [None if bound is None else bound * scale for bound in interval_cy_per_px]
+        result["nyquist_cy_per_mm"] = NYQUIST_CY_PER_PX * scale
     return result
 
 
 def sfr_line(result: dict[str, Any]) -> str:
     """The results in one line of text."""
+    last = f"{result['highest_frequency_cy_per_px']:g}"
+    low, high = (f"above {last}" if bound is None else f"{bound:.3f}" for bound in result["mtf50_interval_cy_per_px"])
     if result["mtf50_cy_per_px"] is None:
-        half = "MTF50 above 1 cy/px"
+        half = f"MTF50 above {last} cy/px" + ("" if result["mtf50_interval_cy_per_px"][0] is None else f" (from {low})")
     else:
         on_sensor = f" ({result['mtf50_cy_per_mm']:.1f} cy/mm)" if result["pitch_um"] is not None else ""
-        half = f"MTF50 {result['mtf50_cy_per_px']:.3f} cy/px{on_sensor}"
+        half = f"MTF50 {result['mtf50_cy_per_px']:.3f} [{low}, {high}] cy/px{on_sensor}"
+    at_nyquist = "{:.3f} [{:.3f}, {:.3f}] at Nyquist".format(result["sfr_at_nyquist"], *result["sfr_at_nyquist_interval"])
+    of_channel = "" if result["channel"] is None else f"{result['channel']}: "
+    if of_channel and (own := result["channel_nyquist_cy_per_px"]) < NYQUIST_CY_PER_PX:
+        at_nyquist += f" of the sensor (0.5 cy/px), {result['sfr_at_channel_nyquist']:.3f} at the channel's own ({own:g} cy/px)"
+    elif of_channel:
+        at_nyquist += " of the sensor and of the channel (0.5 cy/px)"
     return (
-        f"{half}, {result['sfr_at_nyquist']:.3f} at Nyquist; edge at {result['angle_deg']:.2f}°, "
-        f"±{result['half_window_px']:g} px, {result['rows_used']} lines, contrast {result['contrast']:.2f}"
+        f"{of_channel}{half}, {at_nyquist}; edge at {result['angle_deg']:.2f}°, "
+        f"±{result['half_window_px']:g} px, {result['rows_used']} lines, contrast {result['contrast']:.2f}; "
+        f"in brackets {100 * result['interval_coverage']:.0f} % by the picture's noise"
     )
 
 
@@ -388,20 +914,24 @@ def sfr_plate(edge: EdgeResponse, pitch_um: float | None) -> Plate:
     axes = figure.subplots()
     scale, unit = (1.0, "cycles/pixel") if pitch_um is None else (1e3 / pitch_um, "cycles/mm on the sensor")
     nyquist = NYQUIST_CY_PER_PX * scale
+    axes.fill_between(edge.frequency_cy_per_px * scale, edge.sfr_low, edge.sfr_high, color=COLOURS[0], alpha=0.25, lw=0)
     axes.plot(edge.frequency_cy_per_px * scale, edge.sfr, color=COLOURS[0], lw=1.5)
     axes.axvline(nyquist, color="0.6", lw=1, ls="--")
-    axes.annotate("Nyquist", (nyquist, 1.03), ha="center", va="bottom", color="0.35", annotation_clip=False)
+    top = max(1.03, min(1.05 * float(edge.sfr.max()), MAX_SFR_SHOWN))
+    axes.annotate("Nyquist", (nyquist, top), ha="center", va="bottom", color="0.35", annotation_clip=False)
     if (mtf50 := edge.mtf50_cy_per_px) is not None:
         at = mtf50 * scale
         axes.plot(at, 0.5, "o", ms=5, color=COLOURS[1])
         axes.annotate(f"MTF50 {at:.3g}", (at, 0.5), xytext=(12, 12), textcoords="offset points", color=COLOURS[1])
     axes.set(xlabel=f"frequency along the normal of the edge ({unit})", ylabel="e-SFR")
-    axes.set_xlim(0, scale)
-    axes.set_ylim(0, 1.03)
+    axes.set_xlim(0, edge.frequency_cy_per_px[-1] * scale)
+    axes.set_ylim(0, top)
     table: dict[str, Any] = {"frequency_cy_per_px": edge.frequency_cy_per_px.tolist(), "sfr": edge.sfr.tolist()}
+    table |= {"sfr_low": edge.sfr_low.tolist(), "sfr_high": edge.sfr_high.tolist()}
     if pitch_um is not None:
         table["frequency_cy_per_mm"] = edge.frequency_cy_per_mm(pitch_um).tolist()
-    return Plate("sfr", "Edge-based spatial frequency response (ISO 12233).", figure, table)
+    title = "Edge-based spatial frequency response (ISO 12233), and its interval of 95 % by the noise of the picture."
+    return Plate("sfr", title, figure, table)
 
 
 @own_style()
@@ -410,10 +940,13 @@ def edge_plate(edge: EdgeResponse, unit: str) -> Plate:
     figure = new_figure(5.2, 3.0)
     axes = figure.subplots()
     axes.plot(edge.distance_px, edge.edge_spread, color=COLOURS[0], lw=1.2)
-    axes.set(xlabel="distance from the edge along its normal (pixels)", ylabel=f"mean of bins of ¼ pixel ({unit})")
+    axes.set(xlabel="distance from the edge along its normal (pixels)", ylabel=f"mean of bins ({unit})")
     axes.set_xlim(-edge.half_window_px, edge.half_window_px)
     table = {"distance_px": edge.distance_px.tolist(), "mean": edge.edge_spread.tolist()}
     return Plate("edge_spread", "Edge spread function.", figure, table)
+
+
+FILES = ("sfr.csv", "sfr.svg", "edge_spread.csv", "edge_spread.svg", "summary.json")
 
 
 def write_sfr(folder: Path, edge: EdgeResponse, pitch_um: float | None, result: dict[str, Any]) -> None:

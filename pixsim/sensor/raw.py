@@ -15,7 +15,10 @@ from __future__ import annotations
 import json
 import math
 import os
+import struct
+import sys
 import warnings
+import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,9 +30,9 @@ from numpy.typing import NDArray
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import ArrayHeader, first_where, read_array, read_arrays
 from pixsim.base.errors import PixsimError, invalid, names_in
-from pixsim.base.files import MAX_PICTURE, judge_picture, opened, reason, size_of
+from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened, reason, size_of
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
-from pixsim.sensor.colour import Layout
+from pixsim.sensor.colour import ROW_MARK, Layout
 from pixsim.sensor.readout import Frame
 
 UNIT = "DN"
@@ -88,8 +91,9 @@ class RawFrame:
         return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(words)}>"
 
 
-# Of mosaics of red, green and blue, for other programs: ISO 12234-2 (TIFF/EP).
-CFA_DIM_TAG, CFA_PATTERN_TAG, CFA_COLOURS = 33421, 33422, "RGB"
+# Of mosaics, for other programs: ISO 12234-2 (TIFF/EP), whose codes 0 to 6 are these colours; pixsim writes the first three.
+CFA_DIM_TAG, CFA_PATTERN_TAG, CFA_COLOURS, WRITTEN_COLOURS = 33421, 33422, "RGBCMYW", "RGB"
+ENCODING = "encoding"  # what a file states about a display's encoding of its values
 LAYOUT = "layout"  # as text: RG/GB, the rows of a mosaic's unit cell, upper one first; R+G+B, planes one below the other
 FACTS = ("black_level_dn", "white_level_dn", "bits", "pitch_um", "dn_per_e", "integration_s", "saturated_fraction")
 
@@ -169,7 +173,7 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
             tags.tagtype[tag] = kind
             tags[tag] = facts[name] if kind == DOUBLE else round(facts[name])
     layout = layout_of(facts, dn.shape)
-    if layout is not None and not layout.is_stacked and set(layout.channels) <= set(CFA_COLOURS):
+    if layout is not None and not layout.is_stacked and set(layout.channels) <= set(WRITTEN_COLOURS):
         tags.tagtype |= {CFA_DIM_TAG: SHORT, CFA_PATTERN_TAG: BYTE}
         tags[CFA_DIM_TAG] = layout.period
         tags[CFA_PATTERN_TAG] = bytes(CFA_COLOURS.index(letter) for row in layout.cell for letter in row)
@@ -187,7 +191,7 @@ def _picture(dn: NDArray[Any]) -> Any:
 def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     """Read the digital numbers and metadata of a raw frame, from pixsim or another program.
 
-    path : .tiff, .tif or .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array)
+    path : .tiff, .tif or .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array); of TIFF/EP with its layout
 
     Raises PixsimError if the file is missing, damaged, in colour, of 8 bits, or larger than 2²⁸ pixels.
 
@@ -223,14 +227,17 @@ def number_of(metadata: dict[str, Any], name: str) -> float:
         return math.nan
 
 
-def read_picture(path: Path, name: str, suffixes: tuple[str, ...]) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Values of a linear greyscale picture as stored, and the items of `FACTS` that the file states, neither of them checked.
+def read_picture(
+    path: Path, name: str, suffixes: tuple[str, ...], *, in_colour: bool = False
+) -> tuple[NDArray[Any], dict[str, Any]]:
+    """Values of a linear picture as stored, and the items of `FACTS` that the file states, neither of them checked.
 
-    path : .exr (one channel), .npy, .npz (`dn`, or a single array), .png or .tiff (16 bits)
+    path : .exr (one channel), .npy, .npz (`dn`, or a single array), .png or .tiff (16 bits, or floating point)
     name : of the picture, for messages
     suffixes : that are allowed
+    in_colour : whether red, green and blue are allowed too, as (rows, columns, 3); alpha is left out
 
-    Raises PixsimError if the file is missing, damaged, in colour, of 8 bits, or of another format.
+    Raises PixsimError if the file is missing, damaged, in colour unless allowed, of 8 bits, or of another format.
     """
     expected = f"a readable file that ends in {', '.join(suffixes)}"
     readers: dict[str, Any] = {".exr": _read_exr, ".npy": _read_numpy, ".npz": _read_numpy}
@@ -239,17 +246,24 @@ def read_picture(path: Path, name: str, suffixes: tuple[str, ...]) -> tuple[NDAr
         raise invalid(name, f"'{path}'", expected)
     size_of(path, name, expected)
     try:
-        return readers[path.suffix.lower()](path, name, expected)
+        data, metadata = readers[path.suffix.lower()](path, name, expected)
     except PixsimError:
         raise
     except Exception as error:  # a decoder may raise anything for a damaged file
         raise invalid(name, f"'{path}' ({reason(error)})", expected) from None
+    if data.ndim == 3 and not in_colour:
+        hint = "In colour a raw frame is a mosaic, with one value for each pixel."
+        raise invalid(f"{name} '{path}'", f"red, green and blue, of shape {data.shape}", "whole numbers, (rows, columns)", hint)
+    return data, metadata
 
 
 def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
     channels, header = read_channels(path)
+    if {"R", "G", "B"} <= set(channels) <= {"R", "G", "B", "A"}:
+        return np.stack([channels[letter] for letter in "RGB"], axis=2), {}
     if len(channels) != 1:
-        raise invalid(f"channels of '{path}'", ", ".join(names_in(sorted(channels)[:8])), "one: digital numbers or luminance")
+        got = ", ".join(names_in(sorted(channels)[:8]))
+        raise invalid(f"channels of '{path}'", got, "one: digital numbers or luminance; or a picture of R, G and B")
     metadata = {name: header[name] for name in (*FACTS, LAYOUT) if name in header}
     decimals = {name: shortest(value) for name, value in metadata.items() if name != "bits" and isinstance(value, float)}
     return next(iter(channels.values())), metadata | decimals | _json_of(header.get("facts"))
@@ -263,7 +277,7 @@ def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
         elif array in FACTS and path.suffix.lower() == ".npz":
             if header.shape not in ((), (1,)):
                 raise invalid(f"{array} of '{path}'", f"an array of shape {header.shape}", "one number")
-        elif len(header.shape) != 2 or header.dtype.kind not in "biuf":
+        elif not (len(header.shape) == 2 or header.shape[2:] in ((3,), (4,))) or header.dtype.kind not in "biuf":
             raise invalid(f"{name} '{path}'", f"{header.dtype} of shape {header.shape}", "real or whole numbers, (rows, columns)")
         elif math.prod(header.shape) > MAX_PICTURE:
             raise invalid(f"{name} '{path}'", f"{' × '.join(map(str, header.shape))} samples", f"up to {MAX_PICTURE} in all")
@@ -275,26 +289,142 @@ def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
         return ["dn", *(fact for fact in (*FACTS, LAYOUT) if fact in names)] if "dn" in names else names
 
     if path.suffix.lower() == ".npy":
-        return read_array(path, name, expected, check), {}
+        return _without_alpha(read_array(path, name, expected, check)), {}
     arrays = read_arrays(path, name, expected, choose, check)
     picture = "dn" if "dn" in arrays else next(iter(arrays))
-    return arrays[picture], {fact: arrays[fact] for fact in (*FACTS, LAYOUT) if fact in arrays}
+    return _without_alpha(arrays[picture]), {fact: arrays[fact] for fact in (*FACTS, LAYOUT) if fact in arrays}
+
+
+def _without_alpha(picture: NDArray[Any]) -> NDArray[Any]:
+    return picture if picture.ndim == 2 else picture[..., :3]
 
 
 def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
     from PIL import Image
 
-    judge_picture(path)
+    try:
+        judge_picture(path)
+    except PixsimError:
+        if path.suffix.lower() != ".png" and (found := _read_other_tiff(path, name, expected)) is not None:
+            return found
+        raise
     # Pillow warns of oddities in files that it can read.
     with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
-        if image.mode not in ("I;16", "I;16B", "I;16L", "I"):
-            hint = "Images of 8 bits are encoded for a display: write the raw digital numbers, linear in light."
-            raise invalid(f"{name} '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", hint)
-        metadata: dict[str, Any] = dict(getattr(image, "text", {}))
+        is_deep_colour = image.mode in ("RGB", "RGBA") and ";16" in str(image.tile)
         tags = getattr(image, "tag_v2", {})
-        levels = {BLACK_LEVEL_TAG: "black_level_dn", WHITE_LEVEL_TAG: "white_level_dn"}
-        metadata |= {level: tags[tag] for tag, level in levels.items() if tag in tags}
-        return np.asarray(image), metadata | _json_of(tags.get(DESCRIPTION_TAG))
+        if tags.get(PLANAR, 1) == 2 and (found := _read_other_tiff(path, name, expected)) is not None:
+            return found
+        if image.mode not in ("I;16", "I;16B", "I;16L", "I", "F") and not is_deep_colour:
+            hint = "Images of 8 bits are encoded for a display: write the raw digital numbers, linear in light."
+            if ";16" in str(image.tile):
+                hint = "Save it without its alpha channel."
+            raise invalid(f"{name} '{path}'", f"a picture of mode {image.mode}", "grey or RGB, of 16 bits, or float", hint)
+        if is_deep_colour and 3 * image.width * image.height > MAX_PICTURE:
+            raise invalid(f"{name} '{path}'", f"3 × {image.width} × {image.height} samples", f"up to {MAX_PICTURE} in all")
+        tiles = list(image.tile)  # before the texts of a PNG, for which Pillow reads all of it
+        metadata: dict[str, Any] = dict(getattr(image, "text", {}))
+        encoded = [word for word in ("srgb", "gamma", "icc_profile") if word in image.info]
+        if encoded and abs(float(image.info.get("gamma", 0.0)) - 1.0) > 1e-3:
+            metadata[ENCODING] = encoded[0]
+        samples = np.asarray(image)
+        metadata |= _metadata_of_tags(tags)
+    if is_deep_colour:
+        with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
+            # Pillow keeps the upper byte of each sample of RGB; in the other order of bytes that is the lower one.
+            image.tile = [tile._replace(args=_other_order(tile.args)) for tile in tiles]
+            samples = (samples.astype(np.uint16) << 8 | np.asarray(image))[..., :3]
+    return samples, metadata
+
+
+def _other_order(arguments: Any) -> Any:
+    """Return the arguments of Pillow's decoder with the other order of bytes in a sample of 16 bits."""
+    if not isinstance(arguments, str):
+        return (_other_order(arguments[0]), *arguments[1:])
+    order = {"B": "L", "L": "B", "N": "B" if sys.byteorder == "little" else "L"}
+    return arguments[:-1] + order[arguments[-1]]
+
+
+def _metadata_of_tags(tags: Any) -> dict[str, Any]:
+    """Return the items of `FACTS` and the layout that the tags of a TIFF state; pixsim's JSON goes before DNG and TIFF/EP."""
+    metadata: dict[str, Any] = {}
+    for tag, level in ((BLACK_LEVEL_TAG, "black_level_dn"), (WHITE_LEVEL_TAG, "white_level_dn")):
+        values = np.atleast_1d(np.asarray(tags.get(tag, []), float))
+        if values.size and (values == values[0]).all():  # DNG has one for each place of the cell
+            metadata[level] = float(values[0])
+    with suppress(KeyError, IndexError, TypeError, ValueError):
+        rows, columns = (int(count) for count in tags[CFA_DIM_TAG])
+        letters = "".join(CFA_COLOURS[code] for code in tags[CFA_PATTERN_TAG])
+        if len(letters) == rows * columns:
+            metadata[LAYOUT] = ROW_MARK.join(letters[row * columns : (row + 1) * columns] for row in range(rows))
+    return metadata | _json_of(tags.get(DESCRIPTION_TAG))
+
+
+# Of TIFF 6.0: tags, and the kinds of samples by format (1 unsigned, 2 signed, 3 floating point).
+WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, OFFSETS, COUNT, STRIP_ROWS, SIZES = 256, 257, 258, 259, 262, 273, 277, 278, 279
+PLANAR, PREDICTOR, SAMPLE_FORMAT = 284, 317, 339
+KINDS = {1: "u", 2: "i", 3: "f"}
+NO_COMPRESSION, DEFLATE = 1, (8, 32946)
+PHOTOMETRICS = {1: "grey", 2: "RGB", 32803: "a mosaic of colours", 34892: "linear raw"}
+
+
+def _read_other_tiff(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]] | None:
+    """Read a TIFF in strips that Pillow does not open, as a mosaic of TIFF/EP or RGB in floating point; None if it is no TIFF."""
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file:
+        if (head := file.read(8))[:4] not in (b"II*\0", b"MM\0*"):
+            return None
+        try:
+            tags, stored = ImageFileDirectory_v2(head), os.fstat(file.fileno()).st_size
+            file.seek(tags.next)
+            (entries,) = struct.unpack("<H" if head[:2] == b"II" else ">H", file.read(2))
+            if tags.next + 2 + 12 * entries > stored:
+                return None
+            file.seek(tags.next)
+            tags.load(file)
+            width, height, count = int(tags[WIDTH]), int(tags[HEIGHT]), int(tags.get(COUNT, 1))
+            offsets, sizes = tags[OFFSETS], tags[SIZES]
+            rows = min(int(tags.get(STRIP_ROWS, height)), height)
+        except Exception:  # a damaged directory, or tiles
+            return None
+        kinds = set(tags.get(SAMPLE_FORMAT, (1,)))
+        bits = set(tags.get(BITS, (1,)))
+        planar, compression = tags.get(PLANAR, 1) == 2, tags.get(COMPRESSION, 1)
+        got = ""
+        if tags.get(PHOTOMETRIC) not in PHOTOMETRICS:
+            got = f"a picture of photometric interpretation {tags.get(PHOTOMETRIC)}"
+        elif (
+            len(bits) != 1 or len(kinds) != 1 or not kinds <= set(KINDS) or not bits <= ({16, 32, 64} if kinds == {3} else {16, 32})
+        ):
+            got = f"samples of {', '.join(map(str, sorted(bits)))} bits"
+        elif compression not in (NO_COMPRESSION, *DEFLATE) or tags.get(PREDICTOR, 1) != 1:
+            got = f"compression {compression} with predictor {tags.get(PREDICTOR, 1)}"
+        elif not 1 <= count <= 4 or count == 2:
+            got = f"{count} samples a pixel"
+        if got:
+            hint = "Save it uncompressed, as grey or RGB of 16 bits or in floating point."
+            raise invalid(f"{name} '{path}'", got, "grey, RGB or a mosaic, of 16 or 32 bits or float, in strips", hint)
+        if not (width >= 1 and height >= 1 and rows >= 1 and width * height * count <= MAX_PICTURE):
+            raise invalid(f"{name} '{path}'", f"{count} × {width} × {height} samples", f"1 to {MAX_PICTURE} in all")
+        kind = np.dtype(f"{'<' if head[:2] == b'II' else '>'}{KINDS[kinds.pop()]}{bits.pop() // 8}")
+        planes, each = (count, 1) if planar else (1, count)
+        strips = -(-height // rows)
+        if len(offsets) != planes * strips or len(sizes) != planes * strips:
+            return None
+        check_compression(f"{name} '{path}'", width * height * count * kind.itemsize, stored)
+        data = np.empty((planes, height, width, each), kind)
+        for number, (offset, size) in enumerate(zip(offsets, sizes, strict=True)):
+            if offset + size > stored:
+                raise invalid(f"{name} '{path}'", "a truncated file", expected)
+            file.seek(offset)
+            part = data[number // strips, number % strips * rows :][:rows]
+            block = file.read(size)
+            if compression in DEFLATE:
+                block = zlib.decompressobj().decompress(block, part.nbytes)
+            part[:] = np.frombuffer(block, kind, part.size).reshape(part.shape)
+        whole = data[0] if not planar else np.moveaxis(data[..., 0], 0, 2)
+        samples = whole[..., 0] if count == 1 else whole[..., :3]
+        return samples.astype(kind.newbyteorder("=")), _metadata_of_tags(tags)
 
 
 def _json_of(text: Any) -> dict[str, Any]:

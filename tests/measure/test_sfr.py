@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from helpers.commands import assert_refused, command
 from PIL import Image
 from scipy.special import erf
 
-from pixsim import PixsimError, edge_response, read_frame, write_frame
+from pixsim import PixsimError, edge_response, write_frame
 from pixsim.light.exr import write_channels
 from pixsim.measure.sfr import NYQUIST_CY_PER_PX, first_crossing, read_edge_picture, sfr_line, sfr_summary as summary
 from pixsim.sensor.colour import Layout
@@ -126,26 +125,216 @@ def test_edge_response_saturated_or_outside_region_raises() -> None:
         edge_response(gaussian_edge(), region=(0, 0, 321, 100))
 
 
+CASES = Path(__file__).parents[1] / "data/cases/sfr"
+AT_NYQUIST, MTF50 = 0.109, 0.2808  # of the pictures in CASES
+TRUE_MTF50 = float(np.sqrt(np.log(2) / 2) / np.pi / 0.6)
+GAINS = {"R": 0.6, "G": 1.0, "B": 0.4, "W": 1.6}
+
+
+def mosaic(layout: str, edge: np.ndarray) -> np.ndarray:
+    cell = Layout.of_text(layout)
+    return edge * np.array([GAINS[letter] for letter in cell.channels])[cell.numbers(edge.shape)]
+
+
 @pytest.mark.parametrize(
-    ("layout", "place", "pitch_um"),
-    [("GR/BG", np.s_[0::2, 0::2], 6), ("RG/GB", np.s_[0::2, 1::2], 6), ("R+G+B", np.s_[0:320], 3)],
-    ids=str,
-)
-def test_frame_of_a_colour_sensor_is_refused_with_a_way_to_one_channel(
-    layout: str, place: object, pitch_um: float, tmp_path: Path
+    ("layout", "channel", "nyquist", "tolerance"),
+    [
+        ("RG/GB", "R", 0.25, 0.001), ("RG/GB", "G", 0.5, 0.001), ("RG/GB", "B", 0.25, 0.001), ("RG/GB", "luminance", 0.25, 0.001),
+        ("GR/BG", "0,1", 0.25, 0.001), ("RW/WB", "W", 0.5, 0.001),
+        ("RRGG/RRGG/GGBB/GGBB", "G", 0.25, 0.003),  # clusters of four pixels: replicas at a quarter and at three eighths
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("angle_deg", [5.0, -94.0])
+def test_channel_of_a_mosaic_has_the_mtf_in_pixels_of_the_sensor(
+    layout: str, channel: str, nyquist: float, tolerance: float, angle_deg: float
 ) -> None:
-    """Channels differ in their signal: mixed, they look like noise. The hint leads to the edge that one channel sees."""
-    frame = np.rint(100 * gaussian_edge())
-    frame = np.concatenate([frame, frame, frame]) if "+" in layout else np.rint(frame * np.tile([[1.0, 0.5], [0.5, 1]], (160, 160)))
-    raw = RawFrame(frame.astype(np.uint32), pitch_um=3.0, layout=Layout.of_text(layout))
-    write_frame(tmp_path / "raw.exr", raw)
-    with pytest.raises(PixsimError, match=r"one channel\. Save one of them") as caught:
-        read_edge_picture(tmp_path / "raw.exr")
-    text = re.search(r"dn(\[.*?\])\), and measure that file, with --pitch-um (\S+)\.$", str(caught.value))
-    assert text is not None
-    assert float(text[2]) == pitch_um
-    found = eval(f"dn{text[1]}", {"dn": read_frame(tmp_path / "raw.exr").dn})
-    assert (found == frame[place]).all()
+    """Each channel sees the same edge: its curve is that of all pixels, up to 0.5 cy/px, with bins of up to its own pixel."""
+    edge = edge_response(mosaic(layout, gaussian_edge(angle_deg)), layout=layout, channel=channel)
+    below = edge.frequency_cy_per_px <= NYQUIST_CY_PER_PX
+    assert below.sum() > 50
+    assert np.abs(edge.sfr[below] - gaussian_mtf(edge.frequency_cy_per_px[below])).max() < tolerance
+    assert (edge.channel, edge.nyquist_cy_per_px) == (channel, nyquist)
+    assert edge.angle_deg == pytest.approx((angle_deg + 45) % 180 - 45, abs=5e-3)
+
+
+def test_channel_in_a_region_is_that_of_the_frame() -> None:
+    """Letters are counted from the frame's corner, not from the region's."""
+    picture = mosaic("RG/GB", gaussian_edge())
+    picture[0::2, 0::2] = np.random.default_rng(3).uniform(1, 2, (160, 160))  # no edge in red
+    edge = edge_response(picture, layout="RG/GB", channel="B", region=(41, 33, 281, 300))
+    assert edge.mtf50_cy_per_px == pytest.approx(TRUE_MTF50, abs=1e-3)
+
+
+def test_luminance_weighs_channels_that_see_other_edges() -> None:
+    """Lateral colour: red and blue are shifted along the normal by ±1 px, after white balance: Σ w exp(-2πi f d)."""
+    shift = {"R": 1.0, "G": 0.0, "B": -1.0}
+    letters = np.array(list("RGGB")).reshape(2, 2)
+    picture = np.zeros((SIDE, SIDE))
+    for row, column in np.ndindex(2, 2):
+        away = distances(5.0)[row::2, column::2] - shift[letters[row, column]]
+        picture[row::2, column::2] = GAINS[letters[row, column]] * (DARK + (LIGHT - DARK) * (1 + erf(away / (0.6 * 2**0.5))) / 2)
+    edge = edge_response(picture, layout="RG/GB", channel="luminance")
+    frequency = edge.frequency_cy_per_px[edge.frequency_cy_per_px <= 0.5]
+    weights = {"R": 0.2126, "G": 0.7152, "B": 0.0722}
+    wanted = abs(sum(weights[one] * np.exp(-2j * np.pi * frequency * shift[one]) for one in "RGB")) * gaussian_mtf(frequency)
+    np.testing.assert_allclose(edge.sfr[: frequency.size], wanted, atol=0.002)
+    assert np.abs(wanted - gaussian_mtf(frequency)).max() > 0.05
+
+
+def test_stacked_sensor_measures_a_plane() -> None:
+    sigmas = {"R": 0.5, "G": 0.6, "B": 0.9}
+    picture = np.concatenate([GAINS[letter] * gaussian_edge(sigma_px=sigma) for letter, sigma in sigmas.items()])
+    edge = edge_response(picture, layout="R+G+B", channel="G")
+    assert edge.mtf50_cy_per_px == pytest.approx(TRUE_MTF50, abs=3e-4)
+    with pytest.raises(PixsimError, match=r"one channel\. As in --channel R"):
+        edge_response(picture, layout="R+G+B")
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".tiff", ".png", ".npz"])
+def test_frame_of_a_colour_sensor_is_measured_by_its_layout(suffix: str, tmp_path: Path) -> None:
+    write_frame(tmp_path / f"raw{suffix}", RawFrame(np.rint(10 * mosaic("GR/BG", gaussian_edge())), layout=Layout.of_text("GR/BG")))
+    code, _, err = command(f"sfr {tmp_path}/raw{suffix} --out {tmp_path}/o")
+    assert code == 2
+    assert "one channel. As in --channel G" in err
+    code, out, err = command(f"sfr {tmp_path}/raw{suffix} --channel R --out {tmp_path}/o --json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["mtf50_cy_per_px"] == pytest.approx(TRUE_MTF50, abs=1e-3)
+    assert json.loads(out)["channel_nyquist_cy_per_px"] == 0.25
+
+
+@pytest.mark.parametrize(
+    ("line", "warnings"),
+    [
+        ("ex1.0.png", 0), ("mosaic_tagged.tif --channel G", 0), ("mosaic_tagged.tif --channel R", 0), ("mild.tif --channel 1,1", 0),
+        ("mild.tif --channel luminance --layout RG/GB", 0), ("mild.tif --channel G", 1), ("rgb16.tif", 0),
+        ("rgb16.tif --channel B", 0),
+    ],
+)  # fmt: skip
+def test_pictures_of_other_programs_are_measured(line: str, warnings: int, tmp_path: Path) -> None:
+    code, out, err = command(f"sfr {CASES}/{line} --out {tmp_path}/o --json")
+    assert code == 0, err
+    result = json.loads(out)
+    assert result["mtf50_cy_per_px"] == pytest.approx(MTF50, abs=1.5e-3)
+    assert result["sfr_at_nyquist"] == pytest.approx(AT_NYQUIST, abs=2e-3)
+    assert len(result["warnings"]) == warnings == err.count("warning")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("ex1.6.png", "exactly 4095 above black, beside noise"),
+        ("ex1.6.png --saturation 4095", "49.9% saturated"),
+        ("mild.tif", "looks like a colour mosaic"),
+        ("mild.tif --channel R", "--layout RG/GB"),
+        ("mild.tif --channel 2,0", "from 0,0 to 1,1"),
+        ("mild.tif --channel G --layout rggb", "capital letters"),
+        ("mosaic_tagged.tif", "As in --channel G"),
+        ("mosaic_tagged.tif --channel X", "R, G, B, luminance"),
+        ("rgb16.tif --channel 0,1", "R, G, B, luminance"),
+        ("rgb16.tif --layout RG/GB", "a mosaic"),
+        ("ex1.0.png --black 5000 --saturation 4095", "more than it"),
+    ],
+)
+def test_pictures_that_would_mislead_are_refused_by_their_cause(line: str, message: str, tmp_path: Path) -> None:
+    assert_refused(*command(f"sfr {CASES}/{line} --out {tmp_path}/o"), [message])
+
+
+@pytest.mark.parametrize("layout", ["RG/GB", "RRGG/RRGG/GGBB/GGBB", "GBGGRG/RGRBGB/GBGGRG/GRGGBG/BGBRGR/GRGGBG"])
+def test_mosaic_without_a_layout_is_named(layout: str) -> None:
+    noise = np.random.default_rng(4).standard_normal((SIDE, SIDE))
+    with pytest.raises(PixsimError, match="looks like a colour mosaic"):
+        edge_response(mosaic(layout, gaussian_edge()) + 5 * noise)
+    edge_response(gaussian_edge() + 50 * noise)  # noise is no mosaic
+
+
+NOISE = np.random.default_rng(9).standard_normal((SIDE, SIDE))
+
+
+@pytest.mark.parametrize("noise_dn", [0.5, 1.0, 8.0])
+@pytest.mark.parametrize("clip_dn", [0.0, 1.0])
+def test_clipping_shows_in_the_noise(noise_dn: float, clip_dn: float) -> None:
+    """Clipped at the level of the bright side, or a little above it; without clipping the same picture is measured."""
+    picture = np.rint(gaussian_edge() + noise_dn * NOISE)
+    edge_response(picture)
+    clipped = np.minimum(picture, LIGHT + clip_dn * noise_dn - (noise_dn < 1))
+    with pytest.raises(PixsimError, match="this is clipped"):
+        edge_response(clipped)
+    with pytest.warns(UserWarning, match="clipped\\?"):
+        edge_response(clipped, is_unclipped=True)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("noise_dn", [0.0, 0.1, 0.2, 0.35, 0.6, 1.0, 3.0])
+@pytest.mark.parametrize("level", [0.0, 0.3, 0.5])
+def test_few_codes_of_noise_are_no_clipping(noise_dn: float, level: float) -> None:
+    """Noise of less than a code can leave all pixels of a side in one, whatever the level."""
+    edge_response(np.rint(gaussian_edge() + level + noise_dn * NOISE))
+
+
+def test_clipping_at_black_is_warned_of() -> None:
+    with pytest.warns(UserWarning, match="clipped at black"):
+        edge_response(np.maximum(np.rint(gaussian_edge() - DARK + 8 * NOISE), 0.0))
+
+
+def coverage(noise: float, side: int, draws: int) -> tuple[int, np.ndarray]:
+    """How often the interval holds the MTF50, and at how many frequencies that of the curve holds the MTF."""
+    rng = np.random.default_rng([11, side])
+    hits, inside = 0, []
+    for _ in range(draws):
+        edge = gaussian_edge(rng.uniform(4, 6), height=side, width=side)
+        result = edge_response(edge + noise * np.sqrt(edge * LIGHT) * rng.standard_normal(edge.shape))
+        low, high = result.mtf50_interval_cy_per_px
+        hits += (low is None or low <= TRUE_MTF50) and (high is None or high >= TRUE_MTF50)
+        truth = gaussian_mtf(result.frequency_cy_per_px)
+        inside.append(((result.sfr_low <= truth) & (truth <= result.sfr_high))[1:].mean())
+    return hits, np.array(inside)
+
+
+@pytest.mark.filterwarnings("ignore:edge picture")
+def test_intervals_hold_the_truth_as_often_as_they_state() -> None:
+    """95 % of 240 pictures, 1 to 10 % of noise: 90 to 98 % are 3.5 σ of a binomial number below and 2 above; seeds are fixed."""
+    results = [coverage(noise, 96, 60) for noise in (0.005, 0.02, 0.06, 0.12)]
+    assert 0.90 <= sum(hits for hits, _ in results) / 240 <= 0.98
+    for _, inside in results:
+        assert 0.93 <= inside.mean() <= 0.97
+
+
+@pytest.mark.filterwarnings("ignore:edge picture")
+def test_interval_narrows_with_the_root_of_the_pixels() -> None:
+    def width(height: int) -> float:
+        picture = gaussian_edge(height=height) + 10 * np.random.default_rng(2).standard_normal((height, SIDE))
+        edge = edge_response(picture)
+        return float((edge.sfr_high - edge.sfr_low)[5:40].mean())
+
+    assert width(160) / width(640) == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.filterwarnings("ignore:edge picture")
+def test_curve_above_one_is_named() -> None:
+    """Each of the three causes; the pictures may have others besides."""
+    sharp = gaussian_edge()
+    sharp = sharp + 1.5 * (sharp - gaussian_edge(sigma_px=1.2))
+    with pytest.warns(UserWarning, match="sharpened, or noise: the SFR is"):
+        assert edge_response(sharp).sfr.max() > 1.1
+    shaded = gaussian_edge() * (1 + 0.2 * distances(5.0) / SIDE)
+    with pytest.warns(UserWarning, match="shading: beside the edge"):
+        edge_response(shaded)
+    with pytest.warns(UserWarning, match="noise or shading: the SFR is"):
+        edge_response(gaussian_edge() - 0.3 * DARK * np.clip(distances(5.0) / 64, -1, 1) * 5)
+
+
+@pytest.mark.filterwarnings("error")
+def test_tails_of_a_lens_are_no_shading() -> None:
+    """Line spread with 1/x² tails, as of diffraction, with and without noise."""
+    picture = DARK + (LIGHT - DARK) * (0.5 + np.arctan(distances(5.0) / 0.4) / np.pi)
+    edge_response(picture)
+    edge_response(picture + 5 * NOISE)
+
+
+def test_correlated_noise_is_named() -> None:
+    smooth = (NOISE + np.roll(NOISE, 1, axis=1)) * 10
+    with pytest.warns(UserWarning, match="correlated"):
+        edge_response(gaussian_edge() + smooth)
 
 
 def test_read_edge_picture_all_formats_agree(tmp_path: Path) -> None:
@@ -155,11 +344,13 @@ def test_read_edge_picture_all_formats_agree(tmp_path: Path) -> None:
     np.save(tmp_path / "edge.npy", edge.astype(np.uint16))
     np.savez(tmp_path / "edge.npz", edge)
     Image.fromarray(edge.astype(np.uint16)).save(tmp_path / "edge.png")
-    for name in ("raw.exr", "edge.npy", "edge.npz", "edge.png"):
+    Image.fromarray(edge.astype(np.float32)).save(tmp_path / "edge.tif")
+    for name in ("raw.exr", "edge.npy", "edge.npz", "edge.png", "edge.tif"):
         assert np.array_equal(read_edge_picture(tmp_path / name).data, edge)
     raw = read_edge_picture(tmp_path / "raw.exr")
     assert (raw.pitch_um, raw.black_level_dn, raw.top) == (5.3, 20.0, 1023.0)
     assert read_edge_picture(tmp_path / "edge.png").top == 65535
+    assert read_edge_picture(tmp_path / "edge.tif").top is None
 
 
 def test_sfr_command_writes_files(tmp_path: Path) -> None:
@@ -173,7 +364,7 @@ def test_sfr_command_writes_files(tmp_path: Path) -> None:
         "sfr.csv", "sfr.svg", "edge_spread.csv", "edge_spread.svg", "summary.json", "provenance.json"
     }  # fmt: skip
     first = (tmp_path / "o/sfr.csv").read_text(encoding="utf-8").splitlines()
-    assert first[0] == "frequency_cy_per_px,sfr,frequency_cy_per_mm"
+    assert first[0] == "frequency_cy_per_px,sfr,sfr_low,sfr_high,frequency_cy_per_mm"
     assert float(first[1].split(",")[1]) == 1.0
     code, out, _ = command(f"sfr {tmp_path}/raw.exr --out {tmp_path}/o --region 60,40,260,280")
     assert code == 0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shlex
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from PIL.PngImagePlugin import PngInfo
 import pixsim
 from pixsim import cli
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.raw import BLACK_LEVEL_TAG, FACTS, SUFFIXES, WHITE_LEVEL_TAG, RawFrame, write_frame
+from pixsim.sensor.raw import BLACK_LEVEL_TAG, ENCODING, FACTS, SUFFIXES, WHITE_LEVEL_TAG, RawFrame, read_picture, write_frame
 from pixsim.sensor.readout import Frame
 
 CODES = np.array([[0, 1, 2, 4095], [64, 1000, 4094, 63], [7, 8, 9, 10]], np.int32)
@@ -210,3 +212,86 @@ def test_tiff_states_its_mosaic_as_other_programs_do(tmp_path, layout, size, pat
     assert tags.get(33421) == size
     assert (list(tags[33422]) if pattern else tags.get(33422)) == pattern
     assert str(pixsim.read_frame(tmp_path / "raw.tiff").layout) == layout
+
+
+def tiff(
+    path: Path, values: np.ndarray, photometric: int, *, deflate: bool = False, planar: bool = False, rows: int = 3, **tags: tuple
+) -> None:
+    """A TIFF of (rows, columns, samples) in strips, written from the tables of TIFF 6.0 alone."""
+    height, width, count = values.shape
+    planes = [values[..., [one]] for one in range(count)] if planar else [values]
+    strips = [np.ascontiguousarray(plane[row : row + rows]).tobytes() for plane in planes for row in range(0, height, rows)]
+    strips = [zlib.compress(strip) if deflate else strip for strip in strips]
+    offsets = np.cumsum([8, *map(len, strips)]).tolist()
+    kind = {"u": 1, "i": 2, "f": 3}[values.dtype.kind]
+    entries = {
+        256: (4, [width]), 257: (4, [height]), 258: (3, [values.itemsize * 8] * count), 259: (3, [8 if deflate else 1]),
+        262: (3, [photometric]), 273: (4, offsets[:-1]), 277: (3, [count]), 278: (4, [rows]), 279: (4, [*map(len, strips)]),
+        284: (3, [2 if planar else 1]), 339: (3, [kind] * count), **{int(tag[1:]): item for tag, item in tags.items()},
+    }  # fmt: skip
+    sizes = {1: "B", 3: "H", 4: "I"}
+    at, body, table = offsets[-1] + 2 + 12 * len(entries) + 4, b"", struct.pack("<H", len(entries))
+    for tag, (size, items) in sorted(entries.items()):
+        data = struct.pack(f"<{len(items)}{sizes[size]}", *items)
+        field = data.ljust(4, b"\0") if len(data) <= 4 else struct.pack("<I", at + len(body))
+        body += data if len(data) > 4 else b""
+        table += struct.pack("<HHI", tag, size, len(items)) + field
+    path.write_bytes(struct.pack("<2sHI", b"II", 42, offsets[-1]) + b"".join(strips) + table + bytes(4) + body)
+
+
+@pytest.mark.parametrize("deflate", [False, True])
+@pytest.mark.parametrize("kind", ["<u2", "<u4"])
+def test_mosaic_of_tiff_ep_is_read(kind: str, deflate: bool, tmp_path: Path) -> None:
+    """Photometric interpretation 32803, which Pillow does not open."""
+    values = np.arange(8 * 6).reshape(8, 6, 1).astype(kind)
+    tiff(tmp_path / "raw.tif", values, 32803, deflate=deflate, t33421=(3, [2, 2]), t33422=(1, [1, 2, 0, 1]), t50714=(3, [64] * 4))
+    result = pixsim.read_frame(tmp_path / "raw.tif")
+    np.testing.assert_array_equal(result.dn, values[..., 0])
+    assert (str(result.layout), result.black_level_dn) == ("GB/RG", 64.0)
+    whole = (tmp_path / "raw.tif").read_bytes()
+    (directory,) = struct.unpack("<I", whole[4:8])
+    for length in range(0, directory + 12 * 10, 7):  # of fourteen entries
+        (tmp_path / "raw.tif").write_bytes(whole[:length])
+        with pytest.raises(pixsim.PixsimError):
+            pixsim.read_frame(tmp_path / "raw.tif")
+
+
+@pytest.mark.parametrize("planar", [False, True])
+@pytest.mark.parametrize("kind", ["<u2", "<f4", "<f8"])
+@pytest.mark.parametrize("count", [3, 4])
+def test_deep_rgb_is_read_to_the_last_bit(kind: str, planar: bool, count: int, tmp_path: Path) -> None:
+    values = np.random.default_rng(1).uniform(0, 65535, (7, 5, count)).astype(kind)
+    extra = {"t338": (3, [2])} if count == 4 else {}
+    tiff(tmp_path / "deep.tif", values, 2, planar=planar, **extra)
+    found, _ = read_picture(tmp_path / "deep.tif", "picture", SUFFIXES, in_colour=True)
+    np.testing.assert_array_equal(found, values[..., :3])
+    with pytest.raises(pixsim.PixsimError, match="red, green and blue"):
+        pixsim.read_frame(tmp_path / "deep.tif")
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_png_of_16_bits_in_colour_is_read_to_the_last_bit(count: int, tmp_path: Path) -> None:
+    values = np.random.default_rng(1).integers(0, 65536, (7, 5, count)).astype(">u2")
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    header = struct.pack(">2I5B", 5, 7, 16, {3: 2, 4: 6}[count], 0, 0, 0)
+    rows = zlib.compress(b"".join(b"\0" + row.tobytes() for row in values))
+    path = tmp_path / "deep.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
+    found, metadata = read_picture(path, "picture", SUFFIXES, in_colour=True)
+    np.testing.assert_array_equal(found, values[..., :3])
+    assert ENCODING not in metadata
+    chunks = [(b"IHDR", header), (b"sRGB", bytes(1)), (b"IDAT", rows), (b"IEND", b"")]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*one) for one in chunks))
+    assert read_picture(path, "picture", SUFFIXES, in_colour=True)[1][ENCODING] == "srgb"
+
+
+def test_other_tiffs_are_refused_by_their_cause(tmp_path: Path) -> None:
+    tiff(tmp_path / "a.tif", np.zeros((4, 4, 1), "<u2"), 32803, t317=(3, [2]), t259=(3, [34712]))
+    with pytest.raises(pixsim.PixsimError, match=r"compression 34712 with predictor 2.*uncompressed"):
+        pixsim.read_frame(tmp_path / "a.tif")
+    tiff(tmp_path / "a.tif", np.zeros((4, 4, 1), "u1"), 32803)
+    with pytest.raises(pixsim.PixsimError, match="samples of 8 bits"):
+        pixsim.read_frame(tmp_path / "a.tif")
