@@ -112,6 +112,7 @@ class EdgeResponse:
         """SFR at the Nyquist frequency of the sensor, half a cycle per pixel: 1 for full contrast."""
         return self.at(NYQUIST_CY_PER_PX)[0]
 
+    @checks_arguments
     def at(self, frequency_cy_per_px: float) -> tuple[float, float, float]:
         """SFR at a frequency, and the bounds of its interval."""
         curves = (self.sfr, self.sfr_low, self.sfr_high)
