@@ -33,6 +33,7 @@ COMMANDS = {  # each command, with two jobs where it takes them
     "template": "template sensor -o sensor.toml",
     "schema": "schema sensor",
     "cache": "cache",
+    "cameras": "cameras",
     "completion": "completion bash",
     "doctor": "doctor",
 }
