@@ -471,6 +471,6 @@ def test_compare_page_fits_screens(compared: tuple[Path, str, str], tmp_path: Pa
 @needs_browser
 def test_compare_page_prints(compared: tuple[Path, str, str], tmp_path: Path) -> None:
     headings = re.findall(r"<h2[^>]*>(.*?)</h2>", text_of(compared[0]))
-    assert len(headings) == 6
+    assert len(headings) == 7
     texts = ["quiet is better than noisy_one", "compare.json", "64 × 48"]
     assert_prints(compared[0] / "report.html", tmp_path, range(3, 9), texts, headings, [*headings[:2], headings[3]])
