@@ -109,7 +109,7 @@ def test_study_incomplete_data_sheet_raises() -> None:
 @pytest.mark.slow
 def test_study_command_with_data_sheet_runs(tmp_path: Path) -> None:
     """With a scene parameter, and --quick for a study without a [quick] table."""
-    study_path = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
+    study_path = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\nrefine = false\n[pitch]\ncount = 5\n')
     path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nspp = 4\n[display]\ndots = 64\n")
     small = "--resolution 64 --camera.die-mm 0.5"
     line = f"study {study_path} --config {path} {small} -D luminance_cd_per_m2=50 --quick --jobs 1 --out {tmp_path / 'out'}"

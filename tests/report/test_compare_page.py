@@ -473,4 +473,4 @@ def test_compare_page_prints(compared: tuple[Path, str, str], tmp_path: Path) ->
     headings = re.findall(r"<h2[^>]*>(.*?)</h2>", text_of(compared[0]))
     assert len(headings) == 7
     texts = ["quiet is better than noisy_one", "compare.json", "64 × 48"]
-    assert_prints(compared[0] / "report.html", tmp_path, range(3, 9), texts, headings, [*headings[:2], headings[3]])
+    assert_prints(compared[0] / "report.html", tmp_path, range(3, 9), texts, headings, [*headings[:2], headings[4]])
