@@ -250,7 +250,8 @@ def test_study_settings_of_data_sheets_make_same_numbers(desk: Path, tmp_path: P
 def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
     """Rows of another chart or other dots are never put side by side."""
     (desk / "own.toml").write_text(
-        'name = "own"\nrepeats = 2\nrefine = false\nrender_noise = 10\n[pitch]\ncount = 5\nmin_um = 10\nmax_um = 40\n[display]\ndots = 64\n',
+        'name = "own"\nrepeats = 2\nrefine = false\nrender_noise = 10\n'
+        "[pitch]\ncount = 5\nmin_um = 10\nmax_um = 40\n[display]\ndots = 64\n",
         encoding="utf-8",
     )
     keys = []
