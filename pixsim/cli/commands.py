@@ -269,6 +269,10 @@ def study(
     pitch: common.PitchTable = None,
     seed: common.Seed = None,
     tolerance_e: common.Tolerance = None,
+    refine: Annotated[
+        bool | None,
+        Parameter(help="Add sizes and sensors where an interval is open [default: that of the study].", negative="--no-refine"),
+    ] = None,
     quick: Annotated[bool, Parameter(help="Use the values of the study's [quick] table: fewer pitches and sensors.")] = False,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
     scheduler: Annotated[
@@ -335,7 +339,9 @@ def study(
     from pixsim.studies.sensor_types import Asked, check_types
 
     table = sweep.read_study(study)
-    tables = options.study_tables(scene, display=display, pitch=pitch, seed=seed, tolerance_e=tolerance_e, **vars(effort))
+    tables = options.study_tables(
+        scene, display=display, pitch=pitch, seed=seed, refine=refine, tolerance_e=tolerance_e, **vars(effort)
+    )
     if axis:
         tables["axis"] = common.axes_of(axis, table.table.get("axis", []))
     with collected_notes():  # also of what is found before the study begins

@@ -188,6 +188,7 @@ def test_study_same_rows_from_toml_options_and_python(tmp_path: Path) -> None:
     text = [
         'name = "own"',
         "repeats = 2",
+        "refine = false",
         "resolution = 64",
         "seed = 3",
         '[scene]\nfile = "slanted_edge"',
@@ -198,11 +199,11 @@ def test_study_same_rows_from_toml_options_and_python(tmp_path: Path) -> None:
 
     (tmp_path / "bare.toml").write_text('name = "own"\nrepeats = 2\n[scene]\nparameters = { luminance_cd_per_m2 = 1.0 }\n')
     options = " ".join(f"--{t}.{k.replace('_', '-')} {v}" for t, table in tables.items() for k, v in table.items())
-    options += " --pitch.min-um 2 --pitch.max-um 12 --pitch.count 5 --seed 3 --resolution 64 --scene slanted_edge"
+    options += " --no-refine --pitch.min-um 2 --pitch.max-um 12 --pitch.count 5 --seed 3 --resolution 64 --scene slanted_edge"
     options += "".join(f" -D {name}={value}" for name, value in SMALL.items())
     run(f"study {tmp_path / 'bare.toml'} --config {path} {options} --out", "options")
 
-    given = {**tables, "pitch": pitch, "seed": 3, "resolution": 64, "scene": "slanted_edge", "parameters": SMALL}
+    given = {**tables, "pitch": pitch, "seed": 3, "refine": False, "resolution": 64, "scene": "slanted_edge", "parameters": SMALL}
     with quiet():
         pixsim.study(tmp_path / "bare.toml", tmp_path / "python", config=path, jobs=1, **given)
     numbers = [
@@ -400,7 +401,7 @@ def test_dry_run_renders_and_writes_nothing(line: str, tmp_path: Path, monkeypat
 
 @pytest.mark.slow
 def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
-    line = f"study pixel-size --config {sheet_toml(tmp_path)} --resolution 64 --window 0.2 --pitch.count 5 --quick"
+    line = f"study pixel-size --config {sheet_toml(tmp_path)} --resolution 64 --window 0.2 --pitch.count 5 --no-refine --quick"
     with quiet():
         outline = json.loads(command(f"{line} --dry-run --json")[1])
     quiet_command(f"{line} --out", "out", tmp_path)
