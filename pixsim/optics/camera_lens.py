@@ -34,6 +34,7 @@ from pixsim.optics.field_blur import (
     RadialPsfs,
     amid_tiles,
     blur_from_arrays,
+    cutoff_per_um,
     even_window,
     field_blur,
     fit_wavefronts,
@@ -61,6 +62,7 @@ MIN_SPACING = 8  # film cells from tile to tile, at least: on coarser films, sma
 TILE_ORDER = 3  # the error of tiles falls with this power of their number, or faster
 TRIED = (0.0, 0.25, 0.5, 0.7, 0.86, 0.97)  # of the way to the corner of the die, where errors are found
 AREA_POINTS = 64  # along half a side of the die, by which the share of the area is found for which such a place stands
+GRID = 0.25  # of the period of the finest detail that a lens passes: cells on which errors of its blur are found, at most
 TRIED_CELLS = 33  # of a PSF, with which the errors of wavelengths and nodes are found
 COARSE_WINDOW = 32  # film cells, for rays on a film that is too coarse for waves
 VIEW_STEPS = 4
@@ -458,6 +460,7 @@ def thin_lens_error(camera: Camera, pitch_um: float, wavelength_nm: Array, weigh
     if error > 1:
         return error
     light, blur = light_of(camera, wavelength_nm, weight, Tiling(0.0, 0.0, 0.0)), 0.0
+    pitch_um *= _cells_together(light, pitch_um)
     for part in (0.0, 0.7, 1.0):
         x_um = part * float(light.fronts[0].height_um[-1])
         window = even_window(light, x_um, 0.0, pitch_um, min(TRIED_CELLS, most_cells(light, pitch_um)))
@@ -468,6 +471,14 @@ def thin_lens_error(camera: Camera, pitch_um: float, wavelength_nm: Array, weigh
         exact = np.fft.rfft2(periodic_psf(light, x_um, 0.0, pitch_um, window))
         blur = max(blur, picture_error(thin.astype(complex), exact, pitch_um, aperture_um))
     return error + blur
+
+
+def _cells_together(light: Light, pitch_um: float) -> int:
+    """Return how many film cells may be one along a side where errors of a blur are found.
+
+    On a film much finer than the lens they all lie at low frequencies, which coarser cells hold too.
+    """
+    return max(1, math.floor(GRID / (pitch_um * cutoff_per_um(light))))
 
 
 def dark_share(camera: Camera) -> float:
@@ -608,8 +619,7 @@ def lens_mtf(image: SpectralImage, camera: Camera, weight: Array, frequency_cy_p
 def _mean_mtf(camera: Camera, wavelength_nm: tuple[float, ...], weight: tuple[float, ...], tiling: Tiling) -> tuple[Array, Array]:
     """Return frequencies in cycles/mm up to the lens's cut-off, and the MTF of `lens_mtf` there."""
     light = light_of(camera, np.array(wavelength_nm), np.array(weight), tiling)
-    cutoff = max(2 * float(front.numbers[:, :2].max()) / (1e-3 * front.wavelength_nm) for front in light.fronts)  # per µm
-    pitch_um = 0.5 / cutoff
+    pitch_um = 0.5 / cutoff_per_um(light)
     farthest_um = min(float(front.height_um[-1]) for front in light.fronts)
     along = np.linspace(0.0, farthest_um, MTF_PLACES)
     height_um, width_um = camera.die_um
@@ -704,22 +714,26 @@ def _chosen_tiling(
         return found
 
     def transforms(light: Light) -> NDArray[np.complex128]:
-        return at_places(lambda x, y: np.fft.rfft2(periodic_psf(light, x, y, pitch_um, window)))
+        return at_places(lambda x, y: np.fft.rfft2(periodic_psf(light, x, y, grid_um, window)))
 
     def between_tiles(psfs: RadialPsfs, spacing: int) -> NDArray[np.complex128]:
-        return at_places(lambda x, y: transform_of(amid_tiles(psfs, x, y, pitch_um, spacing, cells), pitch_um, window))
+        return at_places(lambda x, y: transform_of(amid_tiles(psfs, x, y, grid_um, spacing / coarser, cells), grid_um, window))
 
     def window_of(light: Light, cells: int) -> int:
-        return max(even_window(light, x, y, pitch_um, cells) for x, y in places)
+        return max(even_window(light, x, y, grid_um, cells) for x, y in places)
 
     def error_of(found: NDArray[np.complex128], right: NDArray[np.complex128]) -> float:
-        return picture_error(found, right, pitch_um, aperture_um, share=share)
+        return picture_error(found, right, grid_um, aperture_um, share=share)
 
+    # `cells` are those of the grid.
+    coarser = _cells_together(traced(1), pitch_um)
+    grid_um = coarser * pitch_um
+    tried, *sizes = (2 * math.ceil(cells // 2 / coarser) + 1 for cells in (TRIED_CELLS, *PSF_CELLS))
     for wavelengths in WAVELENGTHS:
         light, exact = traced(wavelengths), traced(2 * wavelengths)
-        if not (most := most_cells(light, pitch_um)):
+        if not (most := most_cells(light, grid_um)):
             return _without_blur(camera, light, heights_um, share, pitch_um, aperture_um)
-        window = window_of(exact, min(TRIED_CELLS, most))
+        window = window_of(exact, min(tried, most))
         right = transforms(light)
         of_wavelengths = error_of(right, transforms(exact))
         if of_wavelengths <= LIGHT_SHARE * tolerance:
@@ -728,30 +742,30 @@ def _chosen_tiling(
         between = light_of(camera, bands, weights, Tiling(0.0, 0.0, 0.0, wavelengths=wavelengths, nodes=nodes))
         if error_of(transforms(between), right) <= LIGHT_SHARE * tolerance:
             break
-    for cells in [*(cells for cells in PSF_CELLS if cells < most), min(most, PSF_CELLS[-1])]:
+    for cells in [*(cells for cells in sizes if cells < most), min(most, sizes[-1])]:
         if window < window_of(light, cells):
             window = window_of(light, cells)
             right = transforms(light)
         cut = [np.fft.fftshift(np.fft.irfft2(one, (window, window))) for one in right]
         middle = slice(window // 2 - cells // 2, window // 2 + cells // 2 + 1)
         inside = [Psf(one[middle, middle].astype(np.float32)) for one in cut]
-        found = np.array([transform_of([(1.0, psf)], pitch_um, window) for psf in inside])
+        found = np.array([transform_of([(1.0, psf)], grid_um, window) for psf in inside])
         cut_error, lacking = error_of(found, right), max(0.0, *(psf.lacking for psf in inside))
         if cut_error <= CUT_SHARE * tolerance:
             break
     distortion = distortion_of(camera)
     assert distortion is not None
-    moved = right * (1 + moved_error(distortion, pitch_um, np.fft.fftfreq(window))[:, : window // 2 + 1])
+    moved = right * (1 + moved_error(distortion, pitch_um, np.fft.fftfreq(window) / coarser)[:, : window // 2 + 1])
     fixed = 2 * math.pi * max(front.residual_waves for front in light.fronts) + of_wavelengths + error_of(moved, right)
     count = TILES[0]
     while True:
         spacing = max(MIN_SPACING, round(max(shape) / count))
-        tiling = Tiling(spacing * pitch_um, cells * pitch_um, 0.0, 0.0, wavelengths, nodes)
+        tiling = Tiling(spacing * pitch_um, cells * grid_um, 0.0, 0.0, wavelengths, nodes)
         psfs = psfs_of(camera, shape, pitch_um, tiling, bands, weights)
         found = between_tiles(psfs, spacing)
         error = fixed + error_of(found, right)
         if error <= tolerance or count == TILES[-1] or spacing == MIN_SPACING:
-            worst = max(picture_error(one, other, pitch_um, aperture_um) for one, other in zip(found, right, strict=True))
+            worst = max(picture_error(one, other, grid_um, aperture_um) for one, other in zip(found, right, strict=True))
             return replace(tiling, error=error, worst=fixed + worst, cut_error=cut_error, lacking=lacking)
         needed = count * (error / tolerance) ** (1 / TILE_ORDER)
         count = next((more for more in TILES if more >= needed and more > count), TILES[-1])

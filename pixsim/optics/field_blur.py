@@ -13,7 +13,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from hashlib import blake2b
 from itertools import product
 from threading import Lock
@@ -307,13 +307,17 @@ def _even_window(light: Light, heights_um: Iterable[float], pitch_um: float, cel
     return window
 
 
+def cutoff_per_um(light: Light) -> float:
+    """Return the highest frequency that a lens passes, in cycles/µm."""
+    return max(2 * float(front.numbers[:, :2].max()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
+
+
 def most_cells(light: Light, pitch_um: float) -> int:
     """Return the odd number of film cells along a side of the largest PSF whose pupil has `MOST_SAMPLES` across; 0 for none.
 
     On a film so coarse that it is 0, diffraction keeps to one cell.
     """
-    cutoff = max(2 * float(front.numbers[:, :2].max()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
-    cells = int(MOST_SAMPLES / (WINDOW * pitch_um * cutoff))
+    cells = int(MOST_SAMPLES / (WINDOW * pitch_um * cutoff_per_um(light)))
     return cells - (cells + 1) % 2 if cells >= 3 else 0
 
 
@@ -556,8 +560,7 @@ def radial_psfs(light: Light, pitch_um: float, cells: int, step_um: float, farth
 
 def resolving_um(light: Light) -> float:
     """Return the largest film cells for which radial PSFs have all frequencies that a lens passes, within their own band."""
-    cutoff = max(2 * float(front.numbers[:, :2].max()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
-    return FINER * (1 - BAND_END) / 2 / cutoff
+    return FINER * (1 - BAND_END) / 2 / cutoff_per_um(light)
 
 
 def tiles_along(cells: int, spacing: int) -> tuple[int, int]:
@@ -820,12 +823,7 @@ def picture_error(
     share : of the picture's area for which each place stands
     """
     window, columns = exact.shape[-2:]
-    fy, fx = np.fft.fftfreq(window, pitch_um)[:, None], np.fft.rfftfreq(window, pitch_um)
-    box = np.sinc(fy * aperture_um) * np.sinc(fx * aperture_um)
-    weight = np.where((np.arange(columns) == 0) | (np.arange(columns) == window / 2), 1.0, 2.0) * box**2
-    frequency = np.hypot(fy, fx)
-    weight /= np.maximum(frequency, 1 / (window * pitch_um)) ** slope
-    order = np.argsort(frequency, axis=None, kind="stable")[1:]  # without frequency 0
+    order, weight = _frequencies_in_order(window, columns, pitch_um, aperture_um, slope)
     parts = np.array(share)[:, None, None]
     squares = (
         np.sum(parts * np.abs(values.reshape(-1, window, columns)) ** 2, axis=0) * weight for values in (approximate - exact, exact)
@@ -834,18 +832,37 @@ def picture_error(
     return float(np.sqrt((error / power).max()))
 
 
+@lru_cache(maxsize=2)
+def _frequencies_in_order(
+    window: int, columns: int, pitch_um: float, aperture_um: float, slope: float
+) -> tuple[NDArray[np.intp], Array]:
+    """Return where the frequencies of `picture_error` stand, from low to high without 0, and their weights (window, columns)."""
+    fy, fx = np.fft.fftfreq(window, pitch_um)[:, None], np.fft.rfftfreq(window, pitch_um)
+    box = np.sinc(fy * aperture_um) * np.sinc(fx * aperture_um)
+    weight = np.where((np.arange(columns) == 0) | (np.arange(columns) == window / 2), 1.0, 2.0) * box**2
+    frequency = np.hypot(fy, fx)
+    weight /= np.maximum(frequency, 1 / (window * pitch_um)) ** slope
+    return np.argsort(frequency, axis=None, kind="stable")[1:], weight
+
+
 def transform_of(psfs: Sequence[tuple[float, Psf]], pitch_um: float, window: int) -> NDArray[np.complex128]:
     """Return the transform (window, window // 2 + 1) of a sum of PSFs by their weights, each with what it lacks as a veil."""
     kernel = sum((weight * psf.kernel.astype(float) for weight, psf in psfs), np.zeros(()))
     cells = len(kernel)
     wide = np.zeros((window, window))
     wide[:cells, :cells] = kernel
-    fy, fx = np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3)
-    veil = float(1 - kernel.sum()) * veil_mtf(np.hypot(fy, fx), beyond_um(cells, pitch_um))
+    veil = float(1 - kernel.sum()) * _veil(pitch_um, cells, window)
     return np.asarray(rfft2(np.roll(wide, (-(cells // 2), -(cells // 2)), axis=(0, 1))) + veil)
 
 
-def amid_tiles(psfs: RadialPsfs, x_um: float, y_um: float, pitch_um: float, spacing: int, cells: int) -> list[tuple[float, Psf]]:
+@lru_cache(maxsize=2)
+def _veil(pitch_um: float, cells: int, window: int) -> Array:
+    """Return the transform (window, window // 2 + 1) of the light beyond a PSF's cells, as a share of it."""
+    fy, fx = np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3)
+    return veil_mtf(np.hypot(fy, fx), beyond_um(cells, pitch_um))
+
+
+def amid_tiles(psfs: RadialPsfs, x_um: float, y_um: float, pitch_um: float, spacing: float, cells: int) -> list[tuple[float, Psf]]:
     """Return weights and PSFs of the sixteen tiles around an image point that is as far from them as can be."""
     around = []
     for x, y in product((-1.5, -0.5, 0.5, 1.5), repeat=2):

@@ -420,7 +420,7 @@ def test_factors_whose_sum_is_negative_are_refused(tmp_path):
     spectra, pictures = np.array([[1.0, 1.0, 1.0], [0.0, -2.0, 0.0]]), np.full((2, 4, 5), 1.0, np.float32)
     image = SpectralImage(NM, 10.0, 2.5, factors=(spectra, pictures))
     pixsim.write_exr(tmp_path / "a.exr", image)
-    refused(tmp_path / "a.exr", "got -1.0 at row 0, column 0 of the band at 510 nm")
+    refused(tmp_path / "a.exr", "got a mean of -1 W/m²/nm in the band at 510 nm")
     small = SpectralImage(NM, 10.0, 2.5, factors=(np.array([[1.0, 1.0, 1.0], [0.0, -0.9, 0.0]]), pictures))
     pixsim.write_exr(tmp_path / "b.exr", small)
     assert pixsim.read_irradiance(tmp_path / "b.exr").band(1)[0, 0] == pytest.approx(0.1, rel=1e-6)

@@ -23,6 +23,7 @@ from helpers.processes import HANG_S
 from helpers.tiny import tiny
 
 import pixsim
+from pixsim.base.cache import ENTRY, VALUE, label_of
 from pixsim.base.errors import PixsimError
 from pixsim.scene import checks, graphics, renderer, variant
 from pixsim.scene.child import child_tracer
@@ -299,10 +300,10 @@ def test_damaged_verdict_is_tried_again(machine: Machine, tmp_path: Path):
         graphics.judge()
     (entry,) = (tmp_path / "cache" / graphics.KIND).iterdir()
     for damage in ("{", "[]", '{"fault": 3}', '{"fault": null, "card": 3}', '{"fault": null, "tried_s": "soon"}'):
-        entry.write_text(damage)
+        entry.write_text(f'{{"{ENTRY}": "{label_of(graphics.KIND, entry.stem)}", "{VALUE}": {damage}}}')
         with pytest.warns(UserWarning, match="is damaged|passed"):
             assert graphics.judge().fault is None
-    assert json.loads(entry.read_text())["fault"] is None
+    assert json.loads(entry.read_text())[VALUE]["fault"] is None
 
 
 def test_doctor_tries_again(machine: Machine):
