@@ -100,7 +100,7 @@ WAYS = {
         '<path value="q"/><shape type="rectangle"/>' + SPHERE.format(""),
         "",
     ),
-    "a path in the name": ("trav.so", "pixsim", SPHERE.format('<bsdf type="../trav"/>'), "bsdf: got '../trav'"),
+    "a path in the name": ("trav.so", "pixsim", SPHERE.format('<bsdf type="../trav"/>'), "bsdf: got a text of 7 characters"),
     "a <path>": ("q/plugins/evil.so", "pixsim", '<path value="q"/>' + SPHERE.format('<bsdf type="evil"/>'), "bsdf: got 'evil'"),
     # The emitter of a packaged scene; a spectrum and a film by load_dict.
     "plugins of a packaged scene": (("plugins/area.so", "plugins/d65.so", "plugins/specfilm.so"), "resolver", "csf", ""),

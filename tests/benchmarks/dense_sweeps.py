@@ -50,8 +50,8 @@ def studies() -> dict[str, pixsim.Study]:
     one_to_one = {"display": {"raster": "one_to_one", "white_cd_per_m2": 1000.0}}
     return {
         "chen2000_0.35um": chen2000("0.35um", 140),
-        "evening": gate(10.0, 2.8, 50),
-        "flat": gate(80.0, 8.0, 60),  # diffraction exceeds most of the pixel sizes
+        "evening": gate(3.0, 2.8, 50),
+        "flat": gate(20.0, 8.0, 60),  # diffraction exceeds most of the pixel sizes
         "near_an_end": chen2000("0.5um", 60),
         "at_the_end": chen2000("0.35um", 60, **one_to_one),
         "skewed": chen2000("0.18um", 80),
