@@ -614,7 +614,8 @@ class Fingerprints:
         """Return the hash of everything that the frames of a pitch depend on."""
         if (technology, pitch_um) not in self._pixels:
             pixel = pixel_of(self.study, technology, pitch_um).model_dump(exclude={"technology"})  # a path is no content
-            self._pixels[technology, pitch_um] = content_hash([self.imaging, technology_of(self.study, technology).content, pixel])
+            own = technology_of(self.study, technology).content, pixel, self.study.display.raster  # it decides on registrations
+            self._pixels[technology, pitch_um] = content_hash([self.imaging, *own])
         return self._pixels[technology, pitch_um]
 
     def keys(self, technology: str, pitch_um: float, repeats: Iterable[int]) -> dict[int, str]:

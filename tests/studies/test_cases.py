@@ -346,6 +346,17 @@ def test_study_counts_what_is_made(done: tuple[StudyResult, Path], tmp_path: Pat
     assert (counts.cases, counts.evaluations_made, counts.frames_reused) == (2, 20, 10)
 
 
+def test_rasters_of_one_study_are_as_if_each_were_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dots that are pixels are centred, and others have registrations, of which the first two are the same for many sizes."""
+    rasters = ["fixed_size", "one_to_one"]
+    axis = [{"name": "shown", "set": "display.raster", "values": rasters}]
+    both = pixsim.study(small(repeats=4, axis=axis), tmp_path / "both", jobs=1)
+    monkeypatch.setenv("PIXSIM_CACHE_GIB", "0")
+    for curve, raster in zip(both.curves, rasters, strict=True):
+        alone = pixsim.study(small(repeats=4, display={"raster": raster}), tmp_path / raster, jobs=1)
+        np.testing.assert_array_equal(curve.delta_e, alone.curves[0].delta_e)
+
+
 def test_study_more_values_compute_only_the_new_ones(done: tuple[StudyResult, Path]) -> None:
     _, folder = done
     before = set(keys(folder))
