@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -38,3 +39,21 @@ def setting(path: str, value: float | str | None = None) -> str:
     if above:
         return f"{above[-1].capitalize()}({name}={'…' if shown is None else shown})"
     return name if shown is None else f"{name}={shown}"
+
+
+def parameter(name: str, value: str) -> str:
+    """Return a parameter of a scene as the caller writes it.
+
+    >>> parameter("chart", "star.png")
+    "chart='star.png'"
+    """
+    return f"-D {name}={shlex.quote(value)}" if _command_lines else f"{name}={value!r}"
+
+
+def evaluated(path: str) -> str:
+    """Return how the caller scores a picture of spectral light.
+
+    >>> evaluated("light.exr")
+    "evaluate(read_irradiance('light.exr'), …)"
+    """
+    return f"pixsim run {shlex.quote(path)}" if _command_lines else f"evaluate(read_irradiance({path!r}), …)"

@@ -13,6 +13,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import pairwise
@@ -188,6 +189,10 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
 # A number that follows f/ or precedes a unit; with a decimal comma, unless three digits after it make it thousands.
 NUMBER_WITH = re.compile(r"(f/?)?\s*([-+]?[0-9]+(?:\.[0-9]+|,(?![0-9]{3}(?![0-9]))[0-9]+)?)\s*([a-zµμ]*)", re.IGNORECASE)
 UNITS = {"um": ("um", "µm", "μm"), "bits": ("bit", "bits")}  # of names that end so; others are written as they are
+TIMES_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
+LENGTHS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
+FRACTION = re.compile(r"([0-9.]+)\s*/\s*([0-9.]+)\s*(s|sec)?", re.IGNORECASE)  # of a second
+USUAL = (1e-3, 1e4)  # of a number in its own unit: what lies far below was written in another one
 
 
 def _hint(path: Sequence[str], value: Any, fault: str) -> str:
@@ -196,7 +201,12 @@ def _hint(path: Sequence[str], value: Any, fault: str) -> str:
     fault : Pydantic's name of the problem
     """
     name = path[-1] if path else ""
+    own_unit = name.rpartition("_")[2]
+    if fault.startswith(("greater_than", "less_than")) and isinstance(value, str):  # of a command line
+        value = float(value)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if fault.startswith("greater_than") and is_number and (hint := _in_metres(value, own_unit)):
+        return hint
     if name == "prnu" and is_number and 0 < value <= 100:
         return f"{value:g} % is {value / 100:g}, or prnu_percent = {value:g}."
     if name == "dark_current" and is_number:
@@ -207,11 +217,25 @@ def _hint(path: Sequence[str], value: Any, fault: str) -> str:
         return f"A range of what is not known: [pixel.uncertainty] {name} = {{ range = {list(value)} }}; several values: --axis."
     if fault in ("float_parsing", "int_parsing") and isinstance(value, str) and (found := NUMBER_WITH.fullmatch(value.strip())):
         before, number, unit = found[1], found[2], (found[3] or "").lower()
-        own = unit in ("", *UNITS.get(name.rpartition("_")[2], (name.rpartition("_")[2],)))
+        own = unit in ("", *UNITS.get(own_unit, (own_unit,)))
         whole = fault == "float_parsing" or number.lstrip("+-").isdecimal()
         if own and whole and (not before or name == "f_number"):
             return f"Write {number.replace(',', '.')}, {'with a decimal point' if ',' in number else 'the number alone'}."
+        for units in (TIMES_S, LENGTHS_M):
+            if unit in units and own_unit in units and not before:
+                converted = float(number.replace(",", ".")) * units[unit] / units[own_unit]
+                return f"Write {converted:.6g}, which is in {own_unit.replace('um', 'µm')}."
+    if fault == "float_parsing" and own_unit == "s" and isinstance(value, str) and (found := FRACTION.fullmatch(value.strip())):
+        with suppress(ValueError, ZeroDivisionError):
+            return f"Write {float(found[1]) / float(found[2]):.6g}, which is in s."
     return ""
+
+
+def _in_metres(value: float, unit: str) -> str:
+    """How to write a length that is too small in its own unit, but usual if it is in metres; empty if it is neither."""
+    if unit not in LENGTHS_M or unit == "m" or not USUAL[0] <= (converted := value / LENGTHS_M[unit]) <= USUAL[1]:
+        return ""
+    return f"It is in {unit.replace('um', 'µm')}, and {value:g} m are {converted:.6g}: write {converted:.6g}."
 
 
 def _value(value: Any, layer: Layer | None) -> str:

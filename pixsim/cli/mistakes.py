@@ -64,8 +64,9 @@ def hint_of_word(word: str, options: set[str]) -> str:
     for kind, option, fits in kinds:
         if fits and option in options:
             return f"{kind[0].upper()}{kind[1:]} goes after {option}: {option} {shlex.quote(word)}"
-    is_number = word.replace(".", "").isdecimal()
-    return "An option takes one word: a pair of numbers is written as 1936x1216." if is_number else ""
+    if not word.replace(".", "").isdecimal():
+        return ""
+    return "An option takes one word: a pair of numbers is written as 1936x1216, and a list of them as 2.4,3.45 without blanks."
 
 
 def hint_of_option(name: str, options: set[str]) -> str:
@@ -73,7 +74,8 @@ def hint_of_option(name: str, options: set[str]) -> str:
     *above, last = name.lstrip("-").replace("-", "_").split(".")
     meant = ["--" + ".".join(path).replace("_", "-") for path in names_meant(Run.__name__, above, last)]
     meant += ["--out"] * (name == "-o")
-    known = [option for option in meant if option in options]
+    begun = sorted(option for option in options if option.startswith(f"{name}-"))
+    known = [option for option in meant if option in options] or begun
     return f"Did you mean {' or '.join(known)}?" if known else ""
 
 

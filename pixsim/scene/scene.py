@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pixsim.base import caller
 from pixsim.base.arguments import brief, checks_arguments, checks_fields
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
@@ -24,7 +25,7 @@ from pixsim.scene.contents import check_textures, check_transforms, find_lamp, f
 from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.judge import SceneText, judge_scene
 from pixsim.scene.mitsuba import children, nodes_of, plain
-from pixsim.scene.own_chart import LINEAR_SUFFIXES, OwnChart, is_own_chart
+from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
 from pixsim.scene.plugins import REASONS
 from pixsim.scene.tree import Table, Transform, Tree, parse_tree
 
@@ -33,6 +34,7 @@ CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
 ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
+ILLUMINANCE = "lux"  # on a chart, as a white diffuser reflects it: π times the luminance of texel value 1
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 EMITTER_SCALE = "emitter_scale"
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
@@ -222,9 +224,10 @@ def load_scene(
     scene : path, or a name as in `pixsim run`
     variant : Mitsuba variant; None takes the graphics card if it passed its trial, else the processors
     sensor : id of the sensor, if the scene has several
-    parameters : values of the scene's <default> parameters; `luminance_cd_per_m2` sets the luminance of texel value 1
-        in a scene with a parameter `emitter_scale`; `max_lp_per_mm` the highest frequency on the sensor of the CSF chart;
-        `chart` may name a picture (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true
+    parameters : values of the scene's <default> parameters; in a scene with a parameter `emitter_scale`, `luminance_cd_per_m2`
+        sets the luminance of texel value 1, and `lux` the illuminance in which a white diffuser has it, π times as much;
+        `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart; `chart` may name a picture
+        (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there is no sensor or more than
     one, the sensor is not a thin lens, or LLVM is too old.
@@ -239,7 +242,8 @@ def load_scene(
     if not os.path.lexists(path) or path.is_dir():
         known, is_path = packaged_scenes(), path.parent != Path() and not path.is_dir()
         got = missing(path) if is_path else f"'{scene}'"
-        raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
+        hint = _hint_of_picture(path) or did_you_mean(str(scene), known)
+        raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", hint)
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
     lamps = parameters.pop(WHITE_LAMPS, None)
     highest = parameters.pop(charts.MAX_LP_PER_MM, None)
@@ -248,7 +252,18 @@ def load_scene(
     picture = _picture_of_chart(path, given)
     text = judge_scene(path, given, picture)
     names = text.names
-    also = ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE), (WHITE_LAMPS, WHITE_LAMPS), (CHART_LINEAR, CHART))
+    if ILLUMINANCE in given and ILLUMINANCE not in names and EMITTER_SCALE in names:
+        lux = given.pop(ILLUMINANCE)
+        if luminance is not None:
+            raise invalid(ILLUMINANCE, f"'{lux}' beside {LUMINANCE}", "one of them", "A white diffuser in E lx has E / π cd/m².")
+        luminance = _positive(ILLUMINANCE, lux) / math.pi
+    also = (
+        (LUMINANCE, EMITTER_SCALE),
+        (ILLUMINANCE, EMITTER_SCALE),
+        (WHITE, WHITE),
+        (WHITE_LAMPS, WHITE_LAMPS),
+        (CHART_LINEAR, CHART),
+    )
     settable = {name for name, needed in also if needed in names | text.defaults.keys()}
     shows_csf = CHART in names and CHART not in given and Path(text.defaults.get(CHART, "")).name == "csf.exr"
     settable |= {charts.MAX_LP_PER_MM} if shows_csf else set()
@@ -294,6 +309,17 @@ def load_scene(
     if highest is not None:
         loaded = loaded.with_parameters(**{charts.MAX_LP_PER_MM: repr(_positive(charts.MAX_LP_PER_MM, highest))})
     return loaded
+
+
+def _hint_of_picture(path: Path) -> str:
+    """Return how a picture is used, for one that stands in place of a scene; empty for other files."""
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        return ""
+    hint = f"A picture is the chart of a scene: csf with {caller.parameter(CHART, str(path))}."
+    return (
+        hint if suffix != ".exr" else f"{hint} A picture of spectral light has no scene: {caller.evaluated(str(path))} scores it."
+    )
 
 
 def _picture_of_chart(path: Path, given: dict[str, str]) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from pathlib import Path
 
@@ -80,6 +81,34 @@ def test_load_scene_unknown_parameter_suggests_name(asked, near):
     hint = rf"Did you mean '{near}'\?"
     with pytest.raises(PixsimError, match=rf"scene parameter: got '{asked}'; allowed: .*emitter_scale.*spp.*{hint}"):
         load("csf", **{asked: 1})
+
+
+def test_lux_is_the_light_in_which_a_white_diffuser_has_the_charts_luminance() -> None:
+    """Lambert: E = π L."""
+    lit, shining = load("csf", lux=500), load("csf", luminance_cd_per_m2=500 / math.pi)
+    assert lit.parameters == shining.parameters
+    with pytest.raises(PixsimError, match=r"lux: got '500' beside luminance_cd_per_m2; allowed: one of them\."):
+        load("csf", lux=500, luminance_cd_per_m2=10)
+    with pytest.raises(PixsimError, match=r"scene parameter: got 'lux'; allowed: (?!.*lux)"):
+        load("macbeth", lux=500)
+
+
+def test_lux_of_a_scene_with_a_parameter_of_this_name_is_its_own(tmp_path):
+    body = '<default name="lux" value="0.5"/><shape type="sphere"><float name="radius" value="$lux"/></shape>'
+    nodes = load(write_scene(tmp_path, sensor_xml(), body), lux=0.25).parse().nodes
+    assert next(node.props["radius"] for node in nodes if "radius" in node.props) == 0.25
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("star.png", r"A picture is the chart of a scene: csf with chart='star\.png'\.$"),
+        ("light.exr", r"csf with chart='light\.exr'\. .* evaluate\(read_irradiance\('light\.exr'\), …\) scores it\.$"),
+    ],
+)
+def test_a_picture_in_place_of_a_scene_says_how_it_is_used(name: str, hint: str) -> None:
+    with pytest.raises(PixsimError, match=hint):
+        load(name, resolution=64)
 
 
 def test_load_scene_parameter_in_comment_is_unknown(tmp_path):
