@@ -103,7 +103,9 @@ class Scene:
         state = self.parse()
         sensor = sensor_node(state, self.sensor_id)[1]
         height, width = film_size(state, sensor)
-        own = read_camera(sensor, die_mm, width / max(height, 1))
+        # A real lens replaces the aperture as an option does.
+        usual = {"f_number": Camera().f_number} if lens and lens.file and options.f_number is None else {}
+        own = read_camera(sensor, die_mm, width / max(height, 1), options.model_copy(update=usual))
         if options.die_height_mm is None and height != width and height > 0:
             height_mm = (own.die_mm if options.die_mm is None else options.die_mm) * height / width
             options = options.model_copy(update={"die_height_mm": height_mm})
@@ -298,7 +300,7 @@ def load_scene(
         white_of(state, find_lamps(state, choice.reading), white_lamps)
         loaded = replace(loaded, white_lamps=white_lamps)
     sensor_of_scene = sensor_node(state, sensor)[1]
-    read_camera(sensor_of_scene, Camera().die_mm)
+    read_camera(sensor_of_scene, Camera().die_mm, options=CameraOptions(f_number=Camera().f_number))  # others may be chosen
     film_size(state, sensor_of_scene)
     sample_count(state, sensor_of_scene)
     check_supported(state)
@@ -469,15 +471,19 @@ def fov_x_deg(sensor: Any, aspect: float = 1.0) -> float:
     return math.degrees(2 * math.atan(half * factor))
 
 
-def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
-    """Return the camera of a thinlens node; f and N are rounded to six digits, since XMLs round the field of view."""
+def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0, options: CameraOptions | None = None) -> Camera:
+    """Return the camera of a thinlens node; f and N are rounded to six digits, since XMLs round the field of view.
+
+    options : whose values replace those of the node, before these are checked
+    """
     aperture, focus = (_positive(name, sensor.props[name]) for name in ("aperture_radius", "focus_distance"))
+    given = options.model_dump(exclude_none=True, include={"focal_length_mm", "f_number", "object_distance_m"}) if options else {}
+    own = Camera.values_of_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
+    rounded = {name: float(f"{own[name]:.6g}") for name in ("focal_length_mm", "f_number")}
     try:
-        exact = Camera.from_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
+        return Camera(**own | rounded | given)
     except PixsimError as error:
         raise PixsimError(f"the scene's lens with a die of {die_mm:g} mm: {error}") from None
-    rounded = {name: float(f"{getattr(exact, name):.6g}") for name in ("focal_length_mm", "f_number")}
-    return exact.model_copy(update=rounded)
 
 
 def hash_of_tree(state: Any) -> str:

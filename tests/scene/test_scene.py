@@ -13,7 +13,7 @@ from helpers.lamps import D65_LUMINANCE, d65_radiance
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import CameraOptions
+from pixsim.base.parameters import CameraOptions, LensOptions
 from pixsim.light.exr import write_channels
 from pixsim.light.spectral import grid_nm
 from pixsim.scene import charts
@@ -172,6 +172,16 @@ def test_read_camera_lens_of_numbers(tmp_path):
     assert camera.object_distance_m == 0.8
     assert camera.focal_length_mm == pytest.approx(f_mm, rel=1e-5)
     assert camera.f_number == pytest.approx(f_mm / (2 * 0.5), rel=1e-5)
+
+
+def test_an_option_or_a_lens_replaces_an_aperture_that_no_thin_lens_has(tmp_path):
+    scene = load(write_scene(tmp_path, sensor_xml().replace('"0.0005"', '"0.2"')))
+    with pytest.raises(PixsimError, match=r"the scene's lens with a die of .* f_number = .* is too small for a thin lens"):
+        scene.camera()
+    assert scene.camera(CameraOptions(f_number=4.0)).f_number == 4.0
+    assert scene.camera(lens=LensOptions(file="phone")) == load("csf").camera(
+        CameraOptions(object_distance_m=0.8), LensOptions(file="phone")
+    )
 
 
 def test_camera_die_option_scales_lens_of_numbers(tmp_path):
