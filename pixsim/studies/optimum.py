@@ -41,8 +41,8 @@ from pixsim.base.arrays import Array
 
 CONFIDENCE = 0.95
 # Curves from the posterior are slightly rougher than real ones, so their intervals are too wide: in simulated studies the
-# middle 86 % of the posterior contain the minimum in 96 % of them (tests/benchmarks/interval_coverage.py).
-CREDIBILITY = 0.86
+# middle 87 % of the posterior contain the minimum in 96 % of them (tests/benchmarks/interval_coverage.py).
+CREDIBILITY = 0.87
 # Stiffness k in units of the mean ΔE; dense sweeps of six studies gave 0.2 to 1.3 (tests/data/dense_sweeps).
 STIFFNESS = np.geomspace(0.1, 30.0, 9)
 USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.0, 0.5  # median and logarithmic standard deviation of its prior
@@ -70,7 +70,7 @@ class Optimum:
     """The pitch of minimum mean ΔE, with its uncertainty.
 
     pitch_um : minimum of the fitted curve
-    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 86 % of the posterior (95 % of a steep
+    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 87 % of the posterior (95 % of a steep
         curve), which contain it in 96 % of simulated studies. Where the curve may not be smooth it holds also all places where a
         convex curve could be least; at a sharp corner, fewer than 11 sizes contain the minimum less often (docs/studies.md). None
         for an open end: the minimum may lie at or beyond the smallest or largest pitch tried

@@ -218,10 +218,13 @@ def test_fit_curve_minimum_at_end_is_open(falling: bool, noise: float) -> None:
 
 
 def test_fit_curve_flat_line_is_open() -> None:
-    """Sensors that differ by chance alone: of 60 seeds at 3 sensors, both ends in 39 and one or both in 59."""
-    optima = [fitted(np.full(PITCH.size, 0.5), noise=0.01, seed=seed).optimum for seed in range(20)]
-    assert sum(optimum.interval_um == (None, None) for optimum in optima) >= 8
-    assert sum(optimum.half_width_um == np.inf for optimum in optima) >= 18
+    """Sensors that differ by chance alone: of 60 seeds at 3 sensors, both ends in 30 and one or both in 55.
+
+    Of 60 other seeds fewer than 20 and than 48 have a chance of 0.5 % and of 0.2 %.
+    """
+    optima = [fitted(np.full(PITCH.size, 0.5), noise=0.01, seed=seed).optimum for seed in range(60)]
+    assert 20 <= sum(optimum.interval_um == (None, None) for optimum in optima) < 45
+    assert 48 <= sum(optimum.half_width_um == np.inf for optimum in optima)
     assert all(optimum.within_2_percent_um == (None, None) for optimum in optima)
 
 
