@@ -1558,7 +1558,9 @@ class Camera(Record):
         return cls(**cls.values_of_lens_geometry(fov_deg, aperture_radius_m, focus_distance_m, die_mm))
 
     @staticmethod
-    def values_of_lens_geometry(fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> dict[str, float]:
+    def values_of_lens_geometry(
+        fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float
+    ) -> dict[str, float]:
         """Return the fields of `from_lens_geometry`, unchecked."""
         v_mm = die_mm / (2 * math.tan(math.radians(fov_deg) / 2))
         u_mm = 1e3 * focus_distance_m
