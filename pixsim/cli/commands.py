@@ -332,10 +332,10 @@ def study(
     from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
     from pixsim.report.wording import budget_lines, film_words, optimum_line, study_lines
     from pixsim.studies import study as sweep
-    from pixsim.studies.cases import check_number
+    from pixsim.studies.cases import CASE_S, MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.conditions import compromises_of
     from pixsim.studies.engine import Workers, workers_here
-    from pixsim.studies.preparation import fitting_jobs
+    from pixsim.studies.preparation import duration_words, fitting_jobs
     from pixsim.studies.sensor_types import Asked, check_types
 
     table = sweep.read_study(study)
@@ -352,6 +352,8 @@ def study(
         plan = sweep.checked_study(layers, tables)
         folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
         spreads = sweep.uncertainty_of(study, options.config or [])
+        if MANY_CASES < (cases := number_of_cases(plan.quickened if quick else plan)) <= MAX_CASES:
+            common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration_words(cases * CASE_S)}")
         prepared = replace(sweep.prepare(plan, variant, quick), uncertainty=spreads)
         asked, types = None, 0
         if uncertainty is not None or sobol is not None:

@@ -63,6 +63,12 @@ def case_words(at: Mapping[str, float | int | str], condition: str, alone: str) 
     return ", ".join([*(value for value in values if value != BASE), *([condition] if condition else [])])
 
 
+def number_of_cases(study: Study) -> int:
+    """Return how many cases the axes and conditions of a study make; 1 without any."""
+    together = math.prod(len(axis.points) for axis in study.axis if not axis.alone)
+    return (together + sum(len(axis.points) for axis in study.axis if axis.alone)) * max(1, len(study.condition))
+
+
 def cases_of(study: Study) -> tuple[Case, ...]:
     """Return the cases of a study, each under every condition: values of axes with each other, then axes that are moved alone.
 
@@ -70,9 +76,7 @@ def cases_of(study: Study) -> tuple[Case, ...]:
     """
     if not (study.axis or study.condition):
         return (Case(study),)
-    together = math.prod(len(axis.points) for axis in study.axis if not axis.alone)
-    number = (together + sum(len(axis.points) for axis in study.axis if axis.alone)) * max(1, len(study.condition))
-    if number > MAX_CASES:
+    if (number := number_of_cases(study)) > MAX_CASES:
         raise invalid("axis", f"{number} cases, all values of all axes", f"at most {MAX_CASES}", "Give fewer values.")
     base = study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
     cases = []
@@ -172,6 +176,7 @@ def _study(table: dict[str, Any], where: list[str]) -> Study:
 
 
 MAX_CASES = 10_000
+MANY_CASES, CASE_S = 1000, 4e-3  # whose check takes seconds, and that of one
 MAX_UNASKED = 100_000  # evaluations of a study with axes
 
 

@@ -326,7 +326,12 @@ def sampled_pitches_um(study: Study) -> list[float]:
 
 def fitting_jobs(study: Study, camera: Camera) -> int:
     """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
-    return jobs_in_memory(max(frame_cost(camera, pitch, study.display).memory_bytes for pitch in sampled_pitches_um(study)))
+    return jobs_in_memory(largest_frame_bytes(study, camera))
+
+
+def largest_frame_bytes(study: Study, camera: Camera) -> float:
+    """Return the memory of the largest frame of a study."""
+    return max(frame_cost(camera, pitch, study.display).memory_bytes for pitch in sampled_pitches_um(study))
 
 
 def jobs_in_memory(largest_bytes: float) -> int:
@@ -351,7 +356,7 @@ def cases_cost(
     types : of sensors for each case, beside the study itself
     """
     (study, first), cells = cases[0], math.prod(shape)
-    jobs = jobs or min(fitting_jobs(*case) for case in cases)
+    jobs = jobs or jobs_in_memory(max(largest_frame_bytes(*case) for case in cases))
     render = render_cost(plan, first, shape, workers_here().jobs)
     frames = [[frame_cost(camera, pitch, study.display) for pitch in sampled_pitches_um(study)] for study, camera in cases]
     sums_s = [sum(frame.seconds for frame in of_case) for of_case in frames]

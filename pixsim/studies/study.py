@@ -62,7 +62,7 @@ from pixsim.studies.evaluations import (
     warn_of_stacks,
 )
 from pixsim.studies.oversampling import FilmError, render_and_measure
-from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs, study_plan
+from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, jobs_in_memory, largest_frame_bytes, study_plan
 from pixsim.studies.result import Curve, StudyResult, causes_of_curve, curve_of, few
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sight import Sight, clearest
@@ -865,7 +865,7 @@ def run_prepared(
     stage = progress or (lambda _: lambda *_: None)
     settled: Settled | None = None
     if jobs is None and scheduler is None:
-        jobs = min(fitting_jobs(case.study, part.camera) for case, part in prepared.parts)
+        jobs = jobs_in_memory(max(largest_frame_bytes(case.study, part.camera) for case, part in prepared.parts))
     with collected_notes() as notes, ExitStack() as stack:
         ResultsFile(Path(out) / "results.csv").check_replaceable()
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
