@@ -1555,18 +1555,16 @@ class Camera(Record):
     @checks_arguments
     def from_lens_geometry(cls, fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> Camera:
         """Camera of a renderer's thin lens: v from field of view and die, then 1/f = 1/u + 1/v."""
-        return cls(**cls.values_of_lens_geometry(fov_deg, aperture_radius_m, focus_distance_m, die_mm))
+        return cls(**values_of_lens_geometry(fov_deg, aperture_radius_m, focus_distance_m, die_mm))
 
-    @staticmethod
-    def values_of_lens_geometry(
-        fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float
-    ) -> dict[str, float]:
-        """Return the fields of `from_lens_geometry`, unchecked."""
-        v_mm = die_mm / (2 * math.tan(math.radians(fov_deg) / 2))
-        u_mm = 1e3 * focus_distance_m
-        f_mm = u_mm * v_mm / (u_mm + v_mm)
-        f_number = f_mm / (2e3 * aperture_radius_m)
-        return {"focal_length_mm": f_mm, "f_number": f_number, "die_mm": die_mm, "object_distance_m": focus_distance_m}
+
+def values_of_lens_geometry(fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> dict[str, float]:
+    """Return the fields of `Camera.from_lens_geometry`, unchecked."""
+    v_mm = die_mm / (2 * math.tan(math.radians(fov_deg) / 2))
+    u_mm = 1e3 * focus_distance_m
+    f_mm = u_mm * v_mm / (u_mm + v_mm)
+    f_number = f_mm / (2e3 * aperture_radius_m)
+    return {"focal_length_mm": f_mm, "f_number": f_number, "die_mm": die_mm, "object_distance_m": focus_distance_m}
 
 
 DIE_DIGITS = 9  # of a die in mm: 1 pm, so that 2448 × 3.45 µm is 8.4456 mm

@@ -17,7 +17,7 @@ from pixsim.base import caller
 from pixsim.base.arguments import brief, checks_arguments, checks_fields
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run, content_hash, names_meant
+from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run, content_hash, names_meant, values_of_lens_geometry
 from pixsim.light.spectral import WHITE_LAMPS
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.scene import charts, variant as variants
@@ -478,7 +478,7 @@ def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0, options: Camera
     """
     aperture, focus = (_positive(name, sensor.props[name]) for name in ("aperture_radius", "focus_distance"))
     given = options.model_dump(exclude_none=True, include={"focal_length_mm", "f_number", "object_distance_m"}) if options else {}
-    own = Camera.values_of_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
+    own = values_of_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
     rounded = {name: float(f"{own[name]:.6g}") for name in ("focal_length_mm", "f_number")}
     try:
         return Camera(**own | rounded | given)
