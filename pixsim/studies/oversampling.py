@@ -245,8 +245,8 @@ def film_for_tolerance(
 
 
 # A mean ΔE grows with the contrast that a lens takes, so a relative error of that contrast is one of ΔE. Whole films of 1024 and of
-# 2048 samples behind a triplet differ by up to .4 % of their mean ΔE.
-BLUR_ERROR = 2.0
+# 2048 samples behind the packaged triplet differ by up to .4 % of their mean ΔE, which is also the bound of its blur's error.
+BLUR_ERROR = 1.5
 
 
 @dataclass(frozen=True)
@@ -255,7 +255,7 @@ class FilmSteps:
 
     delta_e : (films, parts), the film itself first, each next one of half the samples across; no films if it is too small to tell
     finer_delta_e : (films, parts) of other parts, the film itself first, and then `FINER` ones; no films if they would be too large
-    blur_error : of the contrast behind a real lens (`Tiling.worst`), whose parts have another blur than the picture; or 0
+    blur_error : of the contrast behind a real lens (`Tiling.error`), whose parts have another blur than the picture; or 0
     """
 
     delta_e: Array
@@ -340,7 +340,7 @@ def film_steps(
     finer = _finer_delta_e(
         finer_parts(image, size_um, display, chart), lens, steps_of(share_of(progress, scored, 1.0), len(FINER)), *settings
     )
-    return FilmSteps(delta_e, finer, sampling, lens.tiling.worst if lens else 0.0)
+    return FilmSteps(delta_e, finer, sampling, lens.tiling.error if lens else 0.0)
 
 
 @dataclass(frozen=True)
@@ -541,7 +541,8 @@ def render_on_film(
 ) -> Rendered:
     """Render a scene on the film of its plan, and again on a film of twice the samples across while the error is too large.
 
-    It stops where the order of convergence seen so far says that the widest film would not be fine enough either.
+    It stops where the order of convergence seen so far says that the widest film would not be fine enough either, for any of the
+    pixels whose error is too large.
 
     The film depends on the settings only, not on the machine or the time, unless `max_seconds` is given.
 
@@ -571,7 +572,10 @@ def render_on_film(
             limit = fixed
         elif wider < WORTH_WIDENING * width:
             limit = end
-        elif any(error > tolerated for error, tolerated in zip(left, film.tolerated_delta_e, strict=True)):
+        elif all(  # comparisons with an unknown error are false
+            now <= tolerated or last > tolerated
+            for now, last, tolerated in zip(film.delta_e, left, film.tolerated_delta_e, strict=True)
+        ):
             limit = f"about {max(left):.1g} ΔE would be left at {end}"
         elif max_seconds is not None and rendered_s + seconds * (wider / width) ** 2 > max_seconds:
             limit = "as --max-seconds allows"

@@ -129,7 +129,7 @@ def of(width: int, error: float, tolerated: float = 0.01, pitches: tuple[float, 
     return FilmError((width, width), 2400 / width, pitches, (error,) * len(pitches), (tolerated,) * len(pitches))
 
 
-def rendered(error_at: Callable[[int], float], **options: object) -> tuple[FilmError, list[int]]:
+def rendered(error_at: Callable[[int], float], beside: float = 0.0, **options: object) -> tuple[FilmError, list[int]]:
     scene, tried = pixsim.load_scene("csf", resolution=256), []
 
     def render(scene: pixsim.scene.scene.Scene, plan: object) -> tuple[SpectralImage, RenderNoise]:
@@ -137,11 +137,24 @@ def rendered(error_at: Callable[[int], float], **options: object) -> tuple[FilmE
         tried.append(width)
         return light(np.ones((width, width))), RenderNoise(0.1, 0.1, 0.2, 2, "target")
 
+    def measure(image: SpectralImage, plan: object) -> FilmError:
+        width = image.shape[1]
+        own = of(width, error_at(width), pitches=(5.0, 0.5) if beside else (5.0,))
+        return replace(own, delta_e=(own.delta_e[0], *([beside] if beside else [])))
+
     made = render_on_film(
         scene, CAMERA, make_plan(scene, CAMERA, PIXEL), render=render, plan_of=lambda scene: make_plan(scene, CAMERA, PIXEL),
-        measure=lambda image, _: of(image.shape[1], error_at(image.shape[1])), **options,
+        measure=measure, **options,
     )  # fmt: skip
     return made.film, tried
+
+
+def test_a_pixel_that_no_film_is_fine_enough_for_keeps_none_from_others():
+    """Two pixels: the error of one falls as 1/N² and is met at 1024, while that of the other stays."""
+    film, tried = rendered(lambda width: 5000 / width**2, beside=10.0)
+    assert (tried, film.met) == ([256, 512, 1024], False)
+    assert film.delta_e[0] < film.tolerated_delta_e[0]
+    assert film.limit.startswith("about 2 ΔE would be left")  # first order from there on: 10 / 4
 
 
 def test_render_on_film_doubles_until_error_is_tolerated():
