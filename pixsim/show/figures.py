@@ -7,9 +7,8 @@ import io
 import os
 import re
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.lazy import RC_FILE, leave_out_docstrings_of_matplotlib
+from pixsim.base.shared_block import SharedBlock
 from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes, smallest_png
 
 if TYPE_CHECKING:
@@ -93,7 +93,16 @@ OWN_SETTINGS = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-_settings, _blocks, _changing = ExitStack(), 0, threading.RLock()
+
+
+def _style() -> AbstractContextManager[None]:
+    import matplotlib
+
+    defaults: dict[Any, Any] = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}
+    return matplotlib.rc_context(defaults | OWN_SETTINGS)
+
+
+_styled = SharedBlock(_style)
 
 
 @contextmanager
@@ -104,29 +113,16 @@ def own_style() -> Iterator[None]:
 
     Raises PixsimError if the import of Matplotlib would wait for what is no file.
     """
-    global _blocks
     if "matplotlib" not in sys.modules and os.path.lexists(RC_FILE) and not os.path.isfile(RC_FILE):
         raise invalid(RC_FILE, "a link to nothing, a pipe or a device in the current folder", "a file, or none", "Move it away.")
     leave_out_docstrings_of_matplotlib()
-    import matplotlib
-
-    with _changing:
-        if not _blocks:
-            defaults: dict[Any, Any] = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}
-            _settings.enter_context(matplotlib.rc_context(defaults | OWN_SETTINGS))
-        _blocks += 1
-    try:
+    with _styled:
         yield
-    finally:
-        with _changing:
-            _blocks -= 1
-            if not _blocks:
-                _settings.close()
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
     """Return a figure that needs no display and is saved to the same bytes every time. Call and fill it in `own_style`."""
-    assert _blocks, "a figure takes its style from the settings while it is filled"
+    assert _styled.is_running, "a figure takes its style from the settings while it is filled"
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -28,6 +28,7 @@ from pixsim.base.lazy import import_less
 from pixsim.base.locks import temporary_folder
 from pixsim.base.machine import processors
 from pixsim.base.notes import MachineWarning, warn
+from pixsim.base.shared_block import SharedBlock
 
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
@@ -437,8 +438,20 @@ def watch_parent(parent: int) -> None:
     threading.Thread(target=run, name="pixsim parent", daemon=True).start()
 
 
-_blocks, _before = 0, dict[str, str | None]()  # of `safe_children`: how many run, and the variables before the first one
-_changing = threading.Lock()
+@contextmanager
+def _safe_environment() -> Iterator[None]:
+    """Put `safe_variables` into the environment of this process, and restore it."""
+    before = {name: os.environ.get(name) for name in safe_variables()}
+    os.environ |= safe_variables()
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            os.environ |= {} if value is None else {name: value}
+
+
+_safe = SharedBlock(_safe_environment)
 
 
 @contextmanager
@@ -447,21 +460,8 @@ def safe_children() -> Iterator[None]:
 
     Blocks of several threads may overlap. A user's own modules reach the workers with the path of this process.
     """
-    global _blocks
-    with _changing:
-        if not _blocks:
-            _before.update({name: os.environ.get(name) for name in safe_variables()})
-            os.environ |= safe_variables()
-        _blocks += 1
-    try:
+    with _safe:
         yield
-    finally:
-        with _changing:
-            _blocks -= 1
-            if not _blocks:
-                for name, value in _before.items():
-                    os.environ.pop(name, None)
-                    os.environ |= {} if value is None else {name: value}
 
 
 @contextmanager

@@ -41,7 +41,7 @@ from pixsim.base.arrays import Array
 
 CONFIDENCE = 0.95
 # Curves from the posterior are slightly rougher than real ones, so their intervals are too wide: in simulated studies the
-# middle 87 % of the posterior contain the minimum in 96 % of them (tests/benchmarks/interval_coverage.py).
+# middle 87 % of the posterior contain the minimum in 97 % of them (tests/benchmarks/interval_coverage.py).
 CREDIBILITY = 0.87
 # Stiffness k in units of the mean ΔE; dense sweeps of six studies gave 0.2 to 1.3 (tests/data/dense_sweeps).
 STIFFNESS = np.geomspace(0.1, 30.0, 9)

@@ -155,9 +155,9 @@ def fitted_range(study: Study, camera: Camera) -> Study:
         check_smallest(pitch.min_um, camera, "pitch.min_um")
     else:
         lows = [low] if low is not None else [float(study_pitches_um(study, name).min()) for name in study.technologies]
-        low = low if low is None else rounded_up(low)
+        low = low if low is None else up_to_pitch_digits(low)
         most = most_pixels(camera, own_um)
-        least_um = rounded_up(math.sqrt(height_um * width_um / most))
+        least_um = up_to_pitch_digits(math.sqrt(height_um * width_um / most))
         if min(lows) < least_um - 10**-PITCH_DIGITS:
             if len(lows) > 1:
                 which = study.technologies[lows.index(min(lows))]
@@ -186,13 +186,13 @@ def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
     height_um, width_um = camera.die_um
     count = math.floor(height_um / pitch_um) * math.floor(width_um / pitch_um)
     if count > MAX_PIXELS:
-        least = rounded_up(math.sqrt(height_um * width_um / MAX_PIXELS))
+        least = up_to_pitch_digits(math.sqrt(height_um * width_um / MAX_PIXELS))
         widest = f"{math.floor(1e2 * pitch_um * math.sqrt(MAX_PIXELS) / 1e3) / 1e2:g}"
         hint = f"Or take a part of the die: --window {widest}."
         raise invalid(name, f"{pitch_um:g}, which makes {count:.3g} pixels", f"at least {least:g} on this die", hint)
 
 
-def rounded_up(pitch_um: float) -> float:
+def up_to_pitch_digits(pitch_um: float) -> float:
     """Return a pitch rounded up to the digits of a study's pitches."""
     return math.ceil(pitch_um * 10**PITCH_DIGITS) / 10**PITCH_DIGITS
 
