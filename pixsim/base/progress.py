@@ -15,7 +15,7 @@ from pixsim.base.errors import printable
 
 Progress = Callable[..., None]  # (fraction done, text after the name of the stage)
 Stage = Callable[[str], Progress]
-EVERY_S = 10.0  # between two lines of a stage
+EVERY_S = 5.0  # between two lines of a stage
 SURE = 0.1  # done, before the time left is told
 LOOK_S = 0.5  # between two looks at the clock
 
@@ -72,7 +72,7 @@ def watched_share(first: float, last: float) -> AbstractContextManager[None]:
 
 
 class Lines:
-    """Signs of life for a log: a line at the start, one every ten seconds, and one at the end of each stage.
+    """Signs of life for a log: a line at the start, one every five seconds, and one at the end of each stage.
 
     write : receives each line
     clock : time in s
@@ -102,7 +102,7 @@ class Lines:
         self._done, self._note = done, note
 
     def tick(self) -> None:
-        """Write a line if the last one is ten seconds old."""
+        """Write a line if the last one is five seconds old."""
         with self._lock:
             if self._name and self._clock() - self._last >= EVERY_S:
                 self._line(self._name + (self._state() or " …"))

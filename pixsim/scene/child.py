@@ -16,6 +16,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -25,24 +26,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pixsim
+from pixsim.base.caller import setting
 from pixsim.base.children import safe_variables
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.scene.graphics import CUDA
-from pixsim.scene.tracer import Job, Tracer
+from pixsim.scene.tracer import Job
 
-GRACE_S = 10.0  # after the time limit of a render
+GRACE_S = 10.0  # for a process that was killed
 MAX_REPLY = 1 << 20  # bytes of a line
 MAX_CHANNELS = 256
 READ_AT_ONCE = 1 << 16
 LOOK_S = 0.5  # between two looks at the child and the clock
 
 
-def child_tracer(job: Job, ends_at_s: float | None) -> Tracer:
-    """Return a tracer that works in the child of this process.
-
-    ends_at_s : time of `time.monotonic` at which the child is killed, and a PixsimError raised
-    """
-    return _ChildTracer(job, ends_at_s)
+class OutOfTimeError(PixsimError):
+    """A render is not done when its time ends."""
 
 
 class _Child:
@@ -144,10 +142,16 @@ class _Child:
         return line
 
     def _wait(self, reading: list[int], writing: list[int], ends_at_s: float | None) -> None:
-        while not any(select.select(reading, writing, [], LOOK_S)):
+        while not any(select.select(reading, writing, [], LOOK_S if ends_at_s is None else _until(ends_at_s))):
             if ends_at_s is not None and time.monotonic() > ends_at_s:
-                got = f"a scene that was still in work {GRACE_S:g} s after the time limit"
-                raise invalid("scene", got, "a scene that Mitsuba can finish", "Simplify it, or raise --max-seconds.")
+                got = "a limit in which Mitsuba does not finish the picture of the fewest samples"
+                hint = f"Raise it, or take a coarser film ({setting('resolution')}) or a simpler scene."
+                raise OutOfTimeError(str(invalid(setting("max_seconds"), got, "more seconds", hint)))
+
+
+def _until(ends_at_s: float) -> float:
+    """Return the time to wait, in s, before the next look at the clock."""
+    return max(0.0, min(LOOK_S, ends_at_s - time.monotonic()))
 
 
 def _crashed(code: int | None, on_card: bool) -> PixsimError:
@@ -193,10 +197,13 @@ def end_child() -> None:
 _starting = threading.Lock()
 
 
-class _ChildTracer:
-    """A `Tracer` whose work the child does; it loads the job again after a job of another renderer."""
+class ChildTracer:
+    """A `Tracer` whose work the child does; it loads the job again after a job of another renderer.
 
-    def __init__(self, job: Job, ends_at_s: float | None) -> None:
+    ends_at_s : returns the time of `time.monotonic` at which the child is killed, with an `OutOfTimeError`; None waits for it
+    """
+
+    def __init__(self, job: Job, ends_at_s: Callable[[], float | None] = lambda: None) -> None:
         self.job, self.ends_at_s = job, ends_at_s
 
     def _ask(self, request: dict[str, Any], picture: tuple[int, int] | None = None, most_channels: int = MAX_CHANNELS) -> Any:
@@ -205,9 +212,9 @@ class _ChildTracer:
         with child.lock:
             if child.loaded is not self.job:
                 child.loaded = None
-                child.ask({"job": asdict(self.job)}, self.ends_at_s)
+                child.ask({"job": asdict(self.job)}, self.ends_at_s())
                 child.loaded = self.job
-            reply = child.ask(request, self.ends_at_s)
+            reply = child.ask(request, self.ends_at_s())
             if picture is None:
                 return reply
             match reply.get("shape"):

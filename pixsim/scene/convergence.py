@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any, Literal, TypeVar
 
@@ -17,7 +17,7 @@ from pixsim.base.notes import told_apart, warn
 from pixsim.base.parameters import Camera, Effort, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
-from pixsim.scene.child import GRACE_S
+from pixsim.scene.child import OutOfTimeError
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Picture, Renderer
 from pixsim.scene.scene import Scene
@@ -29,6 +29,9 @@ RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
 MAX_RUNS = 1 << 12
 MAX_SPP = 1024  # samples per film cell of one render
 PAIR, PAIRS_A_LEVEL = 2, 2
+FIRST_LEVEL = -1  # with a time limit: a picture of a quarter of the samples comes sooner, and more are added to it
+UNKNOWN = 8.0  # times the samples of the first pair: what a render is expected to take before its noise is known
+GRACE, GRACE_S = 0.5, 1.5  # of a time limit and beyond it, for the first pair, without which there is no picture
 RAISE = "Raise --max-seconds or --render-noise"
 EndedBy = Literal["target", "samples", "max_seconds", "runs"]
 
@@ -71,7 +74,7 @@ def render_until(
     pixels : the noise is compared with that of each pixel, and the worst counts
     render_noise : target, as a fraction of the sensor's temporal noise, RMS over pixels
     max_seconds : time limit of rendering, with a warning if it is reached; None limits the samples instead, to
-        `Plan.most_samples`, so that the result does not depend on the machine
+        `Plan.most_samples`, so that the result does not depend on the machine. What the limit finds unfinished is given up.
     progress : called with the fraction done and the current noise
     keep : use the cache of renders; the result is the same bit for bit
 
@@ -81,27 +84,39 @@ def render_until(
     added depends on the noise only, never on the clock. A picture that the time limit ended is reproduced, bit for bit, by
     its noise as the target, or by cached renders with the same limits.
 
-    Returns the irradiance, with the noise in its header, and the noise.
+    Returns the irradiance, with the noise in its header, and the noise. Raises PixsimError if the time limit leaves no picture.
     """
-    ends_at_s = None if max_seconds is None else time.monotonic() + max_seconds + GRACE_S
-    job, start = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s), time.perf_counter()
+    start, begun_s = time.perf_counter(), time.monotonic()
+    ends_at_s = None if max_seconds is None else begun_s + (1 + GRACE) * max_seconds + GRACE_S
+    job = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s)
     if plan.exact:
         pictures, spp = job.run(0, lambda done: progress(done, "") if progress else None)
         noise = RenderNoise(0.0, 0.0, render_noise, 1, "target")
         return job.image(pictures, spp, render_noise=asdict(noise)), noise
     halves: list[list[Array]] = [[], []]
-    runs, level, at_level, weight, samples = 0, 0, 0, 0.0, 0
+    runs, level, at_level, weight, samples = 0, 0 if max_seconds is None else FIRST_LEVEL, 0, 0.0, 0
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
     derived = [derive(pixel) if isinstance(pixel, Pixel) else pixel for pixel in pixels]
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
     limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds])
     in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None
     samples_of_pair = PAIR * math.prod(job.size) * plan.passes  # for each sample per film cell
+    most = plan.most_samples / samples_of_pair  # per film cell
+    share = _Share(progress, most if plan.many_bounces and max_seconds is None else UNKNOWN * plan.spp, max_seconds)
     ended: EndedBy | None = None
     while ended is None:
-        step_start = time.perf_counter()
-        for number, half in enumerate(halves):
-            pictures, spp = job.run(runs, _pair_progress(progress, number, noise), level)
+        times_s = [time.perf_counter()]
+        pair = _pair(job, runs, level, share, times_s)
+        try:
+            both = pair if max_seconds is None else [*pair]  # all of it or nothing
+        except OutOfTimeError:
+            if not runs:
+                raise
+            ended = "max_seconds"
+            noise = replace(noise, ended_by=ended)
+            break
+        for number, (pictures, spp) in enumerate(both):
+            half = halves[number]
             halves[number] = half or [zeros(picture.shape) for picture in pictures]
             for total, picture in zip(halves[number], pictures, strict=True):
                 for rows in strips(*total.shape[:2]):  # in place, a few rows at a time
@@ -112,21 +127,23 @@ def render_until(
         weight, at_level = weight + spp, at_level + 1
         fraction, relative = noise_of(job, halves, weight, derived, exposure)
         much = (fraction / render_noise) ** 2 > LEVEL_FACTOR / 2
-        left = math.inf if max_seconds is not None else plan.most_samples / samples_of_pair - weight  # per film cell
-        up = much and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP and spp * LEVEL_FACTOR <= left
+        left = math.inf if max_seconds is not None else most - weight
+        up = level < 0 or (much and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP and spp * LEVEL_FACTOR <= left)
         level, at_level = (level + 1, 0) if up else (level, at_level)
-        now = time.perf_counter()
         if fraction <= render_noise:
             ended = "target"
         elif spp > left:
             ended = "samples"
         elif max_seconds is not None and (
-            runs >= in_time if in_time else now - start + (now - step_start) * (LEVEL_FACTOR if up else 1) > max_seconds
+            runs >= in_time if in_time else time.perf_counter() - start + _next_pair_s(times_s, up) > max_seconds
         ):
             ended = "max_seconds"
         elif runs >= MAX_RUNS:
             ended = "runs"
         noise = RenderNoise(fraction, relative, render_noise, runs, ended or "target")
+        if max_seconds is not None:
+            job.ends_at_s = begun_s + max_seconds  # there is a picture now
+        share.know(weight, min((fraction / render_noise) ** 2 * weight, weight + left), noise)
     if ended == "max_seconds" and job.cache:
         job.cache.store_runs_in_time(limits, runs)
     if ended != "target":
@@ -202,10 +219,52 @@ def without_clock(asked: Settings, chosen: Settings, image: SpectralImage) -> Se
     return asked.model_copy(update=no_limit | ({} if asked.tolerance_delta_e else film))
 
 
-def _pair_progress(progress: Progress | None, number: int, noise: RenderNoise) -> Progress | None:
-    """Report render `number` of a pair as half of the progress, with the noise so far."""
-    note = f", render noise {noise.fraction:.2g} of sensor noise" if noise.runs else ""
-    return (lambda done: progress((number + done) / 2, note)) if progress else None
+def _pair(job: Renderer, runs: int, level: int, share: _Share, times_s: list[float]) -> Iterator[tuple[list[Any], int]]:
+    """Iterate over the next two renders; the time after each is added to `times_s`."""
+    for number in range(PAIR):
+        result = job.run(runs + number, share.of_half(number, job.plan.spp * LEVEL_FACTOR**level), level)
+        times_s.append(time.perf_counter())
+        yield result
+
+
+def _next_pair_s(times_s: Sequence[float], up: bool) -> float:
+    """Estimate what the next pair takes from the time before, within and after the last one; the first render has its kernels too.
+
+    up : whether it has four times the samples, and so kernels of its own
+    """
+    first_s, second_s = np.diff(times_s)
+    return float(PAIR * second_s * LEVEL_FACTOR + max(0.0, first_s - second_s) if up else PAIR * second_s)
+
+
+class _Share:
+    """The share that is done of a render, whose end is known from its noise only; it never goes back.
+
+    needed : samples per film cell that the render is expected to take, while its noise is not known
+    max_seconds : of `render_until`
+    """
+
+    def __init__(self, progress: Progress | None, needed: float, max_seconds: float | None) -> None:
+        self.progress, self.needed, self.max_seconds = progress, needed, max_seconds
+        self.start, self.weight, self.shown, self.note = time.perf_counter(), 0.0, 0.0, ""
+
+    def know(self, weight: float, needed: float, noise: RenderNoise) -> None:
+        """Take the samples per film cell that are done, how many are needed, and the noise after them."""
+        self.weight, self.needed = weight, needed
+        self.note = f", render noise {noise.fraction:.2g} of sensor noise"
+
+    def of_half(self, number: int, spp: float) -> Progress | None:
+        """Return a function that takes the share done of a render of a pair, whose samples per film cell are `spp`."""
+        progress = self.progress
+        if progress is None:
+            return None
+
+        def report(done: float) -> None:
+            weight = self.weight + spp * (number + done) / PAIR
+            passed = (time.perf_counter() - self.start) / self.max_seconds if self.max_seconds else 0.0
+            self.shown = min(1.0, max(self.shown, weight / max(self.needed, self.weight + spp), passed))
+            progress(self.shown, self.note)
+
+        return report
 
 
 def noise_of(

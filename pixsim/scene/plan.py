@@ -150,6 +150,11 @@ class Plan:
         return film.PATH_SAMPLES if self.chart is None else film.CHART_SAMPLES
 
     @property
+    def many_bounces(self) -> bool:
+        """Whether paths of any length are traced, whose noise is rarely below that of the sensor."""
+        return self.integrator is None and self.chart is None
+
+    @property
     def cells_in_time(self) -> float:
         """Number of film cells for which the fewest renders, two with the fewest samples, stay within `most_samples`."""
         if self.exact:

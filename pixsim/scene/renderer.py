@@ -28,7 +28,7 @@ from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camer
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Fit, Pulse
-from pixsim.scene.child import child_tracer
+from pixsim.scene.child import ChildTracer
 from pixsim.scene.contents import named_files
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
@@ -182,7 +182,7 @@ class Renderer:
     """Independent renders of one scene, loaded once per lamp spectrum on first use.
 
     keep : use the cache of renders
-    ends_at_s : time of `time.monotonic` at which a scene that is not packaged is given up; None waits for it
+    ends_at_s : time of `time.monotonic` at which a trace is given up (`OutOfTimeError`); None waits for it
     """
 
     def __init__(
@@ -227,9 +227,12 @@ class Renderer:
         return self.traced(self.job)
 
     def traced(self, job: Job) -> Tracer:
-        """Return what traces a job: this process if the scene is packaged, else a child, which a failing card may end too."""
-        own = self.packaged and self.source.choice.processors is None
-        return OwnTracer(job) if own else child_tracer(job, self.ends_at_s if not self.packaged else None)
+        """Return what traces a job: this process if the scene is packaged and has all the time.
+
+        Else it is a child, which can be killed, and which a failing card may end too.
+        """
+        own = self.packaged and self.source.choice.processors is None and self.ends_at_s is None
+        return OwnTracer(job) if own else ChildTracer(job, lambda: self.ends_at_s)
 
     def leave_card(self, error: PixsimError) -> None:
         """Trace on the processors from now on, since the graphics card failed. Raises the error where nothing can be changed.

@@ -276,7 +276,7 @@ def render_cost(plan: Plan, camera: Camera, shape: tuple[int, int], cores: int) 
     cells = math.prod(shape)
     samples = 2.0 * cells * plan.spp * plan.passes
     per_sample = RENDER_S_PER_SAMPLE
-    if plan.integrator is None and not plan.chart:  # many bounces, whose noise is rarely below that of the sensor
+    if plan.many_bounces:
         samples, per_sample = max(samples, float(plan.most_samples)), PATH_S_PER_SAMPLE
     seconds = start_seconds(plan) + (0.0 if plan.exact else samples * per_sample / cores)
     seconds += cells * (EXACT_S_PER_CELL if plan.exact else FILM_S_PER_CELL) + lens_seconds(plan, camera, shape, cores)

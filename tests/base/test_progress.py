@@ -26,7 +26,7 @@ def told() -> tuple[Lines, Clock, list[str]]:
     return Lines(written.append, clock), clock, written
 
 
-def test_lines_start_every_ten_seconds_and_end(told: tuple[Lines, Clock, list[str]]) -> None:
+def test_lines_start_every_five_seconds_and_end(told: tuple[Lines, Clock, list[str]]) -> None:
     lines, clock, written = told
     lines.begin("render")
     for second in range(1, 26):
@@ -40,8 +40,11 @@ def test_lines_start_every_ten_seconds_and_end(told: tuple[Lines, Clock, list[st
     lines.end()
     assert written == [
         "[0 s] render …",
+        "[5 s] render: 12 %, about 40 s left, render noise 0.3",
         "[10 s] render: 25 %, about 30 s left, render noise 0.3",
+        "[15 s] render: 38 %, about 20 s left, render noise 0.3",
         "[20 s] render: 50 %, about 20 s left, render noise 0.3",
+        "[25 s] render: 62 %, about 20 s left, render noise 0.3",
         "[27 s] render: done in 27 s",
         "[27 s] report: done in 0.25 s",
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 import tracemalloc
 from collections.abc import Callable
 from functools import cache
@@ -18,6 +19,7 @@ import pixsim
 from pixsim.base import mapped
 from pixsim.base.parameters import Run
 from pixsim.scene import convergence, film
+from pixsim.scene.child import OutOfTimeError
 from pixsim.scene.convergence import (
     MAX_SPP,
     NO_TIME_LIMIT_S,
@@ -46,7 +48,7 @@ def prepared(name: str = "csf", **parameters):
 def until(target: float, seed: int = 0, name: str = "csf", exposure=None, **options) -> tuple[pixsim.SpectralImage, RenderNoise]:
     scene, camera, plan = prepared(name)
     pixels = options.pop("pixels", [PIXEL])
-    options = {"max_seconds": 1e3} | options
+    options = {"max_seconds": None} | options
     return render_until(scene, camera, plan, pixels, exposure or pixsim.Exposure(), seed, render_noise=target, **options)
 
 
@@ -117,9 +119,9 @@ class Noisy:
         self.relative = relative
 
     def run(self, index: int, progress: Callable[[float], None] | None = None, level: int = 0):
-        spp = 4 * LEVEL_FACTOR**level
+        spp = int(4 * LEVEL_FACTOR ** max(0, level))
         self.levels.append(level)
-        rng = np.random.default_rng([index, level])
+        rng = np.random.default_rng([index, max(0, level)])
         noise = rng.standard_normal((32, 32, 1)) * self.relative / np.sqrt(spp)
         return [0.5 * (1 + noise)], spp
 
@@ -245,7 +247,7 @@ def test_render_until_next_pair_over_time_is_skipped(monkeypatch):
     run = renders.run
 
     def slow(job, index, progress=None, level=0):
-        clock[0] += 4 * LEVEL_FACTOR**level
+        clock[0] += 4 * LEVEL_FACTOR ** max(0, level)
         return run(index, progress, level)
 
     monkeypatch.setattr(Renderer, "run", slow)
@@ -254,6 +256,34 @@ def test_render_until_next_pair_over_time_is_skipped(monkeypatch):
         until(1e-6, max_seconds=100)
     assert clock[0] <= 100 + 2 * 4 * LEVEL_FACTOR
     assert max(renders.levels) == 1
+
+
+@pytest.mark.parametrize("stuck", [2, 3])
+def test_render_until_pair_without_time_is_left_out(monkeypatch, stuck):
+    """What the time limit finds unfinished leaves the picture of the pairs before it, also where half of a pair is done."""
+    renders = Noisy(monkeypatch, 0.1)
+    expected, of_pair = until(LOOSE, max_seconds=9)
+    run = renders.run
+
+    def out_of_time(job, index, progress=None, level=0):
+        if index == stuck:
+            raise OutOfTimeError("unfinished")
+        return run(index, progress, level)
+
+    monkeypatch.setattr(Renderer, "run", out_of_time)
+    with pytest.warns(UserWarning, match="the time limit of 9 s"):
+        image, noise = until(1e-6, max_seconds=9)
+    np.testing.assert_array_equal(image.factors[1], expected.factors[1])
+    assert (noise.runs, noise.fraction, noise.ended_by) == (2, of_pair.fraction, "max_seconds")
+
+
+def test_render_until_time_for_no_picture_raises():
+    """A packaged scene ends with its time, too; without a picture that is an error."""
+    scene, camera, plan = prepared("macbeth", resolution=512, spp=1024)
+    start = time.monotonic()
+    with pytest.raises(OutOfTimeError, match=r"max_seconds: got a limit in which Mitsuba does not finish.*Raise it"):
+        render_until(scene, camera, plan, [PIXEL], pixsim.Exposure(), max_seconds=1e-3)
+    assert time.monotonic() - start < 10  # the limit, 1.5 s for the first pair, and the end of the process
 
 
 # --- Header and score ---
@@ -299,22 +329,19 @@ def test_render_until_noiseless_scene():
     assert image.header["render_noise"]["fraction"] < 1e-4
 
 
-def test_render_until_progress_reports_noise():
+def test_render_until_progress_goes_on_to_the_end():
+    """The share that is done never goes back, over pairs and levels, and the note has the noise so far."""
     target = until(LOOSE)[1].fraction / 6
     message: list[tuple[float, str]] = []
     noise = until(target, progress=lambda done, note: message.append((done, note)))[1]
-    pairs: list[list[tuple[float, str]]] = [[]]
-    for before, now in pairwise([(0.0, ""), *message]):
-        if now[0] < before[0]:
-            pairs.append([])
-        pairs[-1].append(now)
-    assert len(pairs) == noise.runs // 2 > 1
-    for pair in pairs:
-        assert pair[-1][0] == 1
-        assert [done for done, _ in pair] == sorted(done for done, _ in pair)
-        assert len({note for _, note in pair}) == 1
-    assert pairs[0][0][1] == ""  # nothing is known yet
-    errors = [float(pair[0][1].removeprefix(", render noise ").removesuffix(" of sensor noise")) for pair in pairs[1:]]
+    shares = [done for done, _ in message]
+    assert shares == sorted(shares)
+    assert shares[0] < 0.2
+    assert 0.5 < shares[-1] <= 1
+    notes = list(dict.fromkeys(note for _, note in message))
+    assert len(notes) == noise.runs // 2 > 1
+    assert notes[0] == ""  # nothing is known yet
+    errors = [float(note.removeprefix(", render noise ").removesuffix(" of sensor noise")) for note in notes[1:]]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] > target
 
@@ -371,7 +398,7 @@ def test_render_until_time_limit_replaces_sample_limit(monkeypatch):
     monkeypatch.setattr(film, "CHART_SAMPLES", 1)
     monkeypatch.setattr(convergence, "MAX_RUNS", 6)
     with pytest.warns(UserWarning, match="limit of 6 renders"):
-        assert until(1e-9)[1].runs == 6
+        assert until(1e-9, max_seconds=1e3)[1].runs == 6
 
 
 @pytest.mark.parametrize("shape", [(300, 300), (200, 301)])

@@ -26,7 +26,7 @@ import pixsim
 from pixsim.base.cache import ENTRY, VALUE, label_of
 from pixsim.base.errors import PixsimError
 from pixsim.scene import checks, graphics, renderer, variant
-from pixsim.scene.child import child_tracer
+from pixsim.scene.child import ChildTracer
 from pixsim.scene.convergence import render_until
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import make_render_plan
@@ -218,7 +218,7 @@ def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tm
     """All of Dr.Jit, with a driver that shows a card which then fails: the process that would trace dies, and no other."""
     job = Job("cuda_ad_spectral", '<scene version="3.0.0"/>', (None,), 0, {}, None, ())
     with pytest.raises(PixsimError, match=r"the graphics card or its driver ended Mitsuba's process \(SIGABRT\)"):
-        child_tracer(job, None).sample_count("independent", 4)
+        ChildTracer(job).sample_count("independent", 4)
 
 
 # --- The verdict ---
@@ -392,7 +392,7 @@ def light(choice: variant.Choice) -> pixsim.SpectralImage:
 
 
 def test_packaged_scene_is_traced_in_child(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(renderer, "child_tracer", lambda job, ends_at_s: Card(job, 99))
+    monkeypatch.setattr(renderer, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
     image, known = light(CHOSEN), light(variant.choose(VARIANT))
     assert (image.header["variant"], known.header["variant"]) == ("cuda_ad_spectral", VARIANT)
     np.testing.assert_array_equal(image.illuminance_lx(), known.illuminance_lx())
@@ -400,7 +400,7 @@ def test_packaged_scene_is_traced_in_child(monkeypatch: pytest.MonkeyPatch):
 
 def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
     """A study that goes on where another variant traces evaluates anew, though the pictures are equal here."""
-    monkeypatch.setattr(renderer, "child_tracer", lambda job, ends_at_s: Card(job, 99))
+    monkeypatch.setattr(renderer, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
 
     def keys(choice: variant.Choice) -> set[str]:
         return set(Fingerprints(tiny(), small().camera(), light(choice)).keys("0.35um", 6.0, range(2)).values())
@@ -411,7 +411,7 @@ def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_failing_card_leaves_to_processors(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(renderer, "child_tracer", lambda job, ends_at_s: Card(job, 0))
+    monkeypatch.setattr(renderer, "ChildTracer", lambda job, ends_at_s: Card(job, 0))
     with pytest.warns(UserWarning, match="rendering with scalar_spectral, since the graphics card failed: the card fails"):
         image = light(CHOSEN)
     known = light(variant.choose(VARIANT))
@@ -438,7 +438,7 @@ def test_cached_renders_are_of_one_variant(monkeypatch: pytest.MonkeyPatch, tmp_
 
     def kept(works: int, choice: variant.Choice) -> tuple[str, set[str]]:
         before = set((tmp_path / "render").glob("*"))
-        monkeypatch.setattr(renderer, "child_tracer", lambda job, ends_at_s: Card(job, works))
+        monkeypatch.setattr(renderer, "ChildTracer", lambda job, ends_at_s: Card(job, works))
         scene = replace(small(), choice=choice)
         plan = make_render_plan(scene, scene.camera())
         image, _ = render_until(scene, scene.camera(), plan, *arguments, render_noise=10.0, keep=True)

@@ -17,7 +17,7 @@ import pixsim
 from pixsim.light.spectral import Spectrum, grid_nm
 from pixsim.scene import renderer
 from pixsim.scene.bands import Fit, passes, window_pulse
-from pixsim.scene.child import child_tracer
+from pixsim.scene.child import ChildTracer
 from pixsim.scene.mitsuba import import_mitsuba, parse
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer, passes_of
@@ -130,7 +130,7 @@ def test_places_are_stratified_in_a_pass_and_over_all(import_first):
 def test_child_traces_passes_as_this_process(import_first):
     job = job_of(DESK)
     np.testing.assert_array_equal(
-        child_tracer(job.job, None).trace_together(1, (2, 5), "multijitter", 4, 7),
+        ChildTracer(job.job).trace_together(1, (2, 5), "multijitter", 4, 7),
         job.tracer.trace_together(1, (2, 5), "multijitter", 4, 7),
     )
 
