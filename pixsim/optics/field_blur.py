@@ -607,6 +607,9 @@ def tiles_alike(shape: tuple[int, ...], spacing: int) -> dict[tuple[int, int], l
     return alike
 
 
+SPREAD_CELLS = 1 << 23  # of spread light that is held at once, 32 MiB
+
+
 def _part(top: int, left: int, rows: int, columns: int) -> tuple[slice, slice]:
     return slice(top, top + rows), slice(left, left + columns)
 
@@ -684,7 +687,8 @@ class FieldBlur:
             return [first.index(number) for number in numbers], spread
 
         alike = list(tiles_alike(self.shape, step).items())
-        for some in strips(len(alike), 1, threads()):
+        most = max(threads(), SPREAD_CELLS // (8 * math.prod(filled)))  # threads start anew for each strip; 8 tiles share a PSF
+        for some in strips(len(alike), 1, most):
             spread: dict[tuple[int, int], tuple[list[int], NDArray[np.float32]]] = {}
 
             def compute(of_place: tuple[tuple[int, int], list[Tile]], found: dict[Any, Any] = spread) -> None:

@@ -33,8 +33,8 @@ def decide_real_lens(
 ) -> tuple[Tiling | None, list[Decision]]:
     """Return how the blur of a real lens is computed, and the decision; None and no decision for a thin lens.
 
-    None too if a thin lens of its image distance and f-number gives the same electrons within the tolerance. All films with two
-    samples or more across a photodiode have one tiling: photodiodes average what finer films add.
+    None too if a thin lens of its image distance and f-number gives the same electrons within the tolerance. All films with a
+    sample or more across a photodiode have one tiling, that of two: photodiodes average what finer films add.
 
     aperture_um : side of a photodiode; None means that of the pixel, and two samples of the film without one
     """
@@ -44,7 +44,7 @@ def decide_real_lens(
     weight = photons_per_joule(SEEN_NM) * (physics.quantum_efficiency(SEEN_NM) if physics else 1.0)
     film_um = 1e3 * camera.die_mm / scene.film_shape(camera, scene.parse())[1]
     aperture_um = aperture_um or (physics.aperture_side_um if physics else SAMPLES_PER_DETAIL * film_um)
-    pitch_um = max(film_um, aperture_um / SAMPLES_PER_DETAIL)
+    pitch_um = film_um if film_um > aperture_um else aperture_um / SAMPLES_PER_DETAIL
     height, width = (math.ceil(side_um / pitch_um - FILM_ROUNDING) for side_um in camera.die_um)
     distortion = distortion_of(camera)
     assert distortion is not None
