@@ -98,6 +98,15 @@ def load_or_compute(
     kind: str, key: str, read: Callable[[Json], Result], compute: Callable[[], Result], to_json: Callable[[Result], Json]
 ) -> Result:
     """The JSON entry of a key, computed and stored if it is missing or damaged. Warns if the folder cannot be written."""
+    result = value_of(kind, key, read)
+    if result is None:
+        result = compute()
+        store_value(kind, key, to_json(result))
+    return result
+
+
+def value_of(kind: str, key: str, read: Callable[[Json], Result]) -> Result | None:
+    """The JSON entry of a key, or None if it is missing or damaged."""
     path = folder() / kind / f"{key}.json"
 
     def content() -> Result:
@@ -105,12 +114,13 @@ def load_or_compute(
         _check(path, entry[ENTRY])
         return read(entry[VALUE])
 
-    result = _load(path, content)
-    if result is None:
-        result = compute()
-        text = json.dumps({ENTRY: label_of(kind, key), VALUE: to_json(result)}, sort_keys=True)
-        _store(path, lambda partial: partial.write_text(text, encoding="utf-8"), len(text))
-    return result
+    return _load(path, content)
+
+
+def store_value(kind: str, key: str, value: Json) -> None:
+    """Store the JSON entry of a key. Warns if the folder cannot be written."""
+    text = json.dumps({ENTRY: label_of(kind, key), VALUE: value}, sort_keys=True)
+    _store(folder() / kind / f"{key}.json", lambda partial: partial.write_text(text, encoding="utf-8"), len(text))
 
 
 def arrays(kind: str, key: str) -> Arrays | None:

@@ -1788,8 +1788,8 @@ class Effort(Record):
     )
     max_seconds: Seconds | None = Field(
         None,
-        description="time after which no further step of a render starts, with a warning that states its noise; its first step, of "
-        "a packaged scene, always ends (absent: a number of samples limits it, which does not depend on the machine)",
+        description="time after which a render ends, with a warning that states its noise; what is unfinished then is given up "
+        "(absent: a number of samples limits it, which does not depend on the machine)",
     )
     window_mm: DieWidth | None = Field(
         None,

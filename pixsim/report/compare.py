@@ -46,7 +46,8 @@ from pixsim.studies.compare import (
     shown_probability,
     verdict,
 )
-from pixsim.studies.preparation import PAGE_S, Cost, render_cost
+from pixsim.studies.oversampling import rendered_across
+from pixsim.studies.preparation import PAGE_S, Cost, known_film, render_cost
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 
 JSON_FILE, PAGE = "compare.json", "report.html"
@@ -186,7 +187,9 @@ def _cost_of(prepared: Prepared) -> Cost:
     for sensor in prepared.sensors:
         scene = sensor.scene.with_resolution(width)
         height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
-        render = render_cost(prepared.plan(sensor, scene), sensor.camera, (height, width), processors().usable)
+        plan, settings = prepared.plan(sensor, scene), prepared.settings_of(sensor)
+        film = known_film((height, width), rendered_across(scene, sensor.camera, plan, settings))
+        render = render_cost(plan, sensor.camera, *film, processors().usable)
         frame = prepared.cost_of_frame(sensor)
         seconds += render.seconds + prepared.repeats * frame.seconds / processors().usable
         largest = max(largest, render.memory_bytes + frame.memory_bytes)

@@ -15,19 +15,21 @@ from pixsim.sensor.integration import pixels_along, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, derive, physics_of
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import rounded
-from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.evaluations import evaluated_before, study_pitches_um
 from pixsim.studies.film_error import FilmSampling, film_error
-from pixsim.studies.oversampling import TOLERATED_SHARE
+from pixsim.studies.oversampling import TOLERATED_SHARE, rendered_across
 from pixsim.studies.preparation import (
-    EXACT_START_S,
     LONG_S,
     MOST_EVALUATIONS,
     RUN_PAGE_S,
+    START_S,
     Cost,
+    Known,
     cases_cost,
     duration_words,
     first_film,
     frame_cost,
+    known_film,
     render_cost,
     window_within,
 )
@@ -61,7 +63,7 @@ def run_outline(
         light = light_of_picture(source, settings, units)
         camera, settings, header = light.camera, light.settings, light.irradiance.header
         view, image = light.more["chosen"], light.irradiance
-        cost = Cost(EXACT_START_S, 4.0 * image.wavelength_nm.size * math.prod(image.shape), 1)
+        cost = Cost(START_S, 4.0 * image.wavelength_nm.size * math.prod(image.shape), 1)
         outline["film"] = {"samples": list(light.irradiance.shape), "pitch_um": light.irradiance.pitch_um}
     else:
         scene, camera, settings, chosen = prepared_run(source, settings, sensor, variant)
@@ -69,7 +71,8 @@ def run_outline(
         plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, **options)
         outline["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
         header, view = {"parameters": scene.parameters}, chosen.as_dict()
-        cost = render_cost(plan, camera, tuple(outline["film"]["samples"]), processors().usable)
+        shape = known_film(outline["film"]["samples"], rendered_across(scene, camera, plan, settings))
+        cost = render_cost(plan, camera, *shape, processors().usable)
         outline["errors"] = errors_of(plan, outline["film"], camera, derive(settings.pixel), settings)
     frame = frame_cost(camera, pitch_um, settings.display)
     cost = Cost(cost.seconds + RUN_PAGE_S + (1 + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
@@ -98,7 +101,10 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
     film = film_of(scene, camera, plan)
     shape = tuple(film["samples"])
     lights = len({light_hash(case.study) for case, _ in prepared.parts})
-    cost = cases_cost([(case.study, part.camera) for case, part in prepared.parts], lights, plan, shape, jobs, types)
+    film_shape, rendered = known_film(film["samples"], rendered_across(scene, camera, plan, study))
+    of_cases = [(case.study, part.camera) for case, part in prepared.parts]
+    known = Known(rendered, sum(evaluated_before(case) for case, _ in of_cases) / len(of_cases))
+    cost = cases_cost(of_cases, lights, plan, film_shape, jobs, types, known)
     sensors = []
     for name in study.technologies:
         pitches_um = study_pitches_um(study, name).tolist()

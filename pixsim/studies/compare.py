@@ -281,6 +281,10 @@ class Prepared:
         options: dict[str, Any] = {"display": self.settings.display, "tolerance_e": self.settings.tolerance_e}
         return make_plan(scene, sensor.camera, sensor.pixel, exposure=sensor.exposure, **options)
 
+    def settings_of(self, sensor: Contestant) -> Run:
+        """Return the settings with those of a sensor."""
+        return self.settings.model_copy(update=sensor.own)
+
     @cached_property
     def film_width(self) -> int:
         """Samples across the first film, the most that any of the sensors needs: with one film, all see the same picture."""
@@ -1242,7 +1246,7 @@ def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Pro
         plan = prepared.plan(sensor, scene)
         for note in plan.warnings:
             warn(note)
-        settings, physics = prepared.settings.model_copy(update=sensor.own), derive(sensor.pixel)
+        settings, physics = prepared.settings_of(sensor), derive(sensor.pixel)
 
         def plan_of(scene: Scene) -> Plan:
             return prepared.plan(sensor, scene)

@@ -659,6 +659,25 @@ class Fingerprints:
         return cache.has_room(pixels * code_bytes * sensors_per_pitch)
 
 
+EVALUATED = "evaluated"  # kind of the cache's entries that tell of a study
+
+
+def evaluated_before(study: Study) -> bool:
+    """Whether the cache has the frames of a study, for an estimate of its time."""
+    return cache.value_of(EVALUATED, _evaluated_key(study), lambda value: bool(value["frames"])) or False
+
+
+def remember_evaluated(study: Study) -> None:
+    """Note in the cache that it has the frames of a study."""
+    cache.store_value(EVALUATED, _evaluated_key(study), {"frames": True})
+
+
+def _evaluated_key(study: Study) -> str:
+    """Return the key of a study whose frames the cache may have; a frame does not depend on the display."""
+    of_frames = study.model_dump(mode="json", exclude={"display", "develop", "title"})
+    return content_hash([of_frames, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
+
+
 def first_sampling(study: Study) -> Sampling:
     """Return the sampling that a study starts with: `repeats` sensors of each of its pitches."""
     return {name: dict.fromkeys(study_pitches_um(study, name).tolist(), study.repeats) for name in study.technologies}

@@ -224,11 +224,13 @@ def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]
     return scene, study_plan(scene, camera, study)
 
 
-# Costs on one core of an ordinary machine, for an estimate before a render.
+# Costs on one core of an ordinary machine, for an estimate before a render: tests/benchmarks/estimates.py compares.
 RENDER_S_PER_SAMPLE = 1.6e-7  # of a film cell's samples, both of the two renders that show the noise
-PATH_S_PER_SAMPLE = 2.0e-6  # with any number of bounces
+PATH_S_PER_SAMPLE = 6e-7  # with any number of bounces
+KERNEL_S = 2.0  # to compile that of a light
 FILM_S_PER_CELL = 1.0e-6  # its noise, diffraction and ideal image
-EXACT_S_PER_CELL = 5e-7  # the same of a chart that is computed, without noise
+EXACT_S_PER_CELL = 1.5e-7  # the same of a chart that is computed, without noise
+KNOWN_S_PER_CELL = 1e-7  # of a light that the cache has
 MOVED_S_PER_CELL = 2.5e-7  # of a picture that a real lens distorts
 WINDOW_S_PER_CELL = 2.8e-8  # of the windows of all tiles of a blur, with those of an even picture
 PSF_S, POINT_S = 1.5e-3, 8e-3  # of a tile's PSF, and of a point along the radius
@@ -236,8 +238,10 @@ PART_S_PER_CELL, PARTS_S = 1.2e-6, 0.5  # of the parts on which a film's error i
 FRAME_S = 6e-4  # of an evaluation of few pixels and dots
 FRAME_S_PER_PIXEL = 2.6e-7  # integration, noise and ADC
 SCORE_S_PER_DOT = 2.2e-7  # shown picture and S-CIELAB
-START_S, PAGE_S = 4.0, 6.0  # scene, compiling of the renderer; figures and page
-EXACT_START_S, RUN_PAGE_S = 1.5, 1.0  # where nothing is traced; of a single frame
+START_S, KNOWN_START_S = 1.4, 0.8  # libraries, scene, plan; where the cache has the light
+PAGE_S, RUN_PAGE_S = 4.0, 0.3  # figures and page; of a single frame
+COLOUR_S = 1.5  # the first time that a sensor's colours are calibrated
+KNOWN_FRAMES = 0.5  # of the time of an evaluation, where the cache has its frame
 CALIBRATIONS = 4.0  # renders of a calibration for a tolerance, each with a handful of frames
 MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
 TYPE_S = 0.3  # of a sensor type: its pixels, and the fit of its curve
@@ -266,29 +270,48 @@ def duration_words(seconds: float) -> str:
     return f"{float(f'{seconds / 60:.2g}'):g} min" if seconds < 5400 else f"{float(f'{seconds / 3600:.2g}'):g} h"
 
 
-def render_cost(plan: Plan, camera: Camera, shape: tuple[int, int], cores: int) -> Cost:
+@dataclass(frozen=True)
+class Known:
+    """What the cache has of a study: its first light, and the share of its cases with frames."""
+
+    light: bool = False
+    frames: float = 0.0
+
+
+UNKNOWN = Known()
+
+
+def known_film(shape: Sequence[int], across: int | None) -> tuple[tuple[int, int], bool]:
+    """Return the film (H, W) on which a render ends, as far as known, and whether the cache has that.
+
+    across : the samples of a render before; None if there was none
+    """
+    height, width = shape
+    return ((height, width), False) if across is None else ((round(height * across / width), across), True)
+
+
+def render_cost(plan: Plan, camera: Camera, shape: tuple[int, int], known: bool, cores: int) -> Cost:
     """Estimate two renders of a film, their noise, the blur of the lens, the film's error, and the ideal image.
 
     A film whose error turns out too large is rendered again on a finer one, which nobody knows before.
 
     shape : (H, W) of the film
+    known : whether the cache has the light
     """
     cells = math.prod(shape)
     samples = 2.0 * cells * plan.spp * plan.passes
     per_sample = RENDER_S_PER_SAMPLE
     if plan.many_bounces:
         samples, per_sample = max(samples, float(plan.most_samples)), PATH_S_PER_SAMPLE
-    seconds = start_seconds(plan) + (0.0 if plan.exact else samples * per_sample / cores)
-    seconds += cells * (EXACT_S_PER_CELL if plan.exact else FILM_S_PER_CELL) + lens_seconds(plan, camera, shape, cores)
+    if known:
+        seconds = KNOWN_START_S + cells * KNOWN_S_PER_CELL + known_lens_seconds(plan, camera, shape, cores)
+    else:
+        seconds = START_S + (0.0 if plan.exact else len(plan.lights) * KERNEL_S + samples * per_sample / cores)
+        seconds += cells * (EXACT_S_PER_CELL if plan.exact else FILM_S_PER_CELL) + lens_seconds(plan, camera, shape, cores)
     needed = max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.planes) - PROGRAM_BYTES)
     if 8 * cells * plan.planes > MOST_BYTES:
         needed = film_memory_bytes(cells, plan.planes) - PROGRAM_BYTES
     return Cost(seconds, BASE_BYTES + needed, 1)
-
-
-def start_seconds(plan: Plan) -> float:
-    """Estimate what a command takes before it renders."""
-    return EXACT_START_S if plan.exact else START_S
 
 
 def lens_seconds(plan: Plan, camera: Camera, shape: tuple[int, int], cores: int) -> float:
@@ -303,6 +326,15 @@ def lens_seconds(plan: Plan, camera: Camera, shape: tuple[int, int], cores: int)
     windows, psfs, points = blur_work(shape, *tiling.cells(1e3 * camera.die_mm / shape[1]))
     blur_s = windows * WINDOW_S_PER_CELL + psfs * PSF_S + points * POINT_S
     return moved_s + lights * (blur_s + min(cells, MEASURED) * PART_S_PER_CELL + PARTS_S) / cores
+
+
+def known_lens_seconds(plan: Plan, camera: Camera, shape: tuple[int, int], cores: int) -> float:
+    """Estimate the blur of a real lens whose PSFs the cache has; 0 for a thin one."""
+    tiling = plan.tiling
+    if tiling is None or not tiling.psf_um:
+        return 0.0
+    windows, _, _ = blur_work(shape, *tiling.cells(1e3 * camera.die_mm / shape[1]))
+    return (plan.planes if plan.factored else GROUPS) * windows * WINDOW_S_PER_CELL / 2 / cores
 
 
 def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
@@ -347,23 +379,32 @@ def study_cost(study: Study, camera: Camera, plan: Plan, shape: tuple[int, int],
 
 
 def cases_cost(
-    cases: Sequence[tuple[Study, Camera]], lights: int, plan: Plan, shape: tuple[int, int], jobs: int | None = None, types: int = 0
+    cases: Sequence[tuple[Study, Camera]],
+    lights: int,
+    plan: Plan,
+    shape: tuple[int, int],
+    jobs: int | None = None,
+    types: int = 0,
+    known: Known = UNKNOWN,
 ) -> Cost:
     """Estimate a study with its cases, and a report of the first of them.
 
     lights : that are rendered for them; the memory holds one of them, and some behind the lens
     plan, shape : of the first one, and (H, W) of its film
     types : of sensors for each case, beside the study itself
+    known : what the cache has of them
     """
     (study, first), cells = cases[0], math.prod(shape)
     jobs = jobs or jobs_in_memory(max(largest_frame_bytes(*case) for case in cases))
-    render = render_cost(plan, first, shape, workers_here().jobs)
+    render = render_cost(plan, first, shape, known.light, workers_here().jobs)
     frames = [[frame_cost(camera, pitch, study.display) for pitch in sampled_pitches_um(study)] for study, camera in cases]
     sums_s = [sum(frame.seconds for frame in of_case) for of_case in frames]
     report_s = PAGE_S + 2 * frames[0][0].seconds + sums_s[0] / jobs
     calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0
-    renders_s = start_seconds(plan) + lights * (render.seconds - start_seconds(plan))
+    start_s = KNOWN_START_S if known.light else START_S
+    renders_s = start_s + lights * (render.seconds - start_s)
     evaluations_s = sum(study.repeats * seconds for (study, _), seconds in zip(cases, sums_s, strict=True)) / jobs
+    evaluations_s *= 1 - known.frames * (1 - KNOWN_FRAMES)
     if len(cases) == 1 and study.own_um is not None and study.display.raster == "fixed_size":  # its optimum on other displays
         evaluations_s += STUDY_VIEWINGS * min(study.repeats, SENSORS_VIEWED) * sums_s[0] / jobs
     types_s = types * sum(TYPE_S + MOST_EVALUATIONS * seconds / len(of) for of, seconds in zip(frames, sums_s, strict=True)) / jobs

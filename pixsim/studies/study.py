@@ -56,6 +56,7 @@ from pixsim.studies.evaluations import (
     first_sampling,
     largest_pixel_um,
     most_channels,
+    remember_evaluated,
     scenes_of,
     study_pitches_um,
     warn_of_clipped_white,
@@ -724,6 +725,8 @@ def evaluate_cases(
         if number in impossible:
             found.append(impossible[number])
             continue
+        if part.fingerprints.frames_fit_in_cache:
+            remember_evaluated(part.study)
         warn_of_clipped_white(part)
         warn_of_stacks(part.study, irradiance, camera)
         of_case: dict[str, Any] = {"at": part.case.at, "condition": part.case.condition, "alone": part.case.alone}
