@@ -96,7 +96,7 @@ def _emission(state: Any, emitter: Any) -> tuple[tuple[Any, ...], float, int | N
     if any(not is_neutral(state.nodes[index]) for index in others if state.nodes[index].type.name == "Texture"):
         return None  # the coloured texture of a spot
     kind = emitter.props.type(name).name
-    if kind == "Float":  # a plain number is a d65 of that scale
+    if kind in ("Float", "Integer"):  # a plain number is a d65 of that scale
         return (("d65",), float(emitter.props[name]), None)
     if kind == "Color":
         return (("rgb", emitter.props.as_string(name)), 1.0, None)

@@ -18,6 +18,7 @@ from pixsim.base.tables import unit_hint
 from pixsim.light.spectral import HIGH_NM, LOW_NM
 from pixsim.scene.assets import NUMBER, check_share, found, judge_asset, metals, spectrum_value
 from pixsim.scene.files import Node, SceneFiles, judge_references, read_scene, written
+from pixsim.scene.illuminance import with_strength
 from pixsim.scene.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, REASONS, SMALLEST, Plugin, Rule
 
 # Element -> attributes that it must have, and others.
@@ -59,11 +60,12 @@ class SceneText:
     content: str
 
 
-def judge_scene(path: Path, given: dict[str, str], unread: Path | None = None) -> SceneText:
+def judge_scene(path: Path, given: dict[str, str], unread: Path | None = None, strength: float | None = None) -> SceneText:
     """Return a scene's text for Mitsuba.
 
     given : parameters that the user sets
     unread : a picture that will be replaced before Mitsuba builds the scene
+    strength : factor on the light of all emitters
 
     Raises PixsimError for files, elements, plugins, properties and values that Mitsuba must not read.
     """
@@ -71,6 +73,7 @@ def judge_scene(path: Path, given: dict[str, str], unread: Path | None = None) -
     assert files.root is not None
     judge = _Judge(files, unread)
     root = judge.scene(files.root)
+    root = root if strength is None else with_strength(root, strength)
     return SceneText(written(root), frozenset(files.names), files.defaults, files.content)
 
 
