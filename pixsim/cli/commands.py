@@ -22,6 +22,7 @@ from pixsim.base.caller import command_line
 from pixsim.base.config import checked, read_toml, study_layers
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files
+from pixsim.base.headline import headline_lines
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Layer, LensOptions, Run
@@ -162,7 +163,7 @@ def run(
     """
     import_less()
     from pixsim.report.run import check_raw, frames_lines, run_and_write
-    from pixsim.report.wording import budget_lines, own_notes, score_line, unsure_lines
+    from pixsim.report.wording import budget_lines, own_notes, score_parts, unsure_lines
 
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
@@ -180,11 +181,11 @@ def run(
         result = run_and_write(scene, chosen, folder, progress=stage, **render_options, **files)
     noise = result.get("render_noise")
     amount = f"render noise {noise['fraction']:.2g} of the sensor's noise" if noise and noise["fraction"] else "no render noise"
-    of_noise = f"; {amount}" if noise else ""
-    line = f"{score_line(result)}{of_noise}; report: {folder / 'report.html'}"
+    head, *rest = headline_lines([*score_parts(result), *([amount] if noise else [])])
     unsure = unsure_lines(result)
     notes = [f"note: {note}" for note in own_notes(result) if note not in unsure]
-    show(result, json, "\n".join([line, *unsure, *frames_lines(result), *notes, *budget_lines(result)]))
+    more = [*frames_lines(result), *notes, *budget_lines(result), f"report: {folder / 'report.html'}"]
+    show(result, json, "\n".join([head, *unsure, *rest, *more]))
 
 
 @app.command
@@ -330,7 +331,7 @@ def study(
     from pixsim.report.outline import long_lines, outline_lines, study_outline
     from pixsim.report.study import report_files, write_report
     from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
-    from pixsim.report.wording import budget_lines, film_words, optimum_line, study_lines
+    from pixsim.report.wording import budget_lines, film_words, optimum_parts, study_lines
     from pixsim.studies import study as sweep
     from pixsim.studies.cases import CASE_S, MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.conditions import compromises_of
@@ -393,7 +394,7 @@ def study(
                 common.verbosity.note(str(result.counts))
             else:
                 summary = result.as_dict()
-                lines = [*map(optimum_line, result.curves), *study_lines(result)]
+                lines = [line for curve in result.curves for line in headline_lines(optimum_parts(curve))] + study_lines(result)
                 lines += [film_words(summary["film"])] if "film" in summary else []
             lines += uncertainty_lines(result.uncertainty)
             summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
@@ -743,7 +744,7 @@ def sfr(
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
-    from pixsim.measure.sfr import FILES, edge_response, read_edge_picture, sfr_line, sfr_summary as summary, write_sfr
+    from pixsim.measure.sfr import FILES, edge_response, read_edge_picture, sfr_parts, sfr_summary as summary, write_sfr
 
     if pitch_um is not None and not LEAST_LENGTH <= pitch_um <= 1 / LEAST_LENGTH:
         raise invalid("--pitch-um", f"{pitch_um:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
@@ -775,7 +776,7 @@ def sfr(
         response = replace(response, channel=picture.channel)
     result = summary(response, pitch, notes)
     write_sfr(folder, response, pitch, result)
-    show(result, json, f"{sfr_line(result)}; curves in {folder}")
+    show(result, json, "\n".join([*headline_lines(sfr_parts(result)), f"curves in {folder}"]))
 
 
 def corners(region: str | None) -> tuple[int, int, int, int] | None:

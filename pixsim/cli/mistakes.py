@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from cyclopts import Argument, CycloptsError, MissingArgumentError, UnknownOptionError, UnusedCliTokensError
@@ -25,6 +26,8 @@ def refusal(error: CycloptsError) -> str:
         text = f"{command}: got {got}; allowed: {allowed}.{hint and ' '}{hint}"
     elif isinstance(error, MissingArgumentError) and error.argument and error.argument.index is not None:
         text = f"{command}: got no {word_of(error.argument)}; allowed: {error.argument.parameter.help}"
+    elif hint := hint_of_folder(error.root_input_tokens or [], options):  # before a missing -o, which --out was to be
+        text = f"{command}: got --out, which is for folders; allowed: {', '.join(sorted(options))}. {hint}"
     elif isinstance(error, UnknownOptionError) and error.token.keyword:
         name = error.token.keyword.partition("=")[0]
         if hint := hint_of_option(name, options) or ("" if "Did you mean" in text else hint_of_parameter(name, options)):
@@ -77,6 +80,15 @@ def hint_of_option(name: str, options: set[str]) -> str:
     begun = sorted(option for option in options if option.startswith(f"{name}-"))
     known = [option for option in meant if option in options] or begun
     return f"Did you mean {' or '.join(known)}?" if known else ""
+
+
+def hint_of_folder(words: Sequence[str], options: set[str]) -> str:
+    """Return how the file of --out is written, for a command that writes a single file; empty for other command lines."""
+    at = next((at for at, word in enumerate(words) if word.partition("=")[0] == "--out"), None)
+    if at is None or "-o" not in options or "--out" in options:
+        return ""
+    file = words[at].partition("=")[2] or next(iter(words[at + 1 :]), "FILE")
+    return f"A file to write goes after -o: -o {shlex.quote(file)}"
 
 
 def hint_of_parameter(name: str, options: set[str]) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.files import output_folder, publishing, versions, write_json
+from pixsim.base.headline import BELOW, with_headline
 from pixsim.base.parameters import Pixel
 from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_curve, sheet_summary
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
@@ -307,19 +308,19 @@ def off(entry: Entry) -> str:
     return f"{100 * entry.off:+.2f} %" if math.isfinite(entry.off) and abs(entry.off) < 10 else ""
 
 
-def described(sheet: DataSheet) -> str:
-    """One line that describes the pixel and the measurement."""
+def described(sheet: DataSheet) -> list[str]:
+    """The pixel and the measurement, as of `with_headline`."""
     e, p = sheet.experiment, sheet.experiment.physics
     rows, columns = e.sensor.shape
-    assumed = f"; {p.pixel.assumption}" if p.pixel.assumption else ""
     exposed = f"{1e3 * e.integration_s:.4g} ms" + (f", {p.gain_db:g} dB" if p.gain_db else "")
     filters = f", filters {p.layout}" if p.layout else ""
     of = f" on channel {p.channel}" if p.channel else ""
-    return (
-        f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels{filters}, {p.pixel.bits} bits, "
-        f"black level {p.pixel.black_level_dn:g} DN, {p.pixel.temperature_k:g} K; "
-        f"{columns} × {rows} pixels, {e.wavelength_nm:g} nm{of}, {exposed}{assumed}"
-    )
+    pixel = f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels{filters}, {p.pixel.bits} bits"
+    return with_headline([
+        f"{pixel}, black level {p.pixel.black_level_dn:g} DN, {p.pixel.temperature_k:g} K",
+        f"{columns} × {rows} pixels, {e.wavelength_nm:g} nm{of}, {exposed}",
+        p.pixel.assumption or "",
+    ])  # fmt: skip
 
 
 def datasheet_lines(sheet: DataSheet) -> list[str]:
@@ -340,7 +341,13 @@ def datasheet_lines(sheet: DataSheet) -> list[str]:
         table.add_row(f"  {entry.quantity}", entry.symbol, *numbers, entry.unit, off(entry))
     text = StringIO()
     Console(file=text, width=TERMINAL_WIDTH, markup=False, emoji=False).print(table)
-    return [described(sheet), *(line.rstrip() for line in text.getvalue().splitlines()), *(f"note: {note}" for note in sheet.notes)]
+    head, *rest = described(sheet)
+    return [
+        head,
+        *(f"{BELOW}{words}" for words in rest),
+        *(line.rstrip() for line in text.getvalue().splitlines()),
+        *(f"note: {note}" for note in sheet.notes),
+    ]
 
 
 def write_datasheet(sheet: DataSheet, out: Path) -> Path:

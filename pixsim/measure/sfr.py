@@ -886,8 +886,8 @@ def sfr_summary(edge: EdgeResponse, pitch_um: float | None, warnings: Sequence[s
     return result
 
 
-def sfr_line(result: dict[str, Any]) -> str:
-    """The results in one line of text."""
+def sfr_parts(result: dict[str, Any]) -> list[str]:
+    """The results as parts of `with_headline`."""
     last = f"{result['highest_frequency_cy_per_px']:g}"
     low, high = (f"above {last}" if bound is None else f"{bound:.3f}" for bound in result["mtf50_interval_cy_per_px"])
     if result["mtf50_cy_per_px"] is None:
@@ -901,11 +901,12 @@ def sfr_line(result: dict[str, Any]) -> str:
         at_nyquist += f" of the sensor (0.5 cy/px), {result['sfr_at_channel_nyquist']:.3f} at the channel's own ({own:g} cy/px)"
     elif of_channel:
         at_nyquist += " of the sensor and of the channel (0.5 cy/px)"
-    return (
-        f"{of_channel}{half}, {at_nyquist}; edge at {result['angle_deg']:.2f}°, "
-        f"±{result['half_window_px']:g} px, {result['rows_used']} lines, contrast {result['contrast']:.2f}; "
-        f"in brackets {100 * result['interval_coverage']:.0f} % by the picture's noise"
-    )
+    edge = f"edge at {result['angle_deg']:.2f}°, ±{result['half_window_px']:g} px, {result['rows_used']} lines"
+    return [
+        f"{of_channel}{half}, {at_nyquist}",
+        f"{edge}, contrast {result['contrast']:.2f}",
+        f"in brackets {100 * result['interval_coverage']:.0f} % by the picture's noise",
+    ]
 
 
 @own_style()

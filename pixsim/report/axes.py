@@ -9,6 +9,7 @@ from typing import Any
 
 from pixsim.base.config import SETTINGS_FILE
 from pixsim.base.files import check_replaceable, output_folder, publishing, versions, write_json
+from pixsim.base.headline import headline_lines, with_headline
 from pixsim.base.parameters import Study
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
 from pixsim.report.parts import PARTS_FILE, parts_rows, parts_table
@@ -19,6 +20,7 @@ from pixsim.report.wording import (
     interval_text,
     no_difference_words,
     optimum_line,
+    optimum_parts,
     study_light_lines,
     study_lines,
     study_unconverged_lines,
@@ -129,10 +131,11 @@ def optima_table(result: StudyResult) -> dict[str, Column]:
 
 def axes_lines(result: StudyResult, compromises: Sequence[Compromise]) -> list[str]:
     """Return the result as lines of text: compromises and optima, of very many the first ones, then axes that are moved alone."""
-    lines = [line for found in compromises for line in compromise_lines(found)]
-    lines += [optimum_line(curve) for curve in result.curves if not curve.alone]
-    if len(lines) > LINES_SHOWN:
-        lines = [*lines[:LINES_SHOWN], f"and {len(lines) - LINES_SHOWN} more: optima.csv"]
+    answers = [compromise_lines(found) for found in compromises]
+    answers += [headline_lines(optimum_parts(curve)) for curve in result.curves if not curve.alone]
+    lines = [line for answer in answers[:LINES_SHOWN] for line in answer]
+    if len(answers) > LINES_SHOWN:
+        lines.append(f"and {len(answers) - LINES_SHOWN} more: optima.csv")
     lines += alone_lines(result)
     lines += [*study_lines(result), *film_lines(result)]
     return lines
@@ -230,7 +233,7 @@ def write_axes_report(
                 "no_difference": no_difference_words,
                 "within": within_words,
                 "alike": alike_words,
-                "first": [optimum_line(curve) for curve in result.parts[0].curves],
+                "first": [with_headline(optimum_parts(curve)) for curve in result.parts[0].curves],
                 "curves": result.curves,
                 "compromises": compromises,
                 "plates": drawn,

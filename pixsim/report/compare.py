@@ -15,6 +15,7 @@ import numpy as np
 
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
+from pixsim.base.headline import BELOW
 from pixsim.base.machine import processors
 from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, paths_of
 from pixsim.report.pictures import crops, picture_axes
@@ -41,8 +42,8 @@ from pixsim.studies.compare import (
     Compared,
     Comparison,
     Prepared,
+    answers,
     conditions_disagree,
-    headlines,
     shown_probability,
     verdict,
 )
@@ -130,7 +131,7 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
 
     notes : None for all of the result
     """
-    lines = headlines(result)
+    lines = [line for head, *rest in answers(result) for line in (head, *(f"{BELOW}{text}" for text in rest))]
     width = max(map(len, result.names))
     where = f" in {result.shown.prepared.condition}" if result.conditions else ""
     for number, compared in enumerate(result.sensors):
@@ -348,7 +349,7 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
     common = scene_rows(first.irradiance, parameters if isinstance(parameters, dict) else {}, light)
     page = {
         "names": result.names,
-        "verdicts": headlines(result),
+        "verdicts": answers(result),
         "conditions": conditions_line(prepared),
         "shown": shown.prepared.condition,
         "compared": _condition_rows(result),

@@ -46,7 +46,7 @@ from pixsim.report.wording import (
     map_words,
     mean_words,
     own_notes,
-    score_line,
+    score_parts,
     unsure_lines,
     view_words,
 )
@@ -170,7 +170,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     records["display"] = display
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
-        "line": score_line(summary),
+        "line": "; ".join(score_parts(summary)),
         "mean": mean_words(summary),
         "unsure": (unsure := unsure_lines(summary)),
         "view": "; ".join(view_words(summary["display"], summary, summary["pixels"][1])),

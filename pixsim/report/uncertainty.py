@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pixsim.base.files import write_json
+from pixsim.base.headline import headline_lines
 from pixsim.show.pages import Drawn, write_figures, write_page
 from pixsim.studies.result import StudyResult
 from pixsim.studies.sensor_types import total_indices_of
@@ -57,9 +58,7 @@ def uncertainty_lines(found: Sequence[UncertaintyResult]) -> list[str]:
         low, middle, high = ("beyond the sizes tried" if end is None else f"{end:.2f} µm" for end in ends)
         name = f"{each.label}: " if each.label else ""
         types = f"{len(each.outcomes)} sensor types"
-        own = (
-            f"; each is known to ±{NORMAL_95 * each.optimum.own_sd:.2g} µm by its own 95 % interval" if each.optimum.own_sd else ""
-        )
-        lines.append(f"{name}optimum of {types}: median {middle}, nine tenths from {low} to {high}{own}")
+        own = f"each is known to ±{NORMAL_95 * each.optimum.own_sd:.2g} µm by its own 95 % interval" if each.optimum.own_sd else ""
+        lines += headline_lines([f"{name}optimum of {types}: median {middle}, nine tenths from {low} to {high}", own])
         lines += [f"{name}probability that {statement}: {words}" for statement, words in verdict_rows(each)]
     return lines

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.caller import setting
+from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED, headline_lines
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, CameraOptions, Correction, paths_of
 from pixsim.report.settings import LightLevel
@@ -18,40 +19,48 @@ from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.integration import pixels_along
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, few, interval_words, viewed_words, within_words
 from pixsim.viewer.causes import Cause
-from pixsim.viewer.light_error import NOT_CONVERGED, LightError
+from pixsim.viewer.light_error import LightError, cause_words
 from pixsim.viewer.score import clip_words, clips_dark
 
 SATURATED_SHOWN = 0.01
 
 
-def optimum_line(curve: Any) -> str:
+def optimum_parts(curve: Any) -> list[str]:
     """Return the optimum of a curve with its interval and the sizes within 1 % of its error, if the film can tell sizes apart.
 
     Where a wide range of sizes shows no visible difference, that range comes first. What the optimum is on other displays follows.
+    The parts are those of `with_headline`.
     """
-    return "; ".join(filter(None, (_optimum_words(curve), *(viewed_words(curve, inside) for inside in (True, False)))))
+    first, *others = _optimum_parts(curve)
+    return [f"{curve.label}: {first}", *others, *filter(None, (viewed_words(curve, inside) for inside in (True, False)))]
 
 
-def _optimum_words(curve: Any) -> str:
-    """Return `optimum_line` on the chosen display."""
+def optimum_line(curve: Any) -> str:
+    """Return `optimum_parts` as one text."""
+    return "; ".join(optimum_parts(curve))
+
+
+def _optimum_parts(curve: Any) -> list[str]:
+    """Return `optimum_parts` on the chosen display."""
     if curve.alike_um:
-        return f"{curve.label}: {alike_words(curve)}; least mean ΔE {curve.light.shown(curve.mean().min())}"
-    best, interval = curve.optimum, f"(95 %: {interval_words(curve)})"
-    text = f"optimal pixel size {best.pitch_um:.2f} µm {interval}"
-    if not best.inside:
-        text = (
-            f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm; "
-            f"the error is smallest at {best.pitch_um:.2f} µm, the end of the range {interval}"
-        )
-    within = within_words(best.within_1_percent_um, curve)
+        return [alike_words(curve), f"least mean ΔE {curve.light.shown(curve.mean().min())}"]
+    best, interval = curve.optimum, f"95 %: {interval_words(curve)}"
+    within = f"within 1 % of it: {within_words(best.within_1_percent_um, curve)}"
     if words := no_difference_words(curve):
         if outside := outside_words(curve):
-            return f"{curve.label}: {words}; {outside}"
+            return [words, *outside]
         size = "" if best.inside else ", the end of the range"
-        least = f"least {curve.light.number(best.mean_delta_e)} at {best.pitch_um:.2f} µm{size} {interval}"
+        least = f"least {curve.light.number(best.mean_delta_e)} at {best.pitch_um:.2f} µm{size} ({interval})"
         unsure = "" if curve.light.converged else f", {NOT_CONVERGED}"
-        return f"{curve.label}: {words}; mean ΔE is {least}{unsure}; within 1 % of it: {within}"
-    return f"{curve.label}: {text}, mean ΔE {curve.light.shown(best.mean_delta_e)}; within 1 % of it: {within}"
+        return [words, f"mean ΔE is {least}{unsure}", within]
+    size, mean = f"optimal pixel size {best.pitch_um:.2f} µm", f"mean ΔE {curve.light.shown(best.mean_delta_e)}"
+    if best.inside:
+        first = f"{size} ({interval}), {mean}"
+        if len(f"{curve.label}: {first}".split()) <= MOST_WORDS:
+            return [first, within]
+        return [size, mean, interval, within]  # a headline rather names the cause of a mean ΔE than the interval
+    ends = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
+    return [ends, f"the error is smallest at {best.pitch_um:.2f} µm, the end of the range ({interval}), {mean}", within]
 
 
 def map_words(start: str, mean: float, p99: float, end: float) -> str:
@@ -79,7 +88,7 @@ def compromise_lines(found: Any) -> list[str]:
     best, regret = found.best, found.regret
     weighted = f"least weighted mean ΔE {best.mean_delta_e:.3f} at {best.pitch_um:.2f} µm (95 %: {interval_text(best.interval_um)})"
     worst = f"least worst regret {regret.delta_e:.3f} ΔE, in {regret.condition}, at {regret.pitch_um:.2f} µm"
-    return [f"{found.label}: {weighted}; {worst} (95 %: {interval_text(regret.interval_um)})"]
+    return headline_lines([f"{found.label}: {weighted}", f"{worst} (95 %: {interval_text(regret.interval_um)})"])
 
 
 def no_difference_words(curve: Any) -> str:
@@ -91,49 +100,53 @@ def no_difference_words(curve: Any) -> str:
     return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to {high:.3g} µm{whole}"
 
 
-def outside_words(curve: Any) -> str:
-    """Return where the fitted curve is least, if that is outside the sizes that look alike; empty otherwise.
+def outside_words(curve: Any) -> list[str]:
+    """Return where the fitted curve is least, in parts, if that is outside the sizes that look alike; empty otherwise.
 
     The best size tried is among those.
     """
     if not curve.fit_swings:
-        return ""
+        return []
     best, mean = curve.optimum, curve.mean()
     least = f"{curve.light.shown(mean.min())} at {curve.pitch_um[mean.argmin()]:.2f} µm"
     fitted = f"the fitted curve has its minimum outside them, at {best.pitch_um:.2f} µm"
-    return f"least mean ΔE of the sizes tried {least}; {fitted}, which more pixel sizes there would confirm or not"
+    return [f"least mean ΔE of the sizes tried {least}", f"{fitted}, which more pixel sizes there would confirm or not"]
 
 
-def score_line(result: dict[str, Any]) -> str:
-    """Return the mean ΔE of a run, its pixels and its exposure; with a tolerance, the mean over sensors and its error."""
+def score_parts(result: dict[str, Any]) -> list[str]:
+    """Return the mean ΔE of a run, its pixels and its exposure, and how it is shown and rendered, as parts of `with_headline`.
+
+    With a tolerance it is the mean over sensors and its error.
+    """
     delta_e = f"mean ΔE {mean_words(result)}"
     rows, columns = result["pixels"]
     border_um = result["border_um"][1] if result["display"]["raster"] == "fixed_size" else 0.0
-    border = f" ({border_um:.3g} µm on each side not scored)" if border_um else ""
+    border = f"{border_um:.3g} µm on each side not scored" if border_um else ""
     exposure, time_s, saturated = result["exposure"], result["integration_s"], result["saturated_fraction"]
     longest = " (the maximum)" if exposure["integration_s"] is None and time_s >= exposure["max_integration_s"] else ""
     full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
-    pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}"
-    pixels += "".join(f", {words}" for words in view_words(result["display"], result, columns))
-    unmeasured = LightError.of(result["irradiance"], None).unmeasured
-    film = f"; {film_words(result['film'])}" if "film" in result else unmeasured and f"; {unmeasured}"
-    assumed = "".join(
-        f"; {words}" for words in (lens_words(Camera.model_validate(result["camera"])), result["assumption"]) if words
-    )
-    delta_e += "," * (NOT_CONVERGED in delta_e)
-    return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}{film}{assumed}"
+    pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm"
+    exposed = f"exposed for {1e3 * time_s:.3g} ms{longest}{full}"
+    first = f"{delta_e}{',' * (NOT_CONVERGED in delta_e)} with {pixels}"
+    parts = [first] if len(first.split()) <= MOST_WORDS else [delta_e, pixels]
+    if len(f"{first}, {exposed}".split()) <= MOST_WORDS:
+        parts = [f"{first}, {exposed}"]
+    else:
+        parts.append(exposed)
+    shown = ", ".join(filter(None, (border, *view_words(result["display"], result, columns))))
+    film = film_words(result["film"]) if "film" in result else LightError.of(result["irradiance"], None).unmeasured
+    return [*parts, *filter(None, (shown, film, lens_words(Camera.model_validate(result["camera"])), result["assumption"]))]
 
 
 def mean_words(result: dict[str, Any]) -> str:
     """Return the mean ΔE of a run as it is known: of all sensors and with its error if there is a budget, else by its light."""
     if "error_budget" not in result:
         return light_of(result).shown(result["mean_delta_e"])
-    causes = "; ".join(cause.words for cause in light_of(result).causes)
     budget, sensors = result["error_budget"], result["sensors"]
     error = budget["total"]["delta_e"]
     within = "(error unknown)" if error is None else f"± {error:.1g}"
     unsure = "" if budget["met"] else f", {NOT_CONVERGED}"
-    cause = f" ({causes})" if causes else ""
+    cause = cause_words(light_of(result).causes)
     return f"{result['sensors_mean_delta_e']:.4f}{cause} {within} over {sensors} sensor{'s' * (sensors > 1)}{unsure}"
 
 

@@ -96,7 +96,7 @@ def _emission(state: Any, emitter: Any) -> tuple[tuple[Any, ...], float, int | N
     if any(not is_neutral(state.nodes[index]) for index in others if state.nodes[index].type.name == "Texture"):
         return None  # the coloured texture of a spot
     kind = emitter.props.type(name).name
-    if kind == "Float":  # a plain number is a d65 of that scale
+    if kind in ("Float", "Integer"):  # a plain number is a d65 of that scale
         return (("d65",), float(emitter.props[name]), None)
     if kind == "Color":
         return (("rgb", emitter.props.as_string(name)), 1.0, None)
@@ -540,7 +540,8 @@ def check_textures(state: Any) -> None:
     for node in state.nodes:
         for name, index in children(node, state).items():
             if node.type.name == "BSDF" and (name.endswith(("reflectance", "transmittance")) or name == "base_color"):
-                shares[index] = f"{node.props.plugin_name()}.{name}"
+                for part in (index, *children(state.nodes[index], state).values()):  # of a checkerboard
+                    shares[part] = f"{node.props.plugin_name()}.{name}"
             (maps_or_weights if node.props.plugin_name() in MAPS or name in MAP_NAMES else others).add(index)
     maps = maps_or_weights - others
     files = {index: _file_of(node) for index, node in nodes_of(state, "Texture") if "filename" in node.props}

@@ -18,6 +18,7 @@ from pixsim.base.tables import unit_hint
 from pixsim.light.spectral import HIGH_NM, LOW_NM
 from pixsim.scene.assets import NUMBER, check_share, found, judge_asset, metals, spectrum_value
 from pixsim.scene.files import Node, SceneFiles, judge_references, read_scene, written
+from pixsim.scene.illuminance import with_strength
 from pixsim.scene.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, REASONS, SMALLEST, Plugin, Rule
 
 # Element -> attributes that it must have, and others.
@@ -59,11 +60,12 @@ class SceneText:
     content: str
 
 
-def judge_scene(path: Path, given: dict[str, str], unread: Path | None = None) -> SceneText:
+def judge_scene(path: Path, given: dict[str, str], unread: Path | None = None, strength: float | None = None) -> SceneText:
     """Return a scene's text for Mitsuba.
 
     given : parameters that the user sets
     unread : a picture that will be replaced before Mitsuba builds the scene
+    strength : factor on the light of all emitters
 
     Raises PixsimError for files, elements, plugins, properties and values that Mitsuba must not read.
     """
@@ -71,6 +73,7 @@ def judge_scene(path: Path, given: dict[str, str], unread: Path | None = None) -
     assert files.root is not None
     judge = _Judge(files, unread)
     root = judge.scene(files.root)
+    root = root if strength is None else with_strength(root, strength)
     return SceneText(written(root), frozenset(files.names), files.defaults, files.content)
 
 
@@ -80,12 +83,13 @@ class _Judge:
     def __init__(self, files: SceneFiles, unread: Path | None) -> None:
         self.files, self.unread = files, unread
         self.left_of_tables = MAX_TABLES
-        self.in_share = False  # within a texture that is a share of the light
+        self.shares: list[int] = []  # textures that are a share of the light, as reflectances are
+        self.highest: dict[int, list[tuple[float, str, str]]] = {}  # numbers of textures: (the highest, of what, its place)
         self.counts: Counter[str] = Counter()
         self.kinds: list[str] = []  # of each object, in the order of the text
         self.ids: dict[str, int] = {}
         self.children: list[list[int]] = []
-        self.references: list[tuple[int, str, tuple[str, ...], Node]] = []  # (object, id, allowed kinds, where)
+        self.references: list[tuple[int, str, tuple[str, ...], bool, Node]] = []  # (object, id, allowed kinds, a share, where)
 
     def scene(self, root: Node) -> Node:
         if root.tag != "scene" or root.attributes.get("type", "scene") != "scene":
@@ -93,7 +97,7 @@ class _Judge:
         version = {"version": root.attributes["version"]}
         _check_attributes(root, ("version",), ("type", "id", "name"))
         judged = self.object(replace(root, attributes={"type": "scene"}), "scene")
-        for owner, name, kinds, node in self.references:
+        for owner, name, kinds, is_share, node in self.references:
             if name not in self.ids:
                 near = did_you_mean(name, self.ids)
                 raise invalid(
@@ -104,8 +108,21 @@ class _Judge:
                 got = f"one in {node.place} to a {self.kinds[target]}"
                 raise invalid("reference", got, f"a {' or '.join(kinds)}")
             self.children[owner].append(target)
+            self.shares += [target] if is_share else []
         judge_references(self.children)
+        self.check_shares()
         return replace(judged, attributes=version)
+
+    def check_shares(self) -> None:
+        """Check the numbers of the textures that are shares, and of those within them: where each is used is known at the end."""
+        left, seen = self.shares, set[int]()
+        while left:
+            index = left.pop(0)
+            if index not in seen and self.kinds[index] == "texture":
+                seen.add(index)
+                for highest in self.highest.get(index, ()):
+                    check_share(*highest)
+                left += self.children[index]
 
     def object(self, node: Node, kind: str) -> Node:
         """Return an object with its children judged."""
@@ -157,16 +174,13 @@ class _Judge:
                 raise invalid(f"name of a {kind}", f"{excerpt(name)} in {node.place}", "letters, digits and _")
             if kind == "ref":
                 _check_attributes(node, *ATTRIBUTES["ref"])
-                self.references.append((owner, node.attributes["id"], kinds, node))
+                self.references.append((owner, node.attributes["id"], kinds, rule is not None and rule.is_share, node))
                 return node
             if kind not in kinds:
                 self.unknown(name, node, parent, plugin, f"<{node.tag}>" + (f" whose name is {excerpt(name)}" if name else ""))
             self.children[owner].append(len(self.kinds))
-            outer, self.in_share = self.in_share, (rule.is_share if rule else self.in_share and kind == "texture")
-            try:
-                return self.object(node, kind)
-            finally:
-                self.in_share = outer
+            self.shares += [len(self.kinds)] if rule and rule.is_share else []
+            return self.object(node, kind)
         if kind not in ATTRIBUTES or kind in STEPS_OF_TRANSFORM:
             known = (*PLUGINS, *ATTRIBUTES)
             raise invalid(
@@ -186,7 +200,7 @@ class _Judge:
             return node
         if node.children:
             raise invalid(what, f"an element in {node.children[0].place}", "no element within it")
-        return self.value(node, rule, what, of)
+        return self.value(node, rule, what, of, owner)
 
     def unknown(self, name: str, node: Node, parent: str, plugin: Plugin, got: str) -> None:
         known = [*plugin.properties, *(f"<{kind}>" for kind in plugin.holds)]
@@ -194,25 +208,24 @@ class _Judge:
             parent, f"{got} in {node.place}", ", ".join(known) or "nothing within it", did_you_mean(name, plugin.properties)
         )
 
-    def value(self, node: Node, rule: Rule, what: str, of: Node) -> Node:
-        """Return a property with its value judged, and its file found."""
+    def value(self, node: Node, rule: Rule, what: str, of: Node, owner: int) -> Node:
+        """Return a property of an object, `owner`, with its value judged, and its file found."""
         attributes = node.attributes
         value = attributes.get("value", "")
-        if self.in_share and attributes["name"] in OF_TEXTURES:
-            rule = replace(rule, is_share=True)
+        highest = 0.0
         match node.tag:
             case "float":
-                _check_numbers([value.strip()], rule, what, node)
+                highest = _check_numbers([value.strip()], rule, what, node)
             case "integer":
                 if not WHOLE.fullmatch(value):
                     raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", "a whole number")
-                _check_numbers([value.strip()], rule, what, node)
+                highest = _check_numbers([value.strip()], rule, what, node)
             case "boolean":
                 if value.lower() not in FLAGS:
                     raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", " or ".join(FLAGS))
             case "rgb":
                 bounded = replace(rule, low=max(rule.low, 0.0), high=min(rule.high, 1.0)) if rule.rgb_of_surface else rule
-                _check_numbers(_split(value), bounded, what, node, (1, 3))
+                highest = _check_numbers(_split(value), bounded, what, node, (1, 3))
             case "point" | "vector":
                 _check_vector(node, what, all_three=True)
             case "spectrum":
@@ -225,10 +238,14 @@ class _Judge:
                     if self.left_of_tables < 0:
                         got = f"files of spectra of more than {MAX_TABLES} characters"
                         raise invalid("scene", got, f"up to {MAX_TABLES} in total", "Leave out wavelengths that change little.")
-                _check_table(value, rule, what, node)
-                return replace(node, attributes={"name": attributes["name"], "value": value})
+                highest = _check_table(value, rule, what, node)
+                node = replace(node, attributes={"name": attributes["name"], "value": value})
+            case "string" if rule.pattern == "numbers":
+                highest = _check_numbers(_split(value), rule, what, node, None)
             case "string":
                 return self.string(node, rule, what, of)
+        if self.kinds[owner] == "texture" and attributes["name"] in OF_TEXTURES:
+            self.highest.setdefault(owner, []).append((highest, what, node.place))
         return node
 
     def string(self, node: Node, rule: Rule, what: str, of: Node) -> Node:
@@ -254,8 +271,6 @@ class _Judge:
                 raise invalid(
                     what, f"{quoted(value, node.typed)} in {node.place}", ", ".join(rule.words), did_you_mean(value, rule.words)
                 )
-        elif rule.pattern == "numbers":
-            _check_numbers(_split(value), rule, what, node, None)
         elif rule.pattern is None or not re.fullmatch(rule.pattern, value):
             raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", "a name or a number as Mitsuba has them")
         return node
@@ -284,8 +299,8 @@ def _check_attributes(node: Node, needed: Iterable[str], others: Iterable[str]) 
             )
 
 
-def _check_numbers(texts: list[str], rule: Rule, what: str, node: Node, counts: tuple[int, ...] | None = (1,)) -> None:
-    """Raise PixsimError if a text is no number within the bounds, or if there are not so many as one of `counts`."""
+def _check_numbers(texts: list[str], rule: Rule, what: str, node: Node, counts: tuple[int, ...] | None = (1,)) -> float:
+    """Return the largest magnitude. Raises PixsimError if a text is no number within the bounds, or for a count not in `counts`."""
     if counts is not None and len(texts) not in counts:
         raise invalid(what, f"{len(texts)} numbers in {node.place}", " or ".join(map(str, counts)))
     values = []
@@ -296,14 +311,16 @@ def _check_numbers(texts: list[str], rule: Rule, what: str, node: Node, counts: 
             got = excerpt(text, typed=node.typed) if number is None else f"'{text[:MAX_NAME]}'"
             raise invalid(what, f"{got} in {node.place}", bounds)
         values.append(abs(number))
+    highest = max(values, default=0.0)
     if rule.is_share:
-        check_share(max(values, default=0.0), what, node.place)
-    if 0 < max(values, default=0) < rule.smallest:
-        raise invalid(what, f"{max(values):g} in {node.place}", f"0, or at least {SMALLEST:g}")
+        check_share(highest, what, node.place)
+    if 0 < highest < rule.smallest:
+        raise invalid(what, f"{highest:g} in {node.place}", f"0, or at least {SMALLEST:g}")
+    return highest
 
 
-def _check_table(value: str, rule: Rule, what: str, node: Node) -> None:
-    """Check the value of a <spectrum>: a number, or pairs of a wavelength and a value."""
+def _check_table(value: str, rule: Rule, what: str, node: Node) -> float:
+    """Check the value of a <spectrum>, a number or pairs of a wavelength and a value; return its largest magnitude."""
     words = _split(value)
     if len(words) == 1 and ":" not in words[0]:
         return _check_numbers(words, rule, what, node)
@@ -326,10 +343,11 @@ def _check_vector(node: Node, what: str, all_three: bool = False) -> None:
     if "value" in attributes:
         if any(axis in attributes for axis in "xyz"):
             raise invalid(what, f"value and x, y or z in {node.place}", "one of them")
-        return _check_numbers(_split(attributes["value"]), Rule(()), what, node, (1, 3))
+        _check_numbers(_split(attributes["value"]), Rule(()), what, node, (1, 3))
+        return
     if all_three and any(axis not in attributes for axis in "xyz"):
         raise invalid(what, f"<{node.tag}> without x, y or z in {node.place}", "all three, or a value")
-    return _check_numbers([attributes[axis].strip() for axis in "xyz" if axis in attributes], Rule(()), what, node, None)
+    _check_numbers([attributes[axis].strip() for axis in "xyz" if axis in attributes], Rule(()), what, node, None)
 
 
 def _check_step(step: Node, what: str) -> None:

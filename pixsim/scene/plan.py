@@ -11,6 +11,7 @@ import numpy as np
 
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
+from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import (
@@ -232,6 +233,16 @@ class Plan:
         )
 
 
+def shutter_note(sensor: Any) -> str:
+    """Return what to say of a sensor that states a shutter time; empty for others. No scene that pixsim reads has motion."""
+    opens, closes = (float(sensor.props.get(name, 0.0)) for name in ("shutter_open", "shutter_close"))
+    if opens == closes:
+        return ""
+    exposures = f"{setting('exposure.integration_s')} sets the exposure, and {setting('exposure.max_integration_s')} its longest"
+    stated = f"the sensor's shutter_open {opens:g} and shutter_close {closes:g} change nothing"
+    return f"{stated}, since nothing in the scene moves: {exposures}"
+
+
 def make_render_plan(
     scene: Scene,
     camera: Camera | None = None,
@@ -300,6 +311,8 @@ def make_render_plan(
     if surfaces.short:
         ranges = ", ".join(surfaces.short)
         warnings.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
+    if note := shutter_note(sensor):
+        warnings.append(note)
     outside = outside_header(emitted)
     left_out = max((outside_share(outside, derive(one)) for one in pixels), default=0.0)
     if left_out > SHOWN_SHARE:

@@ -23,6 +23,7 @@ from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.scene import charts, variant as variants
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, find_lamps, is_neutral, named_files, white_of
 from pixsim.scene.film import FILM_ROUNDING
+from pixsim.scene.illuminance import ILLUMINANCE, strength
 from pixsim.scene.judge import SceneText, judge_scene
 from pixsim.scene.mitsuba import children, nodes_of, plain
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
@@ -34,7 +35,6 @@ CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
 ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
-ILLUMINANCE = "lux"  # on a chart, as a white diffuser reflects it: π times the luminance of texel value 1
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 EMITTER_SCALE = "emitter_scale"
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
@@ -53,6 +53,7 @@ class Scene:
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
     white_lamps : ids of the emitters whose light together is that of white, if the file names them in its <default> white_lamps
     shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter `max_lp_per_mm` sets
+    strength : factor on all lamps that the parameter `lux` asks for
     own_chart : a picture that takes the place of the parameter `chart`, which names it
     resolution : film samples across the die, in place of the film's width in the XML
     _texts : its judged texts so far, by their parameters
@@ -68,6 +69,7 @@ class Scene:
     own_chart: OwnChart | None = None
     resolution: int | None = None
     shows_csf: bool = False
+    strength: float | None = None
     _texts: dict[str, SceneText] = field(default_factory=dict, repr=False, compare=False)
 
     @checks_arguments
@@ -75,11 +77,13 @@ class Scene:
         """Return the judged text of the scene, with `more` parameters unless the user set them."""
         given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
         given.pop(charts.MAX_LP_PER_MM, None)  # of pixsim: `for_camera` makes the chart
+        if self.strength is not None:
+            given.pop(ILLUMINANCE, None)
         if self.own_chart:
             given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
-        key = repr(sorted(given.items()))  # as in `load_scene`
+        key = _key_of_text(given, self.strength)
         if key not in self._texts:  # a render asks ten times
-            self._texts[key] = judge_scene(self.path, given)
+            self._texts[key] = judge_scene(self.path, given, strength=self.strength)
         return self._texts[key]
 
     @checks_arguments
@@ -184,6 +188,10 @@ class Scene:
         return f"<Scene {self.path.name}{given}, {self.choice.variant}>"
 
 
+def _key_of_text(given: dict[str, str], strength: float | None) -> str:
+    return repr((sorted(given.items()), strength))
+
+
 def chart_parameters(camera: Camera) -> dict[str, float]:
     """Return the values of scene parameters that fit a chart to a camera's die; lengths in m, in the plane in focus."""
     width, height = camera.chart_half_width_m, camera.chart_half_height_m
@@ -227,7 +235,8 @@ def load_scene(
     variant : Mitsuba variant; None takes the graphics card if it passed its trial, else the processors
     sensor : id of the sensor, if the scene has several
     parameters : values of the scene's <default> parameters; in a scene with a parameter `emitter_scale`, `luminance_cd_per_m2`
-        sets the luminance of texel value 1, and `lux` the illuminance in which a white diffuser has it, π times as much;
+        sets the luminance of texel value 1, and `lux` the illuminance in which a white diffuser has it, π times as much; in a
+        scene with a <default> `lux`, which only pixsim reads, `lux` scales all lamps and the luminance of white by one factor;
         `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart; `chart` may name a picture
         (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true
 
@@ -254,14 +263,18 @@ def load_scene(
     picture = _picture_of_chart(path, given)
     text = judge_scene(path, given, picture)
     names = text.names
-    if ILLUMINANCE in given and ILLUMINANCE not in names and EMITTER_SCALE in names:
-        lux = given.pop(ILLUMINANCE)
-        if luminance is not None:
-            raise invalid(ILLUMINANCE, f"'{lux}' beside {LUMINANCE}", "one of them", "A white diffuser in E lx has E / π cd/m².")
+    lux = None if ILLUMINANCE in names else given.pop(ILLUMINANCE, None)
+    if lux is not None and luminance is not None:
+        raise invalid(ILLUMINANCE, f"'{lux}' beside {LUMINANCE}", "one of them", "A white diffuser in E lx has E / π cd/m².")
+    if lux is not None and ILLUMINANCE not in text.defaults:
+        if EMITTER_SCALE not in names:
+            raise _no_illuminance(path, lux)
         luminance = _positive(ILLUMINANCE, lux) / math.pi
+        lux = None
     also = (
         (LUMINANCE, EMITTER_SCALE),
         (ILLUMINANCE, EMITTER_SCALE),
+        (ILLUMINANCE, ILLUMINANCE),
         (WHITE, WHITE),
         (WHITE_LAMPS, WHITE_LAMPS),
         (CHART_LINEAR, CHART),
@@ -291,7 +304,7 @@ def load_scene(
     choice = variants.choose(variant)
     shown_white = None if display_white is None else _positive(WHITE, display_white)
     # The text is that of the resolved file, unless a link's folder has the files that it names.
-    texts = {repr(sorted(given.items())): text} if picture is None and path == path.resolve() else {}
+    texts = {_key_of_text(given, None): text} if picture is None and path == path.resolve() else {}
     loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=shows_csf, _texts=texts)
     loaded = _with_own_chart(loaded, text, picture, linear)
     state = loaded.parse()
@@ -308,6 +321,8 @@ def load_scene(
     check_textures(state)
     if luminance is not None:
         loaded = _with_luminance(loaded, luminance)
+    if lux is not None:
+        loaded = _with_illuminance(loaded, text, lux, keeps_white=white is not None)
     if highest is not None:
         loaded = loaded.with_parameters(**{charts.MAX_LP_PER_MM: repr(_positive(charts.MAX_LP_PER_MM, highest))})
     return loaded
@@ -362,6 +377,35 @@ def _with_luminance(scene: Scene, luminance: object) -> Scene:
         raise invalid(LUMINANCE, f"{value:g}, but the luminance of the emitters is unknown", "emitters of one spectrum, above 0")
     scale = repr(value / lamp.luminance_cd_per_m2)
     return replace(scene, parameters={**scene.parameters, EMITTER_SCALE: scale})
+
+
+def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: bool) -> Scene:
+    """Return the scene with all lamps times one factor, so that the place of its <default> lux has this illuminance.
+
+    text : of the scene
+    keeps_white : whether the user set the luminance of white, which otherwise follows the light
+    """
+    value, stated = _positive(ILLUMINANCE, lux), _positive(f"{ILLUMINANCE} in '{scene.path.name}'", text.defaults[ILLUMINANCE])
+    reading, given = scene.choice.reading, list(scene.parameters)
+    now = find_lamps(scene.parse(), reading)
+    as_written = find_lamps(replace(scene, parameters={}).parse(), reading) if given else now
+    factor = strength(value, stated, as_written, now, given)
+    white = scene.white_cd_per_m2
+    if white is not None and not keeps_white:
+        white *= value / stated
+    lit = replace(scene, strength=factor, white_cd_per_m2=white, parameters={**scene.parameters, ILLUMINANCE: str(lux)})
+    lit.text()  # raises for lamps without a number to scale
+    return lit
+
+
+def _no_illuminance(path: Path, lux: str) -> PixsimError:
+    got = f"'{lux}', but '{path.name}' states no illuminance"
+    allowed = f'scenes with <default name="{ILLUMINANCE}" value="…"/>, or with a chart of the scale ${EMITTER_SCALE}'
+    hint = (
+        "Write this <default> in the file, with the illuminance in lx that its lamps give a place of your choice: "
+        f"{caller.parameter(ILLUMINANCE, lux)} then scales all of them."
+    )
+    return invalid(ILLUMINANCE, got, allowed, hint)
 
 
 def _positive(name: str, value: object) -> float:

@@ -24,6 +24,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.config import checked, packaged, settings_layer, sheet_uncertainty, warn_of_mixed_sensors
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
+from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED, with_headline
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import (
     NO_TECHNOLOGY,
@@ -62,7 +63,7 @@ from pixsim.studies.result import NO_VISIBLE_DELTA_E
 from pixsim.studies.viewing import OF_VIEWING, Viewed, Viewing, ViewingRange, range_words, where_words
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light
-from pixsim.viewer.light_error import NOT_CONVERGED, LightError, with_error
+from pixsim.viewer.light_error import LightError, with_error
 from pixsim.viewer.score import (
     ImagingChain,
     PreparedScene,
@@ -924,6 +925,11 @@ def shown_probability(probability: float) -> str:
 
 
 def verdict(result: Comparison, other: str) -> str:
+    """Return `verdict_parts` as one text."""
+    return "; ".join(verdict_parts(result, other))
+
+
+def verdict_parts(result: Comparison, other: str) -> list[str]:
     """Return the answer for the first sensor and another: which is better, by how much, how sure that is, and where it holds.
 
     Neither is called better if half of the difference's 95 % interval and the film's error exceed it together. One is called
@@ -933,14 +939,18 @@ def verdict(result: Comparison, other: str) -> str:
     chosen, *_ = inside = [view for view in views if view.inside]
     words = _verdict_on(chosen, names)
     if len(inside) == 1 or all(view.difference == 0 for view in inside):
-        return words
+        return [words]
     signs = {view.sign for view in inside}
     if signs == {0}:
-        return f"{words}; nor elsewhere in the range of viewing"
+        return [words, "nor elsewhere in the range of viewing"]
     if len(signs) == 1:
         sizes = sorted(abs(view.difference) for view in inside)
-        return f"{words}; in the whole range of viewing by {sizes[0]:.2g} to {sizes[-1]:.2g} ΔE"
-    return f"which is better depends on the viewing: {where_words(inside, names)}; on {chosen.viewing}, {words}"
+        return [words, f"in the whole range of viewing by {sizes[0]:.2g} to {sizes[-1]:.2g} ΔE"]
+    where, on_chosen = where_words(inside, names), f"on {chosen.viewing}, {words}"
+    depends = f"which is better depends on the viewing: {where}"
+    if len(depends.split()) <= MOST_WORDS:
+        return [depends, on_chosen]
+    return [f"which of {names[0]} and {names[1]} is better depends on the viewing", on_chosen, where]
 
 
 def elsewhere_note(result: Comparison, other: str) -> str:
@@ -1003,13 +1013,34 @@ def headline(result: Comparison, other: str) -> str:
     pair = result.pair(other)
     if not conditions_disagree(pair, other):
         return "; ".join(filter(None, (verdict(pair, other), pair.unconverged)))
-    parts = [f"{part.prepared.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in pair.counted]
-    words = ["the conditions disagree", *parts, f"weighted mean: {verdict(pair, other)}", pair.unconverged]
-    return "; ".join(filter(None, words))
+    words = ["the conditions disagree", *_answers_of_conditions(pair, other), f"weighted mean: {verdict(pair, other)}"]
+    return "; ".join(filter(None, (*words, pair.unconverged)))
+
+
+def _answers_of_conditions(pair: Comparison, other: str) -> list[str]:
+    return [f"{part.prepared.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in pair.counted]
+
+
+def answer(result: Comparison, other: str) -> list[str]:
+    """Return `headline` as of `with_headline`: first who is better, on the weighted mean, then the largest cause of that."""
+    pair = result.pair(other)
+    first, *others = verdict_parts(pair, other)
+    found = pair.unconverged.split("; ") if pair.unconverged else []
+    causes = [words for words in found if not words.startswith(NOT_CONVERGED)]
+    begin = [first]
+    if conditions_disagree(pair, other):
+        begin, others = ["the conditions disagree", f"weighted mean: {first}"], [*others, *_answers_of_conditions(pair, other)]
+    return with_headline([*begin, *causes, *others], next((words for words in found if words.startswith(NOT_CONVERGED)), ""))
+
+
+def answers(result: Comparison) -> list[list[str]]:
+    """Return the answer for each later sensor, and the order of three and more, each as of `with_headline`."""
+    found = [answer(result, other) for other in result.names[1:]]
+    return found + ([with_headline(ranking_words(result).split("; "))] if result.pairs else [])
 
 
 def headlines(result: Comparison) -> list[str]:
-    """Return the answer for each later sensor, and the order of three and more."""
+    """Return the answers, each as one text."""
     return [*(headline(result, other) for other in result.names[1:]), *([ranking_words(result)] if result.pairs else [])]
 
 

@@ -109,7 +109,7 @@ def _codes(physics: PixelPhysics, white_e: float, integration_s: float, lightest
         words = "dark charge leaves no code of the ADC for light"
         hint = f"a shorter exposure ({setting('exposure.max_integration_s')}), or a cooler sensor"
     elif white_e > range_e:
-        words = f"only {codes:.2g} codes of the ADC between black and the end of its range"
+        words = f"only {codes:.2g} codes of the ADC between black and its end"
         hint = f"more bits ({setting('pixel.bits')}), or less black level ({setting('pixel.black_level_dn')}) or dark charge"
     elif codes >= FEWEST_CODES:
         words = f"the lightest dot is {signal:.2g} of a step of the ADC above black"

@@ -6,15 +6,15 @@ What is largest is named first.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import told_apart
 from pixsim.viewer.causes import Cause
 
 MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
-NOT_CONVERGED = "not converged"
 
 
 def with_error(value: float, error: float) -> str:
@@ -25,6 +25,11 @@ def with_error(value: float, error: float) -> str:
     """
     decimals = MOST_DECIMALS if error <= 0 else min(max(-math.floor(math.log10(error)) + (error < FINE), 1), MOST_DECIMALS)
     return f"{value:.{decimals}f} ± {error:.{decimals}f}"
+
+
+def cause_words(causes: Sequence[Cause]) -> str:
+    """Return the largest of some causes in brackets, the first one; empty without any."""
+    return f" ({causes[0].words}{', …' if len(causes) > 1 else ''})" if causes else ""
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,9 @@ class LightError:
         return self.number(mean_delta_e) + ("" if self.converged else f", {NOT_CONVERGED}")
 
     def number(self, mean_delta_e: float) -> str:
-        """Return a mean ΔE as text, with the film's error if that is above its limit, and with its causes.
+        """Return a mean ΔE as text, with the film's error if that is above its limit, and with its largest cause.
+
+        "…" stands for smaller causes, which the lines below a headline name.
 
         >>> LightError(3.6, 0.02, causes=(Cause("all codes are equal", 100.0, "more bits"),)).number(76.54)
         '76.5 (all codes are equal) ± 3.6 (film)'
@@ -99,10 +106,8 @@ class LightError:
         elif film:
             value, _, error = with_error(mean_delta_e, film).partition(" ")
             error = f" {error} (film)"
-        before = [cause.words for cause in self.causes if not cause.delta_e < film]
-        after = [cause.words for cause in self.causes if cause.delta_e < film]
-        first, last = (f" ({'; '.join(words)})" if words else "" for words in (before, after))
-        return f"{value}{first}{error}{last}"
+        cause = cause_words(self.causes)
+        return f"{value}{error}{cause}" if cause and self.causes[0].delta_e < film else f"{value}{cause}{error}"
 
     def errors(self, mean_delta_e: float) -> list[tuple[float, str]]:
         """Return the errors above their limits, the largest first: how much of this mean ΔE each can make, and its words.

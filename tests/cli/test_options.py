@@ -124,6 +124,13 @@ def test_with_each_format_leaves_other_words() -> None:
         ("study pixel-size 'a b.toml'", "goes after --config: --config 'a b.toml'"),
         ("datasheet 0.35um my.toml", "goes after --config: --config my.toml"),
         ("template sensor my.toml", "A file to write goes after -o: -o my.toml"),
+        (
+            "template --out my.toml",
+            "template: got --out, which is for folders; allowed: --json, --no-json, --of, --output, -o. A file",
+        ),
+        ("template sensor --out 'a b.toml'", "A file to write goes after -o: -o 'a b.toml'"),
+        ("chart csf --out=out.exr --width 9", "A file to write goes after -o: -o out.exr"),
+        ("chart csf --out", "A file to write goes after -o: -o FILE"),
         ("chart csf out.exr -o other.exr", "A file to write goes after -o: -o out.exr"),
         ("study pixel-size csf", "A scene goes after --scene: --scene csf"),
         ("run csf flat", "further word 'flat'; allowed: SCENE and options."),  # it takes one

@@ -265,7 +265,7 @@ def test_entries_at_gain_and_with_mismatch_within_standard_errors(options: dict[
     noise_e2 = plain.reset_noise_e**2 + plain.read_noise_e**2 + (options.get("read_noise_after_gain_e", 0.0) / g) ** 2
     dark_e = plain.dark_current_e_per_s * made.experiment.integration_s
     assert by_symbol(made)["σ_d"].true == pytest.approx(math.sqrt(noise_e2 + dark_e), rel=1e-12)
-    assert (f"{gain_db:g} dB" in described(made)) == (gain_db > 0)
+    assert (f"{gain_db:g} dB" in "; ".join(described(made))) == (gain_db > 0)
     assert not any("hot pixels" in note for note in made.notes)
 
 
@@ -348,7 +348,7 @@ def test_colour_entries_measured_within_standard_errors(colour_sheet: DataSheet)
     """Of 46 entries; a normal pull exceeds 4.5 once in 150 000."""
     test_entries_measured_within_standard_errors(colour_sheet)
     physics, lines = derive(colour_pixel()), by_symbol(colour_sheet)
-    assert "530 nm on channel G" in described(colour_sheet)
+    assert "530 nm on channel G" in "; ".join(described(colour_sheet))
     assert any("those of G" in note for note in colour_sheet.notes)
     for symbol, letter in (("η", "G"), ("η_R", "R"), ("η_B", "B")):
         (channel,) = (one for one in physics.channels if one.channel == letter)

@@ -13,7 +13,7 @@ from scipy.special import erf
 
 from pixsim import PixsimError, edge_response, write_frame
 from pixsim.light.exr import write_channels
-from pixsim.measure.sfr import NYQUIST_CY_PER_PX, first_crossing, read_edge_picture, sfr_line, sfr_summary as summary
+from pixsim.measure.sfr import NYQUIST_CY_PER_PX, first_crossing, read_edge_picture, sfr_parts, sfr_summary as summary
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import RawFrame
 
@@ -374,7 +374,7 @@ def test_sfr_command_writes_files(tmp_path: Path) -> None:
 def test_sfr_summary_without_pitch_has_no_millimetres() -> None:
     result = summary(edge_response(gaussian_edge(sigma_px=0.1)), None)
     assert "mtf50_cy_per_mm" not in result
-    assert "above 1 cy/px" in sfr_line(result)
+    assert "above 1 cy/px" in sfr_parts(result)[0]
 
 
 @pytest.mark.parametrize(

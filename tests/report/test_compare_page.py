@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +15,8 @@ from helpers.browser import assert_fits, assert_prints, assert_sliders_move, nee
 from helpers.commands import assert_refused, command
 from helpers.looks import text_of
 
-from pixsim.studies.compare import Comparison, elsewhere_note, headline, shown_delta_e, verdict
+from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
+from pixsim.studies.compare import Comparison, answer, elsewhere_note, headline, shown_delta_e, verdict, verdict_parts
 from pixsim.studies.viewing import Viewing, ViewingRange
 
 SMALL = "--display.dots 120 --resolution 256 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
@@ -373,6 +375,25 @@ def test_headline_names_the_conditions_that_disagree(night: list[float], disagre
     if disagree:
         named = [f"{name} (weight 0.5): {verdict(part, 'b')}" for part, name in zip(parts, ("day", "night"), strict=True)]
         assert words == "; ".join(["the conditions disagree", *named, f"weighted mean: {verdict(both, 'b')}"])
+
+
+def test_headlines_are_short_whatever_the_result_is() -> None:
+    """At most 30 words, with who is better and that a render is too noisy; nothing is lost below."""
+    noisy = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"
+    cause = "a: the lightest dot is 0.99 of a step of the ADC above black"
+    shown = (
+        {CHOSEN: A_BY_02}, {CHOSEN: NEITHER, NEAR: NEITHER}, {CHOSEN: A_BY_02, NEAR: A_BY_06}, {CHOSEN: A_BY_02, FEW: B_BY_02},
+        {CHOSEN: A_BY_02, FEWER: NEITHER, FEW: B_BY_02, NEAR: NEITHER, FAR: B_BY_02},
+    )  # fmt: skip
+    for values, film, unsure in product(shown, (0.0, 0.1, None), ("", noisy, cause, f"{cause}; {noisy}")):
+        given = viewed_of(values, film)
+        object.__setattr__(given, "__class__", type("Given", (type(given),), {"unconverged": unsure}))
+        head, *rest = answer(given, "b")
+        assert len(head.split()) <= MOST_WORDS
+        assert ("not converged" in head) == (noisy in unsure)
+        fits = len(f"{verdict_parts(given, 'b')[0]} {cause} {NOT_CONVERGED}".split()) <= MOST_WORDS
+        assert (cause in head) == (cause in unsure) or not fits
+        assert all(part in "; ".join([head, *rest]) for part in headline(given, "b").split("; "))
 
 
 def test_headline_says_that_a_render_is_too_noisy() -> None:

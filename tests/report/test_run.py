@@ -317,7 +317,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("ran") / "out"
     code, message, err = command(f"{LINE} {out}")
     assert code == 0, err
-    assert message.splitlines()[0].endswith(f"report: {out / 'report.html'}")
+    assert message.splitlines()[-1] == f"report: {out / 'report.html'}"
     return out
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from helpers.commands import assert_refused, command
-from helpers.edits import decision, left_out, load
+from helpers.edits import decision, edited, left_out, load
 from scipy.stats import t as student
 
 import pixsim
@@ -134,6 +134,18 @@ def test_plan_line_lamp_needs_one_pulse():
     plan = make_render_plan(load("macbeth", lamp="spectra/laser_532nm.spd"), tolerance_e=1e-4)
     assert plan.bound_e <= 1e-4
     assert plan.passes == 1 < plan.full_passes
+
+
+@pytest.mark.parametrize(("opens", "closes", "notes"), [(0, 0.01, 1), (-0.5, 0.5, 1), (0.5, 0.5, 0)])
+def test_plan_says_that_a_shutter_of_the_scene_changes_nothing(opens, closes, notes, tmp_path):
+    shutter = f'<float name="shutter_open" value="{opens}"/><float name="shutter_close" value="{closes}"/>'
+    path = edited(tmp_path, "macbeth", ('<float name="fov"', f'{shutter}<float name="fov"'))
+    told = [note for note in make_render_plan(load(path, resolution=16)).warnings if "shutter" in note]
+    assert len(told) == notes
+    for note in told:
+        assert f"shutter_open {opens:g} and shutter_close {closes:g} change nothing" in note
+        assert "Exposure(integration_s=…) sets the exposure" in note
+    assert not make_render_plan(load("macbeth", resolution=16)).warnings
 
 
 def test_plan_unreachable_tolerance_warns():

@@ -16,7 +16,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import CameraOptions, LensOptions
 from pixsim.light.exr import write_channels
 from pixsim.light.spectral import grid_nm
-from pixsim.scene import charts
+from pixsim.scene import charts, illuminance
 from pixsim.scene.contents import Lamp, find_lamp, find_lamps, white_of
 from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.scene import packaged_scenes
@@ -89,8 +89,67 @@ def test_lux_is_the_light_in_which_a_white_diffuser_has_the_charts_luminance() -
     assert lit.parameters == shining.parameters
     with pytest.raises(PixsimError, match=r"lux: got '500' beside luminance_cd_per_m2; allowed: one of them\."):
         load("csf", lux=500, luminance_cd_per_m2=10)
-    with pytest.raises(PixsimError, match=r"scene parameter: got 'lux'; allowed: (?!.*lux)"):
-        load("macbeth", lux=500)
+
+
+def test_lux_of_a_lit_scene_scales_all_lamps_and_white(tmp_path: Path) -> None:
+    """Each lamp by the same factor, whatever its kind of spectrum; the balance is that of the file."""
+    body = """<default name="lux" value="200"/><default name="white_cd_per_m2" value="60"/>
+        <default name="near" value="2"/><default name="far" value="3"/>
+        <emitter type="point" id="number"><float name="intensity" value="$near"/></emitter>
+        <emitter type="point" id="whole"><integer name="intensity" value="2"/></emitter>
+        <emitter type="point" id="colour"><rgb name="intensity" value="1, 2, 3"/></emitter>
+        <emitter type="constant" id="table"><spectrum name="radiance" value="360:1, 830:2"/></emitter>
+        <emitter type="point" id="daylight"><texture type="d65" name="intensity"/></emitter>
+        <emitter type="point" id="scaled"><texture type="d65" name="intensity">
+            <float name="scale" value="$far"/></texture></emitter>
+        <emitter type="point" id="same"><spectrum type="uniform" name="intensity">
+            <float name="value" value="4"/></spectrum></emitter>
+        <shape type="sphere"><emitter type="area" id="regular"><spectrum type="regular" name="radiance">
+            <string name="range" value="360 830"/><string name="values" value="1 2 3"/></spectrum></emitter></shape>"""
+    path = write_scene(tmp_path, sensor_xml(), body)
+
+    def luminances(**parameters: object) -> np.ndarray:
+        scene = load(path, **parameters)
+        found = illuminance.luminances(find_lamps(scene.parse(), scene.choice.reading))
+        return np.array([found[index] for index in sorted(found)])
+
+    assert len(luminances()) == 8
+    np.testing.assert_allclose(luminances(lux=50), luminances() / 4, rtol=1e-6)
+    assert load(path, lux=50).white_cd_per_m2 == pytest.approx(15, rel=1e-12)
+    assert load(path, lux=50, white_cd_per_m2=7).white_cd_per_m2 == 7
+    with pytest.raises(PixsimError, match=r"lux: got '50' beside far, with another balance of the lamps"):
+        load(path, lux=50, far=1)
+
+
+def test_lux_of_one_lamp_holds_with_another_spectrum(tmp_path: Path) -> None:
+    """A lamp of the user's has any unit: the illuminance is that of the file's own lamp, in the ratio of their light."""
+    (tmp_path / "flat.spd").write_text("360 7\n830 7\n")
+    lamp = str(tmp_path / "flat.spd")
+    scene = load("macbeth", lux=500, lamp=lamp)
+    (found,) = find_lamps(scene.parse(), scene.choice.reading)
+    assert found.luminance_cd_per_m2 == pytest.approx(500 * math.sqrt(2), rel=1e-5)  # across the light, which comes at 45 degrees
+    assert scene.white_cd_per_m2 == pytest.approx(500 / math.pi, rel=1e-8)
+
+
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "bright", "1e12"])
+def test_lux_that_is_no_illuminance(value: str) -> None:
+    with pytest.raises(PixsimError, match=r"lux: got "):
+        load("macbeth", lux=value)
+
+
+def test_lux_of_a_scene_that_states_none_says_what_to_write(tmp_path: Path) -> None:
+    lamp = '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>'
+    path = write_scene(tmp_path, sensor_xml())
+    with pytest.raises(PixsimError, match=r"'scene\.xml' states no illuminance; allowed: .*<default name=\"lux\".* lux='500' then"):
+        load(path, lux=500)
+    write_channels(tmp_path / "sky.exr", {name: np.ones((4, 8), np.float32) for name in "RGB"}, {})
+    path = write_scene(tmp_path, '<default name="lux" value="1000"/>', sensor_xml(), lamp)
+    with pytest.raises(PixsimError, match="lux: got '500', but the light of the emitters is unknown"):
+        load(path, lux=500)
+    lamp = '<emitter type="point"><spectrum type="blackbody" name="intensity"><float name="temperature" value="3000"/></spectrum>'
+    path = write_scene(tmp_path, '<default name="lux" value="1000"/>', sensor_xml(), f"{lamp}</emitter>")
+    with pytest.raises(PixsimError, match=r"lux: got an emitter 'point' in line 3 of 'scene\.xml' whose light is no number"):
+        load(path, lux=500)
 
 
 def test_lux_of_a_scene_with_a_parameter_of_this_name_is_its_own(tmp_path):

@@ -73,19 +73,53 @@ def test_reflectance_above_1_is_warned_of_and_above_1_5_refused_with_its_place(k
         judge(50)
 
 
+REFERRED = {
+    "a table": '<spectrum type="irregular" id="paint"><string name="wavelengths" value="400 700"/>'
+    '<string name="values" value="{0} {0}"/></spectrum>',
+    "a number": '<texture type="uniform" id="paint"><float name="value" value="{}"/></texture>',
+    "a checkerboard": '<texture type="checkerboard" id="paint"><spectrum name="color1" value="400:{0}, 700:{0}"/></texture>',
+    "a part of one": '<texture type="uniform" id="part"><float name="value" value="{}"/></texture>'
+    '<texture type="checkerboard" id="paint"><ref name="color0" id="part"/></texture>',
+    "an alias": '<texture type="uniform" id="part"><float name="value" value="{}"/></texture><alias id="part" as="paint"/>',
+}
+
+
+@pytest.mark.parametrize("kind", REFERRED)
+@pytest.mark.parametrize("before", [True, False])
+def test_reflectance_by_reference_is_checked_where_its_numbers_stand(kind: str, before: bool, tmp_path: Path) -> None:
+    shape = '<shape type="sphere"><bsdf type="diffuse"><ref name="reflectance" id="paint"/></bsdf></shape>'
+
+    def judge(value: float, used: str = shape) -> None:
+        texture = f"\n{REFERRED[kind].format(value)}\n"
+        parts = texture + used if before or "<alias" in texture else used + texture
+        (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{parts}</scene>', encoding="utf-8")
+        judge_scene(tmp_path / "scene.xml", {})
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        judge(1.0)
+        judge(50, '<emitter type="constant"><ref name="radiance" id="paint"/></emitter>')  # light has any number
+    with pytest.warns(UserWarning, match=r"is 1\.02 in line 2 of 'scene.xml'"):
+        judge(1.02)
+    with pytest.raises(PixsimError, match=r"50 in line 2 of 'scene.xml'; allowed: up to 1.*In per cent\? Divide by 100: 0\.5"):
+        judge(50)
+
+
 def test_file_in_per_cent_is_a_share(tmp_path: Path) -> None:
     (tmp_path / "a.spd").write_text("nm;reflectance (%)\n400;50\n700;62,5\n", encoding="utf-8")
     path = scene_of(tmp_path, '<spectrum name="reflectance" filename="a.spd"/>')
     assert 'value="400:0.50, 700:0.625"' in judge_scene(path, {}).text
 
 
-def test_picture_of_a_reflectance_above_1_5_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["reflectance", "color0"])
+def test_picture_of_a_reflectance_above_1_5_is_refused(name: str, tmp_path: Path) -> None:
     """A picture has no numbers in the XML: it is judged when the scene is loaded."""
     table = '<spectrum name="reflectance" value="360:50, 830:50"/>'
     picture = (
-        '<texture type="bitmap" name="reflectance"><string name="filename" value="a.exr"/>'
-        '<boolean name="raw" value="true"/></texture>'
+        f'<texture type="bitmap" name="{name}"><string name="filename" value="a.exr"/><boolean name="raw" value="true"/></texture>'
     )
+    if name == "color0":
+        picture = f'<texture type="checkerboard" name="reflectance">{picture}</texture>'
     text = (CASES / "39-xml-reflectance-percent/full.xml").read_text(encoding="utf-8")
     assert table in text
     (tmp_path / "flat.xml").write_text(text.replace(table, picture), encoding="utf-8")

@@ -184,8 +184,8 @@ def test_chart_with_contrast_has_no_cause() -> None:
     ("options", "words"),
     [
         ({"full_well_e": 1e9, "bits": 12}, "of a step of the ADC above black"),
-        ({"bits": 2, "black_level_dn": 0}, "only 3 codes of the ADC between black and the end of its range"),
-        ({"bits": 10, "black_level_dn": 1020}, "only 3 codes of the ADC between black and the end of its range"),
+        ({"bits": 2, "black_level_dn": 0}, "only 3 codes of the ADC between black and its end"),
+        ({"bits": 10, "black_level_dn": 1020}, "only 3 codes of the ADC between black and its end"),
         ({"full_well_e": 2e7, "bits": 9}, "codes of the ADC between black and display white"),
         ({"dark_current_e_per_s": 1e9}, "dark charge leaves no code of the ADC for light"),
     ],
@@ -213,7 +213,7 @@ def test_signal_below_one_step_is_named_beside_a_bright_white() -> None:
 
 def test_largest_cause_is_named_first() -> None:
     few, left_out = Cause("few codes", 50.0, "more bits"), Cause("light left out", 2.0, "a filter")
-    assert LightError(3.6, 0.02, causes=(few, left_out)).number(76.5) == "76.5 (few codes) ± 3.6 (film) (light left out)"
+    assert LightError(3.6, 0.02, causes=(few, left_out)).number(76.5) == "76.5 (few codes, …) ± 3.6 (film)"
     noisy = LightError(0.6, 0.02, 2.0, 0.2)
     assert [words.split()[0] for _, words in noisy.errors(0.5)] == ["the", "render"]
     assert [words.split()[0] for _, words in noisy.errors(5.0)] == ["render", "the"]  # 1 - 1/√5 of 5 is 2.8

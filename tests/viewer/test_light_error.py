@@ -12,7 +12,7 @@ from pixsim.base.caller import command_line
 from pixsim.report.wording import (
     mean_words,
     optimum_line,
-    score_line,
+    score_parts,
     study_light_lines,
     study_unconverged_lines,
     unconverged_lines,
@@ -53,7 +53,7 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
     assert all(reason in line for line in lines for reason in reasons)
     frame = {"pixels": [8, 8], "border_um": [0, 0], "display": {"raster": "one_to_one"}, "integration_s": 0.01, "pitch_um": 5.0}
     frame |= {"exposure": {"integration_s": 0.01}, "camera": {}, "saturated_fraction": 0.0, "assumption": ""}
-    assert score_line(result | frame).startswith(f"mean ΔE {shown}{',' * bool(reasons)} with 8 × 8 pixels")
+    assert score_parts(result | frame)[0].startswith(f"mean ΔE {shown}{',' * bool(reasons)} with 8 × 8 pixels")
 
 
 @pytest.mark.parametrize(

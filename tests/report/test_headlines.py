@@ -1,0 +1,121 @@
+"""The first line of every answer is read at a glance: at most 30 words, whatever the result is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import product
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pixsim.base.headline import MOST_WORDS, with_headline
+from pixsim.measure.sfr import sfr_parts
+from pixsim.report.uncertainty import uncertainty_lines
+from pixsim.report.wording import compromise_lines, mean_words, optimum_line, optimum_parts, score_parts
+from pixsim.sensor.outside import outside_words
+from pixsim.studies.viewing import Viewing
+from pixsim.viewer.causes import Cause
+from pixsim.viewer.light_error import LightError
+
+FILM = {"shape": [256, 256], "tolerated_delta_e": [0.02], "met": False, "limit": "the limit of 4096 samples across for 20 pictures"}
+FILMS = [None, FILM | {"delta_e": 0.6}, FILM | {"delta_e": None}, FILM | {"delta_e": 0.01, "met": True}]
+NOISE = {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}
+NOISES = [{}, {"render_noise": NOISE}]
+CAUSES = [  # the longest words of each kind
+    Cause("only 3.1 codes of the ADC between black and display white", 64.0, "more bits"),
+    Cause("the ideal image has no contrast, L* 0.0 to 0.9", 50.0, "a scene with detail"),
+    Cause(outside_words(0.3), 20.0, "a filter"),
+    Cause("the lightest dot is 0.99 of a step of the ADC above black", 1.0, "more bits"),
+]
+NAMED = [[], CAUSES[:1], CAUSES[2:3], CAUSES[3:], CAUSES[2:]]
+DISPLAY = {"raster": "fixed_size", "dots": 512}
+
+
+def runs() -> Iterator[dict[str, Any]]:
+    """score.json of runs."""
+    for film, header, causes, budget, longest in product(FILMS, NOISES, NAMED, (None, 0.002, math.nan), (0.1, 1.0)):
+        result = {"mean_delta_e": 76.54, "irradiance": header, "causes": [cause.as_dict() for cause in causes]}
+        result |= {"film": film} if film else {}
+        result |= {"pixels": [4170, 4170], "border_um": [10.6, 10.6], "display": DISPLAY, "pitch_um": 5.857, "camera": {}}
+        result |= {"exposure": {"integration_s": None, "max_integration_s": longest}, "integration_s": 0.1}
+        result |= {"saturated_fraction": 0.25, "assumption": "technology 0.35um assumed, without read_noise_e", "sensors": 12}
+        if budget is not None:
+            total = {"delta_e": None if math.isnan(budget) else budget}
+            result |= {"error_budget": {"met": False, "total": total}, "sensors_mean_delta_e": 76.5432}
+        yield result
+
+
+def curves() -> Iterator[Any]:
+    """Curves of studies, in all the ways in which their optimum can be known."""
+    pitch_um = np.geomspace(0.47, 15.0, 8)
+    intervals = [(7.35, 7.88), (None, None), (None, 7.88), (7.35, None), (None, 0.4), (16.0, None)]
+    chosen = product(intervals, (True, False), (None, (1.25, 12.74), (0.47, 15.0)), (False, True), FILMS, NOISES, NAMED)
+    for interval, inside, alike, swings, film, header, causes in chosen:
+        within = {"within_1_percent_um": (None, None), "within_2_percent_um": (None, None)}
+        best = SimpleNamespace(pitch_um=7.5, inside=inside, mean_delta_e=76.5, interval_um=interval, **within)
+        view = SimpleNamespace(viewing=Viewing(512, 11.5), inside=True, optimum=best)
+        yield SimpleNamespace(
+            label="data sheet", optimum=best, pitch_um=pitch_um, light=LightError.of(header, film, causes), fit_swings=swings,
+            no_difference_um=alike, alike_um=None, mean=lambda: np.full(8, 76.5), from_smallest=True, viewed=[view, view],
+            fit=SimpleNamespace(delta_e=np.full(8, 77.0)),
+        )  # fmt: skip
+    for film, causes in product(FILMS, NAMED):
+        light = LightError.of({}, film, causes)
+        yield SimpleNamespace(label="4t-bsi", alike_um=(0.47, 15.0), light=light, mean=lambda: np.full(8, 76.5), viewed=[])
+
+
+def check(parts: list[str], unsure: str = "") -> str:
+    """Return the headline of parts: short, and nothing is lost below it."""
+    head, *rest = with_headline(parts, unsure)
+    assert len(head.split()) <= MOST_WORDS, head
+    assert all(part in "; ".join([head, *rest]) for part in parts)
+    assert not unsure or unsure.partition(":")[0] in head
+    return head
+
+
+def test_headlines_of_runs_are_short_and_name_the_largest_cause() -> None:
+    for result in runs():
+        head = check(score_parts(result))
+        assert head.startswith(f"mean ΔE {mean_words(result)}")
+        assert not result["causes"] or result["causes"][0]["words"] in head
+        assert ("not converged" in head) == ("not converged" in mean_words(result))
+        assert len(f"Mean ΔE {mean_words(result)} from the ideal image".split()) <= MOST_WORDS  # of the page
+
+
+def test_headlines_of_studies_are_short() -> None:
+    count = 0
+    for curve in curves():
+        head = check(optimum_parts(curve))
+        assert optimum_line(curve).startswith(head.partition(" (95 %")[0].partition("; ")[0][:30])
+        count += 1
+    assert count > 1000
+
+
+def test_headlines_of_compromises_are_short() -> None:
+    for interval in ((2.3, 2.9), (None, 2.9), (2.3, None), (None, None)):
+        best = SimpleNamespace(mean_delta_e=0.615, pitch_um=2.45, interval_um=interval)
+        regret = SimpleNamespace(delta_e=0.027, pitch_um=2.26, interval_um=interval, condition="a dim room with a warm lamp")
+        lines = compromise_lines(SimpleNamespace(label="data sheet", best=best, regret=regret))
+        assert len(lines[0].split()) <= MOST_WORDS
+        assert "worst regret" in " ".join(lines)
+
+
+@pytest.mark.parametrize("quantile", [7.5, None])
+@pytest.mark.parametrize("own_sd", [0.0, 0.1])
+def test_headlines_of_sensor_types_are_short(quantile: float | None, own_sd: float) -> None:
+    optimum = SimpleNamespace(quantiles=dict.fromkeys(("p05", "p50", "p95"), quantile), own_sd=own_sd)
+    found = SimpleNamespace(label="data sheet, night", outcomes=range(200), optimum=optimum, verdicts={})
+    lines = uncertainty_lines([found])  # type: ignore[list-item]
+    assert len(lines[0].split()) <= MOST_WORDS
+
+
+def test_headlines_of_edges_are_short() -> None:
+    for mtf50, channel, pitch_um, own in product((None, 0.312), (None, "luminance", "G"), (None, 3.45), (0.5, 0.354)):
+        result = {"highest_frequency_cy_per_px": 1.0, "mtf50_interval_cy_per_px": [0.3, None], "mtf50_cy_per_px": mtf50}
+        result |= {"pitch_um": pitch_um, "mtf50_cy_per_mm": 90.4, "sfr_at_nyquist": 0.2, "sfr_at_nyquist_interval": [0.1, 0.3]}
+        result |= {"channel": channel, "channel_nyquist_cy_per_px": own, "sfr_at_channel_nyquist": 0.4, "angle_deg": 5.0}
+        result |= {"half_window_px": 32.0, "rows_used": 512, "contrast": 0.8, "interval_coverage": 0.95}
+        check(sfr_parts(result))
