@@ -1578,7 +1578,7 @@ def as_pixel_count(value: Any) -> Any:
     if not isinstance(value, list | tuple) or len(value) != 2:
         hint = "The number of samples across the film is resolution." if isinstance(given, int) else ""
         example = "1936x1216" if isinstance(given, str) else "[1936, 1216]"
-        raise ValueError(f"got {given!r}; allowed: columns and rows, as {example}.{hint and ' '}{hint}")
+        raise ValueError(f"got {brief(given)}; allowed: columns and rows, as {example}.{hint and ' '}{hint}")
     return value
 
 
@@ -1797,6 +1797,7 @@ class Effort(Record):
     )
 
 
+MOST_PITCHES = 1000  # of a study: a curve of its optimum needs some dozen
 PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
 
 
@@ -1806,8 +1807,8 @@ class PitchRange(Record):
     min_fill_factor: Fraction = Field(0.05, description="fill factor of the smallest pixel size")
     min_um: Pitch | None = Field(None, description="smallest pixel size, in place of min_fill_factor")
     max_um: Pitch = Field(15.0, description="largest pixel size")
-    count: Annotated[int, Field(ge=5, le=1000)] = Field(24, description="number of pixel sizes")
-    values_um: Annotated[tuple[Pitch, ...], BeforeValidator(_as_list)] | None = Field(
+    count: Annotated[int, Field(ge=5, le=MOST_PITCHES)] = Field(24, description="number of pixel sizes")
+    values_um: Annotated[tuple[Pitch, ...], Field(max_length=MOST_PITCHES), BeforeValidator(_as_list)] | None = Field(
         None, description="list of pixel sizes, in place of min, max and count"
     )
     own_um: Pitch | None = Field(
@@ -1822,7 +1823,8 @@ class PitchRange(Record):
         return self.max_um if self.values_um is None else max(self.values_um)
 
 
-AXIS_COUNT = 1000
+AXIS_COUNT = 1000  # values of an axis, and axes, conditions and technologies of a study
+MOST_TOGETHER = 100  # settings of an axis that take each value together
 NOT_NAMES = {"pitch", "technology", "pitch_um", "repeat", "key", "condition"}  # columns of a study's rows
 PITCH_TABLE = "pitch"
 # Settings of the study as a whole, with a hint.
@@ -1999,9 +2001,11 @@ class Axis(Record):
     """
 
     name: CaseName = Field(description="name in columns and for --axis", examples=['name = "lens"'])
-    set: Annotated[tuple[DottedSetting, ...], BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...])] = Field(
-        (), description="dotted settings that take each value together"
-    )
+    set: Annotated[
+        tuple[DottedSetting, ...],
+        Field(max_length=MOST_TOGETHER),
+        BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...]),
+    ] = Field((), description="dotted settings that take each value together")
     values: Annotated[tuple[OneOfAxis, ...], Field(max_length=AXIS_COUNT)] | None = Field(
         None, description="numbers or names, or tables of label and set"
     )
@@ -2172,7 +2176,7 @@ class Study(Effort):
     )
     title: str = Field("", description="title of the report")
     seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the render, the sensors and their noise")
-    technologies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
+    technologies: Annotated[tuple[str, ...], Field(min_length=1, max_length=AXIS_COUNT)] = Field(
         ("0.35um",),
         description="packaged technologies, or paths of TOML files with a technology or a data sheet ([pixel]); each gives a curve",
     )
@@ -2215,8 +2219,12 @@ class Study(Effort):
     correction: Correction = Field(Correction(), description="correction of every frame by the camera")
     develop: Develop = Field(Develop(), description="how frames with colour filters become pictures")
     display: Display = Field(Display(), description="display, viewer and metric")
-    axis: tuple[Axis, ...] = Field((), description="what the study varies beside the pixel size")
-    condition: tuple[Condition, ...] = Field((), description="circumstances in which the pixel is used; each has its own optimum")
+    axis: Annotated[tuple[Axis, ...], Field(max_length=AXIS_COUNT)] = Field(
+        (), description="what the study varies beside the pixel size"
+    )
+    condition: Annotated[tuple[Condition, ...], Field(max_length=AXIS_COUNT)] = Field(
+        (), description="circumstances in which the pixel is used; each has its own optimum"
+    )
     sources: dict[str, str] = Field(default_factory=dict, description="sources of values: dotted name -> text")
     quick: dict[str, Any] = Field(default_factory=dict, description="values that replace those above with --quick")
 

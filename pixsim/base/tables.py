@@ -21,11 +21,13 @@ from pixsim.base.files import read_bytes
 from pixsim.base.notes import warn
 
 COMMENT = "#"
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?|[+-]?(nan|inf)", re.IGNORECASE)
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?|[+-]?(nan|inf)", re.IGNORECASE)
 BEGINS_NUMBER = re.compile(r'\s*"?[+-]?[.,]?\d')
 # Between titles that blanks part: two blanks, one that is neither before nor within brackets, a comma, one after a bracket.
 WAYS = (r"\s{2,}|\t", r"\s+(?![(\[])(?![^(\[]*[)\]])", r"\s*,\s*", r"(?<=[)\]])\s+")
 MAX_DIGITS = 400  # of a cell: more than any double needs
+# Titles stand close above the numbers, in short cells; the time to look for words and units in one grows with its square.
+MAX_TITLE, MOST_TITLES = 1000, 100
 # Words of a title for a unit of wavelength: its symbol. A lone A is one only in brackets.
 UNIT_WORDS = {
     **dict.fromkeys(("nm", "nanometer", "nanometre"), "nm"),
@@ -184,7 +186,7 @@ def read_table(
         rows.reverse()
     count = min(map(len, rows), default=1)
     width = min((len(row) for _, row in cells.rows[len(headers) :]), default=1)
-    named = [titles for header in headers if (titles := _titles(header, width, cells.separator))]
+    named = [titles for header in headers[-MOST_TITLES:] if (titles := _titles(header, width, cells.separator))]
     if least > 1 and not named and headers and len(headers[-1]) > 1:
         got = f"'{path}' with {len(headers[-1]) - 1} channels in the title and {count - 1} values"
         raise ValueError(f"got {got}; allowed: {allowed}, as wavelength_nm,R,G,B")
@@ -236,7 +238,9 @@ def _are_swapped(nm: Sequence[Decimal], values: Column) -> bool:
 
 
 def _titles(header: Sequence[str], count: int, separator: str | None, ways: Sequence[str] = WAYS) -> list[str]:
-    """Title of each of `count` columns; empty if a header has another number of them."""
+    """Title of each of `count` columns; empty if a header has another number of them, or longer texts."""
+    if max(map(len, header), default=0) > MAX_TITLE:
+        return []
     if separator is not None or not header:
         return list(header) if len(header) == count else []
     (line,) = header
@@ -261,6 +265,8 @@ def unit_of_wavelength(text: str) -> str:
     >>> unit_of_wavelength("wavelength_nm"), unit_of_wavelength("Micrometers"), unit_of_wavelength("λ (A)")
     ('nm', 'µm', 'Å')
     """
+    if len(text) > MAX_TITLE:
+        return ""
     if any(inner.strip() == "A" for inner in IN_BRACKETS.findall(text)):
         return "Å"
     return next((UNIT_WORDS[word] for word in _words(text) if word in UNIT_WORDS), "")

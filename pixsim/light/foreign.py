@@ -37,6 +37,7 @@ TOKEN = r"[A-Za-z]+|\^?[+-]?\d+|[*/()]"
 UNIT = re.compile(rf"({PREFIX})?(W|m|[sS][rR])")
 AS_ASCII = str.maketrans("µμ·⋅.−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "uu***--0123456789")
 # Unknown symbols, missing operands, huge powers, deeply nested brackets.
+MAX_UNIT = 200  # characters; the time to take a text apart grows with the square of its factors
 NOT_A_UNIT = (AttributeError, IndexError, ValueError, OverflowError, RecursionError)
 Powers = NDArray[np.int64]  # of watt, metre, steradian and ten
 
@@ -64,6 +65,8 @@ def parse_light_unit(text: str, what: str = "units", typed: bool = True) -> Ligh
 
     Raises PixsimError if the text does not parse, or is neither an irradiance nor a radiance.
     """
+    if len(text) > MAX_UNIT:
+        raise invalid(what, excerpt(text), ALLOWED_UNITS, HOW_TO_STATE)
     plain = re.sub(r"\^[({]([+-]?\d+)[)}]", r"^\1", text.translate(AS_ASCII).replace("**", "^"))
     watt = metre = steradian = ten = 0
     tokens = re.findall(TOKEN, plain)
@@ -113,7 +116,7 @@ MAX_ENVI_HEADER, MAX_ENVI_LINES = 1 << 20, 20_000  # SPy's time grows as the squ
 GAP_VALUES = 1 << 22  # of a strip
 ENVI_DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, IndexError)
 ENVI_INTERLEAVES = ("bsq", "bil", "bip")
-ENVI_ORDER = re.compile(r"^\s*byte order\s*=", re.MULTILINE | re.IGNORECASE)
+ENVI_ORDER = re.compile(r"^[ \t]*byte order[ \t]*=", re.MULTILINE | re.IGNORECASE)
 ENVI_ASCII = {ord("µ"): "u", ord("μ"): "u", ord("Å"): "Angstrom", ord("²"): "^2", ord("⁻"): "^-", ord("¹"): "1", ord("·"): " "}
 ENVI_COMPLEX = ("6", "9")  # data types
 # Header fields that change the meaning of the stored values, with the value that changes nothing.
@@ -350,9 +353,10 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
         got = ", ".join(f"{field} = {names_in([value])[0]}" for field, value in zip(fields, values, strict=True)) + f" in '{path}'"
         raise invalid("ENVI file", got, "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers")
     for field, neutral in ENVI_NEUTRAL.items():
-        if any(float(value) != neutral for value in np.atleast_1d(header.get(field, []))):
+        stated = (float(value) for value in np.atleast_1d(header.get(field, [])))
+        if (other := next((number for number in stated if number != neutral), None)) is not None:
             allowed, hint = f"none, or {neutral:g} for each band", "Apply it (leave bad bands out) and delete it."
-            raise invalid(f"'{field}' in '{path}'", header[field], allowed, hint)
+            raise invalid(f"'{field}' in '{path}'", f"{other:g}", allowed, hint)
 
 
 def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:

@@ -42,6 +42,7 @@ from pixsim.optics.glass import (
 
 MAX_BYTES = 4 << 20  # of a file; prescriptions have some kB
 MAX_SURFACES = 200
+MAX_LINES = 50_000  # of a .zmx file, which has some dozen for each surface: operands and lines are looked up in each other
 MAX_POWER = 60  # of an asphere
 FIELD_ANGLES_DEG = (1e-6, 180.0)  # that a file may state; `lens` limits fields to what it can trace
 LONGEST_MM = 1e6
@@ -679,6 +680,8 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
     A keyword of the head belongs there wherever it stands; another one to the surface above, if it is indented or no line is.
     """
     text = lines_of(text_of(path, "lens", "a Zemax prescription, which is text", MAX_BYTES))
+    if len(text) > MAX_LINES:
+        raise invalid(f"lens '{path}'", f"{len(text)} lines", f"at most {MAX_LINES}")
     words_of = [line.split() for line in text]
     first = next((index for index, words in enumerate(words_of) if words[:1] and words[0].upper() == "SURF"), None)
     if first is None:

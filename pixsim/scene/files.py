@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from pixsim.base.errors import PixsimError, excerpt, invalid, names_in, quoted
+from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid, names_in, quoted
 from pixsim.base.files import is_utf8, read_text
 
 ALLOWED = "a readable XML file"
@@ -103,11 +103,14 @@ class SceneFiles:
             if found[1] is None:  # an escaped dollar
                 return "$"
             word: str = found[1]
-            name = next((word[:end] for end in range(len(word), 0, -1) if word[:end] in self._values), None)
+            name = max((name for name in self._values if name and word.startswith(name)), key=len, default=None)
             if name is None:
                 self.names.update(re.findall(r"^\w+", word))
-                got = f"no value for '${word}' in line {line}"
-                raise invalid(f"scene '{path}'", got, f'<default name="{word}" value="…"/> before it, or -D {word}=…')
+                is_plain = PLAIN_WORD.fullmatch(word) is not None
+                what = f"'${word}'" if is_plain else f"a parameter, {excerpt(word)},"
+                got = f"no value for {what} in line {line}"
+                shown = word if is_plain else "NAME"
+                raise invalid(f"scene '{path}'", got, f'<default name="{shown}" value="…"/> before it, or -D {shown}=…')
             self.names.add(name)
             size += len(self._values[name])
             self._left_substituted -= 1

@@ -23,7 +23,7 @@ MAX_TEXT = 128 << 20  # bytes of an OBJ or ASCII PLY, which are read as a whole
 MAX_MESH = 2048 << 20  # bytes of a binary mesh, unpacked
 MAX_HEADER = 1 << 16
 MAX_LINE = 1000  # bytes of a line of an OBJ; Mitsuba takes no more
-OBJ_NUMBER = rb"[ \t]*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?(?=[ \t\r\n]|\Z)"
+OBJ_NUMBER = rb"[ \t]*[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?(?=[ \t\r\n]|\Z)"
 AT_ONCE = 1 << 20  # vertices or faces
 CORNERS = 3
 PLY_TYPES = {
@@ -177,7 +177,7 @@ def _judge_obj(path: Path, file: IO[bytes]) -> None:
     text = _whole_text(path, file)
     if not text:
         raise invalid(f"mesh '{path}'", "an empty file", "an OBJ")
-    if re.search(rb"[^\n]{%d}" % MAX_LINE, text):
+    if re.search(rb"^[^\n]{%d}" % MAX_LINE, text, re.MULTILINE):  # begins at lines only, so that time grows with the size
         raise invalid(f"mesh '{path}'", f"a line of {MAX_LINE} bytes or more", "shorter lines, as Mitsuba needs")
     have = []
     for word, count in (("v", 3), ("vt", 2), ("vn", 3)):

@@ -294,7 +294,9 @@ def load_technology(name: str) -> Technology:
     if name == NO_TECHNOLOGY:
         return NO_PROCESS
     known = packaged("data/technologies")
-    path = known.get(name) or Path(name)
+    if name in known:
+        return _read(known[name], ())
+    path = Path(name)
     if path.suffix != ".toml" or not name:
         hint = f"{did_you_mean(name, known)} Or give the path of a TOML file.".strip()
         raise invalid("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), hint)

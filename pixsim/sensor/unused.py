@@ -351,11 +351,15 @@ def unused_notes(sensors: Mapping[str, Sequence[Configuration]]) -> list[str]:
     """
     notes: dict[str, list[str]] = {}
     for label, configurations in sensors.items():
-        first, *others = map(unused_settings, configurations)
+        unused = unused_settings(configurations[0])
+        for other in configurations[1:]:
+            if not unused:  # of thousands of cases the first ones tell
+                break
+            of_other = unused_settings(other)
+            unused = {name: why for name, why in unused.items() if name in of_other}
         by_reason: dict[str, list[str]] = {}
-        for name, why in first.items():
-            if all(name in other for other in others):
-                by_reason.setdefault(why, []).append(name)
+        for name, why in unused.items():
+            by_reason.setdefault(why, []).append(name)
         for why, names in by_reason.items():
             notes.setdefault(f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} not used: {why}", []).append(label)
     return [text if len(labels) == len(sensors) else f"{', '.join(labels)}: {text}" for text, labels in notes.items()]

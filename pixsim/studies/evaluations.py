@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable, Collection, Container, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache as cache_once, cached_property, partial
+from functools import cache as cache_once, cached_property, lru_cache, partial
 from hashlib import blake2b
 from itertools import chain, islice, pairwise
 from pathlib import Path
@@ -298,7 +298,10 @@ def study_pitches_um(study: Study, technology: str) -> Array:
     high = min(high, largest_um)
     if low >= high:
         raise invalid("pitch.max_um", high, f"above {low:.4g} µm, {source}")
-    return np.geomspace(low, high, study.pitch.count).round(4)
+    return _equal_ratios(low, high, study.pitch.count).round(4)  # a new array
+
+
+_equal_ratios = lru_cache(np.geomspace)  # which the cases of a study share
 
 
 def largest_lens_um(study: Study, technology: str) -> float:

@@ -345,6 +345,18 @@ def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
     return Cost(seconds, pixels * BYTES_PER_PIXEL + dots * DOT_BYTES, 1)
 
 
+def _frame_costs(study: Study, camera: Camera, known: dict[Any, list[Cost]]) -> list[Cost]:
+    """Return `frame_cost` of each of the `sampled_pitches_um`.
+
+    known : costs by what they depend on, to which these are added
+    """
+    pitches_um = sampled_pitches_um(study)
+    key = (camera.die_um, study.display.raster, study.display.dots, *pitches_um)
+    if key not in known:
+        known[key] = [frame_cost(camera, pitch_um, study.display) for pitch_um in pitches_um]
+    return known[key]
+
+
 def dots_on(camera: Camera, display: Display) -> int:
     """Return the number of dots that show a die, with the raster fixed_size."""
     height_um, width_um = camera.die_um
@@ -395,9 +407,10 @@ def cases_cost(
     known : what the cache has of them
     """
     (study, first), cells = cases[0], math.prod(shape)
-    jobs = jobs or jobs_in_memory(max(largest_frame_bytes(*case) for case in cases))
     render = render_cost(plan, first, shape, known.light, workers_here().jobs)
-    frames = [[frame_cost(camera, pitch, study.display) for pitch in sampled_pitches_um(study)] for study, camera in cases]
+    frame_costs: dict[Any, list[Cost]] = {}  # thousands of cases differ in little that a frame's cost depends on
+    frames = [_frame_costs(study, camera, frame_costs) for study, camera in cases]
+    jobs = jobs or jobs_in_memory(max(frame.memory_bytes for of_case in frames for frame in of_case))
     sums_s = [sum(frame.seconds for frame in of_case) for of_case in frames]
     report_s = PAGE_S + 2 * frames[0][0].seconds + sums_s[0] / jobs
     calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0

@@ -29,7 +29,7 @@ from pixsim.base.config import (
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing, output_folder
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, merge, owner_of, paths_of, pixel_of
+from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, merge, owner_of, paths_of
 from pixsim.base.progress import Progress, Stage
 from pixsim.base.schema import KEY
 from pixsim.light.spectral import SpectralImage
@@ -331,12 +331,16 @@ def check_pitches(study: Study) -> None:
     """
     for technology in study.technologies:
         pitches_um, process = study_pitches_um(study, technology).tolist(), technology_of(study, technology)
-        for pitch_um in pitches_um:
-            physics_of(study, technology, pitch_um, process)
-        warn_of_disagreements(pixel_of(study, technology, pitches_um[-1]), process)
+        try:  # what a pixel is derived from grows or falls with its pitch: sizes between two possible ones are possible
+            smallest, largest = (physics_of(study, technology, pitches_um[end], process).pixel for end in (0, -1))
+        except PixsimError:
+            for pitch_um in pitches_um:  # the message is that of the first impossible one
+                physics_of(study, technology, pitch_um, process)
+            raise
+        warn_of_disagreements(largest, process)
         # A study tries unusual sizes, whose wells outgrow a given gain or do not fill its range: only the smallest and the largest
         # tell of a unit.
-        warn_of_implausible_numbers(pixel_of(study, technology, pitches_um[0]), process, pitches_um[-1])
+        warn_of_implausible_numbers(smallest, process, pitches_um[-1])
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"
