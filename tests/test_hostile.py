@@ -43,7 +43,7 @@ from pixsim.measure.sfr import read_edge_picture
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.technology import load_technology
 from pixsim.show import figures
-from pixsim.studies.evaluations import COLUMNS, ResultsFile
+from pixsim.studies.results_file import COLUMNS, ResultsFile
 from pixsim.studies.study import load_study
 
 DATA = Path(pixsim.__file__).parent / "data"

@@ -410,7 +410,7 @@ def said_what_is_kept(folder: Path) -> Iterator[None]:
     A study rewrites a file of rows when it begins to evaluate, and leaves its own rows only. Those of a file that it has not
     rewritten yet may be of other settings: they are not counted.
     """
-    from pixsim.studies.evaluations import ResultsFile
+    from pixsim.studies.results_file import ResultsFile
 
     def files() -> dict[Path, int]:
         path = folder / "results.csv"

@@ -47,7 +47,7 @@ from pixsim.studies.compare import (
     shown_probability,
     verdict,
 )
-from pixsim.studies.oversampling import rendered_across
+from pixsim.studies.keys import rendered_across
 from pixsim.studies.preparation import PAGE_S, Cost, known_film, render_cost
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 

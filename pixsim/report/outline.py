@@ -15,9 +15,9 @@ from pixsim.sensor.integration import pixels_along, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, derive, physics_of
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import rounded
-from pixsim.studies.evaluations import evaluated_before, study_pitches_um
 from pixsim.studies.film_error import FilmSampling, film_error
-from pixsim.studies.oversampling import TOLERATED_SHARE, rendered_across
+from pixsim.studies.keys import evaluated_before, light_hash, rendered_across
+from pixsim.studies.oversampling import TOLERATED_SHARE
 from pixsim.studies.preparation import (
     LONG_S,
     MOST_EVALUATIONS,
@@ -33,7 +33,7 @@ from pixsim.studies.preparation import (
     render_cost,
     window_within,
 )
-from pixsim.studies.study import light_hash
+from pixsim.studies.sampling import study_pitches_um
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan

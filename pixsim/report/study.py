@@ -35,7 +35,6 @@ from pixsim.show.pages import Column, Drawn, Plate, table_csv, write_figures, wr
 from pixsim.show.pictures import scale
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
-from pixsim.studies.evaluations import DELTA_E_STATISTICS
 from pixsim.studies.result import (
     Curve,
     StudyResult,
@@ -48,6 +47,7 @@ from pixsim.studies.result import (
     with_ends,
     within_words,
 )
+from pixsim.studies.results_file import DELTA_E_STATISTICS
 
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 

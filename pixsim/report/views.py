@@ -37,7 +37,8 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.studies.evaluations import CORRECTED, DN, block_key, chain_at, kept_frames, light_of, name_of, shown_chain, stream_key
+from pixsim.studies.evaluations import CORRECTED, DN, chain_at, kept_frames, light_of, name_of, shown_chain, stream_key
+from pixsim.studies.keys import block_key
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.viewer.score import Score, shown
 

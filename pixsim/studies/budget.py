@@ -59,7 +59,6 @@ from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics, derive, largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
-from pixsim.studies.evaluations import largest_pixel_um
 from pixsim.studies.film_error import (
     FINE,
     FINER,
@@ -72,6 +71,7 @@ from pixsim.studies.film_error import (
     order_of,
     step_size,
 )
+from pixsim.studies.sampling import largest_pixel_um
 from pixsim.viewer.score import ImagingChain, SceneCache, Seen, chain_at_pitch, prepare_scene, white_header
 
 SCAN_PITCHES = 9  # of the coarse search for the optimum

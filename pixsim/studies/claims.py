@@ -23,8 +23,8 @@ from pixsim.sensor.pixel import derive, fill_factor_law, physics_of
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.engine import Workers, results_of
-from pixsim.studies.evaluations import largest_pixel_um
 from pixsim.studies.result import Curve, StudyResult, interval_words
+from pixsim.studies.sampling import largest_pixel_um
 from pixsim.viewer.display import picture_size_um
 
 # Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).

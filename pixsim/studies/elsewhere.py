@@ -8,7 +8,8 @@ from functools import partial
 from pixsim.base.progress import Progress
 from pixsim.sensor.integration import pixels_along
 from pixsim.studies.engine import Workers, results_of
-from pixsim.studies.evaluations import LEFT_OUT, Fingerprints, evaluate_task, light_of, scenes_of, tasks_of
+from pixsim.studies.evaluations import LEFT_OUT, evaluate_task, light_of, scenes_of, tasks_of
+from pixsim.studies.keys import Fingerprints
 from pixsim.studies.preparation import ALLOWED_DOTS, View
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.rows import Row

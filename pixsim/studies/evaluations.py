@@ -7,43 +7,34 @@ One process appends rows as they finish, so an interrupted study keeps them.
 
 from __future__ import annotations
 
-import csv
-import errno
-import math
-import os
-import shutil
-import stat
 import threading
-from collections.abc import Callable, Collection, Container, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache as cache_once, cached_property, lru_cache, partial
+from functools import cache as cache_once, cached_property, partial
 from hashlib import blake2b
-from itertools import chain, islice, pairwise
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from pixsim.base import cache
-from pixsim.base.arrays import Array
-from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import digest_of, kind_of, opened, replacing
-from pixsim.base.notes import warn
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, channels_of, content_hash, pixel_of
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera, Study, channels_of, content_hash
 from pixsim.base.progress import Progress
-from pixsim.base.schema import KEY, SCHEMA, of_another
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
-from pixsim.sensor.pixel import PixelPhysics, largest_pitch_um, physics_of, pitch_for_fill_factor_um
+from pixsim.sensor.pixel import PixelPhysics, physics_of
 from pixsim.sensor.readout import Sensor, make_frame
-from pixsim.sensor.technology import Technology, label_of, technology_of, with_fill_factor_law
-from pixsim.show.pages import csv_text
+from pixsim.sensor.technology import Technology, label_of, technology_of
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.keys import REPEATS_PER_TASK, Fingerprints, block_key
+from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import Row, RowStore, StoredRows
+from pixsim.studies.sampling import Sampling, study_pitches_um
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.score import (
     IdealFacts,
@@ -61,186 +52,8 @@ from pixsim.viewer.score import (
     warn_of_clipping,
 )
 
-DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
-PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
-COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_E_STATISTICS)
-TEXTS = COLUMNS[:2]
 FEW_PARTS = 64
 FROM_CACHE, LEFT_OUT = "frame from cache", "left out"  # in the rows of a worker only; the second holds the reason
-MAX_BYTES = 1 << 31  # eight million rows
-MAX_LINE = 1 << 14
-ROWS_AT_ONCE = 1 << 10  # that are written
-
-
-class ResultsFile:
-    """results.csv: rows with `COLUMNS` and the schema, of which `TEXTS` hold text and the others numbers.
-
-    more : columns of axes and conditions, after the repeat; they hold text
-    another_schema : that a row states which is left out; empty if the file states none, None if there is no such row
-    """
-
-    def __init__(self, path: Path, more: Sequence[str] = ()) -> None:
-        self.path = path
-        self.another_schema: str | None = None
-        after = COLUMNS.index("repeat") + 1
-        self.columns = (*COLUMNS[:after], *more, *COLUMNS[after:])
-
-    def read(self) -> RowStore:
-        """Return complete rows by key; an incomplete last line is ignored."""
-        found = RowStore(self.columns)
-        for row in self._whole_rows():
-            found[row["key"]] = row
-        return found
-
-    def _whole_rows(self) -> Iterator[Row]:
-        """Iterate over the complete rows of this schema, one in memory at a time."""
-        self.another_schema = None
-        if not self.path.is_file():
-            return
-        allowed = "the rows of a study"
-        with opened(self.path, "results", allowed, MAX_BYTES) as file:
-            try:
-                for row in (reader := csv.DictReader(_lines(file))):
-                    names = reader.fieldnames or ()
-                    stated = row.get(KEY) if KEY in names else "" if TEXTS[0] in names else None
-                    if stated != str(SCHEMA):
-                        if stated == "" or (stated and stated.isdecimal()):  # else the row is damaged
-                            self.another_schema = stated
-                    elif self._is_whole(row):
-                        yield {name: row.get(name) or "" for name in self.columns}
-            except csv.Error as error:
-                hint = "Move the file away: its rows are then computed again."
-                raise invalid("results", f"'{self.path}' ({error})", allowed, hint) from None
-            except OSError as error:
-                raise invalid("results", f"'{self.path}' ({error.strerror})", allowed) from None
-
-    def check_replaceable(self) -> None:
-        """Raise PixsimError if the file is a link, or does not begin with the columns of a study: it is another program's."""
-        if not os.path.lexists(self.path):
-            return
-        allowed, hint = "the rows of a study, or no such file", "Choose another folder with --out, or move the file away."
-        if not stat.S_ISREG(mode := self.path.lstat().st_mode):
-            raise invalid("results", f"'{self.path}', {kind_of(mode)}", allowed, hint)
-        with opened(self.path, "results", allowed) as file:
-            first = file.readline(MAX_LINE)
-        if first and not first.startswith(",".join(COLUMNS[:3]).encode()):
-            raise invalid("results", f"'{self.path}', not written by pixsim", allowed, hint)
-
-    def _is_whole(self, row: Row) -> bool:
-        """Return whether a row has every column, with numbers where they belong; other rows are computed again."""
-        try:
-            return all(row[name] if name in TEXTS else math.isfinite(float(row[name])) for name in COLUMNS)
-        except (KeyError, TypeError, ValueError):
-            return False
-
-    def resume(self, is_expected: Callable[[Row], bool], is_edited: Callable[[Row], bool] = lambda _: False) -> RowStore:
-        """Return the expected rows by key. If there are others, copy the file (`_back_up`); leave only the expected rows.
-
-        is_edited : whether a row that is not expected has the key of one that is
-
-        Warns of rows of another schema, and of rows that cannot be: they are computed again.
-        """
-        done, has_others, impossible = RowStore(self.columns), False, 0
-        for row in self._whole_rows():
-            expected = is_expected(row)
-            if expected and is_possible(row):
-                done[row["key"]] = row
-            else:
-                has_others = True
-                impossible += expected or is_edited(row)
-                done.pop(row["key"], None)
-        has_content = self.path.is_file() and self.path.stat().st_size > len(self._text([self._head])) + 1
-        if has_content and (has_others or not done or self.another_schema is not None):
-            backup = self._back_up()
-            if self.another_schema is not None:
-                kept = f"They are kept in '{backup}', and computed again."
-                warn(f"results: rows of '{self.path}' state {of_another(self.another_schema)}. {kept}")
-            if impossible:
-                which = f"{impossible} row{'s' * (impossible > 1)} of '{self.path}' cannot be, by ΔE, size or another number"
-                warn(f"results: {which}. The file is kept as '{backup}', and they are computed again.")
-        self.write(done.values())
-        return done
-
-    def finish(self, parts: Sequence[StoredRows]) -> None:
-        """Leave only the rows of these parts in the file, copied first (`_back_up`) if it holds others."""
-        keys = {key for rows in parts for key in rows.keys}
-        if any(row["key"] not in keys for row in self._whole_rows()):
-            self._back_up()
-        self.write(row for rows in parts for row in rows)
-
-    def _back_up(self) -> str:
-        """Copy the file to FILE.old, or FILE.old2 and so on if there are such copies of other content; return the name."""
-        with self._clear_write_errors(), opened(self.path, "results", "the rows of a study", MAX_BYTES) as content:
-            digest = digest_of(self.path)
-            copy, number = self.path.with_name(f"{self.path.name}.old"), 1
-            while os.path.lexists(copy):
-                if stat.S_ISREG(copy.lstat().st_mode) and digest_of(copy) == digest:
-                    return copy.name
-                number += 1
-                copy = self.path.with_name(f"{self.path.name}.old{number}")
-            with replacing(copy, named=False) as partial, partial.open("wb") as file:
-                shutil.copyfileobj(content, file)
-            return copy.name
-
-    def write(self, rows: Iterable[Row]) -> None:
-        """Replace the file, completely or not at all."""
-        left = chain([self._head], rows)
-        with self._clear_write_errors(), replacing(self.path, named=False) as partial, partial.open("wb") as file:
-            while some := list(islice(left, ROWS_AT_ONCE)):
-                file.write(self._text(some))
-
-    def append(self, rows: Collection[Row]) -> None:
-        """Append all of the rows, or none if writing fails."""
-        text = self._text(rows)
-        with self._clear_write_errors(), open(self.path, "ab", 0, opener=not_through_links) as file:
-            before = file.tell()
-            try:
-                if file.write(text) != len(text):
-                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            except BaseException:
-                file.truncate(before)
-                raise
-
-    @contextmanager
-    def _clear_write_errors(self) -> Iterator[None]:
-        """Raise PixsimError in place of an OSError, such as a full disk."""
-        try:
-            yield
-        except OSError as error:
-            raise PixsimError(
-                f"results: '{self.path}' cannot be written ({error.strerror or error}). Finished rows are kept: free some disk "
-                "space, and run the same command again."
-            ) from None
-
-    @property
-    def _head(self) -> Row:
-        return {name: name for name in (*self.columns, KEY)}
-
-    def _text(self, rows: Iterable[Row]) -> bytes:
-        return csv_text([*(row[name] for name in self.columns), row.get(KEY, str(SCHEMA))] for row in rows).encode()
-
-
-MAX_DELTA_E = 1e3  # of any two colours: black and white differ by 100, the most saturated ones by 260
-ROUNDING = 1e-5  # relative, of means in single precision
-BOUNDS = {**dict.fromkeys(DELTA_E_STATISTICS, (0.0, MAX_DELTA_E)), **dict.fromkeys(PIXEL_STATISTICS, (0.0, math.inf))}
-
-
-def is_possible(row: Row) -> bool:
-    """Return whether the numbers of a row can be those of an evaluation: within bounds, no statistic of ΔE above its maximum.
-
-    A row is trusted otherwise: its key tells what it is of, not what came out.
-    """
-    values = {name: float(row[name]) for name in BOUNDS}
-    if not all(low <= values[name] <= high * (1 + ROUNDING) for name, (low, high) in BOUNDS.items()):
-        return False
-    mean, *rising = (values[name] for name in DELTA_E_STATISTICS)
-    largest = rising[-1] * (1 + ROUNDING)
-    return mean <= largest and all(one <= other * (1 + ROUNDING) for one, other in pairwise(rising))
-
-
-def not_through_links(path: str, flags: int) -> int:
-    """Open a file that is not a link, as `os.open`."""
-    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
 
 
 FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola
@@ -250,69 +63,7 @@ class TooFewSizesError(PixsimError):
     """Fewer pixel sizes of a case are possible than a curve needs."""
 
 
-def _lines(file: IO[bytes]) -> Iterator[str]:
-    """Iterate over the lines of a file that have an end and at most `MAX_LINE` characters."""
-    while line := file.readline(MAX_LINE + 1):
-        if line.endswith(b"\n"):
-            yield line[:-1].decode(errors="replace").replace("\0", "")
-        while not line.endswith(b"\n") and (line := file.readline(MAX_LINE)):
-            pass
-
-
-REPEATS_PER_TASK = 8  # evaluations after which a worker reports
 FILES_OF_MEMORY = 2  # lights in files, for each that is stored in memory: fewer batches draw the same sensors again
-Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors; both in order
-
-
-def study_pitches_um(study: Study, technology: str) -> Array:
-    """Return the pitches of a technology in µm, (P,). A range ends where the stack allows no microlens (`largest_lens_um`).
-
-    Raises PixsimError if there are too few, the range is empty, or the stack allows no microlens on the largest of given pitches.
-    """
-    largest_um = largest_lens_um(study, technology)
-    if study.pitch.values_um is not None:
-        pitches = np.unique(study.pitch.values_um)
-        if pitches.size < 5:
-            raise invalid("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
-        if pitches.max() > largest_um:
-            expected = f"at most {largest_um:g} µm, √π times the height of the stack of {technology}"
-            hint = "Leave out larger ones, raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
-            raise invalid("pitch.values_um", f"pixels up to {pitches.max():g} µm under microlenses", expected, hint)
-        return pitches
-    (low, high), source = study.open_range_um, "pitch.min_um"
-    if low is None:
-        process = with_fill_factor_law(technology_of(study, technology), study.options_of(technology).fill_factor_law)
-        if process.name == NO_TECHNOLOGY:
-            got, expected = f"no value, with {technology} beside other technologies", "a smallest pixel size, or pitch.values_um"
-            raise invalid("pitch.min_um", got, expected, "A data sheet has no fill factors, from which it would follow.")
-        low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
-        source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
-    if low >= largest_um:
-        hint = "Raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
-        raise invalid(
-            "pitch",
-            f"sizes from {low:.4g} µm, {source}",
-            f"below {largest_um:g} µm, √π times the height of the stack of {technology}",
-            hint,
-        )
-    high = min(high, largest_um)
-    if low >= high:
-        raise invalid("pitch.max_um", high, f"above {low:.4g} µm, {source}")
-    return _equal_ratios(low, high, study.pitch.count).round(4)  # a new array
-
-
-_equal_ratios = lru_cache(np.geomspace)  # which the cases of a study share
-
-
-def largest_lens_um(study: Study, technology: str) -> float:
-    """Return the widest pixel on which a technology's stack allows a microlens, rounded down; infinity without microlenses."""
-    largest_um = largest_pitch_um(study.options_of(technology), technology_of(study, technology))
-    return largest_um if math.isinf(largest_um) else math.floor(1e4 * largest_um) / 1e4
-
-
-def largest_pixel_um(study: Study, technology: str) -> float:
-    """Return the largest pixel of a study's range in a technology: `pitch.max_um`, or the widest with a microlens."""
-    return min(study.pitch.max_um, largest_lens_um(study, technology))
 
 
 def light_of(study: Study, scenes: SceneCache, technology: str) -> SharedLight:
@@ -572,123 +323,6 @@ def scores_of(
         yield repeat, chain.score_frame(frame), found is not None
     if len(frames) > len(known):
         cache.store_arrays("frames", frames_key, frames)
-
-
-@dataclass(frozen=True)
-class Fingerprints:
-    """Hashes of everything that the evaluations of a study depend on.
-
-    stored : whether its frames may go into the cache
-    """
-
-    study: Study
-    camera: Camera
-    irradiance: SpectralImage
-    stored: bool = True
-    _pixels: dict[tuple[str, float], str] = field(default_factory=dict, init=False, repr=False)
-    _keys: dict[tuple[str, float], dict[int, str]] = field(default_factory=dict, init=False, repr=False)
-
-    @cached_property
-    def imaging(self) -> str:
-        """Hash of the irradiance, camera, exposure, correction and random streams, without pixel and display."""
-        study = self.study
-        light = [self.irradiance.header, self.camera.model_dump()]
-        # With pixsim's sources and the versions of the packages that compute, so that no row of another formula is reused.
-        version_fingerprint = cache.version_fingerprint("mitsuba", "drjit", "colour-science")
-        return content_hash(
-            [*light, study.exposure.model_dump(), study.correction.model_dump(), study.stream_name, study.seed, version_fingerprint]
-        )
-
-    @cached_property
-    def display(self) -> str:
-        """Hash of the display, of the part of the die that is scored on it, and of the precision."""
-        study = self.study
-        border_um = study.border_um if study.display.raster == "fixed_size" else 0.0
-        single = allows_single(study.tolerance_delta_e)
-        return content_hash([study.display.content_hash, study.develop.content_hash, border_um, single])
-
-    def scene(self, technology: str) -> str:
-        """Return the hash of the light that all pitches of a technology share."""
-        process = technology_of(self.study, technology).content
-        pixel = self.study.options_of(technology).model_dump(exclude={"technology"})  # a path is no content
-        return content_hash([self.imaging, self.display, process, pixel])
-
-    def pixel(self, technology: str, pitch_um: float) -> str:
-        """Return the hash of everything that the frames of a pitch depend on."""
-        if (technology, pitch_um) not in self._pixels:
-            pixel = pixel_of(self.study, technology, pitch_um).model_dump(exclude={"technology"})  # a path is no content
-            own = technology_of(self.study, technology).content, pixel, self.study.display.raster  # it decides on registrations
-            self._pixels[technology, pitch_um] = content_hash([self.imaging, *own])
-        return self._pixels[technology, pitch_um]
-
-    def keys(self, technology: str, pitch_um: float, repeats: Iterable[int]) -> dict[int, str]:
-        """Return the key of the row of each repeat."""
-        keys, known = {}, self._keys.setdefault((technology, pitch_um), {})
-        for repeat in repeats:
-            if repeat not in known:
-                known[repeat] = content_hash([self.pixel(technology, pitch_um), self.display, repeat])
-            keys[repeat] = known[repeat]
-        return keys
-
-    def is_expected_row(self, row: Row) -> bool:
-        """Return whether a row of results.csv may belong to the study and has the key of its technology, pitch and repeat."""
-        technology, pitch_um, repeat = row["technology"], float(row["pitch_um"]), float(row["repeat"])
-        if technology not in self.study.technologies or not (repeat >= 0 and repeat.is_integer()):
-            return False
-        pitches_um = self.first_sampling[technology]
-        if not min(pitches_um) <= pitch_um <= max(pitches_um):
-            return False
-        return self.keys(technology, pitch_um, [int(repeat)])[int(repeat)] == row["key"]
-
-    @cached_property
-    def first_sampling(self) -> Sampling:
-        return first_sampling(self.study)
-
-    def frames_of_pitch(self, technology: str, pitch_um: float) -> str:
-        """Return the cache key of the frames of a pitch; empty if the frames of the study do not fit in the cache."""
-        return self.pixel(technology, pitch_um) if self.frames_fit_in_cache else ""
-
-    @cached_property
-    def frames_fit_in_cache(self) -> bool:
-        """Whether all frames of the study fit in the cache without displacing most of it."""
-        if not self.stored:
-            return False
-        study = self.study
-        bits = max(study.options_of(technology).bits for technology in study.technologies)
-        code_bytes = np.min_scalar_type(2**bits - 1).itemsize + (4 if study.correction.is_on else 0)
-        sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
-        pitches = [pitch_um for sensors in self.first_sampling.values() for pitch_um in sensors]
-        pixels = sum(math.prod(pixels_on(self.camera.die_um, pitch_um)) for pitch_um in pitches)
-        return cache.has_room(pixels * code_bytes * sensors_per_pitch)
-
-
-EVALUATED = "evaluated"  # kind of the cache's entries that tell of a study
-
-
-def evaluated_before(study: Study) -> bool:
-    """Whether the cache has the frames of a study, for an estimate of its time."""
-    return cache.value_of(EVALUATED, _evaluated_key(study), lambda value: bool(value["frames"])) or False
-
-
-def remember_evaluated(study: Study) -> None:
-    """Note in the cache that it has the frames of a study."""
-    cache.store_value(EVALUATED, _evaluated_key(study), {"frames": True})
-
-
-def _evaluated_key(study: Study) -> str:
-    """Return the key of a study whose frames the cache may have; a frame does not depend on the display."""
-    of_frames = study.model_dump(mode="json", exclude={"display", "develop", "title"})
-    return content_hash([of_frames, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
-
-
-def first_sampling(study: Study) -> Sampling:
-    """Return the sampling that a study starts with: `repeats` sensors of each of its pitches."""
-    return {name: dict.fromkeys(study_pitches_um(study, name).tolist(), study.repeats) for name in study.technologies}
-
-
-def block_key(frames_key: str, block: int) -> str:
-    """Return the cache key of the frames of one task, which share a file."""
-    return frames_key and f"{frames_key}-{block}"
 
 
 def tasks_of(

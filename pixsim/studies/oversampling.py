@@ -25,7 +25,6 @@ from pixsim.base.parameters import (
     Correction,
     Develop,
     Display,
-    Effort,
     Exposure,
     Pixel,
     Run,
@@ -63,10 +62,10 @@ from pixsim.studies.film_error import (
     step_size,
     surrounded,
 )
+from pixsim.studies.keys import remember_rendered
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.score import Seen, chain_at_pitch, prepare_scene, white_header
 
-RENDERED = "rendered"  # kind of the cache's entries that tell of a render
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 WORTH_WIDENING = 1.2
 # Of 96 comparisons on coarse films of four charts, 90 % are within 0.35 of both errors together, and 95 % within 0.77.
@@ -529,20 +528,8 @@ def render_and_measure(
     limits: dict[str, Any] = {"fixed": fixed, "max_seconds": settings.max_seconds}
     made = render_on_film(scene, camera, plan, render=render, plan_of=plan_of, measure=measure, **limits)
     if plan.exact or cache.has_room(4 * made.image.planes.size):
-        cache.store_value(RENDERED, render_key(scene, camera, plan, settings), {"across": made.image.shape[1]})
+        remember_rendered(scene, camera, plan, settings, made.image.shape[1])
     return made
-
-
-def rendered_across(scene: Scene, camera: Camera, plan: Plan, settings: Run | Study) -> int | None:
-    """Return the samples across the film that such a render ended with, if the cache has one; for an estimate of its time."""
-    return cache.value_of(RENDERED, render_key(scene, camera, plan, settings), lambda value: int(value["across"]))
-
-
-def render_key(scene: Scene, camera: Camera, plan: Plan, settings: Run | Study) -> str:
-    """Return the key of what `rendered_across` tells of a render, by its first plan."""
-    limits = settings.model_dump(mode="json", include={"seed", *Effort.model_fields})
-    version = cache.version_fingerprint("mitsuba", "drjit")
-    return content_hash([scene.content_hash, scene.choice.variant, camera.model_dump(mode="json"), plan.as_dict(), limits, version])
 
 
 def render_on_film(

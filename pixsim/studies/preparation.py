@@ -31,7 +31,7 @@ from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, physics_of
 from pixsim.sensor.technology import label_of
 from pixsim.studies.engine import workers_here
-from pixsim.studies.evaluations import largest_lens_um, study_pitches_um
+from pixsim.studies.sampling import largest_lens_um, study_pitches_um
 from pixsim.studies.viewing import SENSORS_VIEWED, STUDY_VIEWINGS
 from pixsim.viewer.score import SCENE_CACHE_BYTES
 

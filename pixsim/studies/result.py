@@ -25,24 +25,13 @@ from pixsim.sensor.technology import file_label, label_of, labels_of, technology
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, html_cell, rows_csv, set_words
 from pixsim.studies.cases import BASE, case_words
-from pixsim.studies.evaluations import (
-    DELTA_E_STATISTICS,
-    REPEATS_PER_TASK,
-    Counts,
-    Fingerprints,
-    Part,
-    block_key,
-    chain_at,
-    ideal_facts,
-    kept_frames,
-    largest_lens_um,
-    light_of,
-    scenes_of,
-    scores_of,
-)
+from pixsim.studies.evaluations import Counts, Part, chain_at, ideal_facts, kept_frames, light_of, scenes_of, scores_of
+from pixsim.studies.keys import REPEATS_PER_TASK, Fingerprints, block_key
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
+from pixsim.studies.results_file import DELTA_E_STATISTICS
 from pixsim.studies.rows import Row
+from pixsim.studies.sampling import largest_lens_um
 from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate

@@ -20,11 +20,12 @@ from pixsim.base.progress import Progress
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.claims import scaling_rows
 from pixsim.studies.engine import Workers
-from pixsim.studies.evaluations import Evaluations, Part, Sampling, scenes_of, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, Part, scenes_of
 from pixsim.studies.indices import total_indices
 from pixsim.studies.preparation import MOST_EVALUATIONS
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.rows import NO_ROWS
+from pixsim.studies.sampling import Sampling, study_pitches_um
 from pixsim.studies.uncertainty import (
     LEAST_DRAWS,
     MOST_DRAWS,

@@ -44,28 +44,24 @@ from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
 from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import (
-    COLUMNS,
     FEW_PARTS,
     Counts,
     Evaluations,
     Part,
-    ResultsFile,
-    Sampling,
     TooFewSizesError,
     check_ideals,
-    first_sampling,
-    largest_pixel_um,
     most_channels,
-    remember_evaluated,
     scenes_of,
-    study_pitches_um,
     warn_of_clipped_white,
     warn_of_stacks,
 )
+from pixsim.studies.keys import light_hash, remember_evaluated
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, jobs_in_memory, largest_frame_bytes, study_plan
 from pixsim.studies.result import Curve, StudyResult, causes_of_curve, curve_of, few
+from pixsim.studies.results_file import COLUMNS, ResultsFile
 from pixsim.studies.rows import NO_ROWS
+from pixsim.studies.sampling import Sampling, first_sampling, largest_pixel_um, study_pitches_um
 from pixsim.studies.sight import Sight, clearest
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display import dot_edges_um
@@ -650,18 +646,6 @@ def _light_or_reason(study: Study, variant: str | None, *args: Any, **options: A
 def _stored(light: Light | str, store: Callable[[SpectralImage], SpectralImage]) -> Light | str:
     """Return a light whose image need not stay in memory; a reason as it is."""
     return light if isinstance(light, str) else (store(light[0]), *light[1:])
-
-
-# The sensors decide on the noise and the film of a render, and so does a part of the display.
-OF_LIGHT = {
-    *("scene", "camera", "seed", "tolerance_e", "render_noise", "resolution", "max_seconds", "window_mm", "pitch"),
-    *("exposure", "correction", "develop", "pixel", "sensors", "process", "technologies", "display"),
-}
-
-
-def light_hash(study: Study) -> str:
-    """Return the hash of everything that a render depends on."""
-    return content_hash(study.model_dump(mode="json", include=OF_LIGHT))
 
 
 def evaluate_cases(

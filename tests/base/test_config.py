@@ -19,7 +19,7 @@ from pixsim.base.parameters import CameraOptions, Layer, Pixel, Run, Study, pixe
 from pixsim.cli.options import SceneOptions
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import derive, fill_factor_law
-from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study import checked_study, load_study, read_study
 
 pytestmark = pytest.mark.usefixtures("undrawn")

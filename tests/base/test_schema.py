@@ -14,7 +14,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.files import PROVENANCE, check_replaceable, publishing, write_json
 from pixsim.base.schema import CHANGES, KEY, SCHEMA
 from pixsim.cli.options import show
-from pixsim.studies.evaluations import COLUMNS, ResultsFile
+from pixsim.studies.results_file import COLUMNS, ResultsFile
 
 
 def row(number: int) -> dict[str, str]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import pixsim
-from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study import load_study
 
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"

@@ -20,7 +20,7 @@ from helpers.dense_curves import covers, simulated, simulation_options
 
 from pixsim.base.parameters import Study
 from pixsim.show.figures import LOOKS, new_figure, own_style, svg_text
-from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study import load_study
 
 CURVE = "chen2000_0.35um"

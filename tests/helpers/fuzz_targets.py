@@ -26,7 +26,7 @@ from pixsim.scene.charts import write_chart
 from pixsim.scene.plugins import PLUGINS, Rule
 from pixsim.scene.scene import load_scene, packaged_scenes
 from pixsim.sensor.technology import load_technology
-from pixsim.studies.evaluations import COLUMNS, ResultsFile
+from pixsim.studies.results_file import COLUMNS, ResultsFile
 from pixsim.studies.study import load_study
 
 Reader = Callable[[Path], object]

@@ -34,7 +34,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.tracer import Job, OwnTracer
 from pixsim.scene.tree import _to_json, tree_of
 from pixsim.scene.trial import Trial, attempt
-from pixsim.studies.evaluations import Fingerprints
+from pixsim.studies.keys import Fingerprints
 
 # Numbers that a real driver would report are read from the environment.
 FAKE_DRIVER = r"""

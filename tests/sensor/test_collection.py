@@ -36,7 +36,7 @@ from pixsim.sensor.integration import collecting_area_um2, illumination_of, inte
 from pixsim.sensor.pixel import PixelPhysics, derive, physics_of, smallest_pitch_um
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.studies.cases import cases_of
-from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.sampling import study_pitches_um
 from pixsim.viewer.score import ImagingChain, make_imaging_chain
 
 CAMERA = Camera(die_mm=0.48, f_number=2.0)

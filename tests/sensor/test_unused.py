@@ -38,7 +38,7 @@ from pixsim.sensor.pixel import derive, physics_of
 from pixsim.sensor.unused import RULES, Configuration, unused_notes, unused_settings
 from pixsim.studies import compare
 from pixsim.studies.cases import cases_of, with_range_ends
-from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study import load_study, prepare
 
 SIDE, SAMPLE_UM, WIDTH_NM = 24, 4.0, 40.0

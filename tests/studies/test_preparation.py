@@ -25,7 +25,6 @@ from pixsim.report.wording import optimum_line
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import packaged_scenes
-from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.preparation import (
     BYTES_PER_PIXEL,
@@ -39,6 +38,7 @@ from pixsim.studies.preparation import (
     window_within,
 )
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, WIDE_RATIO, Curve, best_words
+from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study import load_study, prepare, render_for
 from pixsim.viewer.score import SCENE_CACHE_BYTES
 

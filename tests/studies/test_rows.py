@@ -9,7 +9,7 @@ import pytest
 from helpers.tiny import tiny
 
 import pixsim
-from pixsim.studies.evaluations import COLUMNS, ResultsFile
+from pixsim.studies.results_file import COLUMNS, ResultsFile
 from pixsim.studies.rows import Row, RowStore, StoredRows
 
 COUNT = 5000

@@ -24,10 +24,10 @@ from pixsim.sensor.technology import load_technology
 from pixsim.studies import oversampling
 from pixsim.studies.cases import cases_of, with_range_ends
 from pixsim.studies.claims import Evidence, findings, scaling_rows, turned_words, verdicts
-from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.oversampling import measure_film
 from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study import check_pitches, load_study
 
 pytestmark = pytest.mark.usefixtures("unmeasured")

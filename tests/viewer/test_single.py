@@ -11,7 +11,8 @@ import pixsim
 from pixsim.base.parameters import DEVELOP, Develop, Display, Study
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import derive
-from pixsim.studies.evaluations import Fingerprints, scenes_of
+from pixsim.studies.evaluations import scenes_of
+from pixsim.studies.keys import Fingerprints
 from pixsim.viewer import scielab
 from pixsim.viewer.display import WHITE_XYZ, out_of_gamut_share, rgb_to_xyz, xyz_to_rgb
 from pixsim.viewer.score import allows_single, chain_at_pitch, make_imaging_chain, prepare_scene

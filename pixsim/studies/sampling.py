@@ -1,0 +1,72 @@
+"""The pixel sizes of a study, and how many sensors of each it starts with."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
+from pixsim.base.parameters import NO_TECHNOLOGY, Study
+from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
+from pixsim.sensor.technology import technology_of, with_fill_factor_law
+
+Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors; both in order
+
+
+_equal_ratios = lru_cache(np.geomspace)  # which the cases of a study share
+
+
+def study_pitches_um(study: Study, technology: str) -> Array:
+    """Return the pitches of a technology in µm, (P,). A range ends where the stack allows no microlens (`largest_lens_um`).
+
+    Raises PixsimError if there are too few, the range is empty, or the stack allows no microlens on the largest of given pitches.
+    """
+    largest_um = largest_lens_um(study, technology)
+    if study.pitch.values_um is not None:
+        pitches = np.unique(study.pitch.values_um)
+        if pitches.size < 5:
+            raise invalid("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
+        if pitches.max() > largest_um:
+            expected = f"at most {largest_um:g} µm, √π times the height of the stack of {technology}"
+            hint = "Leave out larger ones, raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
+            raise invalid("pitch.values_um", f"pixels up to {pitches.max():g} µm under microlenses", expected, hint)
+        return pitches
+    (low, high), source = study.open_range_um, "pitch.min_um"
+    if low is None:
+        process = with_fill_factor_law(technology_of(study, technology), study.options_of(technology).fill_factor_law)
+        if process.name == NO_TECHNOLOGY:
+            got, expected = f"no value, with {technology} beside other technologies", "a smallest pixel size, or pitch.values_um"
+            raise invalid("pitch.min_um", got, expected, "A data sheet has no fill factors, from which it would follow.")
+        low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
+        source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
+    if low >= largest_um:
+        hint = "Raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
+        raise invalid(
+            "pitch",
+            f"sizes from {low:.4g} µm, {source}",
+            f"below {largest_um:g} µm, √π times the height of the stack of {technology}",
+            hint,
+        )
+    high = min(high, largest_um)
+    if low >= high:
+        raise invalid("pitch.max_um", high, f"above {low:.4g} µm, {source}")
+    return _equal_ratios(low, high, study.pitch.count).round(4)  # a new array
+
+
+def largest_lens_um(study: Study, technology: str) -> float:
+    """Return the widest pixel on which a technology's stack allows a microlens, rounded down; infinity without microlenses."""
+    largest_um = largest_pitch_um(study.options_of(technology), technology_of(study, technology))
+    return largest_um if math.isinf(largest_um) else math.floor(1e4 * largest_um) / 1e4
+
+
+def largest_pixel_um(study: Study, technology: str) -> float:
+    """Return the largest pixel of a study's range in a technology: `pitch.max_um`, or the widest with a microlens."""
+    return min(study.pitch.max_um, largest_lens_um(study, technology))
+
+
+def first_sampling(study: Study) -> Sampling:
+    """Return the sampling that a study starts with: `repeats` sensors of each of its pitches."""
+    return {name: dict.fromkeys(study_pitches_um(study, name).tolist(), study.repeats) for name in study.technologies}

@@ -1,0 +1,87 @@
+"""Keys: each setting of a study makes the stages anew that depend on it, and no others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.tiny import tiny
+
+from pixsim.base.parameters import Camera, Study
+from pixsim.light.spectral import SpectralImage
+from pixsim.studies.keys import OF_FRAME, OF_LIGHT, OF_NO_FRAME, OF_SCORE, Fingerprints, light_hash
+
+NAMES = "name", "streams"  # their content is that of the random streams
+TECHNOLOGY, PITCH_UM = "0.35um", 6.0
+LIGHT = SpectralImage([550.0], 10.0, 84.8, data=np.ones((4, 4, 1)))
+# Another value of each setting, and the stages that it makes anew where the light is the same: a light states in its header what
+# it depends on, so that its hash alone tells of a render.
+CHANGES: dict[str, tuple[Any, str]] = {
+    "scene": ({"file": "flat"}, "light"),
+    "camera": ({"f_number": 5.6}, "light"),
+    "lens": ({"file": "phone"}, "light"),
+    "tolerance_e": (2e-3, "light"),
+    "render_noise": (0.4, "light"),
+    "resolution": (77, "light"),
+    "max_seconds": (9.0, "light"),
+    "window_mm": (0.5, "light"),
+    "tolerance_delta_e": (1e-6, "light score"),  # which asks for double precision
+    "pitch": ({"values_um": (6.0, 7.0, 8.0, 9.0, 16.0)}, "light score"),
+    "exposure": ({"well_target": 0.5}, "light frame score"),
+    "correction": ({"dark_frames": 4}, "light frame score"),
+    "develop": ({"matrix": "noise_aware"}, "light score"),
+    "display": ({"gamma": 1.8}, "light score"),
+    "pixel": ({"prnu": 0.02}, "light frame score"),
+    "process": ({"0.35um": {"dsnu": 0.6}}, "light frame score"),
+    "technologies": (("0.35um", "0.25um"), "light"),
+    "sensors": ({"one.toml": {"pitch_um": 6.0, "full_well_e": 1e4, "read_noise_e": 2.0, "quantum_efficiency": 0.5}}, "light"),
+    "seed": (9, "light frame score"),
+    "name": ("another", "frame score"),
+    "streams": ("another", "frame score"),
+    "repeats": (5, ""),
+    "max_repeats": (50, ""),
+    "target_ci_um": (0.5, ""),
+    "max_evaluations": (1000, ""),
+    "refine": (False, ""),
+    "axis": (({"name": "f", "set": "camera.f_number", "values": (4.0, 8.0)},), ""),
+    "condition": (({"name": "day", "set": {"camera": {"f_number": 4.0}}},), ""),
+    "quick": ({"repeats": 2}, ""),
+    "title": ("another", ""),
+    "iso_delta_e": (2.0, ""),
+    "detail": ((0.25, 0.75), ""),
+    "paper": (True, ""),
+    "sources": ({"seed": "here"}, ""),
+}
+
+
+def stages(study: Study) -> dict[str, str]:
+    hashes = Fingerprints(study, Camera(), LIGHT)
+    (score,) = hashes.keys(TECHNOLOGY, PITCH_UM, [1]).values()
+    return {"light": light_hash(study), "frame": hashes.pixel(TECHNOLOGY, PITCH_UM), "score": score}
+
+
+@pytest.mark.parametrize("name", Study.model_fields)
+def test_setting_makes_its_stages_anew_and_no_others(name: str) -> None:
+    value, anew = CHANGES[name]
+    before = tiny()
+    after = Study.model_validate(before.model_dump(exclude_unset=True) | {name: value})
+    assert getattr(after, name) != getattr(before, name)
+    own, other = stages(before), stages(after)
+    assert {stage for stage in own if own[stage] != other[stage]} == set(anew.split())
+
+
+def test_raster_decides_on_the_frame_too() -> None:
+    """A frame is registered with a display of dots, not with one of a dot for each pixel."""
+    before = tiny()
+    table = before.model_dump(exclude_unset=True)
+    after = Study.model_validate(table | {"display": table["display"] | {"raster": "one_to_one"}})
+    own, other = stages(before), stages(after)
+    assert all(own[stage] != other[stage] for stage in own)
+
+
+def test_every_setting_belongs_to_a_stage() -> None:
+    """A setting that no stage states would be in no key: two lights or frames would be taken for one."""
+    stated = {*OF_LIGHT, *OF_FRAME, *OF_SCORE, *OF_NO_FRAME, *NAMES}
+    assert stated == set(Study.model_fields)
+    assert not {*OF_LIGHT, *OF_FRAME, *OF_SCORE} & {*OF_NO_FRAME}
