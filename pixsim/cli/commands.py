@@ -181,7 +181,8 @@ def run(
         result = run_and_write(scene, chosen, folder, progress=stage, **render_options, **files)
     noise = result.get("render_noise")
     amount = f"render noise {noise['fraction']:.2g} of the sensor's noise" if noise and noise["fraction"] else "no render noise"
-    head, *rest = headline_lines([*score_parts(result), *([amount] if noise else [])])
+    *parts, shown = score_parts(result)
+    head, *rest = headline_lines([*parts, "; ".join(filter(None, (shown, amount if noise else "")))])
     unsure = unsure_lines(result)
     notes = [f"note: {note}" for note in own_notes(result) if note not in unsure]
     more = [*frames_lines(result), *notes, *budget_lines(result), f"report: {folder / 'report.html'}"]

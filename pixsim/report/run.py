@@ -170,7 +170,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     records["display"] = display
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
-        "line": "; ".join(score_parts(summary)),
+        "line": "; ".join(filter(None, score_parts(summary))),
         "mean": mean_words(summary),
         "unsure": (unsure := unsure_lines(summary)),
         "view": "; ".join(view_words(summary["display"], summary, summary["pixels"][1])),

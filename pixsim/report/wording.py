@@ -116,7 +116,7 @@ def outside_words(curve: Any) -> list[str]:
 def score_parts(result: dict[str, Any]) -> list[str]:
     """Return the mean ΔE of a run, its pixels and its exposure, and how it is shown and rendered, as parts of `with_headline`.
 
-    With a tolerance it is the mean over sensors and its error.
+    With a tolerance it is the mean over sensors and its error. The last part, which may be empty, is how it is shown and rendered.
     """
     delta_e = f"mean ΔE {mean_words(result)}"
     rows, columns = result["pixels"]
@@ -135,7 +135,8 @@ def score_parts(result: dict[str, Any]) -> list[str]:
         parts.append(exposed)
     shown = ", ".join(filter(None, (border, *view_words(result["display"], result, columns))))
     film = film_words(result["film"]) if "film" in result else LightError.of(result["irradiance"], None).unmeasured
-    return [*parts, *filter(None, (shown, film, lens_words(Camera.model_validate(result["camera"])), result["assumption"]))]
+    more = (shown, film, lens_words(Camera.model_validate(result["camera"])), result["assumption"])
+    return [*parts, "; ".join(filter(None, more))]
 
 
 def mean_words(result: dict[str, Any]) -> str:

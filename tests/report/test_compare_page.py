@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
 from helpers.commands import assert_refused, command
-from helpers.looks import text_of
+from helpers.looks import assert_short_headlines, text_of
 
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
 from pixsim.studies.compare import Comparison, answer, elsewhere_note, headline, shown_delta_e, verdict, verdict_parts
@@ -423,6 +423,11 @@ def test_shown_delta_e_has_no_more_digits_than_it_is_sure_of() -> None:
 
 
 # --- the page --------------------------------------------------------------------------------------------------------------
+
+
+def test_compare_page_has_short_headlines(compared: tuple[Path, str, str], under_study: tuple[Path, str]) -> None:
+    for folder in (compared[0], under_study[0]):
+        assert_short_headlines(folder)
 
 
 def test_compare_page_matches_json(compared: tuple[Path, str, str]) -> None:

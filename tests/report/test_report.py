@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
-from helpers.looks import Elements, text_of
+from helpers.looks import Elements, assert_short_headlines, text_of
 from helpers.tiny import tiny
 
 import pixsim
@@ -217,6 +217,10 @@ def test_write_report_paper_comparison(made: tuple[StudyResult, Path], tmp_path:
     assert "settings that change the verdict" in table
     assert f'<td rowspan="{len(actual)}"><code>pixsim study chen2000-sensitivity</code>' in table
     assert "peaks at" not in text_of(made[1])
+
+
+def test_study_page_has_a_short_headline(made: tuple[StudyResult, Path]) -> None:
+    assert_short_headlines(made[1])
 
 
 @needs_browser

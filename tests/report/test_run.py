@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
 from helpers.commands import assert_refused, command
-from helpers.looks import text_of
+from helpers.looks import assert_short_headlines, text_of
 
 import pixsim
 from pixsim.base.parameters import CameraOptions, LensOptions, Run
@@ -418,6 +418,10 @@ def test_run_page_locates_largest_errors(tmp_path: Path) -> None:
     x_mm, y_mm = ((3 + at + 56) / 256 * 1.28 for at in (left, top))
     page = text_of(tmp_path / "out")
     assert f"Its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from the upper left" in page
+
+
+def test_run_page_has_a_short_headline(ran: Path) -> None:
+    assert_short_headlines(ran)
 
 
 def test_run_page_states_viewing_distance(ran: Path) -> None:

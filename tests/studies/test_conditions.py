@@ -166,7 +166,7 @@ def test_conditions_plate_and_tables_have_the_numbers() -> None:
     assert table["pixel_of"] == ["day", "night", "never", "least weighted mean ΔE", "least worst regret"]
     assert table["pitch_um"][3:] == [found.best.pitch_um, found.regret.pitch_um]
     assert table["worst_regret_delta_e"][4] == found.regret.delta_e
-    (line,) = compromise_lines(found)
+    line = "; ".join(compromise_lines(found))
     assert (
         f"least worst regret {found.regret.delta_e:.3f} ΔE, in {found.regret.condition}, at {found.regret.pitch_um:.2f} µm" in line
     )
