@@ -60,6 +60,8 @@ class Bounds:
         return bool(above and high <= self.high and (self.infinite or (math.isfinite(low) and math.isfinite(high))))
 
 
+SMALLEST = 1e-30  # of any number but 0: below 2e-308 operations take very long, and ratios of smaller ones overflow
+LARGEST = 1e30  # of any number: no quantity reaches it in any unit, and the square of it is one still
 FINITE = Bounds()
 INFINITE_TOO = Bounds(infinite=True)
 POSITIVE = Bounds(0, open_low=True)

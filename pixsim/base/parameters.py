@@ -10,7 +10,6 @@ import inspect
 import json
 import math
 import re
-import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -40,7 +39,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from pixsim.base.arguments import brief, checks_arguments
+from pixsim.base.arguments import LARGEST, SMALLEST, brief, checks_arguments
 from pixsim.base.errors import PLAIN_WORD, PixsimError, did_you_mean, excerpt, invalid, name_fault, names_in, quoted
 from pixsim.base.tables import (
     A_PER_W,
@@ -322,6 +321,17 @@ class RecordType(ModelMetaclass):
             raise PixsimError(explain(error)) from None
 
 
+def not_tiny(value: Any) -> Any:
+    """A value with 0 in place of -0, also in lists. ValueError if a number in it is below `SMALLEST`, and not 0."""
+    if isinstance(value, float):
+        if 0 < abs(value) < SMALLEST:
+            raise ValueError(f"got {value:g}; allowed: 0, or at least {SMALLEST:g} in size")
+        return value + 0.0  # -0.0 + 0.0 is 0.0
+    if isinstance(value, tuple):
+        return tuple(map(not_tiny, value)) if any(isinstance(each, float | tuple) for each in value) else value
+    return value  # numbers of tables are those of a scene, a technology or a lens, which have bounds of their own
+
+
 class Record(BaseModel, metaclass=RecordType):
     """Frozen, validated parameters. Invalid values and unknown names raise PixsimError, a ValueError."""
 
@@ -334,6 +344,12 @@ class Record(BaseModel, metaclass=RecordType):
         if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is not bool:
             raise ValueError(f"got {value}; allowed: a number or a name")
         return value
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _no_tiny_numbers(cls, value: Any) -> Any:
+        """A fixed rule beside the bounds of a field: 0, without a sign, or a number that a processor divides by in usual time."""
+        return not_tiny(value)
 
     @property
     def content_hash(self) -> str:
@@ -349,19 +365,24 @@ def content_hash(content: object) -> str:
 
 MIN_FRACTION = 1e-12  # smaller fractions of the light leave no signal
 
-
-def _at_least_min_fraction(value: float) -> float:
-    if value < MIN_FRACTION:
-        raise ValueError(f"got {value:g}; allowed: at least {MIN_FRACTION:g}; less leaves no signal")
-    return value
+AnyNumber = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]  # whose own bounds are those of what it is used for
 
 
-Fraction = Annotated[float, Field(gt=0, le=1), AfterValidator(_at_least_min_fraction)]
+def _free_number(value: Any) -> Any:
+    if isinstance(value, int | float) and not abs(value) <= LARGEST:
+        raise ValueError(f"got {brief(value)}; allowed: a number from {-LARGEST:g} to {LARGEST:g}, or a text")
+    return not_tiny(value)
+
+
+# Of a scene or an axis: a number of any quantity, or a text.
+NumberOrText = Annotated[float | int | str, BeforeValidator(_free_number)]
+Fraction = Annotated[float, Field(ge=MIN_FRACTION, le=1)]
 FocalLength = Annotated[float, Field(ge=1e-4, le=1e6)]  # 0.1 µm ... 1 km
-FNumber = Annotated[float, Field(gt=0, le=1e6)]  # the lower limit depends on the magnification
+FNumber = Annotated[float, Field(ge=1e-6, le=1e6)]  # the lower limit depends on the magnification, up to `LARGEST_MAGNIFICATION`
 DieWidth = Annotated[float, Field(ge=1e-5, le=1000)]  # 10 nm ... 1 m
 Distance = Annotated[float, Field(ge=1e-6, le=1e18)]  # 1 µm ... 100 light years
-Wavelength = Annotated[float, Field(gt=0, le=1e6)]
+Wavelength = Annotated[float, Field(ge=10, le=1e6)]  # extreme ultraviolet ... 1 mm
+Seed = Annotated[int, Field(ge=0, lt=2**63)]  # as TOML holds
 Pitch = Annotated[float, Field(ge=1e-3, le=1e6)]  # 1 nm ... 1 m
 Seconds = Annotated[float, Field(ge=1e-15, le=1e9)]  # 1 fs ... 30 years
 WELL_RANGE_E = (1.0, 1e18)  # at least one electron
@@ -445,7 +466,8 @@ IN_PER_CENT = "In per cent? Divide percentages by 100, or write % into the title
 
 
 def _rising(pairs: EfficiencyCurve) -> EfficiencyCurve:
-    """Pairs of a wavelength and a value, turned round if all wavelengths decrease."""
+    """Pairs of a wavelength and a value, in ascending order if all wavelengths decrease; values below `SMALLEST` are 0."""
+    pairs = tuple((nm, 0.0 if abs(value) < SMALLEST else value) for nm, value in pairs)
     return pairs[::-1] if all(one > other for (one, _), (other, _) in pairwise(pairs)) else pairs
 
 
@@ -471,6 +493,7 @@ ChiefRayAngles = tuple[
 ]  # (image height in mm, angle in degrees[, relative illumination]), heights increasing
 CHIEF_RAY_COLUMNS = ("image_height_mm", "deg", "relative_illumination")
 ALLOWED_CHIEF_RAYS = "a CSV file with the columns image_height_mm, deg and, if it is known, relative_illumination"
+CHIEF_RAY_HEIGHTS_MM = (1e-6, 1e4)  # 1 nm ... ten times the largest die
 MAX_CHIEF_RAYS = 1000  # rows; makers' tables have 10 to 100
 
 
@@ -527,6 +550,7 @@ def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
     allowed = "2 to 1000 rows of an image height in mm and an angle in degrees, and perhaps the relative illumination, all alike"
     if not (2 <= len(rows) <= MAX_CHIEF_RAYS and len(rows[0]) in (2, 3) and all(len(row) == len(rows[0]) for row in rows)):
         raise ValueError(f"got {source} of {len(rows)} rows; allowed: {allowed}")
+    rows = tuple(tuple(0.0 if abs(value) < SMALLEST else value for value in row) for row in rows)
     for number, row in enumerate(rows, 1):
         if not all(map(math.isfinite, row)):
             raise ValueError(f"got {source} with {row} in row {number}; allowed: finite numbers")
@@ -545,9 +569,13 @@ def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
     for (low, *_), (high, *_) in pairwise(rows):
         if not low < high:
             raise ValueError(f"got {source} with {low:g} mm followed by {high:g} mm; allowed: image heights that increase")
+    least_mm, most_mm = CHIEF_RAY_HEIGHTS_MM
+    if outside := [row[0] for row in rows[1:] if not least_mm <= row[0] <= most_mm]:
+        raise ValueError(f"got {source} with {outside[0]:g} mm; allowed: 0, then {least_mm:g} to {most_mm:g} mm")
     return rows
 
 
+LARGEST_RELATIVE = 1e12  # of a response of which only ratios count, such as digital numbers
 MAX_RELATIVE_ILLUMINATION = 2.0  # a few per cent above 1 in lenses whose exit pupil grows with the field
 Curves = dict[str, EfficiencyCurve]  # letter of a channel -> its curve
 COLOUR_WORDS = {"red": "R", "green": "G", "blue": "B", "clear": "C", "white": "W", "cyan": "C", "magenta": "M", "yellow": "Y"}
@@ -560,14 +588,14 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
     """A validator of curves of channels, from a table of letter -> pairs, or the path of a CSV file. ValueError if it is neither.
 
     kind : what the values are, for messages
-    highest : that a value may be; infinity for relative ones
+    highest : that a value may be
     """
 
     def validate(value: Any) -> Any:
         if value is None:
             return None
         if isinstance(value, str | Path):
-            if highest == math.inf and not (str(value).endswith(".csv") or Path(value).is_file()):
+            if kind == "sensitivities" and not (str(value).endswith(".csv") or Path(value).is_file()):
                 return str(value)  # of a camera; `pixsim.sensor.colour` knows them
             return _read_curves(Path(value), kind, highest)
         if not isinstance(value, Mapping) or not value:
@@ -623,7 +651,7 @@ def _letter(name: str) -> str:
 
 def _check_channel(curve: EfficiencyCurve, kind: str, highest: float, source: str) -> EfficiencyCurve:
     """The curve of a channel. ValueError if it has gaps, or values that are out of range or all zero."""
-    values = "0 or more" if highest == math.inf else f"0 to {highest:g}"
+    values = f"0 to {highest:g}"
     allowed = f"{kind} of {values}, wavelengths in nm that increase"
     curve = _rising(curve)
     unit = unit_hint([nm for nm, _ in curve], ALLOWED_NM)
@@ -632,7 +660,7 @@ def _check_channel(curve: EfficiencyCurve, kind: str, highest: float, source: st
             raise ValueError(
                 f"got {source} with {nm:g} nm followed by {following:g} nm; allowed: {allowed}." + (f" {unit}." if unit else "")
             )
-        if not 0 <= value <= highest or value == math.inf:
+        if not 0 <= value <= highest:
             hint = f" {IN_PER_CENT}." if 1 < value <= 100 else ""
             hint = " Set negative values, as noise of a measurement leaves them, to 0." if value < 0 else hint
             raise ValueError(f"got {source} with {value:g} at {nm:g} nm; allowed: {allowed}.{hint}")
@@ -656,7 +684,7 @@ def _check_channel(curve: EfficiencyCurve, kind: str, highest: float, source: st
 
 # The three words for the responses of channels, with their validators.
 AS_CURVES: dict[str, Callable[[Any], Any]] = {
-    "sensitivities": as_curves("sensitivities", math.inf),
+    "sensitivities": as_curves("sensitivities", LARGEST_RELATIVE),
     "quantum_efficiencies": as_curves("quantum efficiencies", 1.0),
     "transmittances": as_curves("transmittances", 1.0),
 }
@@ -815,8 +843,10 @@ class Spread(Record):
     from end to end, or the central 90 % of a normal or lognormal one, whose middle then need not be the stated value.
     """
 
-    sd: Annotated[float, Field(gt=0, le=1e18)] | None = Field(None, description="standard deviation, in the unit of the number")
-    range: tuple[float, float] | None = Field(None, description="smallest and largest plausible value, in place of sd")
+    sd: Annotated[float, Field(ge=SMALLEST, le=1e18)] | None = Field(
+        None, description="standard deviation, in the unit of the number"
+    )
+    range: tuple[AnyNumber, AnyNumber] | None = Field(None, description="smallest and largest plausible value, in place of sd")
     distribution: Distribution | None = Field(None, description="distribution (absent: normal for sd, uniform for range)")
 
     @model_validator(mode="after")
@@ -871,7 +901,8 @@ RefractiveIndex = Annotated[float, Field(ge=1, le=10)]
 SiliconDepth = Annotated[float, Field(ge=0, le=1e4)]
 DiffusionLength = Annotated[float, Field(ge=1e-3, le=1e6)]
 Crosstalk = Annotated[float, Field(ge=0, le=0.8)]  # at 0.8 a pixel has no more of its light than each of its neighbours
-StackShift = Annotated[tuple[float, float], BeforeValidator(_as_list)]
+HalfPitch = Annotated[float, Field(ge=-5e5, le=5e5)]  # of the largest pitch: a lens that is displaced further is the neighbour's
+StackShift = Annotated[tuple[HalfPitch, HalfPitch], BeforeValidator(_as_list)]
 
 
 class StackOptions(Record):
@@ -1303,6 +1334,7 @@ class Pixel(PixelOptions):
 
 
 FASTEST_WORKING_F_NUMBER = 0.5
+LARGEST_MAGNIFICATION = 1e6  # a wavelength of the object is as wide as a metre; beyond it the object lies in the focus
 CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
 
 
@@ -1332,7 +1364,7 @@ class LensOptions(Record):
     ideal: Literal["distorted", "undistorted"] = Field(
         "distorted", description="ideal image: 'distorted' as the lens does at one wavelength, or 'undistorted'"
     )
-    configuration: Annotated[int, Field(ge=1)] | None = Field(
+    configuration: Annotated[int, Field(ge=1, lt=10**6)] | None = Field(
         None, description="configuration of a .zmx file, from 1: a focal length of a zoom, or a focus (absent: the active one)"
     )
     semi_diameters: Literal["ignore", "clip"] = Field(
@@ -1374,7 +1406,7 @@ class TracedLens(LensOptions):
     file: str
     focal_length_mm: FocalLength
     f_number: FNumber
-    field_mm: Annotated[float, Field(gt=0)]
+    field_mm: Annotated[float, Field(ge=1e-6, le=1e3)]  # of the smallest and the largest die
     content: str
 
 
@@ -1418,6 +1450,11 @@ class Camera(Record):
                 f"focal_length_mm = {self.focal_length_mm:g} is not shorter than object_distance_m = "
                 f"{self.object_distance_m:g} ({1e3 * self.object_distance_m:g} mm): no real image forms. "
                 "Increase the object distance or use a shorter focal length"
+            )
+        if self.magnification > LARGEST_MAGNIFICATION:
+            raise ValueError(
+                f"focal_length_mm = {self.focal_length_mm:g} with object_distance_m = {self.object_distance_m:g} magnifies "
+                f"{self.magnification:g} times; allowed: up to {LARGEST_MAGNIFICATION:g}. Increase the object distance"
             )
         if self.working_f_number < FASTEST_WORKING_F_NUMBER:
             raise ValueError(
@@ -1773,7 +1810,7 @@ class Display(Record):
 class Effort(Record):
     """What a result may cost: error tolerances, the film, the time limit, and the part of the die."""
 
-    tolerance_e: Annotated[float, Field(gt=0, lt=1)] = Field(
+    tolerance_e: Annotated[float, Field(ge=1e-9, lt=1)] = Field(
         1e-3, description="largest relative error of the mean electrons from simplifications of the render"
     )
     tolerance_delta_e: Annotated[float, Field(ge=1e-9, le=1e3)] | None = Field(
@@ -1941,8 +1978,6 @@ def _case_name(value: str) -> str:
 def _axis_number(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, float | int | str) or value == "":
         raise ValueError(f"got {brief(value)}; allowed: a number, a name, or a table of label and set")
-    if not isinstance(value, str) and not abs(value) <= MAX_FLOAT:
-        raise ValueError(f"got {brief(value)}; allowed: a finite number, or a name")
     if isinstance(value, str) and (fault := name_fault(value)):
         raise ValueError(f"got a name that {fault}; allowed: another name")
     return value
@@ -1952,12 +1987,10 @@ def _is_table(value: Any) -> str:
     return BRANCHES[0] if isinstance(value, dict | AxisValue) else BRANCHES[1]
 
 
-MAX_FLOAT = sys.float_info.max
 Settings = Annotated[dict[str, Any], AfterValidator(_settings)]
 ConditionSettings = Annotated[dict[str, Any], AfterValidator(_of_condition)]
 DottedSetting = Annotated[str, AfterValidator(_is_path)]
 CaseName = Annotated[str, Field(max_length=MAX_CASE_NAME), AfterValidator(_case_name)]
-AxisNumber = float | int | str
 
 
 class AxisValue(Record):
@@ -1969,7 +2002,7 @@ class AxisValue(Record):
 
 # One branch for each kind, so that a message is about the kind that was meant.
 OneOfAxis = Annotated[
-    Annotated[AxisValue, Tag(BRANCHES[0])] | Annotated[AxisNumber, BeforeValidator(_axis_number), Tag(BRANCHES[1])],
+    Annotated[AxisValue, Tag(BRANCHES[0])] | Annotated[NumberOrText, BeforeValidator(_axis_number), Tag(BRANCHES[1])],
     Discriminator(_is_table),
 ]
 
@@ -2009,8 +2042,8 @@ class Axis(Record):
     values: Annotated[tuple[OneOfAxis, ...], Field(max_length=AXIS_COUNT)] | None = Field(
         None, description="numbers or names, or tables of label and set"
     )
-    first: float | None = Field(None, alias="from", description="first value")
-    to: float | None = Field(None, description="last value")
+    first: AnyNumber | None = Field(None, alias="from", description="first value")
+    to: AnyNumber | None = Field(None, description="last value")
     count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(None, description="number of values from first to last")
     spacing: Literal["linear", "log"] = Field("linear", description="'linear': equal steps; 'log': equal ratios")
     range_of: str | None = Field(
@@ -2079,7 +2112,7 @@ class Axis(Record):
         """The values in order; none of a range that no study has replaced by values."""
         if self.range_of is not None:
             return ()
-        values: Sequence[AxisValue | AxisNumber] = self.values or _spaced(
+        values: Sequence[AxisValue | float | int | str] = self.values or _spaced(
             self.first or 0.0, self.to or 0.0, self.count or 2, self.spacing
         )
         paths = [setting_path(dotted) for dotted in self.set]
@@ -2162,7 +2195,7 @@ class StudyScene(Record):
     """The scene of a study."""
 
     file: str = Field("csf", description="XML file or name of a packaged scene")
-    parameters: dict[str, float | int | str] = Field(default_factory=dict, description="values of the scene's <default> parameters")
+    parameters: dict[str, NumberOrText] = Field(default_factory=dict, description="values of the scene's <default> parameters")
 
 
 class Study(Effort):
@@ -2175,7 +2208,7 @@ class Study(Effort):
         None, description="name of the study whose random streams this one has; absent: its own, or that of its base"
     )
     title: str = Field("", description="title of the report")
-    seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the render, the sensors and their noise")
+    seed: Seed = Field(0, description="seed of the render, the sensors and their noise")
     technologies: Annotated[tuple[str, ...], Field(min_length=1, max_length=AXIS_COUNT)] = Field(
         ("0.35um",),
         description="packaged technologies, or paths of TOML files with a technology or a data sheet ([pixel]); each gives a curve",
@@ -2183,12 +2216,12 @@ class Study(Effort):
     sensors: dict[str, Pixel] = Field(
         default_factory=dict, description="the data sheets among the technologies, path -> its pixel, as read from the files"
     )
-    process: dict[str, dict[str, float]] = Field(
+    process: dict[str, dict[str, AnyNumber]] = Field(
         default_factory=dict, description="changes to technologies: name -> entry of its file -> value, in the unit of the file"
     )
     pitch: PitchRange = Field(PitchRange(), description="pixel sizes of the study")
     repeats: Annotated[int, Field(ge=2, le=10000)] = Field(8, description="number of sensors for each pitch")
-    target_ci_um: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
+    target_ci_um: Annotated[float, Field(ge=1e-6, le=1e6)] | None = Field(
         None,
         description="target for the half-length of the 95 % interval of every optimum; sizes and sensors are added to reach it",
     )
@@ -2204,7 +2237,7 @@ class Study(Effort):
         None,
         description="largest number of frames in all, for target_ci_um (absent: max_repeats per initial pixel size and technology)",
     )
-    iso_delta_e: Annotated[float, Field(gt=0, le=1e6)] = Field(3.0, description="level of the iso-ΔE curves")
+    iso_delta_e: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(3.0, description="level of the iso-ΔE curves")
     detail: tuple[UnitInterval, UnitInterval] | None = Field(
         None, description="centre of the detail that the report compares, as fractions of width and height from the upper left"
     )
@@ -2377,8 +2410,8 @@ def owner_of(study: Study, path: tuple[str, ...], without_axes: bool = False, wi
 class Run(Effort):
     """The options of `pixsim run`, as tables."""
 
-    seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the render, the sensor and its noise")
-    scene: dict[str, float | int | str] = Field(
+    seed: Seed = Field(0, description="seed of the render, the sensor and its noise")
+    scene: dict[str, NumberOrText] = Field(
         default_factory=dict, description="values of the scene's <default> parameters, as -D sets them"
     )
     camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")

@@ -15,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import LARGEST, SMALLEST, checks_arguments
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import check_compression, check_size, opened, quiet_stdout, replacing
 from pixsim.base.mapped import release
@@ -134,8 +134,8 @@ def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
     reduced = header.get("reduced", {"samples": [1, 1], "factor": 1.0})
     if not (1 <= reduced["factor"] < math.inf and len(reduced["samples"]) == 2 and min(reduced["samples"]) >= 1):
         raise ValueError("reduced must be a factor of at least 1 and two numbers of samples")
-    if not 0 < header.get("luminance_cd_per_m2", 1.0) < math.inf:
-        raise ValueError("luminance_cd_per_m2 must be above 0")
+    if not SMALLEST <= header.get("luminance_cd_per_m2", 1.0) <= LARGEST:
+        raise ValueError(f"luminance_cd_per_m2 must be {SMALLEST:g} to {LARGEST:g}")
     return metadata
 
 

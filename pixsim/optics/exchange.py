@@ -273,9 +273,15 @@ def _positive(path: Path, what: str, value: Any) -> float:
         number = float(np.asarray(value).item())
     except (TypeError, ValueError):
         number = np.nan
-    if not 0 < number < np.inf:
-        raise invalid(f"{what} of '{path}'", "no number" if np.isnan(number) else f"{number:g}", "a positive number")
+    low, high = OF_PICTURES[what]
+    if not low <= number <= high:
+        got = "no number" if np.isnan(number) else f"{number:g}"
+        raise invalid(f"{what} of '{path}'", got, f"a positive number, {low:g} to {high:g}")
     return number
+
+
+# Samples from a thousandth of a pixel's smallest pitch to a die of their own, and the luminances that a display's white may have.
+OF_PICTURES = {"pitch_um": (1e-6, 1e6), "white_cd_per_m2": (1e-12, 1e15)}
 
 
 def _check_band(path: Path, values: NDArray[np.float32], file_values: NDArray[Any], centre_nm: float, lowest: float = 0.0) -> None:

@@ -20,7 +20,7 @@ from pydantic import Field
 from pixsim.base.config import checked, packaged, read_toml
 from pixsim.base.errors import PLAIN_WORD, PixsimError, did_you_mean, excerpt, invalid, names_in, one_line, quoted
 from pixsim.base.files import read_text
-from pixsim.base.parameters import Layer, LensOptions, Record
+from pixsim.base.parameters import AnyNumber, Layer, LensOptions, Record
 from pixsim.optics.glass import (
     ABBE_NUMBERS,
     AIR,
@@ -287,14 +287,16 @@ Positive = Annotated[float, Field(ge=SHORTEST_MM, le=LONGEST_MM)]
 class GlassTable(Record):
     """A glass of a prescription file: a dispersion formula, or n_d and V_d, or one index."""
 
-    formula: int | None = Field(None, description="number of the formula at refractiveindex.info: 1 to 5, or 7")
-    coefficients: tuple[float, ...] | None = Field(None, description="of the formula, for wavelengths in µm")
-    range_um: tuple[float, float] | None = Field(None, description="shortest and longest wavelength")
+    formula: Annotated[int, Field(ge=1, le=9)] | None = Field(
+        None, description="number of the formula at refractiveindex.info: 1 to 5, or 7"
+    )
+    coefficients: tuple[AnyNumber, ...] | None = Field(None, description="of the formula, for wavelengths in µm")
+    range_um: tuple[AnyNumber, AnyNumber] | None = Field(None, description="shortest and longest wavelength")
     n_d: Annotated[float, Field(ge=1, le=10)] | None = Field(None, description="index at 587.56 nm, with v_d")
     v_d: Annotated[float, Field(ge=1, le=1000)] | None = Field(None, description="Abbe number, with n_d")
     n: Annotated[float, Field(ge=1, le=10)] | None = Field(None, description="one index for all wavelengths")
     source: str = Field("", description="of the numbers")
-    n_at_wavelengths: tuple[float, ...] = Field((), description="for information")
+    n_at_wavelengths: tuple[AnyNumber, ...] = Field((), description="for information")
 
     @property
     def words(self) -> str:
@@ -345,9 +347,9 @@ class SurfaceTable(Record):
     thickness_mm: Length = Field(
         description="along the axis to the next vertex, or to the image plane", examples=["thickness_mm = 3.2"]
     )
-    glass: str | float | GlassTable = Field("air", description="medium behind the surface")
+    glass: str | AnyNumber | GlassTable = Field("air", description="medium behind the surface")
     conic: Length = Field(0.0, description="k of the conic")
-    asphere: dict[str, float] = Field(default_factory=dict, description="A4, A6 …: coefficients by the power of r")
+    asphere: dict[str, AnyNumber] = Field(default_factory=dict, description="A4, A6 …: coefficients by the power of r")
     semi_diameter_mm: Positive | None = Field(None, description="of the surface, for drawings unless it clips")
     clips: bool = Field(False, description="whether the semi-diameter stops rays")
     stop: bool = Field(False, description="whether the surface is the stop")
@@ -368,7 +370,7 @@ class FieldsTable(Record):
 
     type: Literal["angle_deg"] = "angle_deg"
     max_deg: Annotated[float, Field(ge=0, le=FIELD_ANGLES_DEG[1])] = Field(examples=["max_deg = 20"])
-    angles_deg: tuple[float, ...] = ()
+    angles_deg: tuple[AnyNumber, ...] = ()
 
 
 class WavelengthsTable(Record):
@@ -376,7 +378,7 @@ class WavelengthsTable(Record):
 
     unit: Literal["um", "nm"] = Field(examples=['unit = "nm"'])
     values: tuple[Positive, ...] = Field(min_length=1, examples=["values = [486.1, 587.6, 656.3]"])
-    weights: tuple[float, ...] = ()
+    weights: tuple[AnyNumber, ...] = ()
     primary: Positive = Field(examples=["primary = 587.6"])
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base import caller
-from pixsim.base.arguments import brief, checks_arguments, checks_fields
+from pixsim.base.arguments import LARGEST, SMALLEST, brief, checks_arguments, checks_fields
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run, content_hash, names_meant, values_of_lens_geometry
@@ -408,13 +408,18 @@ def _no_illuminance(path: Path, lux: str) -> PixsimError:
     return invalid(ILLUMINANCE, got, allowed, hint)
 
 
+# Luminances in cd/m² and illuminances in lux: below a photon a year on a pixel, to a million suns.
+LIGHT_RANGE = (1e-12, 1e15)
+
+
 def _positive(name: str, value: object) -> float:
     try:
         number = float(str(value))
     except ValueError:
         number = math.nan
-    if not (0 < number < math.inf):
-        raise invalid(name, repr(value), "a positive number")
+    low, high = LIGHT_RANGE if name in (LUMINANCE, ILLUMINANCE, WHITE) else (SMALLEST, LARGEST)
+    if not low <= number <= high:
+        raise invalid(name, brief(value), f"a positive number, {low:g} to {high:g}")
     return number
 
 

@@ -16,6 +16,7 @@ from pixsim.base.parameters import (
     MICROLENSES,
     NO_TECHNOLOGY,
     SHIFTS,
+    AnyNumber,
     AreaMismatch,
     Crosstalk,
     DarkSpread,
@@ -120,7 +121,7 @@ class Technology(Record):
         0.0, description="temporal read noise after the amplifier, in electrons at 0 dB"
     )
     fill_factor_limit: Fraction = Field(description="η of the fill-factor law: its limit for large pixels")
-    fill_factor_zero_pitch_features: Annotated[float, Field(gt=0, le=1e6)] = Field(
+    fill_factor_zero_pitch_features: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
         description="p0 of the fill-factor law, in feature sizes: pitch at which the photodiode vanishes"
     )
     fill_factor_inset_features: Annotated[float, Field(ge=0, le=1e6)] = Field(
@@ -151,7 +152,7 @@ class Technology(Record):
         None, description="pitch of the pixel of that measurement, under a microlens; None: every pixel has that efficiency"
     )
     sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
-    ranges: dict[str, tuple[float, float]] = Field(
+    ranges: dict[str, tuple[AnyNumber, AnyNumber]] = Field(
         default_factory=dict, description="field -> smallest and largest plausible value, in the field's unit"
     )
     distributions: dict[str, Distribution] = Field(

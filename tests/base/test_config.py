@@ -170,7 +170,7 @@ def test_sheet_uncertainty_leaves_pixel_plain(tmp_path: Path) -> None:
         ("read_noise_e = { sd", "bits = { sd", r"pixel\.uncertainty: got 'bits'; allowed: quantum_efficiency"),
         ("read_noise_e = { sd", "pitch_um = { sd", r"pixel\.uncertainty: got 'pitch_um'"),
         ("read_noise_e = { sd", "dsnu_e = { sd", r"dsnu_e: got a spread without its number; allowed: a number dsnu_e in \[pixel\]"),
-        ("sd = 0.2", "sd = 0", r"uncertainty\.read_noise_e: sd: got 0; allowed: greater than 0"),
+        ("sd = 0.2", "sd = 0", r"uncertainty\.read_noise_e: sd: got 0; allowed: greater than or equal to 1e-30"),
         ("sd = 0.2", "sd = nan", r"uncertainty\.read_noise_e: sd: got nan"),
         ("sd = 0.2", "sd = true", r"uncertainty\.read_noise_e: sd: got True"),
         ("sd = 0.2", "sdd = 0.2", r"sdd: unknown name; allowed: sd, range, distribution\. Did you mean 'sd'"),

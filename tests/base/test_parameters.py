@@ -130,7 +130,7 @@ def test_camera_object_within_focal_length_raises(object_distance_m):
     ("record", "values", "message"),
     [
         (Camera, {"focal_length_mm": 1e300}, "focal_length_mm: got 1e+300; allowed: less than or equal to 1e+06."),
-        (Camera, {"transmittance": 1e-30}, "transmittance: got 1e-30; allowed: at least 1e-12"),
+        (Camera, {"transmittance": 1e-30}, "transmittance: got 1e-30; allowed: greater than or equal to 1e-12."),
         (Exposure, {"integration_s": 1e300}, "integration_s: got 1e+300; allowed: less than or equal to 1e+09."),
         (Exposure, {"integration_s": 1e-16}, "integration_s: got 1e-16; allowed: greater than or equal to 1e-15."),
         (Pixel, {"full_well_e": 1e-300}, "full_well_e: got 1e-300; allowed: greater than or equal to 1."),

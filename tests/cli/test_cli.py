@@ -98,7 +98,7 @@ INVALID = {
     "run flat --pixel.pitch-um 5": ["pitch_um", "5", "5.135 µm", "5.297 µm"],
     "run flat --pixel.pitch-um 3000": ["pitch_um", "3000", "2713.6 µm"],
     f"run flat {SMALL} --pixel.quantum-efficiency 0": ["quantum_efficiency", "0"],
-    "run flat --camera.f-number -2": ["f_number", "'-2'", "greater than 0"],
+    "run flat --camera.f-number -2": ["f_number", "'-2'", "greater than or equal to 1e-06"],
     f"run flat {SMALL} --camera.f-number 0.3": ["f-number", "0.3", "0.5"],
     "run flat --config key.toml": ["pixel.pitch_mu", "Did you mean 'pitch_um'?"],
     "run flat --config table.toml": ["pixle", "Did you mean 'pixel'?"],

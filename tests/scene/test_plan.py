@@ -313,8 +313,8 @@ def test_plan_command_warns_above_tolerance():
     ("line", "wanted"),
     [
         ("plan nowhere", ["nowhere", "csf, flat"]),
-        ("plan csf --tolerance-e 0", ["tolerance_e", "0", "greater than 0"]),
-        ("plan csf --tolerance-e -1e-3", ["tolerance_e", "-1e-3", "greater than 0"]),
+        ("plan csf --tolerance-e 0", ["tolerance_e", "0", "greater than or equal to 1e-09"]),
+        ("plan csf --tolerance-e -1e-3", ["tolerance_e", "-1e-3", "greater than or equal to 1e-09"]),
         ("plan csf --tolerance-e 1", ["tolerance_e", "1", "less than 1"]),
         ("plan csf --tolerance-e nan", ["tolerance_e", "nan"]),
         ("plan csf --tolerance-e little", ["tolerance_e", "little", "number"]),
