@@ -381,7 +381,7 @@ FocalLength = Annotated[float, Field(ge=1e-4, le=1e6)]  # 0.1 µm ... 1 km
 FNumber = Annotated[float, Field(ge=1e-6, le=1e6)]  # the lower limit depends on the magnification, up to `LARGEST_MAGNIFICATION`
 DieWidth = Annotated[float, Field(ge=1e-5, le=1000)]  # 10 nm ... 1 m
 Distance = Annotated[float, Field(ge=1e-6, le=1e18)]  # 1 µm ... 100 light years
-Wavelength = Annotated[float, Field(ge=10, le=1e6)]  # extreme ultraviolet ... 1 mm
+Wavelength = Annotated[float, Field(ge=1, le=1e6)]  # soft X-rays ... 1 mm
 Seed = Annotated[int, Field(ge=0, lt=2**63)]  # as TOML holds
 Pitch = Annotated[float, Field(ge=1e-3, le=1e6)]  # 1 nm ... 1 m
 Seconds = Annotated[float, Field(ge=1e-15, le=1e9)]  # 1 fs ... 30 years
@@ -1334,7 +1334,7 @@ class Pixel(PixelOptions):
 
 
 FASTEST_WORKING_F_NUMBER = 0.5
-LARGEST_MAGNIFICATION = 1e6  # a wavelength of the object is as wide as a metre; beyond it the object lies in the focus
+LARGEST_MAGNIFICATION = 1e6  # green light is half a metre long in the image; beyond it the object lies in the focus
 CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
 
 

@@ -21,7 +21,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal.windows import tukey
 from scipy.special import chndtrinc, erf, ndtri
 
-from pixsim.base.arguments import checks_arguments, checks_fields
+from pixsim.base.arguments import LARGEST, SMALLEST, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.files import output_folder, publishing, write_json
@@ -400,6 +400,10 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     data = data.astype(float)
     if not np.isfinite(data).all():
         raise invalid("edge picture", f"{np.count_nonzero(~np.isfinite(data))} values that are NaN or infinite", "finite values")
+    largest = np.abs(data).max()
+    if largest and not SMALLEST <= largest <= LARGEST:  # so that squares are numbers; a black picture has no contrast, said later
+        got, allowed = f"a largest value of {largest:g}", f"{SMALLEST:g} to {LARGEST:g} in size"
+        raise invalid("edge picture", got, allowed, "Scale the picture.")
     return data
 
 

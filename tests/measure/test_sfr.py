@@ -104,6 +104,8 @@ INVALID = {
     "columns, over": gaussian_edge(90.4),
     "at least 24 a side": gaussian_edge()[:20],
     "one channel of numbers": np.zeros((64, 64, 3)),
+    "largest value of .*e-3": 1e-310 * gaussian_edge(),
+    "largest value of .*e[+]30": 1e300 * gaussian_edge(),
     "NaN or infinite": np.where(distances(5.0) > 150, np.nan, gaussian_edge()),
     "straight edge": DARK + 900.0 * (distances(5.0) > ((np.arange(SIDE)[:, None] - SIDE / 2) / 30) ** 2),  # a curve
     "bins without a pixel": gaussian_edge(45.0),
