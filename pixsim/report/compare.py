@@ -48,7 +48,7 @@ from pixsim.studies.compare import (
     verdict,
 )
 from pixsim.studies.keys import rendered_across
-from pixsim.studies.preparation import PAGE_S, Cost, known_film, render_cost
+from pixsim.studies.preparation import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 
 JSON_FILE, PAGE = "compare.json", "report.html"
@@ -150,7 +150,7 @@ def outline(prepared: Prepared) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
     first = prepared.sensors[0]
     costs = [_cost_of(part) for whole in (prepared, *prepared.pairs) for part in whole.parts]
-    cost = Cost(PAGE_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
+    cost = Cost(PAGE_S + START_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
     scene = first.scene.with_resolution(prepared.film_width)
     more: dict[str, Any] = {}
     if (of_study := prepared.circumstances) is not None:
@@ -190,7 +190,7 @@ def _cost_of(prepared: Prepared) -> Cost:
         height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
         plan, settings = prepared.plan(sensor, scene), prepared.settings_of(sensor)
         film = known_film((height, width), rendered_across(scene, sensor.camera, plan, settings))
-        render = render_cost(plan, sensor.camera, *film, processors().usable)
+        render = render_cost(plan, sensor.camera, *film, processors().usable, begun=True)
         frame = prepared.cost_of_frame(sensor)
         seconds += render.seconds + prepared.repeats * frame.seconds / processors().usable
         largest = max(largest, render.memory_bytes + frame.memory_bytes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.keys import evaluated_before, light_hash, rendered_across
 from pixsim.studies.oversampling import TOLERATED_SHARE
 from pixsim.studies.preparation import (
+    COLOUR_S,
     LONG_S,
     MOST_EVALUATIONS,
     RUN_PAGE_S,
@@ -76,6 +77,7 @@ def run_outline(
         header, view = {"parameters": scene.parameters}, chosen.as_dict()
         shape = known_film(outline["film"]["samples"], rendered_across(scene, camera, plan, settings))
         cost = render_cost(plan, camera, *shape, processors().usable)
+        cost = replace(cost, seconds=cost.seconds + COLOUR_S * (settings.pixel.colour is not None and not shape[1]))
         outline["errors"] = errors_of(plan, outline["film"], camera, derive(settings.pixel), settings)
     frame = frame_cost(camera, pitch_um, settings.display)
     cost = Cost(cost.seconds + RUN_PAGE_S + (1 + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)

@@ -58,7 +58,7 @@ from pixsim.studies.budget import without_warnings
 from pixsim.studies.circumstances import Circumstances, circumstances_of
 from pixsim.studies.engine import results_of, workers_here
 from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
-from pixsim.studies.preparation import ALLOWED_DOTS, SCORE_S_PER_DOT, Cost, View, choose_view, dots_on, frame_cost, jobs_in_memory
+from pixsim.studies.preparation import ALLOWED_DOTS, VIEWED_S_PER_DOT, Cost, View, choose_view, dots_on, frame_cost, jobs_in_memory
 from pixsim.studies.result import NO_VISIBLE_DELTA_E
 from pixsim.studies.viewing import OF_VIEWING, Viewed, Viewing, ViewingRange, range_words, where_words
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
@@ -312,7 +312,7 @@ class Prepared:
         cost = frame_cost(sensor.camera, sensor.pixel.pitch_um, self.settings.display)
         displays = [each.display(self.settings.display) for each in dict.fromkeys(self.viewing.viewings[1:])]
         dots = sum(dots_on(sensor.camera, display) for display in displays)
-        return replace(cost, seconds=cost.seconds + dots * SCORE_S_PER_DOT)
+        return replace(cost, seconds=cost.seconds + dots * VIEWED_S_PER_DOT)
 
 
 def sensor_layer(file: str) -> Layer:

@@ -233,15 +233,18 @@ EXACT_S_PER_CELL = 1.5e-7  # the same of a chart that is computed, without noise
 KNOWN_S_PER_CELL = 1e-7  # of a light that the cache has
 MOVED_S_PER_CELL = 2.5e-7  # of a picture that a real lens distorts
 WINDOW_S_PER_CELL = 2.8e-8  # of the windows of all tiles of a blur, with those of an even picture
+KNOWN_WINDOW_S_PER_CELL = 4e-8  # the same, with the PSFs' share of the light read
 PSF_S, POINT_S = 1.5e-3, 8e-3  # of a tile's PSF, and of a point along the radius
 PART_S_PER_CELL, PARTS_S = 1.2e-6, 0.5  # of the parts on which a film's error is measured behind a real lens
 FRAME_S = 6e-4  # of an evaluation of few pixels and dots
-FRAME_S_PER_PIXEL = 2.6e-7  # integration, noise and ADC
-SCORE_S_PER_DOT = 2.2e-7  # shown picture and S-CIELAB
+FRAME_S_PER_PIXEL = 2.0e-7  # integration, noise and ADC
+SCORE_S_PER_DOT = 1.6e-7  # shown picture and S-CIELAB
+VIEWED_S_PER_DOT = 6e-8  # of a frame that is shown on another display too
 START_S, KNOWN_START_S = 1.4, 0.8  # libraries, scene, plan; where the cache has the light
-PAGE_S, RUN_PAGE_S = 4.0, 0.3  # figures and page; of a single frame
-COLOUR_S = 1.5  # the first time that a sensor's colours are calibrated
-KNOWN_FRAMES = 0.5  # of the time of an evaluation, where the cache has its frame
+PAGE_S, CURVE_S, RUN_PAGE_S = 2.6, 0.45, 0.3  # figures and page; of each curve; of a single frame
+COLOUR_S = 1.8  # the first time that a sensor's colours are calibrated
+KNOWN_FRAMES = 0.35  # of the time of an evaluation, where the cache has its frame
+MOST_CURVES = 64  # of which a page has figures of their own
 CALIBRATIONS = 4.0  # renders of a calibration for a tolerance, each with a handful of frames
 MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
 TYPE_S = 0.3  # of a sensor type: its pixels, and the fit of its curve
@@ -290,13 +293,14 @@ def known_film(shape: Sequence[int], across: int | None) -> tuple[tuple[int, int
     return ((height, width), False) if across is None else ((round(height * across / width), across), True)
 
 
-def render_cost(plan: Plan, camera: Camera, shape: tuple[int, int], known: bool, cores: int) -> Cost:
+def render_cost(plan: Plan, camera: Camera, shape: tuple[int, int], known: bool, cores: int, begun: bool = False) -> Cost:
     """Estimate two renders of a film, their noise, the blur of the lens, the film's error, and the ideal image.
 
     A film whose error turns out too large is rendered again on a finer one, which nobody knows before.
 
     shape : (H, W) of the film
     known : whether the cache has the light
+    begun : whether the command has libraries and scene from another render
     """
     cells = math.prod(shape)
     samples = 2.0 * cells * plan.spp * plan.passes
@@ -304,9 +308,9 @@ def render_cost(plan: Plan, camera: Camera, shape: tuple[int, int], known: bool,
     if plan.many_bounces:
         samples, per_sample = max(samples, float(plan.most_samples)), PATH_S_PER_SAMPLE
     if known:
-        seconds = KNOWN_START_S + cells * KNOWN_S_PER_CELL + known_lens_seconds(plan, camera, shape, cores)
+        seconds = (0.0 if begun else KNOWN_START_S) + cells * KNOWN_S_PER_CELL + known_lens_seconds(plan, camera, shape, cores)
     else:
-        seconds = START_S + (0.0 if plan.exact else len(plan.lights) * KERNEL_S + samples * per_sample / cores)
+        seconds = (0.0 if begun else START_S) + (0.0 if plan.exact else len(plan.lights) * KERNEL_S + samples * per_sample / cores)
         seconds += cells * (EXACT_S_PER_CELL if plan.exact else FILM_S_PER_CELL) + lens_seconds(plan, camera, shape, cores)
     needed = max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.planes) - PROGRAM_BYTES)
     if 8 * cells * plan.planes > MOST_BYTES:
@@ -334,7 +338,7 @@ def known_lens_seconds(plan: Plan, camera: Camera, shape: tuple[int, int], cores
     if tiling is None or not tiling.psf_um:
         return 0.0
     windows, _, _ = blur_work(shape, *tiling.cells(1e3 * camera.die_mm / shape[1]))
-    return (plan.planes if plan.factored else GROUPS) * windows * WINDOW_S_PER_CELL / 2 / cores
+    return (plan.planes if plan.factored else GROUPS) * windows * KNOWN_WINDOW_S_PER_CELL / cores
 
 
 def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
@@ -407,19 +411,19 @@ def cases_cost(
     known : what the cache has of them
     """
     (study, first), cells = cases[0], math.prod(shape)
-    render = render_cost(plan, first, shape, known.light, workers_here().jobs)
+    render = render_cost(plan, first, shape, known.light, workers_here().jobs, begun=True)
     frame_costs: dict[Any, list[Cost]] = {}  # thousands of cases differ in little that a frame's cost depends on
     frames = [_frame_costs(study, camera, frame_costs) for study, camera in cases]
     jobs = jobs or jobs_in_memory(max(frame.memory_bytes for of_case in frames for frame in of_case))
     sums_s = [sum(frame.seconds for frame in of_case) for of_case in frames]
-    report_s = PAGE_S + 2 * frames[0][0].seconds + sums_s[0] / jobs
+    curves = sum(len(study.technologies) for study, _ in cases)
+    report_s = PAGE_S + CURVE_S * min(curves, MOST_CURVES) + 2 * frames[0][0].seconds + sums_s[0] / jobs
     calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0
-    start_s = KNOWN_START_S if known.light else START_S
-    renders_s = start_s + lights * (render.seconds - start_s)
+    renders_s = (KNOWN_START_S if known.light else START_S) + lights * render.seconds
     evaluations_s = sum(study.repeats * seconds for (study, _), seconds in zip(cases, sums_s, strict=True)) / jobs
-    evaluations_s *= 1 - known.frames * (1 - KNOWN_FRAMES)
     if len(cases) == 1 and study.own_um is not None and study.display.raster == "fixed_size":  # its optimum on other displays
         evaluations_s += STUDY_VIEWINGS * min(study.repeats, SENSORS_VIEWED) * sums_s[0] / jobs
+    evaluations_s *= 1 - known.frames * (1 - KNOWN_FRAMES)
     types_s = types * sum(TYPE_S + MOST_EVALUATIONS * seconds / len(of) for of, seconds in zip(frames, sums_s, strict=True)) / jobs
     largest = max(frame.memory_bytes for of_case in frames for frame in of_case)
     light = min(4.0 * cells * (plan.planes if plan.factored else plan.bands.width_nm.size), MOST_BYTES)
