@@ -47,7 +47,7 @@ from pixsim.studies.result import (
     with_ends,
     within_words,
 )
-from pixsim.studies.results_file import DELTA_E_STATISTICS
+from pixsim.viewer.metrics import DELTA_E
 
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
@@ -57,14 +57,14 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     """Plot the mean, percentiles and maximum of ΔE against pitch, each over its minimum."""
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
-    for name, look in zip(DELTA_E_STATISTICS, LOOKS, strict=False):
+    for name, look in zip(DELTA_E.columns, LOOKS, strict=False):
         values = curve.mean(name)
         label = f"{name.removesuffix('_delta_e')}: minimum {values.min():.2f} at {curve.pitch_um[values.argmin()]:.2f} µm"
         axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
     axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its minimum", ylim=(0.9, 3.0))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
-    at_um = {name: float(curve.pitch_um[curve.mean(name).argmin()]) for name in DELTA_E_STATISTICS}
+    at_um = {name: float(curve.pitch_um[curve.mean(name).argmin()]) for name in DELTA_E.columns}
     low, high = (end(at_um, key=at_um.__getitem__) for end in (min, max))
     words = [f"{at_um[name]:.2f} µm ({name.removesuffix('_delta_e')})" for name in (low, high)]
     same = at_um[low] == at_um[high]

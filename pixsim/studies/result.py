@@ -29,13 +29,13 @@ from pixsim.studies.evaluations import Counts, Part, chain_at, ideal_facts, kept
 from pixsim.studies.keys import REPEATS_PER_TASK, Fingerprints, block_key
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
-from pixsim.studies.results_file import DELTA_E_STATISTICS
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import largest_lens_um
 from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
+from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import ImagingChain, SceneCache, Score, clip_words, clips_dark, dark_clip, rounded_up
 
 if TYPE_CHECKING:
@@ -521,7 +521,7 @@ def causes_of_curve(part: Part, curve: Curve) -> tuple[Cause, ...]:
 
 def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:
     """Return the curve of one technology, with its optimum, from the rows of a study."""
-    names = ("pitch_um", "repeat", "fill_factor", "integration_s", *DELTA_E_STATISTICS)
+    names = ("pitch_um", "repeat", "fill_factor", "integration_s", *DELTA_E.columns)
     own = (row for row in rows if row["technology"] == technology)  # a million tables would not fit into memory
     pitch_um, repeat, fill, *values = (
         np.fromiter((float(row[name]) for row in own for name in names), float).reshape(-1, len(names)).T
@@ -620,7 +620,7 @@ ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.
 HEADROOM = 1.12  # of the axis over the highest point, for the legend
 LABEL_SPACE = 0.25  # of the axis height, for the labels below an optimum and at the bottom
 MARK_SPACING = 0.04  # of an axis, between fill-factor ticks
-OTHER_STATISTICS = DELTA_E_STATISTICS[1:]
+OTHER_STATISTICS = DELTA_E.columns[1:]
 
 
 def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:

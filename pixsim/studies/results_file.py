@@ -10,7 +10,7 @@ import shutil
 import stat
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain, islice, pairwise
+from itertools import chain, islice
 from pathlib import Path
 from typing import IO
 
@@ -20,10 +20,11 @@ from pixsim.base.notes import warn
 from pixsim.base.schema import KEY, SCHEMA, of_another
 from pixsim.show.pages import csv_text
 from pixsim.studies.rows import Row, RowStore, StoredRows
+from pixsim.viewer.metrics import METRICS, ROUNDING
 
-DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
-COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_E_STATISTICS)
+JUDGED = tuple(column for metric in METRICS.values() for column in metric.columns)
+COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *JUDGED)
 TEXTS = COLUMNS[:2]
 MAX_BYTES = 1 << 31  # eight million rows
 MAX_LINE = 1 << 14
@@ -178,26 +179,19 @@ class ResultsFile:
         return csv_text([*(row[name] for name in self.columns), row.get(KEY, str(SCHEMA))] for row in rows).encode()
 
 
-MAX_DELTA_E = 1e3  # of any two colours: black and white differ by 100, the most saturated ones by 260
-
-
-ROUNDING = 1e-5  # relative, of means in single precision
-
-
-BOUNDS = {**dict.fromkeys(DELTA_E_STATISTICS, (0.0, MAX_DELTA_E)), **dict.fromkeys(PIXEL_STATISTICS, (0.0, math.inf))}
+BOUNDS = dict.fromkeys(PIXEL_STATISTICS, (0.0, math.inf))
+BOUNDS |= {column: metric.bounds for metric in METRICS.values() for column in metric.columns}
 
 
 def is_possible(row: Row) -> bool:
-    """Return whether the numbers of a row can be those of an evaluation: within bounds, no statistic of ΔE above its maximum.
+    """Return whether the numbers of a row can be those of an evaluation: within bounds, and as each metric allows them together.
 
     A row is trusted otherwise: its key tells what it is of, not what came out.
     """
     values = {name: float(row[name]) for name in BOUNDS}
     if not all(low <= values[name] <= high * (1 + ROUNDING) for name, (low, high) in BOUNDS.items()):
         return False
-    mean, *rising = (values[name] for name in DELTA_E_STATISTICS)
-    largest = rising[-1] * (1 + ROUNDING)
-    return mean <= largest and all(one <= other * (1 + ROUNDING) for one, other in pairwise(rising))
+    return all(metric.is_possible(tuple(values[name] for name in metric.columns)) for metric in METRICS.values())
 
 
 def not_through_links(path: str, flags: int) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.arguments import checks_arguments, checks_fields, made
-from pixsim.base.arrays import Array, mixed, stream, strips
+from pixsim.base.arrays import Array, mixed, stream
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
@@ -63,6 +63,7 @@ from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, noise_covariance, rendition_of
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
+from pixsim.viewer.metrics import DELTA_E, percentiles
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
     colour_delta_e_map,
@@ -79,8 +80,6 @@ if TYPE_CHECKING:
 
 CLIPPED_WARNING = 0.01
 ROUNDING = 1e-6  # of white, in the luminance of a dot
-HISTOGRAM_BINS = 1 << 14
-COUNTED = 1 << 18  # values at a time, many more than bins
 PANEL_IN = 3.1  # width of each picture of a figure
 SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
 WHITE_PERCENTILE = 99.0  # of the ideal image of a scene whose white is unknown
@@ -119,8 +118,6 @@ class Score:
     def statistics(self) -> dict[str, float]:
         """Return the numbers of score.json and of a study's rows, with the unit in each name."""
         p, frame = self.physics, self.frame
-        largest = float(self.delta_e.max())
-        median, p90, p99 = percentiles(self.delta_e, (50, 90, 99), largest)
         names = "ideal_out_of_gamut_fraction", "out_of_gamut_fraction"
         gamut = {} if self.out_of_gamut is None else dict(zip(names, self.out_of_gamut, strict=True))
         return {
@@ -130,11 +127,7 @@ class Score:
             "integration_s": frame.integration_s,
             "saturated_fraction": frame.saturated_fraction,
             "mean_electrons_e": float(frame.mean_e.mean()),
-            "mean_delta_e": self.mean_delta_e,
-            "median_delta_e": median,
-            "p90_delta_e": p90,
-            "p99_delta_e": p99,
-            "max_delta_e": largest,
+            **dict(zip(DELTA_E.columns, DELTA_E.statistics(self.delta_e), strict=True)),
             **gamut,
         }
 
@@ -174,31 +167,6 @@ class Score:
     def __repr__(self) -> str:
         words = [f"{self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms", self.light.unmeasured]
         return f"<Score mean ΔE {self.light.shown(self.mean_delta_e)}, {'; '.join(filter(None, words))}>"
-
-
-def percentiles(values: Array, percent: tuple[float, ...], largest: float | None = None) -> list[float]:
-    """Return `np.percentile` of finite non-negative values, in a third of its time by way of a histogram.
-
-    largest : of the values, if it is known
-    """
-    largest = float(values.max()) if largest is None else largest
-    scale = (HISTOGRAM_BINS - 1) / max(largest, float(np.finfo(values.dtype).tiny) * HISTOGRAM_BINS)
-    values, bins, counts = values.ravel(), np.empty(values.size, np.uint16), np.zeros(HISTOGRAM_BINS, np.intp)
-    for part in strips(values.size, 1, COUNTED):
-        np.multiply(values[part], scale, out=bins[part], casting="unsafe")
-        counts += np.bincount(bins[part], minlength=HISTOGRAM_BINS)
-    up_to = counts.cumsum()
-    at = [percentage / 100 * (values.size - 1) for percentage in percent]
-    ranks = np.array([[int(place), min(int(place) + 1, values.size - 1)] for place in at])  # 0 for the smallest value
-    own = np.searchsorted(up_to, ranks, "right")
-    wanted = np.array(sorted(set(own.ravel().tolist())))
-    chosen = np.zeros(bins.shape, bool)
-    for one in wanted.tolist():  # a number of Python does not widen the bins
-        chosen |= bins == one
-    smallest = np.sort(values[chosen])  # bins increase with the values
-    skipped = up_to[wanted] - counts[wanted].cumsum()  # values in bins that are not wanted, below each one that is
-    found = smallest.astype(float)[ranks - skipped[np.searchsorted(wanted, own)]]
-    return [float(low + place % 1 * (high - low)) for place, (low, high) in zip(at, found, strict=True)]
 
 
 def allows_single(tolerance_delta_e: float | None) -> bool:

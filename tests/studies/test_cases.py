@@ -99,7 +99,10 @@ def test_axis_linear_spacing_moves_settings_together() -> None:
             {"set": "camera.f_number", "from": 2.0, "to": 2.1, "count": 900},
             "both 2 to 4 digits; allowed: values that differ in them",
         ),
-        ({"set": "camera.f_number", "values": [10**400]}, r"got 1\d*\.\.\.\d+; allowed: a number from -1e\+30 to 1e\+30, or a text"),
+        (
+            {"set": "camera.f_number", "values": [10**400]},
+            r"got 1\d*\.\.\.\d+; allowed: a number from -1e\+30 to 1e\+30, or a text",
+        ),
         ({"values": [{"label": "b", "set": {"pixel": {"prnu": None}}}]}, "pixel.prnu = None; allowed: a number, a text or a list"),
         ({"set": "camera.f_number", "values": [2], "spacing": "log"}, "values and spacing both state the values"),
         ({"values": [{"label": "b", "set": {"camera": {"f_number": n}}} for n in (2, 3)]}, "values: b stands there twice"),

@@ -18,6 +18,7 @@ from pixsim.sensor import integration
 from pixsim.sensor.integration import Columns, diffracted_rate, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
 from pixsim.viewer import display as displays, score
+from pixsim.viewer.metrics import percentiles
 from pixsim.viewer.scielab import delta_e, filtered_lab
 
 NM = np.arange(400.0, 721.0, 10)
@@ -76,12 +77,12 @@ def test_evaluate_keeps_what_calls_share_and_sees_changed_light(monkeypatch):
 )
 def test_percentiles_match_numpy(values):
     percent = (0, 1.7, 50, 90, 99, 100)
-    found = score.percentiles(values, percent)
+    found = percentiles(values, percent)
     np.testing.assert_allclose(found, np.percentile(values, percent), rtol=1e-14)
-    assert score.percentiles(values, percent, largest=float(values.max())) == found
+    assert percentiles(values, percent, largest=float(values.max())) == found
     if values.max() < 1e30:
         single = values.astype(np.float32)
-        np.testing.assert_allclose(score.percentiles(single, percent), np.percentile(single.astype(float), percent), rtol=1e-14)
+        np.testing.assert_allclose(percentiles(single, percent), np.percentile(single.astype(float), percent), rtol=1e-14)
 
 
 # --- One way and another ---
