@@ -23,6 +23,7 @@ from pixsim.studies.preparation import (
     LONG_S,
     MOST_EVALUATIONS,
     RUN_PAGE_S,
+    STACK_S,
     START_S,
     Cost,
     Known,
@@ -77,7 +78,9 @@ def run_outline(
         header, view = {"parameters": scene.parameters}, chosen.as_dict()
         shape = known_film(outline["film"]["samples"], rendered_across(scene, camera, plan, settings))
         cost = render_cost(plan, camera, *shape, processors().usable)
-        cost = replace(cost, seconds=cost.seconds + COLOUR_S * (settings.pixel.colour is not None and not shape[1]))
+        if not shape[1]:  # the cache does not have the light
+            more_s = COLOUR_S * (settings.pixel.colour is not None) + STACK_S * (settings.pixel.stack is not None)
+            cost = replace(cost, seconds=cost.seconds + more_s)
         outline["errors"] = errors_of(plan, outline["film"], camera, derive(settings.pixel), settings)
     frame = frame_cost(camera, pitch_um, settings.display)
     cost = Cost(cost.seconds + RUN_PAGE_S + (1 + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)

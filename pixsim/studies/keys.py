@@ -147,8 +147,12 @@ def remember_evaluated(study: Study) -> None:
 
 
 def _evaluated_key(study: Study) -> str:
-    """Return the key of a study whose frames the cache may have; a frame does not depend on the display."""
-    of_frames = study.model_dump(mode="json", exclude={*OF_SCORE, "title", "iso_delta_e", "detail", "paper", "sources"})
+    """Return the key of a study whose frames the cache may have; a frame does not depend on the display.
+
+    The film is left out, which the render chooses.
+    """
+    words = "title", "iso_delta_e", "detail", "paper", "sources"
+    of_frames = study.model_dump(mode="json", exclude={*OF_SCORE, *words, "resolution"})
     return content_hash([of_frames, cache.version_fingerprint(*COMPUTED_BY)])
 
 

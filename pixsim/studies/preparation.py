@@ -241,8 +241,9 @@ FRAME_S_PER_PIXEL = 2.0e-7  # integration, noise and ADC
 SCORE_S_PER_DOT = 1.6e-7  # shown picture and S-CIELAB
 VIEWED_S_PER_DOT = 6e-8  # of a frame that is shown on another display too
 START_S, KNOWN_START_S = 1.4, 0.8  # libraries, scene, plan; where the cache has the light
-PAGE_S, CURVE_S, RUN_PAGE_S = 2.6, 0.45, 0.3  # figures and page; of each curve; of a single frame
-COLOUR_S = 1.8  # the first time that a sensor's colours are calibrated
+PAGE_S, CURVE_S, RUN_PAGE_S = 2.6, 0.6, 0.3  # figures and page; of each curve; of a single frame
+MAPS_S = 5.5  # of axes and conditions
+COLOUR_S, STACK_S = 1.8, 0.6  # the first time that a sensor's colours are calibrated, and its stack is computed
 KNOWN_FRAMES = 0.35  # of the time of an evaluation, where the cache has its frame
 MOST_CURVES = 64  # of which a page has figures of their own
 CALIBRATIONS = 4.0  # renders of a calibration for a tolerance, each with a handful of frames
@@ -417,7 +418,7 @@ def cases_cost(
     jobs = jobs or jobs_in_memory(max(frame.memory_bytes for of_case in frames for frame in of_case))
     sums_s = [sum(frame.seconds for frame in of_case) for of_case in frames]
     curves = sum(len(study.technologies) for study, _ in cases)
-    report_s = PAGE_S + CURVE_S * min(curves, MOST_CURVES) + 2 * frames[0][0].seconds + sums_s[0] / jobs
+    report_s = PAGE_S + MAPS_S * (len(cases) > 1) + CURVE_S * min(curves, MOST_CURVES) + 2 * frames[0][0].seconds + sums_s[0] / jobs
     calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0
     renders_s = (KNOWN_START_S if known.light else START_S) + lights * render.seconds
     evaluations_s = sum(study.repeats * seconds for (study, _), seconds in zip(cases, sums_s, strict=True)) / jobs
