@@ -28,7 +28,7 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.scene import child, judge
 from pixsim.scene.assets import metals
-from pixsim.scene.child import ChildTracer, end_child
+from pixsim.scene.child import ChildTracer, OutOfTimeError, end_child
 from pixsim.scene.judge import judge_scene
 from pixsim.scene.meshes import judge_mesh
 from pixsim.scene.mitsuba import nodes_of, parse, speaking_mitsuba
@@ -561,7 +561,7 @@ def test_child_traces_as_this_process(variant, tmp_path):
     assert np.array_equal(one, two)
     assert one.min() > 0
     process = child._child.process
-    again = ChildTracer(job_of(tmp_path, variant), None).trace(0, film_of(), "multijitter", 16, 5)
+    again = ChildTracer(job_of(tmp_path, variant)).trace(0, film_of(), "multijitter", 16, 5)
     assert np.array_equal(again, one)
     assert child._child.process is process, "one child for all renders"
 
@@ -585,12 +585,12 @@ def test_error_within_the_child_is_an_error_here(tmp_path):
     table = f'<spectrum type="irregular" name="reflectance">{numbers}</spectrum>'
     with pytest.raises(PixsimError, match="Mitsuba cannot load or render the scene"):
         pixsim.render(load(scene_of(tmp_path, SPHERE.format(f'<bsdf type="diffuse">{table}</bsdf>'))))
-    assert ChildTracer(job_of(tmp_path), None).trace(0, film_of(), "multijitter", 4, 0).shape == (SIDE, SIDE, 1)
+    assert ChildTracer(job_of(tmp_path)).trace(0, film_of(), "multijitter", 4, 0).shape == (SIDE, SIDE, 1)
 
 
 def stopped(folder: Path) -> int:
     """Return the process of a child that has loaded a job and then answers no more."""
-    ChildTracer(job_of(folder), None).sample_count("multijitter", 4)
+    ChildTracer(job_of(folder)).sample_count("multijitter", 4)
     process = child._child.process.pid
     os.kill(process, signal.SIGSTOP)
     return process
@@ -604,7 +604,7 @@ def is_running(process: int) -> bool:
 
 
 def test_crash_of_the_child_is_an_error(tmp_path):
-    tracer = ChildTracer(job_of(tmp_path), None)
+    tracer = ChildTracer(job_of(tmp_path))
     tracer.sample_count("multijitter", 4)
     process = stopped(tmp_path)
     threading.Timer(0.3, os.kill, (process, signal.SIGSEGV)).start()
@@ -616,8 +616,9 @@ def test_crash_of_the_child_is_an_error(tmp_path):
 
 def test_child_that_takes_too_long_is_killed(tmp_path):
     process = stopped(tmp_path)
-    with pytest.raises(PixsimError, match=r"still in work 10 s after the time limit.*--max-seconds"):
-        ChildTracer(job_of(tmp_path), time.monotonic() + 0.2).sample_count("multijitter", 4)
+    ends_at_s = time.monotonic() + 0.2
+    with pytest.raises(OutOfTimeError, match=r"max_seconds: got a limit in which Mitsuba does not finish"):
+        ChildTracer(job_of(tmp_path), lambda: ends_at_s).sample_count("multijitter", 4)
     assert not is_running(process)
 
 
@@ -628,7 +629,7 @@ def test_signal_ends_the_child(number, kind, tmp_path):
     threading.Timer(0.3, os.kill, (os.getpid(), number)).start()
     try:
         with pytest.raises(kind):
-            ChildTracer(job_of(tmp_path), None).sample_count("multijitter", 4)
+            ChildTracer(job_of(tmp_path)).sample_count("multijitter", 4)
     finally:
         signal.signal(signal.SIGTERM, before)
     assert not is_running(process)
@@ -640,7 +641,7 @@ import sys
 from pathlib import Path
 sys.path[:0] = sys.argv[1:3]
 from test_hostile_scenes import child, ChildTracer, film_of, job_of
-tracer = ChildTracer(job_of(Path(sys.argv[3])), None)
+tracer = ChildTracer(job_of(Path(sys.argv[3])))
 tracer.sample_count("multijitter", 4)
 print(child._child.process.pid, flush=True)
 tracer.trace(0, film_of(4096), "independent", 1 << 16, 0)

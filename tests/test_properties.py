@@ -24,6 +24,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from pydantic import BaseModel, ValidationError
 
 import pixsim
+from pixsim.base.arguments import SMALLEST
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import (
     MISMATCH,
@@ -114,7 +115,7 @@ def numbers(number: Number) -> st.SearchStrategy[Any]:
         ends = [high] if number.open_low or low == 0 else [low, high]
         zero = [0.0] if low == 0 and not number.open_low else []
         return st.one_of(spread, spread, spread, spread, st.sampled_from(ends + zero))
-    return st.floats(low, high, exclude_min=number.open_low)
+    return st.floats(low, high, exclude_min=number.open_low).map(lambda value: value if abs(value) >= SMALLEST else 0.0)
 
 
 @lru_cache

@@ -1453,8 +1453,9 @@ class Camera(Record):
             )
         if self.magnification > LARGEST_MAGNIFICATION:
             raise ValueError(
-                f"focal_length_mm = {self.focal_length_mm:g} with object_distance_m = {self.object_distance_m:g} magnifies "
-                f"{self.magnification:g} times; allowed: up to {LARGEST_MAGNIFICATION:g}. Increase the object distance"
+                f"got focal_length_mm = {self.focal_length_mm:g} with object_distance_m = {self.object_distance_m:g}, which "
+                f"magnifies {self.magnification:g} times; allowed: up to {LARGEST_MAGNIFICATION:g} times. Increase the object "
+                "distance"
             )
         if self.working_f_number < FASTEST_WORKING_F_NUMBER:
             raise ValueError(

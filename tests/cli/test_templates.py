@@ -153,7 +153,7 @@ def test_allowed_states_range() -> None:
     properties = json_schema("sensor")["$defs"]["Pixel"]["properties"]
     assert allowed(properties["bits"]) == "integer, 1 to 24"
     assert allowed(properties["prnu"]) == "0 to 0.3"
-    assert allowed(properties["fill_factor"]) == "above 0 to 1"
+    assert allowed(properties["fill_factor"]) == "1e-12 to 1"
     assert allowed(properties["well_limit"]) == '"swing", "diode"'
 
 
