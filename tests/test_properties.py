@@ -283,7 +283,7 @@ def assert_possible(frame: Frame) -> None:
 def test_evaluate_is_finite_and_in_range_or_raises() -> None:
     outcomes: Counter[str] = Counter()
 
-    @settings(max_examples=60, **REPEATABLE)
+    @settings(max_examples=200, **REPEATABLE)
     @given(chains())
     def scored(chain: dict[str, Any]) -> None:
         with only_explained_errors(outcomes):
@@ -295,9 +295,10 @@ def test_evaluate_is_finite_and_in_range_or_raises() -> None:
             assert all(math.isfinite(value) for value in score.statistics().values())
 
     scored()
-    # Most of the other chains have a white that fills no well, or pixels larger than the die. About 45 % are accepted; which
-    # ones are drawn depends on the constants in the files that are imported. 14 or fewer of 60 have a probability of 4e-4.
-    assert outcomes["accepted"] >= 15, outcomes
+    # Most of the other chains have a white that fills no well, or pixels larger than the die. 20 to 50 % are accepted: which ones
+    # are drawn depends on the constants in the files that are imported, and the first ones are extreme. Of 200 with 20 %, 19 or
+    # fewer have a probability of 5e-5.
+    assert outcomes["accepted"] >= 20, outcomes
 
 
 def any_technology() -> st.SearchStrategy[Technology]:
