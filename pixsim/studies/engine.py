@@ -318,6 +318,11 @@ def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, 
     return index, result, [(text, MachineWarning if issubclass(kind, MachineWarning) else UserWarning) for text, kind in kinds]
 
 
+# loky replaces a worker whose memory grows by 300 MB, as the light behind a lens makes it, and warns of that. No result depends on
+# it.
+REPLACED = "A worker stopped while some jobs were given to the executor"
+
+
 def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int) -> Iterator[Reply[Result]]:
     """Run calls on local processes, with shared data in memory-mapped files: one copy for all.
 
@@ -338,6 +343,7 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
         # Workers of other arguments are not used again: those of another current folder would take a relative path from there.
         watched: dict[str, Any] = {"initializer": begin_worker, "initargs": (os.getpid(), current_folder())}
         with parallel_config("loky", inner_max_num_threads=1, **watched):
+            warnings.filterwarnings("ignore", REPLACED, UserWarning)
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
             with ctrl_c_blocked() as taken:
                 results = parallel(numbered(taken))

@@ -23,13 +23,13 @@ import joblib
 import numpy as np
 import pytest
 from helpers.processes import HANG_S, signalled
-from helpers.tasks import collects_garbage, die_always, die_once, die_once_at_7_um, double, fail, folder_of, nothing, warn
+from helpers.tasks import collects_garbage, die_always, die_once, die_once_at_7_um, double, fail, folder_of, keep, nothing, warn
 from helpers.tiny import tiny_toml, toml_of
 
 import pixsim
 from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.notes import MachineWarning
+from pixsim.base.notes import MachineWarning, collected_notes
 from pixsim.studies import engine, evaluations
 from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
 from pixsim.studies.study import load_study
@@ -126,6 +126,15 @@ def test_results_of_shows_worker_warnings_once() -> None:
         warnings.simplefilter("always")
         assert sorted(results_of(warn, [(task, nothing) for task in range(6)], Workers(2))) == list(range(6))
     assert [str(note.message) for note in caught] == ["the moon is out"]
+
+
+@pytest.mark.slow
+def test_results_of_replaced_workers_are_no_note() -> None:
+    """A worker that grows is replaced by loky: results and notes are those of any other."""
+    pytest.importorskip("psutil", reason="loky looks at a worker's memory with psutil")
+    with collected_notes() as notes:
+        assert sorted(results_of(keep, [(task, nothing) for task in range(12)], Workers(2))) == list(range(12))
+    assert notes == []
 
 
 @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])  # it ends its workers
