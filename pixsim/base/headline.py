@@ -33,5 +33,10 @@ def with_headline(parts: Sequence[str], unsure: str = "") -> list[str]:
 
 def headline_lines(parts: Sequence[str], unsure: str = "") -> list[str]:
     """Return the lines of `with_headline` for a terminal."""
-    head, *rest = with_headline(parts, unsure)
+    return below_headline(with_headline(parts, unsure))
+
+
+def below_headline(answer: Sequence[str]) -> list[str]:
+    """Return an answer of `with_headline` as lines: what follows the headline is set off."""
+    head, *rest = answer
     return [head, *(f"{BELOW}{text}" for text in rest)]

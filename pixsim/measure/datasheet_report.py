@@ -13,7 +13,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.files import output_folder, publishing, versions, write_json
-from pixsim.base.headline import BELOW, with_headline
+from pixsim.base.headline import below_headline, with_headline
 from pixsim.base.parameters import Pixel
 from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_curve, sheet_summary
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
@@ -341,10 +341,8 @@ def datasheet_lines(sheet: DataSheet) -> list[str]:
         table.add_row(f"  {entry.quantity}", entry.symbol, *numbers, entry.unit, off(entry))
     text = StringIO()
     Console(file=text, width=TERMINAL_WIDTH, markup=False, emoji=False).print(table)
-    head, *rest = described(sheet)
     return [
-        head,
-        *(f"{BELOW}{words}" for words in rest),
+        *below_headline(described(sheet)),
         *(line.rstrip() for line in text.getvalue().splitlines()),
         *(f"note: {note}" for note in sheet.notes),
     ]

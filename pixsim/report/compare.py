@@ -15,7 +15,7 @@ import numpy as np
 
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
-from pixsim.base.headline import BELOW
+from pixsim.base.headline import below_headline
 from pixsim.base.machine import processors
 from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, paths_of
 from pixsim.report.pictures import crops, picture_axes
@@ -131,7 +131,7 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
 
     notes : None for all of the result
     """
-    lines = [line for head, *rest in answers(result) for line in (head, *(f"{BELOW}{text}" for text in rest))]
+    lines = [line for found in answers(result) for line in below_headline(found)]
     width = max(map(len, result.names))
     where = f" in {result.shown.prepared.condition}" if result.conditions else ""
     for number, compared in enumerate(result.sensors):

@@ -76,9 +76,9 @@ def run_outline(
         plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, **options)
         outline["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
         header, view = {"parameters": scene.parameters}, chosen.as_dict()
-        shape = known_film(outline["film"]["samples"], rendered_across(scene, camera, plan, settings))
-        cost = render_cost(plan, camera, *shape, processors().usable)
-        if not shape[1]:  # the cache does not have the light
+        shape, rendered = known_film(outline["film"]["samples"], rendered_across(scene, camera, plan, settings))
+        cost = render_cost(plan, camera, shape, rendered, processors().usable)
+        if not rendered:
             more_s = COLOUR_S * (settings.pixel.colour is not None) + STACK_S * (settings.pixel.stack is not None)
             cost = replace(cost, seconds=cost.seconds + more_s)
         outline["errors"] = errors_of(plan, outline["film"], camera, derive(settings.pixel), settings)

@@ -32,7 +32,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.scene.graphics import CUDA
 from pixsim.scene.tracer import Job
 
-GRACE_S = 10.0  # for a process that was killed
+ENDED_S = 10.0  # in which a killed process ends
 MAX_REPLY = 1 << 20  # bytes of a line
 MAX_CHANNELS = 256
 READ_AT_ONCE = 1 << 16
@@ -92,7 +92,7 @@ class _Child:
             with suppress(OSError):
                 self.process.kill()
             with suppress(OSError, subprocess.SubprocessError):
-                self.process.wait(timeout=GRACE_S)
+                self.process.wait(timeout=ENDED_S)
         for name in ("requests", "replies", "life", "pictures"):
             with suppress(OSError):
                 os.close(getattr(self, name))

@@ -31,11 +31,9 @@ OF_LIGHT = (
 )
 OF_FRAME = ("exposure", "correction")  # beside the light, the pixel and the random streams
 OF_SCORE = ("display", "develop")
-# On which no frame depends: which of them are made, what is said of them, and the cases, whose settings are their own.
-OF_NO_FRAME = (
-    *("repeats", "max_repeats", "target_ci_um", "max_evaluations", "refine", "axis", "condition", "quick"),
-    *("title", "iso_delta_e", "detail", "paper", "sources"),
-)
+# On which no frame depends: what is said of them, which of them are made, and the cases, whose settings are their own.
+OF_WORDS = ("title", "iso_delta_e", "detail", "paper", "sources")
+OF_NO_FRAME = (*OF_WORDS, "repeats", "max_repeats", "target_ci_um", "max_evaluations", "refine", "axis", "condition", "quick")
 
 
 def light_hash(study: Study) -> str:
@@ -151,8 +149,7 @@ def _evaluated_key(study: Study) -> str:
 
     The film is left out, which the render chooses.
     """
-    words = "title", "iso_delta_e", "detail", "paper", "sources"
-    of_frames = study.model_dump(mode="json", exclude={*OF_SCORE, *words, "resolution"})
+    of_frames = study.model_dump(mode="json", exclude={*OF_SCORE, *OF_WORDS, "resolution"})
     return content_hash([of_frames, cache.version_fingerprint(*COMPUTED_BY)])
 
 

@@ -309,37 +309,34 @@ def render_cost(plan: Plan, camera: Camera, shape: tuple[int, int], known: bool,
     if plan.many_bounces:
         samples, per_sample = max(samples, float(plan.most_samples)), PATH_S_PER_SAMPLE
     if known:
-        seconds = (0.0 if begun else KNOWN_START_S) + cells * KNOWN_S_PER_CELL + known_lens_seconds(plan, camera, shape, cores)
+        seconds = (0.0 if begun else KNOWN_START_S) + cells * KNOWN_S_PER_CELL
     else:
         seconds = (0.0 if begun else START_S) + (0.0 if plan.exact else len(plan.lights) * KERNEL_S + samples * per_sample / cores)
-        seconds += cells * (EXACT_S_PER_CELL if plan.exact else FILM_S_PER_CELL) + lens_seconds(plan, camera, shape, cores)
+        seconds += cells * (EXACT_S_PER_CELL if plan.exact else FILM_S_PER_CELL)
+    seconds += lens_seconds(plan, camera, shape, known, cores)
     needed = max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.planes) - PROGRAM_BYTES)
     if 8 * cells * plan.planes > MOST_BYTES:
         needed = film_memory_bytes(cells, plan.planes) - PROGRAM_BYTES
     return Cost(seconds, BASE_BYTES + needed, 1)
 
 
-def lens_seconds(plan: Plan, camera: Camera, shape: tuple[int, int], cores: int) -> float:
-    """Estimate what a real lens adds to a render, its film's error and one frame; 0 for a thin one."""
+def lens_seconds(plan: Plan, camera: Camera, shape: tuple[int, int], known: bool, cores: int) -> float:
+    """Estimate what a real lens adds to a render, its film's error and one frame; 0 for a thin one.
+
+    known : whether the cache has the light and the PSFs, so that the blur is left
+    """
     tiling, cells = plan.tiling, math.prod(shape)
     if tiling is None:
         return 0.0
-    moved_s = (1 if plan.exact else FEWEST_RENDERS) * plan.planes * cells * MOVED_S_PER_CELL
+    moved_s = 0.0 if known else (1 if plan.exact else FEWEST_RENDERS) * plan.planes * cells * MOVED_S_PER_CELL
     if not tiling.psf_um:
         return moved_s
     lights = plan.planes if plan.factored else GROUPS
     windows, psfs, points = blur_work(shape, *tiling.cells(1e3 * camera.die_mm / shape[1]))
+    if known:
+        return lights * windows * KNOWN_WINDOW_S_PER_CELL / cores
     blur_s = windows * WINDOW_S_PER_CELL + psfs * PSF_S + points * POINT_S
     return moved_s + lights * (blur_s + min(cells, MEASURED) * PART_S_PER_CELL + PARTS_S) / cores
-
-
-def known_lens_seconds(plan: Plan, camera: Camera, shape: tuple[int, int], cores: int) -> float:
-    """Estimate the blur of a real lens whose PSFs the cache has; 0 for a thin one."""
-    tiling = plan.tiling
-    if tiling is None or not tiling.psf_um:
-        return 0.0
-    windows, _, _ = blur_work(shape, *tiling.cells(1e3 * camera.die_mm / shape[1]))
-    return (plan.planes if plan.factored else GROUPS) * windows * KNOWN_WINDOW_S_PER_CELL / cores
 
 
 def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
