@@ -122,9 +122,9 @@ GOOD: dict[str, Any] = {
 OWN: dict[str, Any] = {
     "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
     "pixsim.read_frame.path": "raw.npz", "pixsim.Technology.with_numbers.values": {"prnu": 0.01},
-    "pixsim.Study.options_of.technology": "0.35um", "pixsim.base.parameters.pixel_of.technology": "0.35um",
-    "pixsim.sensor.pixel.physics_of.technology": "0.35um", "pixsim.sensor.pixel.photodiode_widths_um.technology": "0.35um",
-    "pixsim.sensor.pixel.photodiode_widths_um.pitch_um": np.array([5.0, 6.0]), "pixsim.load_scene.scene": "flat",
+    "pixsim.Study.options_of.technology": "0.35um", "pixsim.studies.pixels.pixel_of.technology": "0.35um",
+    "pixsim.studies.pixels.physics_of.technology": "0.35um", "pixsim.studies.pixels.photodiode_widths_um.technology": "0.35um",
+    "pixsim.studies.pixels.photodiode_widths_um.pitch_um": np.array([5.0, 6.0]), "pixsim.load_scene.scene": "flat",
     "pixsim.load_scene.sensor": None, "pixsim.viewer.display.average_axis.edges_um": np.array([0.0, 100.0, 200.0]),
     "pixsim.viewer.scielab.grey_delta_e_map.reference_lab": lambda: np.zeros((4, 4, 3)),
     "pixsim.study.plan": STUDY, "pixsim.study.out": "", "pixsim.study.pixel": {}, "pixsim.study.scene": None,

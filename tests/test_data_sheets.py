@@ -24,7 +24,7 @@ from pixsim.measure import datasheet
 from pixsim.measure.datasheet import entries, make_datasheet, sheet_summary
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
-from pixsim.sensor.technology import technology_of
+from pixsim.studies.pixels import technology_of
 from pixsim.studies.study import check_technologies, load_study, prepare
 
 pytestmark = pytest.mark.usefixtures("undrawn")

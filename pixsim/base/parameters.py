@@ -62,7 +62,6 @@ else:
 __all__ = [
     "Axis", "AxisValue", "Camera", "CameraOptions", "ColourOptions", "Condition", "Correction", "DarkCurrent", "Develop", "Display",
     "Effort", "Exposure", "LensOptions", "PitchRange", "Pixel", "PixelOptions", "Run", "StackOptions", "Study", "StudyScene",
-    "pixel_of",
 ]  # fmt: skip
 
 
@@ -2432,13 +2431,3 @@ class Run(Effort):
     def _pixels_make_the_die(self) -> Self:
         self.__dict__["camera"] = self.camera.with_die(self.pixel.pitch_um if "pitch_um" in self.pixel.model_fields_set else None)
         return self
-
-
-@checks_arguments
-def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
-    """Pixel of a study in a technology, by name or path, at a pitch."""
-    sensor = study.sensors.get(technology)
-    if sensor is None:
-        return Pixel(**study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
-    measured_um = sensor.data_sheet_pitch_um or sensor.pitch_um
-    return Pixel(**sensor.model_dump() | {"pitch_um": pitch_um, "data_sheet_pitch_um": measured_um})

@@ -19,12 +19,12 @@ from pixsim.base.arrays import strips
 from pixsim.base.files import DEPENDENCIES, are_kept, digest_of, files_are_finished, output_folder, versions, write_made_from
 from pixsim.base.mapped import release
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.technology import technology_of
+from pixsim.studies.pixels import technology_of
 from pixsim.studies.result import StudyResult
 
 DRAWING = ("Jinja2", "MarkupSafe", "Pillow", "contourpy", "kiwisolver")  # packages that decide on the bytes, besides DEPENDENCIES
 # Fields that are not compared: how a result was computed, as the wall times tell too; and what follows from the other fields.
-LEFT_OUT = ("counts", "likeliest", "width_um")
+LEFT_OUT = ("counts", "lights", "likeliest", "width_um")
 
 
 def keep_or_write(result: StudyResult, folder: Path, write: Callable[[], Path]) -> Path:

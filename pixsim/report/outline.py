@@ -12,12 +12,13 @@ from pixsim.base.parameters import Camera, CameraOptions, Effort, Run, Study
 from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
 from pixsim.report.wording import field_words, focal_length_assumption, lens_words, view_words
 from pixsim.sensor.integration import pixels_along, pixels_on
-from pixsim.sensor.pixel import PixelPhysics, derive, physics_of
+from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import rounded
 from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.keys import evaluated_before, light_hash, rendered_across
 from pixsim.studies.oversampling import TOLERATED_SHARE
+from pixsim.studies.pixels import physics_of
 from pixsim.studies.preparation import (
     COLOUR_S,
     LONG_S,

@@ -11,7 +11,6 @@ from pixsim.report.merit import study_mtf_terms, system_mtf
 from pixsim.report.pictures import CONTRAST_LABEL, extent, picture_axes
 from pixsim.report.views import draw_iso, map_end, study_pictures
 from pixsim.scene.charts import csf_contrast
-from pixsim.sensor.pixel import physics_of
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure, own_style
 from pixsim.show.pages import Column, Plate, coarse_table
 from pixsim.studies.claims import (
@@ -24,6 +23,7 @@ from pixsim.studies.claims import (
     frequency_contrast_table,
     reference_process,
 )
+from pixsim.studies.pixels import physics_of
 from pixsim.studies.result import StudyResult
 
 PAPER_PLATES = (

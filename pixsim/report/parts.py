@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.pixel import physics_of
 from pixsim.show.pages import Column
-from pixsim.studies.evaluations import chain_at, light_of, stream_key
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.parts import delta_e_parts
-from pixsim.viewer.score import prepare_scene
 
 PARTS_FILE = "parts.csv"
 
@@ -27,13 +24,12 @@ def parts_table(result: StudyResult) -> dict[str, Column]:
     for part in cases:
         for curve in part.curves:
             pitch_um = float(curve.pitch_um[int(np.argmin(curve.mean()))])
-            light = light_of(part.study, part.scenes, curve.technology)
-            physics = physics_of(part.study, curve.technology, pitch_um).registered(0, part.study.display)
-            if isinstance(light, SpectralImage):
-                light = prepare_scene(light, part.camera, physics, part.study.display, border_um=part.study.border_um)
-            chain = chain_at(part.study, light, part.camera, curve.technology, pitch_um)
-            key = stream_key(part.study, physics.technology.name, pitch_um, 0)
-            parts = delta_e_parts(part.irradiance, part.camera, physics, light, chain, *key)
+            series = part.series[curve.technology]
+            light, imaging = series.light(), series.imaging.at(pitch_um)
+            physics = imaging.registered(0)
+            prepared = imaging.light(light, physics) if isinstance(light, SpectralImage) else light
+            key = *series.stream_at(pitch_um), 0
+            parts = delta_e_parts(part.irradiance, part.camera, physics, prepared, imaging.chain(prepared, physics), *key)
             rows.append({"pixel": curve.label, "pitch_um": pitch_um, **parts.as_dict()})
         part.scenes.clear()
     return {name: [row[name] for row in rows] for name in rows[0]}

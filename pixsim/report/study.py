@@ -28,13 +28,13 @@ from pixsim.report.wording import (
     study_unconverged_lines,
     study_view_line,
 )
-from pixsim.sensor.pixel import physics_of
-from pixsim.sensor.technology import file_label, labels_of, technology_of
+from pixsim.sensor.technology import file_label, labels_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
 from pixsim.show.pages import Column, Drawn, Plate, table_csv, write_figures, write_page
 from pixsim.show.pictures import scale
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.pixels import physics_of, technology_of
 from pixsim.studies.result import (
     Curve,
     StudyResult,

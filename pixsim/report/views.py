@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,6 @@ import scipy  # whose parts are imported when they are used
 
 from pixsim.base.arrays import Array
 from pixsim.report.pictures import crops, picture_axes
-from pixsim.sensor.readout import make_frame
 from pixsim.show.figures import (
     ISO_SMOOTHING_DOTS,
     LEGEND_LINE,
@@ -37,8 +35,7 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.studies.evaluations import CORRECTED, DN, chain_at, kept_frames, light_of, name_of, shown_chain, stream_key
-from pixsim.studies.keys import block_key
+from pixsim.studies.evaluations import frames_of, task_of
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.viewer.score import Score, shown
 
@@ -198,15 +195,7 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
 
     A cached frame is shown directly, which takes a fifth of the time of simulating it.
     """
-    study, pitch_um = result.study, float(curve.pitch_um[place])
-    light = light_of(study, result.scenes, curve.technology)
-    known = kept_frames(block_key(result.fingerprints.frames_of_pitch(curve.technology, pitch_um), 0))
-    chain = shown_chain(study, light, curve.technology, pitch_um, 0, known)
-    if chain is None:
-        chain = chain_at(study, light, result.camera, curve.technology, pitch_um)
-        frame = chain.capture(*stream_key(study, chain.physics.technology.name, pitch_um, 0))
-    else:
-        # The shown picture does not depend on the saturated fraction or the mean signal.
-        frame = make_frame(known[name_of(0, DN)].astype(np.int32), math.nan, chain.signal_e_per_s, chain.physics, chain.exposure)
-        frame = replace(frame, corrected_e=known.get(name_of(0, CORRECTED)))
-    return shown(chain.light(frame, window.of), study.display)
+    series = result.series[curve.technology]
+    task = task_of(series, float(curve.pitch_um[place]), 0, {})
+    _, chain, frame, _ = next(frames_of(task, series.light(), [0], shown=True))
+    return shown(chain.light(frame, window.of), result.study.display)

@@ -33,10 +33,8 @@ from pixsim.base.parameters import (
     Pixel,
     PixelOptions,
     StackOptions,
-    Study,
     channels_of,
     efficiencies_of,
-    pixel_of,
     stack_excluded_by,
 )
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
@@ -52,12 +50,12 @@ from pixsim.sensor.mismatch import (
     prnu_of_area,
 )
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
-from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
+from pixsim.sensor.technology import Junction, Technology, load_technology, with_fill_factor_law
 
 # The public names; everything else is internal.
 __all__ = [
     "PixelPhysics", "derive", "fill_factor_law", "given_efficiency", "growth_from_data_sheet", "implausible_numbers",
-    "other_unit_of_pitch", "photodiode_widths_um", "physics_of", "pitch_for_fill_factor_um", "response_curve",
+    "other_unit_of_pitch", "pitch_for_fill_factor_um", "response_curve",
     "sheet_disagreements", "silicon_curve", "smallest_pitch_um", "warn_of_disagreements", "warn_of_implausible_numbers",
 ]  # fmt: skip
 
@@ -1158,33 +1156,3 @@ def warn_of_implausible_numbers(pixel: Pixel, technology: Technology | None = No
     """
     for text in implausible_numbers(pixel, technology, largest_um):
         warn(text)
-
-
-@checks_arguments
-def physics_of(study: Study, technology: str, pitch_um: float, process: Technology | None = None) -> PixelPhysics:
-    """Return the physical properties of a study's pixel, with the process numbers of `Study.process`, at the study's gain.
-
-    Parameters
-    ----------
-    technology : a name or path as in `Study.technologies`
-    pitch_um : centre-to-centre distance
-    process : the result of `technology_of`, if available
-
-    Raises PixsimError as `derive` and `technology_of` do.
-    """
-    physics = derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
-    return physics.at_gain(study.exposure.gain_db)
-
-
-@checks_arguments
-def photodiode_widths_um(study: Study, technology: str, pitch_um: Array) -> Array:
-    """Return the widths √fill factor · pitch in µm of the square photodiodes of a study's pixels, (n,) as the pitches.
-
-    technology : a name or path as in `Study.technologies`
-
-    Raises PixsimError as `technology_of` does.
-    """
-    options = study.options_of(technology)
-    process = with_fill_factor_law(technology_of(study, technology), options.fill_factor_law)
-    fill_factor = options.fill_factor or np.maximum(fill_factor_law(pitch_um, process), MIN_FRACTION)
-    return np.asarray(np.sqrt(fill_factor) * pitch_um)

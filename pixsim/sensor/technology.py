@@ -38,7 +38,6 @@ from pixsim.base.parameters import (
     SiliconDepth,
     StackHeight,
     StackOptions,
-    Study,
     UnitInterval,
     VoltageMismatch,
 )
@@ -304,23 +303,6 @@ def load_technology(name: str) -> Technology:
     check_name(name)
     status = path.stat() if path.is_file() else None
     return _read(path, (status.st_mtime_ns, status.st_size) if status else ())
-
-
-def technology_of(study: Study, name: str) -> Technology:
-    """Return a technology of a study with the numbers of `Study.process` in place of the file's.
-
-    That of a data sheet (`Study.sensors`) is the one that it names, or none.
-
-    Raises PixsimError as `load_technology` and `Technology.with_numbers` do, and for process numbers of a data sheet.
-    """
-    sensor, values = study.sensors.get(name), study.process.get(name)
-    technology = load_technology(sensor.technology if sensor else name)
-    if not values:
-        return technology
-    if technology.name == NO_TECHNOLOGY:
-        hint = "Put them into [pixel]."
-        raise invalid(f"process.{name}", ", ".join(values), "no process numbers for a data sheet", hint)
-    return technology.with_numbers(values, f"process.{name}")
 
 
 NUMBERS_OF_FILE = {*Technology.model_fields, *Junction.model_fields}

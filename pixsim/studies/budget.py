@@ -48,7 +48,6 @@ from pixsim.base.parameters import (
     Run,
     Study,
     content_hash,
-    pixel_of,
 )
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, noise_of
@@ -58,7 +57,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics, derive, largest_pitch_um, pitch_for_fill_factor_um
-from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
+from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
 from pixsim.studies.film_error import (
     FINE,
     FINER,
@@ -71,6 +70,7 @@ from pixsim.studies.film_error import (
     order_of,
     step_size,
 )
+from pixsim.studies.pixels import pixel_of, technology_of
 from pixsim.studies.sampling import largest_pixel_um
 from pixsim.viewer.score import ImagingChain, SceneCache, Seen, chain_at_pitch, prepare_scene, white_header
 

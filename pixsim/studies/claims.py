@@ -19,10 +19,11 @@ from pixsim.base.arrays import Array
 from pixsim.base.parameters import Pixel, Study, content_hash
 from pixsim.base.progress import Progress
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
-from pixsim.sensor.pixel import derive, fill_factor_law, physics_of
-from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
+from pixsim.sensor.pixel import derive, fill_factor_law
+from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.pixels import physics_of, technology_of
 from pixsim.studies.result import Curve, StudyResult, interval_words
 from pixsim.studies.sampling import largest_pixel_um
 from pixsim.viewer.display import picture_size_um
@@ -228,7 +229,7 @@ def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: 
     The rows of the paper's process are computed once for cases that differ in other processes only.
     """
     keys = [
-        content_hash([of_technology(part.study, REFERENCE_TECHNOLOGY), part.fingerprints.imaging])
+        content_hash([of_technology(part.study, REFERENCE_TECHNOLOGY), part.series[REFERENCE_TECHNOLOGY].fingerprints.imaging])
         if REFERENCE_TECHNOLOGY in part.study.technologies
         else ""
         for part in parts

@@ -14,7 +14,6 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Study
-from pixsim.sensor.pixel import photodiode_widths_um
 from pixsim.studies.optimum import (
     FINE_PLACES,
     PLACES,
@@ -27,6 +26,7 @@ from pixsim.studies.optimum import (
     minima,
     posteriors,
 )
+from pixsim.studies.pixels import photodiode_widths_um
 from pixsim.studies.result import Curve
 
 LEAST_PITCHES = 5  # that a curve is fitted to

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 from pixsim.base.progress import Progress
 from pixsim.sensor.integration import pixels_along
-from pixsim.studies.engine import Workers, results_of
-from pixsim.studies.evaluations import LEFT_OUT, evaluate_task, light_of, scenes_of, tasks_of
-from pixsim.studies.keys import Fingerprints
+from pixsim.studies.engine import Workers
+from pixsim.studies.evaluations import DEGREE, DOTS, Evaluations
 from pixsim.studies.preparation import ALLOWED_DOTS, View
 from pixsim.studies.result import Curve, StudyResult, curve_of
-from pixsim.studies.rows import Row
+from pixsim.studies.series import scenes_of, series_of
 from pixsim.studies.viewing import OF_VIEWING, SENSORS_VIEWED, OptimumViewed, ViewingRange
 
 DOTS_FACTOR = 2.0  # of the data sheet's dots to those of larger pixels, and of smaller ones to them
@@ -48,22 +46,25 @@ def curves_viewed(result: StudyResult, view: View, workers: Workers, progress: P
 
     Frames that the cache has are shown again. The others are simulated, with the same random numbers.
     """
-    viewing, camera, irradiance = viewing_of(result, view), result.camera, result.irradiance
-    viewed: dict[str, list[OptimumViewed]] = {curve.technology: [] for curve in result.curves}
-    others = viewing.viewings[1:]
-    for number, each in enumerate(others):
-        study = result.study.model_copy(update={"display": each.display(result.study.display)})
-        scenes, hashes = scenes_of(study, irradiance, camera), Fingerprints(study, camera, irradiance)
-        for curve in result.curves:
-            sensors = {
-                float(pitch_um): min(int(count), SENSORS_VIEWED)
-                for pitch_um, count in zip(curve.pitch_um, curve.sensors, strict=True)
-            }
-            light = partial(light_of, study, scenes, curve.technology)
-            calls = [(task, light) for task in tasks_of(hashes, curve.technology, sensors, ())]
-            rows: list[Row] = [row for rows in results_of(evaluate_task, calls, workers) for row in rows if LEFT_OUT not in row]
-            best = curve_of(study, curve.technology, rows).optimum
-            viewed[curve.technology].append(OptimumViewed(each, viewing.holds(each), best))
-        if progress:
-            progress((number + 1) / len(others))
-    return tuple(replace(curve, viewed=tuple(viewed[curve.technology])) for curve in result.curves)
+    study, viewing = result.study, viewing_of(result, view)
+    if not (others := viewing.viewings[1:]):
+        return result.curves
+    first, *more = [each.display(study.display) for each in others]
+    on_first = study.model_copy(update={"display": first})
+    scenes = scenes_of(on_first, result.irradiance, result.camera, more)
+    series = series_of(on_first, scenes)
+    evaluations = Evaluations(series, None, workers)
+    samplings = [
+        {float(pitch_um): min(int(count), SENSORS_VIEWED) for pitch_um, count in zip(curve.pitch_um, curve.sensors, strict=True)}
+        for curve in result.curves
+    ]
+    viewed: dict[int, tuple[OptimumViewed, ...]] = {}
+    with evaluations.resumed(samplings):
+        for number, rows in evaluations.rows(samplings, progress):
+            found = []
+            for each in others:
+                own = [row for row in rows if len(others) == 1 or (int(row[DOTS]), float(row[DEGREE])) == each]
+                best = curve_of(study, series[number].name, own).optimum
+                found.append(OptimumViewed(each, viewing.holds(each), best))
+            viewed[number] = tuple(found)
+    return tuple(replace(curve, viewed=viewed[number]) for number, curve in enumerate(result.curves))

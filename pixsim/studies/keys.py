@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pixsim.base import cache
-from pixsim.base.parameters import Camera, Effort, Run, Study, content_hash, pixel_of
-from pixsim.light.spectral import SpectralImage
+from pixsim.base.parameters import Camera, Effort, Pixel, Run, Study, content_hash
 from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import pixels_on
-from pixsim.sensor.technology import technology_of
 from pixsim.studies.rows import Row
-from pixsim.studies.sampling import Sampling, first_sampling
-from pixsim.viewer.score import allows_single
+from pixsim.studies.sampling import first_sampling
 
-REPEATS_PER_TASK = 8  # evaluations after which a worker reports
+if TYPE_CHECKING:
+    from pixsim.studies.series import Series
+
+REPEATS_PER_TASK = 8  # after which a worker reports
+MOST_REPEATS = 10_000  # of a pitch
 COMPUTED_BY = ("mitsuba", "drjit", "colour-science")  # their versions are in each key, with pixsim's sources
 
 # The settings that each stage depends on beside those of the stage before it. The sensors decide on the noise and the film of a
@@ -43,87 +45,77 @@ def light_hash(study: Study) -> str:
 
 @dataclass(frozen=True)
 class Fingerprints:
-    """Hashes of everything that the evaluations of a study depend on.
+    """Hashes of everything that the evaluations of a series depend on."""
 
-    stored : whether its frames may go into the cache
-    """
-
-    study: Study
-    camera: Camera
-    irradiance: SpectralImage
-    stored: bool = True
-    _pixels: dict[tuple[str, float], str] = field(default_factory=dict, init=False, repr=False)
-    _keys: dict[tuple[str, float], dict[int, str]] = field(default_factory=dict, init=False, repr=False)
+    series: Series
+    _pixels: dict[float, str] = field(default_factory=dict, init=False, repr=False)
+    _keys: dict[float, list[str]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def imaging(self) -> str:
-        """Hash of the irradiance, camera, exposure, correction and random streams, without pixel and display."""
-        study, light = self.study, [self.irradiance.header, self.camera.model_dump()]
-        streams = [study.stream_name, study.seed]
+        """Hash of the light, camera, exposure, correction and random streams, without pixel and display."""
+        settings = [getattr(self.series.imaging, name).model_dump() for name in OF_FRAME]
         # With pixsim's sources and the versions of the packages that compute, so that no row of another formula is reused.
-        return content_hash([*light, study.model_dump(include=set(OF_FRAME)), *streams, cache.version_fingerprint(*COMPUTED_BY)])
+        return content_hash([self.series.scenes.content, settings, *self.series.stream, cache.version_fingerprint(*COMPUTED_BY)])
 
     @cached_property
-    def display(self) -> str:
-        """Hash of the display, of the part of the die that is scored on it, and of the precision."""
-        study = self.study
-        border_um = study.border_um if study.display.raster == "fixed_size" else 0.0
-        of_score = [getattr(study, name).content_hash for name in OF_SCORE]
-        return content_hash([*of_score, border_um, allows_single(study.tolerance_delta_e)])
+    def shown(self) -> list[str]:
+        """Hash of each display, of the part of the die that is scored on it, of the development, and of the precision."""
+        imaging = self.series.imaging
+        border_um = imaging.border_um if imaging.display.raster == "fixed_size" else 0.0
+        own = imaging.develop.content_hash, border_um, imaging.single
+        return [content_hash([display.content_hash, *own]) for display in self.series.displays]
 
-    def scene(self, technology: str) -> str:
-        """Return the hash of the light that all pitches of a technology share."""
-        process = technology_of(self.study, technology).content
-        pixel = self.study.options_of(technology).model_dump(exclude={"technology"})  # a path is no content
-        return content_hash([self.imaging, self.display, process, pixel])
+    @cached_property
+    def light(self) -> str:
+        """Hash of the light behind the lens, and of the pixel but its size."""
+        return content_hash([self.imaging, self.shown, *self._of_pixel(self.series.imaging.pixel, "pitch_um")])
 
-    def pixel(self, technology: str, pitch_um: float) -> str:
+    def _of_pixel(self, pixel: Pixel, *but: str) -> tuple[object, ...]:
+        process = self.series.imaging.process
+        return process and process.content, pixel.model_dump(exclude={"technology", *but})  # a path is no content
+
+    def pixel(self, pitch_um: float) -> str:
         """Return the hash of everything that the frames of a pitch depend on."""
-        if (technology, pitch_um) not in self._pixels:
-            pixel = pixel_of(self.study, technology, pitch_um).model_dump(exclude={"technology"})  # a path is no content
-            own = technology_of(self.study, technology).content, pixel, self.study.display.raster  # it decides on registrations
-            self._pixels[technology, pitch_um] = content_hash([self.imaging, *own])
-        return self._pixels[technology, pitch_um]
+        if pitch_um not in self._pixels:
+            at_pitch = self.series.imaging.at(pitch_um)
+            # The raster decides on registrations.
+            self._pixels[pitch_um] = content_hash([self.imaging, *self._of_pixel(at_pitch.pixel), at_pitch.display.raster])
+        return self._pixels[pitch_um]
 
-    def keys(self, technology: str, pitch_um: float, repeats: Iterable[int]) -> dict[int, str]:
-        """Return the key of the row of each repeat."""
-        keys, known = {}, self._keys.setdefault((technology, pitch_um), {})
-        for repeat in repeats:
-            if repeat not in known:
-                known[repeat] = content_hash([self.pixel(technology, pitch_um), self.display, repeat])
-            keys[repeat] = known[repeat]
-        return keys
+    def keys(self, pitch_um: float, count: int) -> Sequence[str]:
+        """Return the key of each evaluation of a pitch: for each of `count` repeats, that on each display."""
+        known, displays = self._keys.setdefault(pitch_um, []), len(self.shown)
+        for number in range(len(known), count * displays):
+            repeat, display = divmod(number, displays)
+            known.append(content_hash([self.pixel(pitch_um), self.shown[display], repeat]))
+        return known[: count * displays]
 
-    def is_expected_row(self, row: Row) -> bool:
-        """Return whether a row of results.csv may belong to the study and has the key of its technology, pitch and repeat."""
-        technology, pitch_um, repeat = row["technology"], float(row["pitch_um"]), float(row["repeat"])
-        if technology not in self.study.technologies or not (repeat >= 0 and repeat.is_integer()):
+    def is_expected_row(self, row: Row, pitches_um: Collection[float]) -> bool:
+        """Return whether a row of results.csv may belong to the series and has the key of its pitch and repeat.
+
+        pitches_um : with which the series starts
+        """
+        pitch_um, repeat = float(row["pitch_um"]), float(row["repeat"])
+        if row["technology"] != self.series.name or not (0 <= repeat < MOST_REPEATS and repeat.is_integer()):
             return False
-        pitches_um = self.first_sampling[technology]
         if not min(pitches_um) <= pitch_um <= max(pitches_um):
             return False
-        return self.keys(technology, pitch_um, [int(repeat)])[int(repeat)] == row["key"]
+        return row["key"] in self.keys(pitch_um, int(repeat) + 1)[-len(self.shown) :]
 
-    @cached_property
-    def first_sampling(self) -> Sampling:
-        return first_sampling(self.study)
+    def frames_of_pitch(self, pitch_um: float) -> str:
+        """Return the cache key of the frames of a pitch; empty if the frames of the series are not stored."""
+        return self.pixel(pitch_um) if self.series.stored else ""
 
-    def frames_of_pitch(self, technology: str, pitch_um: float) -> str:
-        """Return the cache key of the frames of a pitch; empty if the frames of the study do not fit in the cache."""
-        return self.pixel(technology, pitch_um) if self.frames_fit_in_cache else ""
 
-    @cached_property
-    def frames_fit_in_cache(self) -> bool:
-        """Whether all frames of the study fit in the cache without displacing most of it."""
-        if not self.stored:
-            return False
-        study = self.study
-        bits = max(study.options_of(technology).bits for technology in study.technologies)
-        code_bytes = np.min_scalar_type(2**bits - 1).itemsize + (4 if study.correction.is_on else 0)
-        sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
-        pitches = [pitch_um for sensors in self.first_sampling.values() for pitch_um in sensors]
-        pixels = sum(math.prod(pixels_on(self.camera.die_um, pitch_um)) for pitch_um in pitches)
-        return cache.has_room(pixels * code_bytes * sensors_per_pitch)
+def frames_fit_in_cache(study: Study, camera: Camera) -> bool:
+    """Return whether all frames of a study fit in the cache without displacing most of it."""
+    bits = max(study.options_of(technology).bits for technology in study.technologies)
+    code_bytes = np.min_scalar_type(2**bits - 1).itemsize + (4 if study.correction.is_on else 0)
+    sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
+    pitches = [pitch_um for sensors in first_sampling(study).values() for pitch_um in sensors]
+    pixels = sum(math.prod(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches)
+    return cache.has_room(pixels * code_bytes * sensors_per_pitch)
 
 
 def block_key(frames_key: str, block: int) -> str:

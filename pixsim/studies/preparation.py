@@ -18,7 +18,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import memory
 from pixsim.base.mapped import MOST_BYTES
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Display, PitchRange, Study, pixel_of
+from pixsim.base.parameters import Camera, Display, PitchRange, Study
 from pixsim.optics.camera_lens import GROUPS, rendered_camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.optics.field_blur import blur_work
@@ -28,9 +28,10 @@ from pixsim.scene.plan import FEWEST_RENDERS, Plan, decide_oversampling, make_re
 from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
-from pixsim.sensor.pixel import PixelPhysics, physics_of
+from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.technology import label_of
 from pixsim.studies.engine import workers_here
+from pixsim.studies.pixels import physics_of, pixel_of
 from pixsim.studies.sampling import largest_lens_um, study_pitches_um
 from pixsim.studies.viewing import SENSORS_VIEWED, STUDY_VIEWINGS
 from pixsim.viewer.score import SCENE_CACHE_BYTES

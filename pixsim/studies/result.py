@@ -20,23 +20,24 @@ from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.collection import least_fresnel_number
 from pixsim.sensor.integration import collecting_area_um2
-from pixsim.sensor.pixel import has_microlens, photodiode_widths_um, physics_of, smallest_pitch_um
-from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of, with_fill_factor_law
+from pixsim.sensor.pixel import has_microlens, smallest_pitch_um
+from pixsim.sensor.technology import file_label, label_of, labels_of, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, html_cell, rows_csv, set_words
 from pixsim.studies.cases import BASE, case_words
-from pixsim.studies.evaluations import Counts, Part, chain_at, ideal_facts, kept_frames, light_of, scenes_of, scores_of
-from pixsim.studies.keys import REPEATS_PER_TASK, Fingerprints, block_key
+from pixsim.studies.evaluations import Counts, blocks_of, frames_of, ideal_facts, task_of
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
+from pixsim.studies.pixels import photodiode_widths_um, physics_of, technology_of
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import largest_lens_um
+from pixsim.studies.series import Series, scenes_of, series_of
 from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.score import ImagingChain, SceneCache, Score, clip_words, clips_dark, dark_clip, rounded_up
+from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip, rounded_up
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -227,6 +228,7 @@ class StudyResult:
     left_out : reasons why cases of a study with axes or conditions have no curves; each begins with technology and case
     findings : of a study with axes or conditions that compares with the paper, for each case its statements
         (`pixsim.studies.claims.Finding`)
+    lights : behind the lens, where they are prepared already
     """
 
     study: Study
@@ -243,6 +245,7 @@ class StudyResult:
     left_out: tuple[str, ...] = ()
     uncertainty: tuple[Any, ...] = ()
     findings: tuple[tuple[Any, ...], ...] = field(default=(), repr=False)
+    lights: SceneCache | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         technologies = list(dict.fromkeys(curve.technology for curve in self.curves))
@@ -298,12 +301,14 @@ class StudyResult:
     @cached_property
     def scenes(self) -> SceneCache:
         """The light behind the lens for each spectral response, stored for `scores`."""
+        if self.lights is not None and self.lights.display == self.study.display:  # not that of a copy with another display
+            return self.lights
         return scenes_of(self.study, self.irradiance, self.camera)
 
     @cached_property
-    def fingerprints(self) -> Fingerprints:
-        """Keys of its frames and rows."""
-        return Fingerprints(self.study, self.camera, self.irradiance)
+    def series(self) -> dict[str, Series]:
+        """The series of each technology."""
+        return {each.name: each for each in series_of(self.study, self.scenes)}
 
     @property
     def cause_notes(self) -> list[str]:
@@ -390,18 +395,12 @@ class StudyResult:
         return self._scores(technology, pitch_um, repeats, shown=True)
 
     def _scores(self, technology: str, pitch_um: float, repeats: int | None, shown: bool = False) -> list[Score]:
-        light = light_of(self.study, self.scenes, technology)
-        count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
-        frames = self.fingerprints.frames_of_pitch(technology, pitch_um)
-
-        def chain_of(repeat: int) -> ImagingChain:
-            return chain_at(self.study, light, self.camera, technology, pitch_um, repeat)
-
+        series = self.series[technology]
+        light, count = series.light(), self.sensors_at(technology, pitch_um) if repeats is None else repeats
         scores: list[Score] = []
-        for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
-            own, key = list(range(first, min(count, first + REPEATS_PER_TASK))), block_key(frames, block)
-            of_block = own, key, kept_frames(key), chain_of
-            scores += [score for _, score, _ in scores_of(self.study, light, technology, pitch_um, *of_block, shown=shown)]
+        for block, own in blocks_of(series, count):
+            frames = frames_of(task_of(series, pitch_um, block, {}), light, own, shown=shown)
+            scores += [chain.score_frame(frame) for _, chain, frame, _ in frames]
         # Figures sum over the maps, for which float32 has too few digits.
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 
@@ -504,28 +503,25 @@ def few(notes: Sequence[Sequence[str]]) -> list[str]:
     return [*each[: SHOWN_NOTES - 1], f"and {len(each) - SHOWN_NOTES + 1} more notes of this kind, of other cases"]
 
 
-def causes_of_curve(part: Part, curve: Curve) -> tuple[Cause, ...]:
+def causes_of_curve(series: Series, curve: Curve, smallest_um: float) -> tuple[Cause, ...]:
     """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the largest first.
 
-    part : whose study has the curve
+    series : of the curve
+    smallest_um : pixels of the series
     """
-    study, image, camera = part.study, part.scenes.irradiance, part.scenes.camera
-    place = int(np.argmin(curve.mean()))
-    time_s, physics = curve.mean("integration_s")[place], physics_of(study, curve.technology, float(curve.pitch_um[place]))
-    read = physics.as_read.at_gain(study.exposure.gain_db)
-    area_um2 = collecting_area_um2(image, camera, physics) * read.bin_side**2
-    white_e = white_rate(image, camera, physics, study.display) * area_um2 * float(time_s)
-    lightness = ideal_facts(study, part.scenes, part.fingerprints, curve.technology).lightness
-    return causes_of(image.header, read, white_e, float(time_s), lightness)
+    image, place = series.scenes.irradiance, int(np.argmin(curve.mean()))
+    time_s, at_best = curve.mean("integration_s")[place], series.imaging.at(float(curve.pitch_um[place]))
+    read = at_best.physics.as_read
+    area_um2 = collecting_area_um2(image, at_best.camera, at_best.physics) * read.bin_side**2
+    white_e = white_rate(image, at_best.camera, at_best.physics, at_best.display) * area_um2 * float(time_s)
+    return causes_of(image.header, read, white_e, float(time_s), ideal_facts(series, smallest_um).lightness)
 
 
 def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:
-    """Return the curve of one technology, with its optimum, from the rows of a study."""
+    """Return the curve of one technology, with its optimum, from its rows."""
     names = ("pitch_um", "repeat", "fill_factor", "integration_s", *DELTA_E.columns)
-    own = (row for row in rows if row["technology"] == technology)  # a million tables would not fit into memory
-    pitch_um, repeat, fill, *values = (
-        np.fromiter((float(row[name]) for row in own for name in names), float).reshape(-1, len(names)).T
-    )
+    numbers_of = (float(row[name]) for row in rows for name in names)  # a million tables would not fit into memory
+    pitch_um, repeat, fill, *values = np.fromiter(numbers_of, float).reshape(-1, len(names)).T
     pitches, place = np.unique(pitch_um, return_inverse=True)
     which = place, repeat.astype(int)
     statistics = {name: np.full((pitches.size, 1 + which[1].max()), np.nan) for name in names[3:]}

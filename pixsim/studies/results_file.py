@@ -31,6 +31,12 @@ MAX_LINE = 1 << 14
 ROWS_AT_ONCE = 1 << 10  # that are written
 
 
+def columns_of(more: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns of rows, with further ones after the repeat."""
+    after = COLUMNS.index("repeat") + 1
+    return *COLUMNS[:after], *more, *COLUMNS[after:]
+
+
 class ResultsFile:
     """results.csv: rows with `COLUMNS` and the schema, of which `TEXTS` hold text and the others numbers.
 
@@ -41,8 +47,7 @@ class ResultsFile:
     def __init__(self, path: Path, more: Sequence[str] = ()) -> None:
         self.path = path
         self.another_schema: str | None = None
-        after = COLUMNS.index("repeat") + 1
-        self.columns = (*COLUMNS[:after], *more, *COLUMNS[after:])
+        self.columns = columns_of(more)
 
     def read(self) -> RowStore:
         """Return complete rows by key; an incomplete last line is ignored."""

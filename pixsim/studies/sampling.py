@@ -11,9 +11,11 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import NO_TECHNOLOGY, Study
 from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
-from pixsim.sensor.technology import technology_of, with_fill_factor_law
+from pixsim.sensor.technology import with_fill_factor_law
+from pixsim.studies.pixels import technology_of
 
-Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors; both in order
+Sizes = dict[float, int]  # pitch in µm -> sensors, in order
+Sampling = dict[str, Sizes]  # technology -> its pixel sizes, in order
 
 
 _equal_ratios = lru_cache(np.geomspace)  # which the cases of a study share

@@ -20,12 +20,13 @@ from pixsim.base.progress import Progress
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.claims import scaling_rows
 from pixsim.studies.engine import Workers
-from pixsim.studies.evaluations import Evaluations, Part, scenes_of
+from pixsim.studies.evaluations import Evaluations
 from pixsim.studies.indices import total_indices
 from pixsim.studies.preparation import MOST_EVALUATIONS
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.rows import NO_ROWS
-from pixsim.studies.sampling import Sampling, study_pitches_um
+from pixsim.studies.sampling import Sizes, study_pitches_um
+from pixsim.studies.series import Series, scenes_of, series_of
 from pixsim.studies.uncertainty import (
     LEAST_DRAWS,
     MOST_DRAWS,
@@ -106,39 +107,44 @@ def draw_types(
     sample = asked.sample(study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
     bases = result.parts or (result,)
-    parts: list[Part] = []
-    samplings: list[Sampling] = []
+    series: list[Series] = []
+    members: list[range] = []  # of each type, the numbers of its series
+    samplings: list[Sizes] = []
+    studies: list[Study] = []  # of each of the series
     for number, base in enumerate(bases):
         own = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick", "target_ci_um"})
         scenes = scenes_of(base.study, base.irradiance, base.camera)
         table = merge(own, {"paper": False, "resolution": base.study.resolution})
-        studies = [Study.model_validate(merge(table, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
-        ranges = [_common_range_um(studies, curve) for curve in base.curves]
+        types = [Study.model_validate(merge(table, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
+        ranges = [_common_range_um(types, curve) for curve in base.curves]
         few = {
             curve.technology: few_pitches_um(
                 float(np.clip(curve.optimum.pitch_um, *range_um)), curve.optimum.interval_um, range_um, MOST_EVALUATIONS
             )
             for curve, range_um in zip(base.curves, ranges, strict=True)
         }
-        for draw, one in enumerate(studies):
-            parts.append(Part(Case(one, {"case": number, "draw": draw}), scenes, stored=False))
-            samplings.append(few)
-    evaluations = Evaluations(parts, folder / TYPES_FILE, workers)
+        for draw, one in enumerate(types):
+            case = Case(one, {"case": number, "draw": draw})
+            of_type = series_of(one, scenes, case.columns, case.words, stored=False)
+            members.append(range(len(series), len(series) + len(of_type)))
+            series += of_type
+            samplings += [few[each.name] for each in of_type]
+            studies += [one] * len(of_type)
+    evaluations = Evaluations(series, folder / TYPES_FILE, workers)
     count = len(sample.draws)
-    rows = [NO_ROWS for _ in parts]
-    curves: list[list[Curve]] = [[] for _ in parts]
-    with evaluations.resumed():
+    rows = [NO_ROWS for _ in series]
+    curves: dict[int, Curve] = {}
+    with evaluations.resumed(samplings):
         with closing(evaluations.rows(samplings, progress())) as found_rows:
-            for number, own_rows in found_rows:  # the workers go on while a curve is fitted
-                rows[number] = own_rows
+            for number, rows[number] in found_rows:  # the workers go on while a curve is fitted
                 evaluations.possible(number, samplings[number])
-                curves[number] = [curve_of(parts[number].study, name, own_rows) for name in samplings[number]]
+                curves[number] = curve_of(studies[number], series[number].name, rows[number])
         evaluations.finish(rows)
     found = []
     for number, base in enumerate(bases):
         for place, curve in enumerate(base.curves):
-            of_types = curves[number * count : (number + 1) * count]
-            outcomes = [_outcome(of_type, place, base, asked) for of_type in of_types]
+            of_types = members[number * count : (number + 1) * count]
+            outcomes = [_outcome([curves[own] for own in of_type], place, base, asked) for of_type in of_types]
             inputs = sample if asked.total else sample_of(sample, curve.technology)
             found.append(summarise(inputs, outcomes, asked.draws, study.seed, curve.label if len(result.curves) > 1 else ""))
     return found

@@ -36,32 +36,23 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
-from pixsim.sensor.pixel import PixelPhysics, physics_of, warn_of_disagreements, warn_of_implausible_numbers
-from pixsim.sensor.technology import check_name, label_of, labels_of, technology_of
+from pixsim.sensor.pixel import PixelPhysics, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.technology import check_name, label_of, labels_of
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
 from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, results_of, workers_for
-from pixsim.studies.evaluations import (
-    FEW_PARTS,
-    Counts,
-    Evaluations,
-    Part,
-    TooFewSizesError,
-    check_ideals,
-    most_channels,
-    scenes_of,
-    warn_of_clipped_white,
-    warn_of_stacks,
-)
+from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, warn_of_clipped_white, warn_of_stacks
 from pixsim.studies.keys import light_hash, remember_evaluated
 from pixsim.studies.oversampling import FilmError, render_and_measure
+from pixsim.studies.pixels import physics_of, technology_of
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, jobs_in_memory, largest_frame_bytes, study_plan
 from pixsim.studies.result import Curve, StudyResult, causes_of_curve, curve_of, few
 from pixsim.studies.results_file import COLUMNS, ResultsFile
 from pixsim.studies.rows import NO_ROWS
-from pixsim.studies.sampling import Sampling, first_sampling, largest_pixel_um, study_pitches_um
+from pixsim.studies.sampling import Sampling, Sizes, first_sampling, largest_pixel_um, study_pitches_um
+from pixsim.studies.series import Series, most_channels, scenes_of, series_of
 from pixsim.studies.sight import Sight, clearest
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display import dot_edges_um
@@ -73,6 +64,7 @@ if TYPE_CHECKING:
     from pixsim.studies.sensor_types import Asked
 
 Light = tuple[SpectralImage, Camera, FilmError]
+FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
 
 
 def read_study(name: str | os.PathLike[str]) -> Layer:
@@ -661,70 +653,95 @@ def evaluate_cases(
     Returns the result of each case, or the reason why too few of its pixel sizes are possible, and how much was computed.
     """
     caches: dict[str, SceneCache] = {}
-    made: list[Part] = []
+    lit: list[SceneCache] = []
+    series: list[Series] = []
+    members: list[range] = []  # of each case, the numbers of its series
     for case, (irradiance, camera, _) in zip(cases, lights, strict=True):
         # The header states everything that a render depends on, so that cases of other pixels may have equal ones.
         of_light = [irradiance.header, irradiance.shape, irradiance.pitch_um, camera.model_dump()]
         key = content_hash([*of_light, case.study.display.content_hash])
         scenes = caches.setdefault(key, scenes_of(case.study, irradiance, camera))
         scenes.channels = max(scenes.channels, most_channels(case.study))
-        made.append(Part(case, scenes))
-    check_ideals(made)
-    evaluations = Evaluations(made, results, workers)
-    samplings = [first_sampling(part.study) for part in made]
-    rows = [NO_ROWS for _ in made]
-    curves: list[tuple[Curve, ...]] = [() for _ in made]
-    fitted: list[Sampling] = [{} for _ in made]  # of these curves
-    left_out: list[dict[str, dict[float, str]]] = [{} for _ in made]
+        lit.append(scenes)
+        of_case = series_of(case.study, scenes, case.columns, case.words)
+        members.append(range(len(series), len(series) + len(of_case)))
+        series += of_case
+    under: dict[tuple[str, str], list[Series]] = {}  # of one scene and condition
+    for case, numbers in zip(cases, members, strict=True):
+        under.setdefault((case.study.scene.file, case.condition), []).extend(series[number] for number in numbers)
+    for together in under.values():
+        check_ideals(together)
+    evaluations = Evaluations(series, results, workers, len(cases))
+    case_of = [place for place, numbers in enumerate(members) for _ in numbers]
+    samplings = [sizes for case in cases for sizes in first_sampling(case.study).values()]
+    smallest_um = [min(sizes) for sizes in samplings]
+    rows = [NO_ROWS for _ in series]
+    curves: dict[int, Curve] = {}
+    fitted: list[Sizes] = [{} for _ in series]  # of these curves
+    left_out: list[dict[float, str]] = [{} for _ in series]
     impossible: dict[int, str] = {}
-    with evaluations.resumed():
-        for group in evaluations.groups():
-            changed = group
+    rounds = any(case.study.target_ci_um is not None for case in cases)
+    with evaluations.resumed(samplings):
+        for group in evaluations.groups(members) if rounds else [range(len(cases))]:
+            changed = set(group)
             while changed:
                 # Cases that have met their target stay, so that their lights are not prepared again.
-                wanted = [samplings[number] if number in changed else {} for number in range(len(made))]
-                again = []
+                wanted = [sizes if case_of[number] in changed else {} for number, sizes in enumerate(samplings)]
+                missing = {number: len(members[number]) for number in changed}
+                changed = set()
                 with closing(evaluations.rows(wanted, progress())) as found_rows:
-                    for number, own_rows in found_rows:  # the workers go on while a curve is fitted
-                        study, rows[number] = made[number].study, own_rows
-                        if left := evaluations.left_out(number, samplings[number]):
-                            left_out[number] = merge(left_out[number], left)
-                            try:
-                                samplings[number] = evaluations.possible(number, samplings[number])
-                            except TooFewSizesError as error:
-                                impossible[number] = str(error)
-                                continue
-                        known = {each.technology: each for each in curves[number]}
-                        curves[number] = tuple(
-                            known[name] if fitted[number].get(name) == sensors else curve_of(study, name, own_rows)
-                            for name, sensors in samplings[number].items()
+                    for number, rows[number] in found_rows:  # the workers go on while a curve is fitted
+                        place = case_of[number]
+                        missing[place] -= 1
+                        left_out[number] |= evaluations.left_out(number, samplings[number])
+                        try:
+                            samplings[number] = evaluations.possible(number, samplings[number])
+                            if fitted[number] != samplings[number]:
+                                curves[number] = curve_of(cases[place].study, series[number].name, rows[number])
+                            fitted[number] = samplings[number]
+                        except TooFewSizesError as error:
+                            impossible[number] = str(error)
+                        if missing[place] or not impossible.keys().isdisjoint(members[place]):
+                            continue
+                        technologies = {series[own].name: own for own in members[place]}
+                        more = next_round(
+                            cases[place].study,
+                            [curves[own] for own in technologies.values()],
+                            {name: samplings[own] for name, own in technologies.items()},
+                            len(cases) <= FEW_CASES,
                         )
-                        fitted[number] = samplings[number]
-                        more = next_round(study, curves[number], samplings[number], len(made) <= FEW_PARTS)
-                        if more != samplings[number]:
-                            again.append(number)
-                        samplings[number] = more
-                changed = again
+                        for name, own in technologies.items():
+                            if more[name] != samplings[own]:
+                                changed.add(place)
+                            samplings[own] = more[name]
             evaluations.end_group()
         evaluations.finish(rows)
     found: list[StudyResult | str] = []
-    warn_of_left_out(cases, [{} if number in impossible else own for number, own in enumerate(left_out)])
-    for number, (part, own, left, (irradiance, camera, film)) in enumerate(zip(made, curves, left_out, lights, strict=True)):
-        if number in impossible:
-            found.append(impossible[number])
+    left_of_cases = [{series[number].name: left_out[number] for number in numbers if left_out[number]} for numbers in members]
+    reasons = [next((impossible[number] for number in numbers if number in impossible), "") for numbers in members]
+    warn_of_left_out(cases, [{} if reason else left for left, reason in zip(left_of_cases, reasons, strict=True)])
+    for case, numbers, reason, scenes, (irradiance, camera, film) in zip(cases, members, reasons, lit, lights, strict=True):
+        if reason:
+            found.append(reason)
             continue
-        if part.fingerprints.frames_fit_in_cache:
-            remember_evaluated(part.study)
-        warn_of_clipped_white(part)
-        warn_of_stacks(part.study, irradiance, camera)
-        of_case: dict[str, Any] = {"at": part.case.at, "condition": part.case.condition, "alone": part.case.alone}
-        sizes = {name: tuple(left.get(name, {}).items()) for name in part.study.technologies}
-        own = tuple(
-            replace(curve, **of_case, left_out=sizes[curve.technology], causes=causes_of_curve(part, curve)) for curve in own
+        if any(series[number].stored for number in numbers):
+            remember_evaluated(case.study)
+        for number in numbers:
+            warn_of_clipped_white(series[number], smallest_um[number])
+        for number in numbers:
+            warn_of_stacks(series[number], smallest_um[number])
+        complete = tuple(
+            replace(
+                curves[number],
+                at=case.at,
+                condition=case.condition,
+                alone=case.alone,
+                left_out=tuple(left_out[number].items()),
+                causes=causes_of_curve(series[number], curves[number], smallest_um[number]),
+            )
+            for number in numbers
         )
-        result = StudyResult(part.study, own, irradiance, camera, film=film, view=view.as_dict())
-        result.__dict__["scenes"] = part.scenes  # expensive to prepare again
-        found.append(result)
+        found.append(StudyResult(case.study, complete, irradiance, camera, film=film, view=view.as_dict(), lights=scenes))
     return found, evaluations.counts
 
 
@@ -877,7 +894,7 @@ def run_prepared(
             of_cases = cases, [light for _, light in lit], prepared.view, folder / "results.csv", workers
             made, counts = evaluate_cases(*of_cases, lambda: stage("evaluate"))
             reasons += [each for each in made if isinstance(each, str)]
-            found = [each for each in made if not isinstance(each, str)]
+            found = [each for each in made if isinstance(each, StudyResult)]
         if not found:
             raise PixsimError(reasons[0])
         for note in few([[f"a case is left out: {reason}" for reason in reasons]]):
@@ -904,13 +921,10 @@ def run_prepared(
         sensors = int(result.curves[0].sensors.min())
         changes["budget"] = settled.budget(RenderNoise(**noise), irradiance.header["bound_e"], sensors)
     final = replace(result, **changes)
-    final.__dict__["scenes"] = result.scenes  # expensive to prepare again
     if asked is None:
         return final
     from pixsim.studies.sensor_types import draw_types
 
     with collected_notes(), workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         unknown = draw_types(final, asked, folder, workers, lambda: stage("sensor types"))
-    known = replace(final, uncertainty=tuple(unknown))
-    known.__dict__["scenes"] = result.scenes
-    return known
+    return replace(final, uncertainty=tuple(unknown))

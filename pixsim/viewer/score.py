@@ -219,6 +219,8 @@ class Screen:
 
     def seen_at(self, samples_per_deg: float) -> Screen:
         """Return the same dots, as seen from where so many of them make a degree."""
+        if samples_per_deg == self.display.samples_per_deg:
+            return self
         display = self.display.model_copy(update={"samples_per_deg": samples_per_deg})
         return replace(self, display=display, ideal_lab=perceived_lab(self.ideal, display, self.full, self.single))
 
@@ -279,10 +281,17 @@ class ImagingChain:
         """Return the score of a new sensor and a new frame for each key."""
         return self.score_frame(self.capture(*key))
 
-    def capture(self, *key: object) -> Frame:
-        """Return the frame that `simulate` scores."""
+    def capture(self, *key: object, sensor_of: Callable[..., Sensor] | None = None) -> Frame:
+        """Return the frame that `simulate` scores.
+
+        sensor_of : returns the sensor of a key, which may be known; None draws it
+        """
         frame_rng = stream(*key, "frame")  # before the sensor is drawn: later it would take three times as long
-        return self.capture_by(self.sensor(*key), frame_rng, partial(stream, *key, "correction"))
+        return self.capture_by((sensor_of or self.sensor)(*key), frame_rng, partial(stream, *key, "correction"))
+
+    def on(self, screen: Screen) -> ImagingChain:
+        """Return the chain of the same frames on another screen."""
+        return self if screen is self.screen else replace(self, screen=screen)
 
     def capture_with(
         self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator, correction_rng: np.random.Generator
@@ -405,10 +414,11 @@ def mean_white(physics: PixelPhysics, whites: Sequence[float]) -> float:
 
 @dataclass(frozen=True)
 class PreparedScene:
-    """The light behind the lens, and the screen, for pixels of one spectral response and any pitch.
+    """The light behind the lens, and the screens, for pixels of one spectral response and any pitch.
 
     lights : behind the diffracting lens, as each channel sees it
     whites_e_per_s_um2 : of the scene's white, on axis, in each channel
+    screens : one for each display that shows the frames
     array_um : (height, width) that the pixels fill
     beyond_white : fraction of the ideal image's dots that are brighter than display white
     rendition : what the channels see of a chart; None for a monochrome sensor
@@ -419,12 +429,17 @@ class PreparedScene:
     lights: tuple[ChannelLight, ...]
     sample_pitch_um: float
     whites_e_per_s_um2: tuple[float, ...]
-    screen: Screen
+    screens: tuple[Screen, ...]
     array_um: tuple[float, float]
     beyond_white: float = 0.0
     rendition: Rendition | None = None
     exposed_for: tuple[ChannelLight, ...] | None = None
     _collections: list[ColourCollection] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    @property
+    def screen(self) -> Screen:
+        """The first of the screens."""
+        return self.screens[0]
 
     @property
     def rate_e_per_s_um2(self) -> Array:
@@ -585,9 +600,11 @@ def prepare_scene(
     border_um: float | None = None,
     single: bool = False,
     lights: tuple[ChannelLight, ...] | None = None,
+    others: Sequence[Display] = (),
 ) -> PreparedScene:
-    """Return the light behind the lens and the screen. They depend on the pitch only if the raster is one_to_one.
+    """Return the light behind the lens and the screens. They depend on the pitch only if the raster is one_to_one.
 
+    others : further displays, with other dots or seen from elsewhere
     single : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not with `full`
     border_um : of all that is scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's
     lights : behind the lens, of a part of a picture whose blur depends on its place; None computes them
@@ -597,8 +614,15 @@ def prepare_scene(
     irradiance.validate()
     channels = physics.channels
     rendition = None if physics.layout is None else rendition_of(irradiance, channels, display)
-    own: dict[str, Any] = {"border_um": border_um, "rendition": rendition, "full": full, "single": single}
-    screen, beyond_white = screen_of(irradiance, camera, physics, display, **own)
+    make_screen = partial(
+        screen_of, irradiance, camera, physics, border_um=border_um, rendition=rendition, full=full, single=single
+    )
+    screen, beyond_white = make_screen(display)
+    of_dots, screens = {display.dots: screen}, [screen]
+    for other in others:
+        if other.dots not in of_dots:
+            of_dots[other.dots], _ = make_screen(other)
+        screens.append(of_dots[other.dots].seen_at(other.samples_per_deg))
     lights = lights_of(irradiance, camera, physics) if lights is None else lights
     if full:  # nothing of the pixels' stack is left out
         lights = tuple(replace(one, illumination=replace(one.illumination, spare_e=0.0)) for one in lights)
@@ -606,7 +630,7 @@ def prepare_scene(
     array_um = array_size_um(irradiance, camera)
     calm = without_outliers(irradiance)
     exposed_for = None if calm is None else lights_of(calm, camera, physics)
-    return PreparedScene(lights, irradiance.pitch_um, whites, screen, array_um, beyond_white, rendition, exposed_for)
+    return PreparedScene(lights, irradiance.pitch_um, whites, tuple(screens), array_um, beyond_white, rendition, exposed_for)
 
 
 def screen_of(
@@ -649,14 +673,21 @@ class SceneCache:
     """Prepared scenes of one irradiance, camera and display, made on first use and stored while memory allows.
 
     channels : of the pixels, the most of those that share the cache
-    single : of `prepare_scene`
+    single, others : of `prepare_scene`
     """
 
     def __init__(
-        self, irradiance: SpectralImage, camera: Camera, display: Display, channels: int = 1, *, single: bool = False
+        self,
+        irradiance: SpectralImage,
+        camera: Camera,
+        display: Display,
+        channels: int = 1,
+        *,
+        single: bool = False,
+        others: Sequence[Display] = (),
     ) -> None:
         self.irradiance, self.camera, self.display, self.channels = irradiance, camera, display, channels
-        self._single = single
+        self.single, self.others = single, tuple(others)
         self._scenes: dict[object, PreparedScene] = {}
         self._facts: dict[object, IdealFacts] = {}
 
@@ -667,8 +698,8 @@ class SceneCache:
         if key not in self._scenes:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
-            options: dict[str, Any] = {"border_um": border_um, "single": self._single}
-            scene = prepare_scene(self.irradiance, self.camera, physics, self.display, **options)
+            own = self.irradiance, self.camera, physics, self.display
+            scene = prepare_scene(*own, border_um=border_um, single=self.single, others=self.others)
             self._scenes[key], self._facts[key] = scene, IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal))
         return self._scenes[key]
 
@@ -684,6 +715,11 @@ class SceneCache:
         rendition = None if physics.layout is None else rendition_of(self.irradiance, physics.channels, self.display)
         return ideal_on_dots(self.irradiance, self.camera, physics, self.display, border_um, rendition)[1]
 
+    @cached_property
+    def content(self) -> str:
+        """Hash of the light, whose header states everything that it depends on, and of the camera."""
+        return content_hash([self.irradiance.header, self.camera.model_dump()])
+
     def clear(self) -> None:
         """Drop all prepared scenes; they are made again when needed."""
         self._scenes.clear()
@@ -692,7 +728,8 @@ class SceneCache:
     def capacity(self) -> int:
         """Number of prepared scenes that are stored at once."""
         # For each channel light and spline; ideal image, its CIELAB.
-        planes = 2 * self.channels * math.prod(self.irradiance.shape) + (4 if self.channels == 1 else 6) * self.display.dots**2
+        dots = sum(display.dots**2 for display in (self.display, *self.others))
+        planes = 2 * self.channels * math.prod(self.irradiance.shape) + (4 if self.channels == 1 else 6) * dots
         return max(1, SCENE_CACHE_BYTES // (8 * planes))
 
 

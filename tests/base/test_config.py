@@ -15,10 +15,11 @@ from helpers.tiny import tiny_toml
 import pixsim
 from pixsim.base.config import checked, settings_layer, sheet_uncertainty, study_layers, with_data_sheets
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import CameraOptions, Layer, Pixel, Run, Study, pixel_of
+from pixsim.base.parameters import CameraOptions, Layer, Pixel, Run, Study
 from pixsim.cli.options import SceneOptions
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import derive, fill_factor_law
+from pixsim.studies.pixels import pixel_of
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study import checked_study, load_study, read_study
 

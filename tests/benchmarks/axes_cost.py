@@ -59,7 +59,7 @@ def own_seconds(task: Task, light: SharedLight, folder: Path) -> list[Row]:
         return call
 
     start = time.perf_counter()
-    parts = ((evaluations, "chain_at"), (score, "sample_sensor"), (cache, "arrays"), (cache, "store_arrays"))
+    parts = ((evaluations, "chain_of"), (score, "sample_sensor"), (cache, "arrays"), (cache, "store_arrays"))
     functions = [(module, name, getattr(module, name)) for module, name in parts]
     for module, name, function in functions:
         setattr(module, name, counted(function))

@@ -16,7 +16,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,8 +31,9 @@ from helpers.timing import fresh
 import pixsim
 from pixsim.show.figures import COLOURS, new_figure, own_style, svg_text
 from pixsim.studies import evaluations
+from pixsim.studies.evaluations import Task
 from pixsim.studies.study import render_for, study
-from pixsim.viewer.score import ImagingChain
+from pixsim.viewer.score import SharedLight
 
 CONSTANT = 0.2  # smaller exponents are noise
 BEYOND_LINEAR = 1.15  # exponent of work between two neighbouring points
@@ -107,17 +108,19 @@ def evaluations_run(count: int) -> dict[str, float]:
     """
     made: dict[tuple[float, int], Any] = {}
 
-    def scores_of(chain: ImagingChain, study: pixsim.Study, repeats: list[int], *_: Any) -> Iterator[tuple[int, Any, bool]]:
+    def frames_of(task: Task, light: SharedLight, repeats: Iterable[int], *, shown: bool) -> Iterator[tuple[int, Any, Any, None]]:
         for repeat in repeats:
-            which = chain.physics.pitch_um, repeat % 2
+            which = task.imaging.pixel.pitch_um, repeat % 2
             if which not in made:
-                statistics = chain.simulate("growth", repeat).statistics()
-                made[which] = SimpleNamespace(statistics=partial(dict, statistics))
-            yield repeat, made[which], False
+                statistics = task.imaging.chain(light).simulate("growth", repeat).statistics()
+                score = SimpleNamespace(statistics=partial(dict, statistics))
+                made[which] = SimpleNamespace(score_frame=lambda _, score=score: score)
+                made[which].on = lambda _, chain=made[which]: chain
+            yield repeat, made[which], None, None
 
     table = {"scene": {"file": "csf", "parameters": {"resolution": 64, "spp": 4}}, "camera": {"die_mm": 0.5}, "name": "growth"}
     table |= {"pitch": {"values_um": np.geomspace(20, 80, SIZES).round(4).tolist()}, "display": {"dots": 16}}
-    with mock.patch.object(evaluations, "scores_of", scores_of):
+    with mock.patch.object(evaluations, "frames_of", frames_of):
         for sensors in (2, count // SIZES):  # imports and compiled kernels first
             small = pixsim.Study.model_validate(table | {"repeats": sensors})
             with tempfile.TemporaryDirectory() as folder:

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.timing import seconds_of
 
 import pixsim
-from pixsim.studies.evaluations import chain_at, light_of, stream_key
+from pixsim.studies.series import series_of
 from pixsim.studies.study import render_for
 from pixsim.viewer.score import SceneCache
 
@@ -38,13 +38,14 @@ def small_study(repeats: int, dots: int = 96) -> pixsim.Study:
 def work_s(study: pixsim.Study) -> float:
     """Seconds of one evaluation, mean over the pitches."""
     irradiance, camera, _ = render_for(study)
-    light = light_of(study, SceneCache(irradiance, camera, study.display), "0.35um")
+    (series,) = series_of(study, SceneCache(irradiance, camera, study.display))
+    light = series.light()
 
     def evaluations() -> None:
         for pitch_um in PITCHES_UM:
-            chain = chain_at(study, light, camera, "0.35um", pitch_um)
+            chain = series.imaging.at(pitch_um).chain(light)
             for repeat in range(TIMED):
-                chain.simulate(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
+                chain.simulate(*series.stream_at(pitch_um), repeat).statistics()
 
     return seconds_of(evaluations) / (TIMED * len(PITCHES_UM))
 

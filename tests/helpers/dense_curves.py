@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.sensor.pixel import photodiode_widths_um
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve
+from pixsim.studies.pixels import photodiode_widths_um
 from pixsim.studies.study import load_study
 
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"

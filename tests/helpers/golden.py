@@ -43,7 +43,7 @@ max_integration_s = 0.033
 """
 SMALL = {"pitch_um": 3.75, "well_e": 10500, "read_e": 2.3, "efficiency": 0.62, "die_mm": 2.4, "more": ""}
 LARGE = SMALL | {"pitch_um": 4.8, "well_e": 22000, "read_e": 3.1}
-UNSURE = SMALL | {"more": "[pixel.uncertainty]\nread_noise_e = { low = 1.8, high = 2.9 }\nprnu = { low = 0.003, high = 0.01 }"}
+UNSURE = SMALL | {"more": "[pixel.uncertainty]\nread_noise_e = { range = [1.8, 2.9] }\nprnu = { range = [0.003, 0.01] }"}
 COLOUR = (
     "[pixel]\ntechnology = '4t-bsi'\npitch_um = 3.0\n[pixel.colour]\nsensitivities = 'Nikon_D5100'\npeak_quantum_efficiency = 0.5\n"
 )
@@ -114,7 +114,7 @@ FILES = {
     "conditions.toml": few(more=CONDITIONS),
     "filters.toml": few(more=FILTERS),
     "sensors.toml": few(technology='small.toml", "4t-bsi'),
-    "scene.toml": few(scene="macbeth", parameters=", parameters = { spp = 4 }", low=4.0),
+    "scene.toml": few(scene="macbeth", parameters=", parameters = { spp = 4 }", low=4.0).replace('base = "pixel-size"\n', ""),
     "target.toml": few(technology="0.35um", low=6.0, more="target_ci_um = 0.4\nmax_repeats = 8"),
     "process.toml": few(technology="0.35um", low=6.0),
 }

@@ -53,7 +53,7 @@ def collects_garbage(_task: int, _: object) -> bool:
 
 def die_once_at_7_um(task: evaluations.Task, light: evaluations.SharedLight, mark: Path) -> list[evaluations.Row]:
     """A task of a study, in the middle of which the first process that gets it is killed."""
-    if task.pitch_um == 7.0 and not mark.exists():
+    if task.imaging.pixel.pitch_um == 7.0 and not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return evaluations.evaluate_task(task, light)

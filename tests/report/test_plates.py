@@ -21,7 +21,6 @@ from matplotlib.image import imread
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 import pixsim
-from pixsim.base.parameters import pixel_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.report.paper import figure_2a, figure_2b, map_plates, scene_plates
@@ -33,6 +32,7 @@ from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_
 from pixsim.show.pages import Plate, answer_and_rest
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
 from pixsim.studies.optimum import Optimum
+from pixsim.studies.pixels import pixel_of
 from pixsim.studies.result import StudyResult, delta_e_against_pitch
 
 OPTIMA_UM = {0.5: 8.8, 0.35: 6.5, 0.25: 5.3, 0.18: 3.9}

@@ -17,8 +17,8 @@ import pixsim
 from pixsim.report.merit import blur_words
 from pixsim.report.settings import LightLevel
 from pixsim.report.study import plates_of_curves, report_files, write_report
-from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import label_of
+from pixsim.studies.pixels import physics_of
 from pixsim.studies.result import StudyResult
 
 TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"

@@ -16,7 +16,6 @@ from pixsim.base import cache
 from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import merge
-from pixsim.report import views
 from pixsim.report.pictures import crops
 from pixsim.report.views import best_place, detail_at, rank, study_views
 from pixsim.show import pictures as details
@@ -36,6 +35,7 @@ from pixsim.show.pictures import (
     windows,
     worst_window,
 )
+from pixsim.studies import evaluations
 from pixsim.studies.result import StudyResult
 
 WHOLE = Window(0.0, 0.0, 1.0, 1.0)
@@ -111,10 +111,11 @@ def test_detail_at_equals_scored_picture(tiny_result: StudyResult, how: str, mon
         monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
     elif how == "of another shape":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: {"0": np.zeros((3, 3), np.uint16)})
-    else:
-        monkeypatch.setattr(views, "chain_at", None)  # the expensive way is not used
     for place in (0, 3):
-        picture = detail_at(tiny_result, curve, place, WHOLE)
+        with monkeypatch.context() as patch:
+            if how == "kept":
+                patch.setattr(evaluations, "chain_of", None)  # the expensive way is not used
+            picture = detail_at(tiny_result, curve, place, WHOLE)
         expected = tiny_result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
         np.testing.assert_array_equal(picture, expected)
 
@@ -127,7 +128,7 @@ def test_shown_scores_equal_scores(tiny_result: StudyResult, monkeypatch: pytest
     expected = tiny_result.scores(*own, count + 1)
     assert all(score.frame.mean_e.mean() > 0 for score in expected)
     with monkeypatch.context() as patch:
-        patch.setattr("pixsim.studies.result.chain_at", None)  # the light on the pixels is not computed
+        patch.setattr(evaluations, "chain_of", None)  # the light on the pixels is not computed
         shown = tiny_result.shown_scores(*own, count)
     monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
     for found in (shown, tiny_result.shown_scores(*own, count + 1)):

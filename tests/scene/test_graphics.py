@@ -34,7 +34,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.tracer import Job, OwnTracer
 from pixsim.scene.tree import _to_json, tree_of
 from pixsim.scene.trial import Trial, attempt
-from pixsim.studies.keys import Fingerprints
+from pixsim.studies.series import scenes_of, series_of
 
 # Numbers that a real driver would report are read from the environment.
 FAKE_DRIVER = r"""
@@ -403,7 +403,8 @@ def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(renderer, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
 
     def keys(choice: variant.Choice) -> set[str]:
-        return set(Fingerprints(tiny(), small().camera(), light(choice)).keys("0.35um", 6.0, range(2)).values())
+        (series,) = series_of(tiny(), scenes_of(tiny(), light(choice), small().camera()))
+        return set(series.fingerprints.keys(6.0, 2))
 
     of_card, known = keys(CHOSEN), keys(variant.choose(VARIANT))
     assert of_card.isdisjoint(known)

@@ -33,9 +33,10 @@ from pixsim.sensor.collection import (
 )
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.integration import collecting_area_um2, illumination_of, integrate_pixels, mean_signal_rate, pixels_on
-from pixsim.sensor.pixel import PixelPhysics, derive, physics_of, smallest_pitch_um
+from pixsim.sensor.pixel import PixelPhysics, derive, smallest_pitch_um
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.studies.cases import cases_of
+from pixsim.studies.pixels import physics_of
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.viewer.score import ImagingChain, make_imaging_chain
 

@@ -34,10 +34,11 @@ from pixsim.base.parameters import (
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.report.outline import run_outline
-from pixsim.sensor.pixel import derive, physics_of
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.unused import RULES, Configuration, unused_notes, unused_settings
 from pixsim.studies import compare
 from pixsim.studies.cases import cases_of, with_range_ends
+from pixsim.studies.pixels import physics_of
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study import load_study, prepare
 

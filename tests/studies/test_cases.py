@@ -21,10 +21,11 @@ from pydantic import ValidationError
 import pixsim
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Axis, Study, merge, nested, pixel_of
+from pixsim.base.parameters import Axis, Study, merge, nested
 from pixsim.cli.options import axes_of
 from pixsim.studies import evaluations, study as study_module
 from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number, combinations
+from pixsim.studies.pixels import pixel_of
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study, prepare, warn_of_idle_axes
 from pixsim.viewer.score import ImagingChain

@@ -10,10 +10,11 @@ from helpers.tiny import tiny
 
 from pixsim.base.parameters import Camera, Study
 from pixsim.light.spectral import SpectralImage
-from pixsim.studies.keys import OF_FRAME, OF_LIGHT, OF_NO_FRAME, OF_SCORE, Fingerprints, light_hash
+from pixsim.studies.keys import OF_FRAME, OF_LIGHT, OF_NO_FRAME, OF_SCORE, light_hash
+from pixsim.studies.series import scenes_of, series_of
 
 NAMES = "name", "streams"  # their content is that of the random streams
-TECHNOLOGY, PITCH_UM = "0.35um", 6.0
+PITCH_UM = 6.0
 LIGHT = SpectralImage([550.0], 10.0, 84.8, data=np.ones((4, 4, 1)))
 # Another value of each setting, and the stages that it makes anew where the light is the same: a light states in its header what
 # it depends on, so that its hash alone tells of a render.
@@ -56,9 +57,8 @@ CHANGES: dict[str, tuple[Any, str]] = {
 
 
 def stages(study: Study) -> dict[str, str]:
-    hashes = Fingerprints(study, Camera(), LIGHT)
-    (score,) = hashes.keys(TECHNOLOGY, PITCH_UM, [1]).values()
-    return {"light": light_hash(study), "frame": hashes.pixel(TECHNOLOGY, PITCH_UM), "score": score}
+    hashes = series_of(study, scenes_of(study, LIGHT, Camera()))[0].fingerprints
+    return {"light": light_hash(study), "frame": hashes.pixel(PITCH_UM), "score": hashes.keys(PITCH_UM, 2)[1]}
 
 
 @pytest.mark.parametrize("name", Study.model_fields)

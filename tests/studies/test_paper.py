@@ -13,7 +13,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel, StackOptions, Study, pixel_of
+from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel, StackOptions, Study
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, without_lens
 from pixsim.optics.diffraction import diffraction_otf
@@ -50,6 +50,7 @@ from pixsim.studies.claims import (
     threshold_contrast,
 )
 from pixsim.studies.optimum import fit_curve
+from pixsim.studies.pixels import pixel_of
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.studies.study import load_study
 

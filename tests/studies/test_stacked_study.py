@@ -18,9 +18,9 @@ from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
 from pixsim.optics.stack import collected_shares
 from pixsim.report.axes import optima_table
 from pixsim.report.maps import axis_plates
-from pixsim.sensor.pixel import photodiode_widths_um, physics_of
 from pixsim.studies.budget import Setup, pitch_range_um
 from pixsim.studies.optimum import fit_curve
+from pixsim.studies.pixels import photodiode_widths_um, physics_of
 from pixsim.studies.result import curve_table, delta_e_against_pitch
 from pixsim.studies.sampling import largest_pixel_um
 from pixsim.studies.study import load_study

@@ -23,13 +23,13 @@ from pixsim.base import cache
 from pixsim.base.arrays import stream
 from pixsim.base.config import packaged, read_toml
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.parameters import merge, pixel_of
+from pixsim.base.parameters import merge
 from pixsim.report.study import light_against_detail, report_files, write_report
 from pixsim.report.wording import optimum_line
 from pixsim.sensor.readout import Frame
-from pixsim.sensor.technology import technology_of
 from pixsim.studies import evaluations as rows_module
 from pixsim.studies.budget import Setup
+from pixsim.studies.pixels import pixel_of, technology_of
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study, prepare
 from pixsim.viewer.score import ImagingChain, SceneCache
@@ -338,7 +338,7 @@ def test_study_cached_frames_same_bytes(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     taken: list[int] = []
     capture = ImagingChain.capture
-    monkeypatch.setattr(ImagingChain, "capture", lambda self, *key: taken.append(1) or capture(self, *key))
+    monkeypatch.setattr(ImagingChain, "capture", lambda self, *key, **more: taken.append(1) or capture(self, *key, **more))
     study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[1:]}, exposure={"integration_s": 1.0}, **WHOLE_CHART)
     results = tmp_path / "out/results.csv"
 
@@ -352,7 +352,7 @@ def test_study_cached_frames_same_bytes(tmp_path: Path, monkeypatch: pytest.Monk
     assert captures == 10
     assert all(0.5 < float(row["saturated_fraction"]) < 0.97 for row in rows(results.parent))
     with monkeypatch.context() as patch:  # the light behind them is not computed again
-        patch.setattr(rows_module, "chain_at", lambda *_: pytest.fail("light on the pixels"))
+        patch.setattr(rows_module, "chain_of", lambda *_: pytest.fail("light on the pixels"))
         assert evaluated() == (cold, 0)
     for path in (tmp_path / "cache/frames").iterdir():  # remove the fractions
         kept = cache.arrays("frames", path.stem)

@@ -422,9 +422,10 @@ def test_study_fits_only_curves_with_new_rows(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("pixsim.studies.study.curve_of", counted)
     names = ["0.35um", "0.25um"]
     result = pixsim.study(tiny(technologies=names, max_evaluations=24 + 8), tmp_path, jobs=1)
-    assert fitted == [*names, names[0]]
+    assert sorted(fitted[:2]) == sorted(names)
+    assert fitted[2:] == names[:1]
     for curve in result.curves:
-        whole = curve_of(result.study, curve.technology, rows(tmp_path))
+        whole = curve_of(result.study, curve.technology, [row for row in rows(tmp_path) if row["technology"] == curve.technology])
         assert curve.sensors.sum() == (20 if curve.technology == names[0] else 12)
         assert curve.optimum == whole.optimum
         np.testing.assert_array_equal(curve.fit.delta_e, whole.fit.delta_e)

@@ -19,9 +19,10 @@ from pixsim.base.config import checked, packaged, with_data_sheets
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Layer, Pixel, Spread, Study, merge
 from pixsim.report.uncertainty import uncertainty_lines
-from pixsim.sensor.technology import Technology, load_technology, technology_of
+from pixsim.sensor.technology import Technology, load_technology
 from pixsim.studies.indices import total_indices
 from pixsim.studies.optimum import fit_curve
+from pixsim.studies.pixels import technology_of
 from pixsim.studies.uncertainty import (
     SHARED,
     Outcome,

@@ -11,8 +11,7 @@ import pixsim
 from pixsim.base.parameters import DEVELOP, Develop, Display, Study
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import derive
-from pixsim.studies.evaluations import scenes_of
-from pixsim.studies.keys import Fingerprints
+from pixsim.studies.series import scenes_of, series_of
 from pixsim.viewer import scielab
 from pixsim.viewer.display import WHITE_XYZ, out_of_gamut_share, rgb_to_xyz, xyz_to_rgb
 from pixsim.viewer.score import allows_single, chain_at_pitch, make_imaging_chain, prepare_scene
@@ -104,8 +103,9 @@ def test_a_tolerance_below_the_bound_takes_float64():
     keys, kinds = [], []
     for tolerance in (None, 1e-2, 1e-5):
         study = Study.model_validate(table | {"tolerance_delta_e": tolerance})
-        keys.append(Fingerprints(study, camera, image()).display)
-        kinds.append(scenes_of(study, image(), camera)._single)
+        scenes = scenes_of(study, image(), camera)
+        keys += series_of(study, scenes)[0].fingerprints.shown
+        kinds.append(scenes.single)
     assert kinds == [True, True, False]
     assert keys[0] == keys[1] != keys[2]
 

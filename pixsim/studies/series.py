@@ -1,0 +1,133 @@
+"""Series: one sensor in one case. Every evaluation is one of a series, a pitch, a repeat and a display."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from pixsim.base.parameters import Camera, Display, Study, channels_of
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.colour import Layout
+from pixsim.sensor.integration import electrons_per_joule
+from pixsim.sensor.technology import label_of
+from pixsim.studies.keys import Fingerprints, frames_fit_in_cache
+from pixsim.studies.pixels import pixel_of, technology_of
+from pixsim.studies.sampling import study_pitches_um
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.score import PreparedScene, SceneCache, SharedLight, allows_single
+
+
+@dataclass(frozen=True)
+class Series:
+    """One sensor in one case: its pixels of any size, in one light, whose frames are shown on one display or on several.
+
+    name : of its technology or data sheet, as in rows
+    imaging : at its largest pitch, on the first display
+    scenes : the light behind the lens, which series of the same light share
+    stream : how the keys of its random streams begin; then follow the pitch, if `stream_has_pitch`, and the repeat
+    columns : that tell its rows from those of other cases
+    words : of its case, for messages
+    stored : whether its frames may go into the cache
+    """
+
+    name: str
+    imaging: Imaging
+    scenes: SceneCache = field(repr=False)
+    stream: tuple[object, ...]
+    stream_has_pitch: bool = True
+    columns: Mapping[str, str] = field(default_factory=dict)
+    words: str = ""
+    stored: bool = True
+
+    @property
+    def label(self) -> str:
+        """Sensor and case, for messages."""
+        return ", ".join(filter(None, (label_of(self.name), self.words)))
+
+    @property
+    def displays(self) -> tuple[Display, ...]:
+        """The displays on which each frame is shown."""
+        return self.imaging.display, *self.scenes.others
+
+    def stream_at(self, pitch_um: float) -> tuple[object, ...]:
+        """Return the key of its random streams at a pitch, without the repeat."""
+        return (*self.stream, pitch_um) if self.stream_has_pitch else self.stream
+
+    @cached_property
+    def light_key(self) -> tuple[bytes, float, str]:
+        """What the light behind the lens depends on, beside the irradiance, the camera and the displays of `scenes`."""
+        physics = self.imaging.physics
+        charge = physics.charge.content_hash if physics.charge else ""  # diffusion is in the light behind the lens
+        electrons = b"".join(electrons_per_joule(channel, self.scenes.irradiance).tobytes() for channel in physics.channels)
+        return electrons, self.border_um, f"{charge} {Layout.of_pixels(physics.pixel) or ''}"
+
+    @property
+    def light_id(self) -> tuple[int, tuple[bytes, float, str]]:
+        """What tells its light from those of other renders, too."""
+        return id(self.scenes), self.light_key
+
+    @property
+    def border_um(self) -> float:
+        """Width on each side of the die that is not scored."""
+        border_um = self.imaging.border_um
+        assert border_um is not None
+        return border_um
+
+    def light(self) -> SharedLight:
+        """Return the light that all its pitches share, and other series of the same response."""
+        light = self.scenes.get(self.light_key, self.imaging.physics, self.border_um)
+        if isinstance(light, PreparedScene):
+            light.store_integrals()
+        return light
+
+    @cached_property
+    def fingerprints(self) -> Fingerprints:
+        """Keys of its frames and rows."""
+        return Fingerprints(self)
+
+
+def series_of(
+    study: Study, scenes: SceneCache, columns: Mapping[str, str] | None = None, words: str = "", *, stored: bool = True
+) -> list[Series]:
+    """Return the series of a study without axes, one for each of its technologies.
+
+    scenes : of its light
+    columns, words : of its case
+    stored : whether its frames may go into the cache, if they fit
+    """
+    stored = stored and frames_fit_in_cache(study, scenes.camera)
+    made = []
+    for name in study.technologies:
+        process, largest_um = technology_of(study, name), float(study_pitches_um(study, name)[-1])
+        imaging = Imaging(
+            scenes.camera,
+            pixel_of(study, name, largest_um),
+            study.exposure,
+            study.display,
+            study.correction,
+            study.develop,
+            process,
+            study.border_um,
+            scenes.single,
+        )
+        made.append(
+            # The name of the technology, not its path, which is no part of a result.
+            Series(name, imaging, scenes, (study.stream_name, study.seed, process.name), True, columns or {}, words, stored)
+        )
+    return made
+
+
+def scenes_of(study: Study, irradiance: SpectralImage, camera: Camera, others: Sequence[Display] = ()) -> SceneCache:
+    """Return the cache of the lights behind the lens of a study.
+
+    others : displays on which its frames are shown, too
+    """
+    single = allows_single(study.tolerance_delta_e)
+    return SceneCache(irradiance, camera, study.display, most_channels(study), single=single, others=others)
+
+
+def most_channels(study: Study) -> int:
+    """Return the largest number of channels among a study's sensors, 1 for monochrome ones."""
+    colours = [study.options_of(technology).colour for technology in study.technologies]
+    return max(1 if colour is None else len(channels_of(colour.cell)) for colour in colours)

@@ -1,0 +1,69 @@
+"""What lies between the light on a sensor and a score, as one noun: camera, pixel, exposure, correction, development, display."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.integration import ChannelLight
+from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.technology import Technology
+from pixsim.viewer.score import ImagingChain, PreparedScene, SharedLight, chain_at_pitch, prepare_scene
+
+
+@dataclass(frozen=True)
+class Imaging:
+    """The settings of one frame and its score, beside the light and the random numbers.
+
+    process : of the pixel's technology; None means that of its file
+    border_um : of all that is scored on the same dots, as for `pixsim.viewer.display.dot_edges_um`; None means this pixel's
+    single : compute dots and S-CIELAB in float32
+    """
+
+    camera: Camera
+    pixel: Pixel
+    exposure: Exposure
+    display: Display
+    correction: Correction = NO_CORRECTION
+    develop: Develop = DEVELOP
+    process: Technology | None = None
+    border_um: float | None = None
+    single: bool = False
+
+    @cached_property
+    def physics(self) -> PixelPhysics:
+        """Physical properties of the pixel, at the gain of the exposure."""
+        return derive(self.pixel, self.process).at_gain(self.exposure.gain_db)
+
+    def at(self, pitch_um: float) -> Imaging:
+        """Return the same with pixels of another size."""
+        if pitch_um == self.pixel.pitch_um:
+            return self
+        return replace(self, pixel=self.pixel.model_copy(update={"pitch_um": pitch_um}))
+
+    def registered(self, repeat: int) -> PixelPhysics:
+        """Return the pixel of one repeat, with its registration."""
+        return self.physics.registered(repeat, self.display)
+
+    def light(
+        self, irradiance: SpectralImage, physics: PixelPhysics | None = None, lights: tuple[ChannelLight, ...] | None = None
+    ) -> PreparedScene:
+        """Return the light behind the lens and the screen, as of `prepare_scene`.
+
+        physics : the pixel with its registration; None means as it is
+        lights : behind the lens, where they are known
+        """
+        own = irradiance, self.camera, physics or self.physics, self.display
+        return prepare_scene(*own, border_um=self.border_um, single=self.single, lights=lights)
+
+    def chain(self, light: SharedLight, physics: PixelPhysics | None = None) -> ImagingChain:
+        """Return the imaging chain up to the noise.
+
+        light : prepared for the pixel's response, or the irradiance
+        physics : the pixel with its registration; None means as it is
+        """
+        physics = physics or self.physics
+        prepared = self.light(light, physics) if isinstance(light, SpectralImage) else light
+        return chain_at_pitch(prepared, physics, self.exposure, self.correction, self.develop)
