@@ -32,8 +32,6 @@ from pixsim.base.parameters import (
     Camera,
     CameraOptions,
     Condition,
-    Correction,
-    Develop,
     Display,
     Exposure,
     Layer,
@@ -49,34 +47,33 @@ from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import check_pixel_count, pixels_on
-from pixsim.sensor.pixel import PixelPhysics, Registration, derive, implausible_numbers, sheet_disagreements
+from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
 from pixsim.sensor.technology import check_name, file_label, labels_of
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.pages import html_cell
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.circumstances import Circumstances, circumstances_of
-from pixsim.studies.engine import results_of, workers_here
+from pixsim.studies.engine import workers_here
+from pixsim.studies.evaluations import Evaluations
 from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
 from pixsim.studies.preparation import ALLOWED_DOTS, VIEWED_S_PER_DOT, Cost, View, choose_view, dots_on, frame_cost, jobs_in_memory
 from pixsim.studies.result import NO_VISIBLE_DELTA_E
+from pixsim.studies.series import Series
 from pixsim.studies.viewing import OF_VIEWING, Viewed, Viewing, ViewingRange, range_words, where_words
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError, with_error
 from pixsim.viewer.score import (
-    ImagingChain,
     PreparedScene,
+    SceneCache,
     Score,
-    Screen,
     Seen,
-    chain_at_pitch,
     check_one_ideal,
     clip_words,
     clips_dark,
     dark_clip,
-    prepare_scene,
-    screen_of,
     warn_of_clipping,
     white_header,
 )
@@ -302,6 +299,13 @@ class Prepared:
         camera = self.sensors[0].camera
         rows, columns = dot_edges_um(camera.die_um, self.sensors[0].pixel.pitch_um, self.settings.display, self.border_um(camera))
         return rows.size - 1, columns.size - 1
+
+    @property
+    def displays(self) -> dict[Viewing, Display]:
+        """The displays on which the frames are scored, that of the settings first."""
+        own = self.settings.display
+        chosen = Viewing(own.dots, own.samples_per_deg)
+        return {viewing: viewing.display(own) for viewing in (chosen, *self.viewing.viewings)}
 
     def border_um(self, camera: Camera) -> float:
         """Return the width of the border on a camera's die."""
@@ -1196,14 +1200,15 @@ def _notes_of(parts: Sequence[Comparison]) -> tuple[str, ...]:
 
 def _run(prepared: Prepared, jobs: int | None, stage: Stage) -> Comparison:
     """Run the comparison under one condition; its notes are those on black levels and assumptions."""
-    made, chains = render_all(prepared, stage)
-    first = [of_sensor.of_repeat(0)[0] for of_sensor in chains]
+    made = render_all(prepared, stage)
+    series = [series_of_sensor(prepared, sensor, light.image) for sensor, light in zip(prepared.sensors, made, strict=True)]
+    first = [each.imaging.chain(each.light(), each.imaging.registered(0)) for each in series]
     named_chains = [(sensor.name, chain) for sensor, chain in zip(prepared.sensors, first, strict=True)]
     grey = [name for name, chain in named_chains if chain.rendition is None]
     check_one_ideal(grey, {name: chain.screen.ideal for name, chain in named_chains if chain.rendition is not None})
     frames = stage("sense and score")
-    scores = [chain.simulate(*stream_key(prepared, 0)) for chain in first]
-    viewed = simulate_all(prepared, chains, jobs, frames)
+    scores = [chain.simulate(*each.stream, 0) for each, chain in zip(series, first, strict=True)]
+    viewed = evaluate_all(prepared, series, jobs, frames)
     steps = [steps_of(prepared, sensor, light) for sensor, light in zip(prepared.sensors, made, strict=True)]
     compared, clips = [], []
     for sensor, light, chain, score, values, step in zip(prepared.sensors, made, first, scores, viewed, steps, strict=True):
@@ -1218,40 +1223,8 @@ def _run(prepared: Prepared, jobs: int | None, stage: Stage) -> Comparison:
     return Comparison(prepared, tuple(compared), (*causes, *clips))
 
 
-def stream_key(prepared: Prepared, repeat: int) -> tuple[object, ...]:
-    """Return the random-stream key of a pair of frames. It does not name the sensor, so that equal sensors give equal frames."""
-    return "compare", prepared.settings.seed, repeat
-
-
-@dataclass(frozen=True)
-class Chains:
-    """What the frames of a sensor under one condition share, from which the imaging chain of each repeat is made.
-
-    light : behind the lens, with the chosen display
-    screens : the display of each viewing, the chosen one first
-    """
-
-    light: PreparedScene
-    screens: tuple[Screen, ...]
-    physics: PixelPhysics
-    exposure: Exposure
-    correction: Correction
-    develop: Develop
-
-    _last: dict[Registration, tuple[ImagingChain, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
-
-    def of_repeat(self, repeat: int) -> tuple[ImagingChain, ...]:
-        """Return the imaging chain of a repeat, at its registration, with the display of each viewing; all have the same frame."""
-        physics = self.physics.registered(repeat, self.light.screen.display)
-        if physics.registration not in self._last:  # centred arrays share one
-            chain = chain_at_pitch(self.light, physics, self.exposure, self.correction, self.develop)
-            self._last.clear()
-            self._last[physics.registration] = tuple(replace(chain, screen=screen) for screen in self.screens)
-        return self._last[physics.registration]
-
-
-def render_all(prepared: Prepared, stage: Stage) -> tuple[list[Rendered], list[Chains]]:
-    """Return the light of every sensor on one film, fine enough for all, and the imaging chains."""
+def render_all(prepared: Prepared, stage: Stage) -> list[Rendered]:
+    """Return the light of every sensor on one film, fine enough for all."""
     width = prepared.film_width
     while True:
         made: list[Rendered] = []
@@ -1267,7 +1240,7 @@ def render_all(prepared: Prepared, stage: Stage) -> tuple[list[Rendered], list[C
             white = white_header(seen, prepared.settings.display)
             for light in made:
                 light.image.header |= white
-            return made, [chains_of(prepared, sensor, light.image) for sensor, light in pairs]
+            return made
 
 
 def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Progress) -> Rendered:
@@ -1286,26 +1259,25 @@ def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Pro
         return render_and_measure(scene, sensor.camera, plan, settings, [sensor.pixel], [physics], **options)
 
 
-def chains_of(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> Chains:
-    """Return the imaging chains of a sensor, which show and score the same part of the scene as those of the others."""
+def series_of_sensor(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> Series:
+    """Return the series of a sensor, which show and score the same part of the scene as those of the others.
+
+    Its random streams do not name the sensor, so that equal sensors give equal frames.
+    """
     with named(sensor.name):
-        settings, physics = prepared.settings, derive(sensor.pixel)
+        settings = prepared.settings
+        shared = settings.display, settings.correction, settings.develop
+        imaging = Imaging(sensor.camera, sensor.pixel, sensor.exposure, *shared, None, prepared.border_um(sensor.camera), True)
         for text in (*sheet_disagreements(sensor.pixel), *implausible_numbers(sensor.pixel)):
             warn(f"{sensor.name}: {text}")
-        border: dict[str, Any] = {"border_um": prepared.border_um(sensor.camera), "single": True}
-        light = prepare_scene(image, sensor.camera, physics, settings.display, **border)
+        first, *others = prepared.displays.values()
+        scenes = SceneCache(image, sensor.camera, first, len(imaging.physics.channels), single=True, others=others)
+        series = Series(sensor.name, imaging, scenes, ("compare", settings.seed), stream_has_pitch=False, stored=False)
+        light = series.light()
+        assert isinstance(light, PreparedScene)
         warn_of_clipping(light.beyond_white)
-        warn_of_stack_limits(physics, sensor.camera, image.wavelength_nm)
-        screens = {prepared.viewing.chosen: light.screen}
-        of_dots = {light.screen.display.dots: light.screen}
-        for viewing in prepared.viewing.viewings:
-            if viewing.dots not in of_dots:  # the ideal image on them, seen from anywhere
-                own = image, sensor.camera, physics, viewing.display(settings.display)
-                of_dots[viewing.dots], _ = screen_of(*own, rendition=light.rendition, **border)
-            if viewing not in screens:
-                screens[viewing] = of_dots[viewing.dots].seen_at(viewing.samples_per_deg)
-        ordered = tuple(screens[viewing] for viewing in prepared.viewing.viewings)
-        return Chains(light, ordered, physics, sensor.exposure, settings.correction, settings.develop)
+        warn_of_stack_limits(imaging.physics, sensor.camera, image.wavelength_nm)
+        return series
 
 
 def steps_of(prepared: Prepared, sensor: Contestant, light: Rendered) -> FilmSteps:
@@ -1320,45 +1292,18 @@ def steps_of(prepared: Prepared, sensor: Contestant, light: Rendered) -> FilmSte
         return film_steps(*seen, light.plan.chart, **more)
 
 
-@dataclass(frozen=True)
-class Task:
-    """A frame to simulate: the number and the name of its sensor, its own number, and the key of its random streams."""
-
-    sensor: int
-    name: str
-    repeat: int
-    key: tuple[object, ...]
-
-    def __str__(self) -> str:
-        return f"frame {self.repeat} of {self.name}"
-
-
-def simulate_task(task: Task, chains: Chains) -> tuple[Task, list[float]]:
-    """Return a task with the mean ΔE of its frame under each viewing."""
-    own = chains.of_repeat(task.repeat)
-    frame = own[0].capture(*task.key)
-    of_screen = {id(chain.screen): chain for chain in own}  # a condition that sets the display has one for several viewings
-    found = {number: chain.score_frame(frame).mean_delta_e for number, chain in of_screen.items()}
-    return task, [found[id(chain.screen)] for chain in own]
-
-
-def simulate_all(prepared: Prepared, chains: Sequence[Chains], jobs: int | None, progress: Progress) -> list[Array]:
+def evaluate_all(prepared: Prepared, series: Sequence[Series], jobs: int | None, progress: Progress) -> list[Array]:
     """Return the mean ΔE of all frames of each sensor under each viewing, (viewings, repeats)."""
     costs = [prepared.cost_of_frame(sensor) for sensor in prepared.sensors]
     if jobs is None:
         in_all_s = prepared.repeats * sum(cost.seconds for cost in costs)
         jobs = 1 if in_all_s < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for cost in costs))
-    delta_e = [np.empty((len(of_sensor.screens), prepared.repeats)) for of_sensor in chains]
-    calls = []
-    for number, (sensor, of_sensor) in enumerate(zip(prepared.sensors, chains, strict=True)):
-        shared = partial(_same, of_sensor)  # one function for all calls of a sensor, so that workers share its chains
-        tasks = (Task(number, sensor.name, repeat, stream_key(prepared, repeat)) for repeat in range(prepared.repeats))
-        calls += [(task, shared) for task in tasks]
-    for done, (task, values) in enumerate(results_of(simulate_task, calls, workers_here(jobs)), 1):
-        delta_e[task.sensor][:, task.repeat] = values
-        progress(done / len(calls))
-    return delta_e
-
-
-def _same(chains: Chains) -> Chains:
-    return chains
+    evaluations = Evaluations(series, None, workers_here(jobs))
+    sizes = [{sensor.pixel.pitch_um: prepared.repeats} for sensor in prepared.sensors]
+    places = [list(prepared.displays).index(viewing) for viewing in prepared.viewing.viewings]
+    found: dict[int, Array] = {}
+    with evaluations.resumed(sizes):
+        for number, rows in evaluations.rows(sizes, progress):
+            values = np.array([float(row["mean_delta_e"]) for row in rows])
+            found[number] = values.reshape(prepared.repeats, -1).T[places]
+    return [found[number] for number in range(len(series))]

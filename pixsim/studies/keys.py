@@ -72,8 +72,9 @@ class Fingerprints:
         return content_hash([self.imaging, self.shown, *self._of_pixel(self.series.imaging.pixel, "pitch_um")])
 
     def _of_pixel(self, pixel: Pixel, *but: str) -> tuple[object, ...]:
-        process = self.series.imaging.process
-        return process and process.content, pixel.model_dump(exclude={"technology", *but})  # a path is no content
+        return self.series.imaging.physics.technology.content, pixel.model_dump(
+            exclude={"technology", *but}
+        )  # a path is no content
 
     def pixel(self, pitch_um: float) -> str:
         """Return the hash of everything that the frames of a pitch depend on."""

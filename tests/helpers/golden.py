@@ -158,7 +158,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "datasheet of a technology": ("datasheet 0.35um --pixel.pitch-um 6.5 --pixel.bits 12",),
     "sfr": ("run slanted_edge --resolution 512 --out edge", "sfr edge/raw.exr"),
     "lens": ("lens cooke_triplet --pitch-um 2",),
-    "accuracy": ("accuracy csf --resolution 128 --display.dots 64 --pixel.pitch-um 21.2",),
+    "accuracy": ("accuracy csf -D resolution=128 --display.dots 64 --pixel.pitch-um 21.2",),
 }
 QUICK = (
     *("run chart", "run scene", "run colour", "run lens", "run sheet", "study paper", "study axes", "study conditions"),

@@ -24,17 +24,15 @@ from pixsim.sensor.integration import pixels_on
 from pixsim.studies.compare import (
     Comparison,
     Prepared,
-    Task,
-    chains_of,
     matched_cameras,
     mean_interval,
     prepare,
     probability_above_zero,
     ranking_words,
-    simulate_task,
-    stream_key,
+    series_of_sensor,
     verdict,
 )
+from pixsim.studies.evaluations import evaluate_task, tasks_of
 from pixsim.studies.viewing import Viewing, ViewingRange
 
 # A chart without samples, few pixels and dots: a comparison takes 0.2 s.
@@ -238,10 +236,11 @@ def test_pairing_reduces_variance(tmp_path: Path) -> None:
 def test_frame_of_another_process_is_the_same(noisy: Comparison) -> None:
     """A chain that was sent to a worker gives the same frames, bit for bit."""
     compared = noisy.sensors[2]
-    chains = pickle.loads(pickle.dumps(chains_of(noisy.prepared, compared.sensor, compared.irradiance)))
-    for repeat in (0, 7):
-        task = Task(2, compared.name, repeat, stream_key(noisy.prepared, repeat))
-        assert simulate_task(task, chains) == (task, compared.viewed[:, repeat].tolist())
+    series = series_of_sensor(noisy.prepared, compared.sensor, compared.irradiance)
+    (task,) = tasks_of(series, {compared.sensor.pixel.pitch_um: 8})
+    rows = evaluate_task(*pickle.loads(pickle.dumps((task, series.light()))))
+    of_first_display = [float(row["mean_delta_e"]) for row in rows][:: len(series.displays)]
+    assert of_first_display == compared.delta_e.tolist()
 
 
 def test_mean_interval_is_student_t() -> None:
