@@ -19,7 +19,7 @@ from pixsim.scene.bands import Pulse
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer, film, film_response, mirror_margins
 from pixsim.scene.scene import Scene
-from pixsim.studies.budget import Probe, Setup, finer, minimum_um, probe, relative_rms, rms
+from pixsim.studies.budget import Probe, ProbeDesign, finer, minimum_um, probe, relative_rms, rms
 
 BAND_NM = 10.0
 CENTRES_NM = np.arange(365.0, 826.0, BAND_NM)
@@ -136,7 +136,7 @@ class Subject:
     scene: Scene
     camera: Camera
     plan: Plan
-    setup: Setup
+    design: ProbeDesign
     image: SpectralImage = field(repr=False)
     render_s: float
     truth: Probe = field(default=NOTHING, repr=False)
@@ -197,7 +197,7 @@ def measure(ladder: str, step: Step, subject: Subject, clock: Clock) -> Rung:
         start = time.perf_counter()
         image = picture(seed)
         image.header |= subject.white
-        render_s, result = time.perf_counter() - start, probe(image, subject.setup)
+        render_s, result = time.perf_counter() - start, probe(image, subject.design)
         error_e = relative_rms(result.electrons_e_per_s, truth.electrons_e_per_s)
         errors = result.mean_delta_e - truth.mean_delta_e, result.optimum_um - truth.optimum_um
         measured.append((render_s + result.seconds, error_e, *errors))
@@ -220,7 +220,7 @@ def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock, sh
 def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
     """The ladders of the render, with one setting varied in each; the most expensive methods come last."""
     scene, camera, plan, width = subject.scene, subject.camera, subject.plan, subject.image.shape[1]
-    full = make_render_plan(scene, camera, subject.setup.pixel, full=True)
+    full = make_render_plan(scene, camera, subject.design.imaging.pixel, full=True)
     films = {width, *(max(8, int(width * 2.0**k)) for k in depth.films)} if "resolution" in scene.names else ()
     planned = plan.bands.width_nm.size
 
@@ -229,7 +229,7 @@ def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
         return Step(setting, value, partial(rendered, of, camera, replace(to, **changes)), work, shipped)
 
     def equal_bands(count: int) -> Step:
-        equal = make_render_plan(scene, camera, subject.setup.pixel, band_count=count)
+        equal = make_render_plan(scene, camera, subject.design.imaging.pixel, band_count=count)
         return step(f"{count} equal bands", count, equal.passes / plan.passes, to=equal, spp=plan.spp)
 
     methods = [
@@ -263,7 +263,7 @@ SENSORS_PER_SWEEP = 4  # sensors at one pitch per sensor of a sweep, which costs
 OTHER_SENSORS = 104729  # added to the seed for the reference's sensors
 
 
-def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, pool: int) -> Iterator[Rung]:
+def seed_rungs(image: SpectralImage, design: ProbeDesign, shipped: Rung, clock: Clock, pool: int) -> Iterator[Rung]:
     """RMS differences between means over 1, 2, 4 … sensors and the mean over all sensors of another pool.
 
     Four times `pool` sensors are scored at the pixel's pitch, and `pool` at every pitch. The reference mean scatters too: a
@@ -272,17 +272,17 @@ def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, 
     """
 
     def expected_s() -> float:
-        return 2 * pool * clock.score_s * (SENSORS_PER_SWEEP + len(setup.pitches_um))
+        return 2 * pool * clock.score_s * (SENSORS_PER_SWEEP + len(design.pitches_um))
 
     while pool > MIN_SENSORS and not clock.room_for(expected_s()):
-        pool, setup = (pool, replace(setup, pitches_um=())) if setup.pitches_um else (pool // 2, setup)
+        pool, design = (pool, replace(design, pitches_um=())) if design.pitches_um else (pool // 2, design)
     if not clock.room_for(expected_s()):
         yield Rung("seeds", f"{pool} sensors", pool, left_out=f"about {expected_s():.0f} s")
         return
-    many, swept = SENSORS_PER_SWEEP * pool, pool if setup.pitches_um else 1
-    seeds = setup.seed, setup.seed + OTHER_SENSORS
-    measured, truth = (probe(image, replace(setup, pitches_um=(), sensors=many, seed=seed)) for seed in seeds)
-    curves, true_curve = (probe(image, replace(setup, sensors=swept, seed=seed)) for seed in seeds)
+    many, swept = SENSORS_PER_SWEEP * pool, pool if design.pitches_um else 1
+    seeds = design.seed, design.seed + OTHER_SENSORS
+    measured, truth = (probe(image, replace(design, pitches_um=(), sensors=many, seed=seed)) for seed in seeds)
+    curves, true_curve = (probe(image, replace(design, sensors=swept, seed=seed)) for seed in seeds)
     count = 1
     while count * MIN_GROUPS <= many:
         delta_e = measured.delta_e.reshape(-1, count).mean(axis=1) - truth.mean_delta_e
@@ -301,17 +301,17 @@ def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, 
         count *= 2
 
 
-def raster_rungs(image: SpectralImage, setup: Setup, clock: Clock, dots: Sequence[int]) -> Iterator[Rung]:
+def raster_rungs(image: SpectralImage, design: ProbeDesign, clock: Clock, dots: Sequence[int]) -> Iterator[Rung]:
     """Displays with other dot counts and the same picture angle; the finest one within the time is the reference."""
-    given = setup.display.dots
-    if setup.display.raster != "fixed_size":
+    given = design.imaging.display.dots
+    if design.imaging.display.raster != "fixed_size":
         yield Rung("raster", "one_to_one", 1, True, left_out="one_to_one shows one pixel per dot")
         return
     probes: dict[int, Probe] = {}
     for count in sorted({*dots, given}):
         expected = clock.probe_s * max(1.0, (count / given) ** 2)
         if clock.room_for(expected):
-            probes[count] = probe(image, replace(setup, display=finer(setup.display, count)))
+            probes[count] = probe(image, design.on(finer(design.imaging.display, count)))
         else:
             yield Rung("raster", f"{count} dots", count, count == given, left_out=f"about {expected:.0f} s")
     finest = max(probes, default=0)

@@ -16,7 +16,7 @@ from pixsim.scene.charts import MAX_LP_PER_MM, SLANT_DEG, csf_contrast, csf_valu
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import CHART, Scene, packaged_scenes
-from pixsim.studies.budget import Setup
+from pixsim.studies.budget import ProbeDesign
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
 MIN_PARTS = 4096  # across a chart: parts much smaller than a cycle, for which the quadrature is exact to 1e-12
@@ -67,9 +67,11 @@ def formula_of(scene: Scene, plan: Plan) -> str | None:
     return name if shipped and plan.chart is not None and not changed else None
 
 
-def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, shape: tuple[int, int]) -> tuple[SpectralImage, str]:
+def analytic_reference(
+    scene: Scene, camera: Camera, design: ProbeDesign, name: str, shape: tuple[int, int]
+) -> tuple[SpectralImage, str]:
     """Irradiance of the chart's formula, and its description: exact cell means, bands of 1 nm, the lens's fall-off."""
-    plan = make_render_plan(scene, camera, setup.pixel, band_count=REFERENCE_BANDS)
+    plan = make_render_plan(scene, camera, design.imaging.pixel, band_count=REFERENCE_BANDS)
     picture = FORMULAS[name](*shape)
     job = Renderer(scene.with_resolution(shape[1]), camera, plan, 0)
     pictures = [np.repeat(picture[:, :, None], len(light.fit.pulses), axis=2) for light in plan.lights]
@@ -78,16 +80,16 @@ def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, sh
 
 
 def rendered_reference(
-    scene: Scene, camera: Camera, setup: Setup, plan: Plan, work: float, progress: Progress | None = None
+    scene: Scene, camera: Camera, design: ProbeDesign, plan: Plan, work: float, progress: Progress | None = None
 ) -> tuple[SpectralImage, str]:
     """A render with other seeds, no pruning, at least `work` times the samples and, if possible, a finer film; its description."""
     width = Renderer(scene, camera, plan, 0).size[1]
     free = "resolution" in scene.names
     finer = scene.with_resolution(2 * width) if free else scene
-    full = make_render_plan(finer, camera, setup.pixel, full=True)
+    full = make_render_plan(finer, camera, design.imaging.pixel, full=True)
     cells = 4 if free else 1
     spp = 1 << max(4, math.ceil(math.log2(work * plan.spp * plan.passes / (full.passes * cells))))
-    renderer = Renderer(finer, camera, replace(full, spp=spp), setup.seed + REFERENCE_SEED)
+    renderer = Renderer(finer, camera, replace(full, spp=spp), design.seed + REFERENCE_SEED)
     image = renderer.image(*renderer.run(0, progress))
     times = full.passes * spp * cells / (plan.spp * plan.passes)
     size = " × ".join(str(n) for n in renderer.size[::-1])

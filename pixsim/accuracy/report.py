@@ -79,7 +79,7 @@ def plates_of(accuracy: Accuracy) -> list[Plate]:
     """The figures that have data: if time was short, a ladder may have no measured rung."""
     climbed = [convergence] if any(len(accuracy.ladder(name)) > 1 for name in SETTINGS) else []
     viewed = [viewing] if any(finite(accuracy.ladder(name), metric) for name in VIEWING for metric in METRICS) else []
-    response = [response_plate(accuracy.setup.pixel)] if accuracy.solvers else []
+    response = [response_plate(accuracy.design.imaging.pixel)] if accuracy.solvers else []
     return [*(make(accuracy) for make in (work_precision, *climbed, *viewed, stages, budget)), *response]
 
 

@@ -14,7 +14,7 @@ from pixsim.accuracy.ladders import Rung
 from pixsim.accuracy.solvers import Solved
 from pixsim.accuracy.stability import Case
 from pixsim.show.pages import plain
-from pixsim.studies.budget import Calibration, Effect, Setup
+from pixsim.studies.budget import Calibration, Effect, ProbeDesign
 
 MIN_POINTS = 3
 FLAT = 2 / 3  # of the previous slope: a slower decrease means that another source of error dominates
@@ -129,7 +129,7 @@ class Accuracy:
     cases: tuple[Case, ...] = field(repr=False)
     solvers: tuple[Solved, ...] = field(repr=False)
     header: dict[str, Any] = field(repr=False)
-    setup: Setup = field(repr=False)
+    design: ProbeDesign = field(repr=False)
     notes: tuple[str, ...]
     seconds: float
 

@@ -24,8 +24,9 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import Scene, chart_parameters, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
-from pixsim.studies.budget import MAX_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe
-from pixsim.viewer.score import Seen, chain_at_pitch, prepare_scene, white_header
+from pixsim.studies.budget import MAX_DOTS, ProbeDesign, calibrate, effects, pitches_around_optimum_um, probe
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.score import Seen, white_header
 
 LONG_S = 5.0
 # (name, photo-charge in full wells, seconds): from mid-grey to a sensor in the sun for hours.
@@ -36,7 +37,7 @@ MIN_FILM = 64  # width of the smallest part of a scene, if the reference of the 
 MIN_DOTS = 8
 
 
-def first_picture(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> tuple[SpectralImage, dict[str, float]]:
+def first_picture(scene: Scene, camera: Camera, plan: Plan, design: ProbeDesign) -> tuple[SpectralImage, dict[str, float]]:
     """A render and the seconds of rendering and of compiling, the extra time of a first render."""
     start = time.perf_counter()
     job = Renderer(scene, camera, plan, 0)
@@ -46,26 +47,28 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> tup
         start = time.perf_counter()
         image = job.image(*job.run(1))
         render_s = time.perf_counter() - start
-    image.header |= white_header([Seen(image, camera, setup.physics(), setup.border_um)], setup.display)
+    imaging = design.imaging
+    image.header |= white_header([Seen(image, camera, imaging.physics, imaging.border_um)], imaging.display)
     return image, {"compile": max(first - render_s, 0.0), "render": render_s}
 
 
-def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
+def seconds_to_score(image: SpectralImage, design: ProbeDesign) -> dict[str, float]:
     """Seconds of each stage after the render, as in `pixsim run`; diffraction is timed alone, not in `prepare_scene`."""
     without_diffraction = copy(image)
     without_diffraction.header = image.header | {"diffraction": False}
-    physics, ends = derive(setup.pixel), [time.perf_counter()]
+    imaging, ends = design.imaging, [time.perf_counter()]
     with temporary_folder() as folder:
-        diffracted_rate(image, setup.camera, physics)
+        diffracted_rate(image, imaging.camera, imaging.physics)
         ends.append(time.perf_counter())
-        light = prepare_scene(without_diffraction, setup.camera, physics, setup.display)
+        light = imaging.light(without_diffraction)
         ends.append(time.perf_counter())
-        chain = chain_at_pitch(light, physics, setup.exposure, setup.correction, setup.develop)
+        chain = imaging.chain(light)
         frame = chain.capture("stages")
         ends.append(time.perf_counter())
         score = chain.score_frame(frame)
         ends.append(time.perf_counter())
-        summary = summary_of(score, image, setup.camera, setup.exposure, setup.display, setup.seed, setup.correction)
+        own = imaging.camera, imaging.exposure, imaging.display, design.seed, imaging.correction
+        summary = summary_of(score, image, *own)
         write_irradiance(folder, image)
         write_all(folder, image, score, summary)
         ends.append(time.perf_counter())
@@ -103,12 +106,12 @@ def survey(
     if plan.resolution:
         scene = scene.with_resolution(plan.resolution)
     stages = {"parse": time.perf_counter() - start}
-    setup = Setup.of(settings, camera)
-    image, seconds = first_picture(scene, camera, plan, setup)
-    stages |= seconds | seconds_to_score(image, setup)
-    subject = with_reference(Subject(scene, camera, plan, setup, image, seconds["render"]), depth, progress)
+    design = ProbeDesign(Imaging.of(settings, camera), settings.seed)
+    image, seconds = first_picture(scene, camera, plan, design)
+    stages |= seconds | seconds_to_score(image, design)
+    subject = with_reference(Subject(scene, camera, plan, design, image, seconds["render"]), depth, progress)
     progress("error budget")
-    calibration = calibrate(subject.scene, subject.camera, subject.plan, replace(subject.setup, pitches_um=()))
+    calibration = calibrate(subject.scene, subject.camera, subject.plan, replace(subject.design, pitches_um=()))
     cases = stability.all_cases(progress("stability"))
     clock = Clock(max(start + depth.seconds, time.perf_counter() + depth.ladders_s), depth.runs)
     shipped, rungs = all_rungs(subject, depth, clock, progress)
@@ -124,7 +127,7 @@ def survey(
         cases=tuple(cases),
         solvers=discharges(settings.pixel),
         header=image.header,
-        setup=subject.setup,
+        design=subject.design,
         notes=subject.notes,
         seconds=time.perf_counter() - start,
     )
@@ -138,7 +141,7 @@ def with_reference(subject: Subject, depth: Depth, progress: Stage) -> Subject:
     if name:
         height, width = subject.image.shape
         shape = FINER * height, FINER * width
-        image, description = analytic_reference(subject.scene, subject.camera, subject.setup, name, shape)
+        image, description = analytic_reference(subject.scene, subject.camera, subject.design, name, shape)
     else:
         whole_s, parts, free = FULL_WORK * REFERENCE_WORK * subject.render_s, 1, "resolution" in subject.scene.names
         while whole_s / parts**2 > depth.reference_s and subject.image.shape[1] > MIN_FILM * parts and free:
@@ -150,27 +153,28 @@ def with_reference(subject: Subject, depth: Depth, progress: Stage) -> Subject:
         work = min(REFERENCE_WORK, max(MIN_WORK, REFERENCE_WORK * depth.reference_s / expected_s))
         if work < REFERENCE_WORK:
             notes.append(f"the reference has only {work:.0f} instead of {REFERENCE_WORK} times the work of the default settings")
-        image, description = rendered_reference(subject.scene, subject.camera, subject.setup, subject.plan, work, report_progress)
+        image, description = rendered_reference(subject.scene, subject.camera, subject.design, subject.plan, work, report_progress)
     for picture in (subject.image, image):
         picture.header |= white
-    setup = subject.setup.around(pitches_around_optimum_um(subject.image, subject.setup, depth.pitches))
-    truth, analytic = probe(image, setup), name is not None
-    return replace(subject, setup=setup, white=white, truth=truth, reference=description, analytic=analytic, notes=tuple(notes))
+    design = subject.design.around(pitches_around_optimum_um(subject.image, subject.design, depth.pitches))
+    truth, analytic = probe(image, design), name is not None
+    return replace(subject, design=design, white=white, truth=truth, reference=description, analytic=analytic, notes=tuple(notes))
 
 
 def middle_of(subject: Subject, parts: int) -> Subject:
     """The middle of the die, with fewer samples, pixels and dots of the same size."""
-    scene, given, setup = subject.scene, subject.camera, subject.setup
+    scene, given, design = subject.scene, subject.camera, subject.design
     # The chart keeps its size, so that a part of the die shows a part of it.
     free = scene.names - scene.parameters.keys()
     chart_size = {name: value for name, value in chart_parameters(given).items() if name in free}
     scene = scene.with_parameters(**chart_size).with_resolution(subject.image.shape[1] // parts)
     camera = given.window(given.die_mm / parts)
-    display = setup.display.model_copy(update={"dots": max(MIN_DOTS, setup.display.dots // parts)})
-    setup = replace(setup, camera=camera, display=display)
-    plan = make_plan(scene, camera, setup.pixel, exposure=setup.exposure, tolerance_e=subject.plan.tolerance_e)
-    image, seconds = first_picture(scene, camera, plan, setup)
-    return Subject(scene, camera, plan, setup, image, seconds["render"])
+    display = design.imaging.display.model_copy(update={"dots": max(MIN_DOTS, design.imaging.display.dots // parts)})
+    imaging = replace(design.imaging, camera=camera, display=display)
+    design = replace(design, imaging=imaging)
+    plan = make_plan(scene, camera, imaging.pixel, exposure=imaging.exposure, tolerance_e=subject.plan.tolerance_e)
+    image, seconds = first_picture(scene, camera, plan, design)
+    return Subject(scene, camera, plan, design, image, seconds["render"])
 
 
 def all_rungs(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tuple[Rung, list[Rung]]:
@@ -182,12 +186,12 @@ def all_rungs(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> 
     shipped = ladders.measure("methods", shipped_step, subject, clock)
     whole_s = time.perf_counter() - began - (clock.runs + 1) * subject.render_s
     clock.render_s, clock.probe_s = subject.render_s, max(whole_s, 0.0) / clock.runs
-    clock.score_s = clock.probe_s / (1 + len(subject.setup.pitches_um))
-    viewer = replace(subject.setup, pitches_um=subject.setup.pitches_um if depth.seeds_move_the_optimum else ())
-    dots = [count for times in depth.dots if MIN_DOTS <= (count := int(subject.setup.display.dots * times)) <= MAX_DOTS]
+    clock.score_s = clock.probe_s / (1 + len(subject.design.pitches_um))
+    viewer = replace(subject.design, pitches_um=subject.design.pitches_um if depth.seeds_move_the_optimum else ())
+    dots = [count for times in depth.dots if MIN_DOTS <= (count := int(subject.design.imaging.display.dots * times)) <= MAX_DOTS]
     climbs = {
         "seeds": ladders.seed_rungs(subject.image, viewer, shipped, clock, depth.pool),
-        "raster": ladders.raster_rungs(subject.image, subject.setup, clock, dots),
+        "raster": ladders.raster_rungs(subject.image, subject.design, clock, dots),
     } | {
         name: ladders.climb(name.removeprefix("long "), steps, subject, clock, shipped)
         for name, steps in ladders.render_steps(subject, depth).items()

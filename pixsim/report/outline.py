@@ -12,13 +12,12 @@ from pixsim.base.parameters import Camera, CameraOptions, Effort, Run, Study
 from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
 from pixsim.report.wording import field_words, focal_length_assumption, lens_words, view_words
 from pixsim.sensor.integration import pixels_along, pixels_on
-from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import rounded
 from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.keys import evaluated_before, light_hash, rendered_across
 from pixsim.studies.oversampling import TOLERATED_SHARE
-from pixsim.studies.pixels import physics_of
+from pixsim.studies.pixels import imaging_of
 from pixsim.studies.preparation import (
     COLOUR_S,
     LONG_S,
@@ -37,6 +36,7 @@ from pixsim.studies.preparation import (
     window_within,
 )
 from pixsim.studies.sampling import study_pitches_um
+from pixsim.viewer.imaging import Imaging
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
@@ -82,7 +82,7 @@ def run_outline(
         if not rendered:
             more_s = COLOUR_S * (settings.pixel.colour is not None) + STACK_S * (settings.pixel.stack is not None)
             cost = replace(cost, seconds=cost.seconds + more_s)
-        outline["errors"] = errors_of(plan, outline["film"], camera, derive(settings.pixel), settings)
+        outline["errors"] = errors_of(plan, outline["film"], Imaging.of(settings, camera), settings)
     frame = frame_cost(camera, pitch_um, settings.display)
     cost = Cost(cost.seconds + RUN_PAGE_S + (1 + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
     sensors = [
@@ -120,9 +120,9 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
         pitches_um = study_pitches_um(study, name).tolist()
         counts = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
         sensors.append({"technology": name, "pitch_um": pitches_um, "pixels": counts, "sensors": study.repeats})
-    smallest = physics_of(study, study.technologies[0], sensors[0]["pitch_um"][0])
+    smallest = imaging_of(study, camera, study.technologies[0], sensors[0]["pitch_um"][0])
     more: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name, "evaluations": prepared.evaluations}
-    more["errors"] = errors_of(plan, film, camera, smallest, study)
+    more["errors"] = errors_of(plan, film, smallest, study)
     if types:
         more["sensor_types"] = types
     if prepared.cases:
@@ -171,20 +171,18 @@ def film_of(scene: Scene, camera: Camera, plan: Plan) -> dict[str, Any]:
     return {"samples": [height, width], "pitch_um": 1e3 * camera.die_mm / width, "spp": plan.spp, "passes": plan.passes}
 
 
-def errors_of(
-    plan: Plan, film: dict[str, Any], camera: Camera, physics: PixelPhysics, settings: Run | Study
-) -> dict[str, float | None]:
+def errors_of(plan: Plan, film: dict[str, Any], smallest: Imaging, settings: Run | Study) -> dict[str, float | None]:
     """Return what is known of the errors of the light before there is light.
 
-    physics : of the smallest pixel
+    smallest : of the pixels
 
     film_share : least error of the film as a share of mean ΔE, for details and dots that it cannot show; None if a calibration
         chooses the film
     rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits them, 0 if there are none
     render_noise : its target, as a fraction of the sensor's noise
     """
-    sampling = FilmSampling.of(film["samples"][1], camera, physics, settings.display, plan.chart)
-    rays = plan.most_samples / math.prod(pixels_on(camera.die_um, physics.pitch_um))
+    sampling = FilmSampling.of(film["samples"][1], smallest, plan.chart)
+    rays = plan.most_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
     return {
         "film_share": None if settings.tolerance_delta_e else film_error(0.0, 0.0, 1.0, sampling),
         "rays_a_pixel": 0.0 if plan.exact else None if settings.max_seconds else rays,

@@ -68,6 +68,7 @@ from pixsim.show.pictures import (
 )
 from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import Score, Seen, dark_clip, make_imaging_chain, white_header
 
 if TYPE_CHECKING:
@@ -452,16 +453,16 @@ def _prepare(
     from pixsim.scene.convergence import without_clock
     from pixsim.scene.plan import Plan, make_plan
     from pixsim.scene.scene import packaged_scenes
-    from pixsim.sensor.pixel import derive
     from pixsim.studies.oversampling import render_and_measure
 
     named = source if source in packaged_scenes() else str(scene.path)
     settled: Settled | None = None
     if settings.tolerance_delta_e:
-        from pixsim.studies.budget import Setup, settle
+        from pixsim.studies.budget import ProbeDesign, settle
 
         progress("calibrate")
-        settled = settle(scene, camera, Setup.of(settings, camera), settings.tolerance_delta_e)
+        design = ProbeDesign(Imaging.of(settings, camera), settings.seed)
+        settled = settle(scene, camera, design, settings.tolerance_delta_e)
         chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
         scene, settings = settled.scene, settings.model_copy(update=chosen | {"resolution": settled.scene.resolution})
 
@@ -475,8 +476,10 @@ def _prepare(
         warn(note)
 
     def render() -> Light:
-        options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress("render")}
-        made = render_and_measure(scene, camera, plan, settings, [settings.pixel], [derive(settings.pixel)], **options)
+        measured, rendering = [Imaging.of(settings, camera)], progress("render")
+        made = render_and_measure(
+            scene, plan, settings, settings.pixel, measured, plan_of=plan_of, settled=settled, progress=rendering
+        )
         more: dict[str, Any] = {"render_noise": asdict(made.noise), "plan": made.plan.as_dict(), "film": made.film.as_dict()}
         assumed = settings.pixel.assumption, focal_length_assumption(camera, asked.camera)
         more |= {"assumption": "; ".join(filter(None, assumed))}

@@ -12,7 +12,7 @@ A short calibration renders a scene twice at its own settings and changes each s
 
 The last two are properties of the display under study. They are listed next to the total, not included in it.
 
-A difference of ΔE is the RMS over the set-up's pixel and the pitches around the optimum: at a single pitch it may change
+A difference of ΔE is the RMS over the design's pixel and the pitches around the optimum: at a single pitch it may change
 sign and look small.
 """
 
@@ -35,20 +35,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import PixsimError
 from pixsim.base.notes import told_apart, warn
-from pixsim.base.parameters import (
-    DEVELOP,
-    NO_CORRECTION,
-    Camera,
-    Correction,
-    Develop,
-    Display,
-    Exposure,
-    PitchRange,
-    Pixel,
-    Run,
-    Study,
-    content_hash,
-)
+from pixsim.base.parameters import Camera, Display, PitchRange, Study, content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, noise_of
 from pixsim.scene.film import largest_film
@@ -56,7 +43,7 @@ from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
-from pixsim.sensor.pixel import PixelPhysics, derive, largest_pitch_um, pitch_for_fill_factor_um
+from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
 from pixsim.studies.film_error import (
     FINE,
@@ -70,9 +57,10 @@ from pixsim.studies.film_error import (
     order_of,
     step_size,
 )
-from pixsim.studies.pixels import pixel_of, technology_of
+from pixsim.studies.pixels import imaging_of
 from pixsim.studies.sampling import largest_pixel_um
-from pixsim.viewer.score import ImagingChain, SceneCache, Seen, chain_at_pitch, prepare_scene, white_header
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.score import ImagingChain, SceneCache, Seen, white_header
 
 SCAN_PITCHES = 9  # of the coarse search for the optimum
 AROUND = 1.35  # the fine search covers the coarse optimum divided and multiplied by this
@@ -85,56 +73,44 @@ MIN_PIXELS, MAX_PIXELS = 16, 1024  # across the die, for the largest and the sma
 
 
 @dataclass(frozen=True)
-class Setup:
-    """Everything that stays fixed while render settings change: camera, pixel, exposure, display and random streams.
+class ProbeDesign:
+    """The points at which a light is probed while render settings change: pixels of some sizes, and the same sensors every time.
 
+    imaging : of the pixel; where it has a border, as in a study, each sensor has its registration. Else they are centred, and
+        the border is that of the largest pitch tried
     pitches_um : at which the optimum is searched; empty for no search
     sensors : number of sensors, the same ones at a pitch every time
     at_optimum : whether the pixel takes the pitch of the optimum in place of its own
-    border_um : of a study, whose sensors have each its registration; None means the largest pitch tried, and centred pixels
-    process : of the pixel's technology; None means the one from its file
     """
 
-    camera: Camera
-    pixel: Pixel
-    exposure: Exposure
-    display: Display
+    imaging: Imaging
     seed: int = 0
     pitches_um: tuple[float, ...] = ()
     sensors: int = 1
     at_optimum: bool = False
-    border_um: float | None = None
-    process: Technology | None = None
-    correction: Correction = NO_CORRECTION
-    develop: Develop = DEVELOP
 
     @property
     def technology(self) -> Technology:
         """The process, without the fill-factor law that the pixel may select."""
-        return self.process or load_technology(self.pixel.technology)
+        return self.imaging.process or load_technology(self.imaging.pixel.technology)
 
-    def physics(self, pitch_um: float | None = None) -> PixelPhysics:
-        """Return the pixel, optionally at another pitch."""
-        pixel = self.pixel if pitch_um is None else self.pixel.model_copy(update={"pitch_um": pitch_um})
-        return derive(pixel, self.technology)
+    def on(self, display: Display) -> ProbeDesign:
+        """Return the design with another display."""
+        return replace(self, imaging=replace(self.imaging, display=display))
 
-    @classmethod
-    def of(cls, run: Run, camera: Camera) -> Setup:
-        return cls(camera, run.pixel, run.exposure, run.display, run.seed, correction=run.correction, develop=run.develop)
-
-    def around(self, pitches_um: tuple[float, ...]) -> Setup:
-        """Return the set-up with these pitches; with `at_optimum`, the pixel takes their geometric centre."""
+    def around(self, pitches_um: tuple[float, ...]) -> ProbeDesign:
+        """Return the design with these pitches; with `at_optimum`, the pixel takes their geometric centre."""
         if not (self.at_optimum and pitches_um):
             return replace(self, pitches_um=pitches_um)
         middle = float(f"{math.sqrt(pitches_um[0] * pitches_um[-1]):.4g}")
-        return replace(self, pitches_um=pitches_um, pixel=self.pixel.model_copy(update={"pitch_um": middle}))
+        return replace(self, pitches_um=pitches_um, imaging=self.imaging.at(middle))
 
 
 @dataclass(frozen=True)
 class Probe:
-    """Mean ΔE of an irradiance at the set-up's pixel and at its pitches.
+    """Mean ΔE of an irradiance at the design's pixel and at its pitches.
 
-    electrons_e_per_s : (rows, columns) mean photo-electrons per second of the set-up's pixel
+    electrons_e_per_s : (rows, columns) mean photo-electrons per second of the design's pixel
     delta_e : (sensors,) mean ΔE of each sensor
     sweep_delta_e : (pitches, sensors) mean ΔE at `pitch_um`
     seconds : wall time of diffraction, sensor and S-CIELAB for the first sensor; score_seconds : for each further sensor
@@ -182,20 +158,20 @@ def relative_rms(got: Array, reference: Array) -> float:
     return math.sqrt(float(np.mean((got - reference) ** 2)) / power) if power else math.nan
 
 
-def probe(image: SpectralImage, setup: Setup) -> Probe:
-    """Return the mean ΔE of an irradiance at the set-up's pixel and at its pitches."""
+def probe(image: SpectralImage, design: ProbeDesign) -> Probe:
+    """Return the mean ΔE of an irradiance at the design's pixel and at its pitches."""
     start = time.perf_counter()
-    chain_at, pixel_um = chains_of(image, setup, setup.pitches_um), setup.pixel.pitch_um
+    chain_at, pixel_um = chains_of(image, design, design.pitches_um), design.imaging.pixel.pitch_um
     chain = chain_at(pixel_um, 0)
     middle = time.perf_counter()
-    first = sensor_delta_e(chain, setup, pixel_um, 0)
+    first = sensor_delta_e(chain, design.seed, pixel_um, 0)
     end = time.perf_counter()
-    others = (sensor_delta_e(chain_at(pixel_um, k), setup, pixel_um, k) for k in range(1, setup.sensors))
+    others = (sensor_delta_e(chain_at(pixel_um, k), design.seed, pixel_um, k) for k in range(1, design.sensors))
     delta_e = np.array([first, *others])
-    sensors = range(setup.sensors)
-    sweep = np.array([[sensor_delta_e(chain_at(um, k), setup, um, k) for k in sensors] for um in setup.pitches_um])
-    shape = len(setup.pitches_um), setup.sensors
-    return Probe(chain.signal_e_per_s, delta_e, np.array(setup.pitches_um), sweep.reshape(shape), end - start, end - middle)
+    sensors = range(design.sensors)
+    sweep = np.array([[sensor_delta_e(chain_at(um, k), design.seed, um, k) for k in sensors] for um in design.pitches_um])
+    shape = len(design.pitches_um), design.sensors
+    return Probe(chain.signal_e_per_s, delta_e, np.array(design.pitches_um), sweep.reshape(shape), end - start, end - middle)
 
 
 class PairedNoise(np.random.Generator):
@@ -232,64 +208,63 @@ def few_counts(mean: Array, z: Array) -> Array:
     return count
 
 
-def sensor_delta_e(chain: ImagingChain, setup: Setup, pitch_um: float, sensor: int) -> float:
-    """Return the mean ΔE of one sensor, reproducible for its set-up, pitch and number."""
-    rng = stream("accuracy", setup.seed, pitch_um, sensor, "sensor")
-    of_correction = stream("accuracy", setup.seed, pitch_um, sensor, "correction")
+def sensor_delta_e(chain: ImagingChain, seed: int, pitch_um: float, sensor: int) -> float:
+    """Return the mean ΔE of one sensor, reproducible for its seed, pitch and number."""
+    rng = stream("accuracy", seed, pitch_um, sensor, "sensor")
+    of_correction = stream("accuracy", seed, pitch_um, sensor, "correction")
     return chain.score_frame(chain.capture_with(rng, PairedNoise(rng.bit_generator), of_correction)).mean_delta_e
 
 
-def chains_of(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float, int], ImagingChain]:
+def chains_of(image: SpectralImage, design: ProbeDesign, pitches_um: Sequence[float] = ()) -> Callable[[float, int], ImagingChain]:
     """Return the imaging chain as a function of the pitch and the number of the sensor.
 
-    The pitches share a scored frame. The set-up's pixel has its own frame unless it is at the optimum.
+    The pitches share a scored frame. The design's pixel has its own frame unless it is at the optimum.
     """
-    scenes, pixel_um = SceneCache(image, setup.camera, setup.display, len(setup.physics().channels)), setup.pixel.pitch_um
-    widest_um = setup.border_um or max(pitches_um, default=pixel_um)
+    imaging = design.imaging
+    scenes, pixel_um = SceneCache(image, imaging.camera, imaging.display, len(imaging.physics.channels)), imaging.pixel.pitch_um
+    widest_um = imaging.border_um or max(pitches_um, default=pixel_um)
+    centred = replace(imaging, border_um=None)  # where dots are pixels, each has a frame of its own
 
     @lru_cache(maxsize=1)  # centred sensors share it
     def registered(pitch_um: float, repeat: int | None) -> ImagingChain:
-        physics = setup.physics(pitch_um)
-        physics = physics if repeat is None else physics.registered(repeat, setup.display)
-        border_um = pixel_um if pitch_um == pixel_um and not setup.at_optimum else widest_um
-        light = scenes.get(border_um, physics, border_um)
-        if isinstance(light, SpectralImage):
-            light = prepare_scene(light, setup.camera, physics, setup.display)
-        return chain_at_pitch(light, physics, setup.exposure, setup.correction, setup.develop)
+        at_pitch = centred.at(pitch_um)
+        physics = at_pitch.physics if repeat is None else at_pitch.registered(repeat)
+        border_um = pixel_um if pitch_um == pixel_um and not design.at_optimum else widest_um
+        return at_pitch.chain(scenes.get(border_um, physics, border_um), physics)
 
-    return lambda pitch_um, sensor: registered(pitch_um, None if setup.border_um is None else sensor)
+    return lambda pitch_um, sensor: registered(pitch_um, None if imaging.border_um is None else sensor)
 
 
 ROUNDED = 1e-3  # of a pitch, that rounding to four digits may add
 
 
-def pitch_range_um(setup: Setup) -> tuple[float, float]:
+def pitch_range_um(design: ProbeDesign) -> tuple[float, float]:
     """Return the range of pitches to search: as in a study, from 5 % fill factor to 15 µm, limited by pixel count and microlenses.
 
     Modern processes reach 5 % at 0.4 µm, which would be 46 million pixels on the paper's die.
     """
-    usual, die_um = PitchRange(), 1e3 * setup.camera.die_mm
-    widest_um = (1 - ROUNDED) * largest_pitch_um(setup.pixel, setup.technology)
+    usual, die_um = PitchRange(), 1e3 * design.imaging.camera.die_mm
+    widest_um = (1 - ROUNDED) * largest_pitch_um(design.imaging.pixel, design.technology)
     largest, smallest = min(usual.max_um, die_um / MIN_PIXELS, widest_um), die_um / MAX_PIXELS
-    if setup.pixel.fill_factor is not None:  # the fill-factor law does not apply
-        return max(smallest, min(setup.pixel.pitch_um / 3, largest / 3)), largest
-    process = with_fill_factor_law(setup.technology, setup.pixel.fill_factor_law)
+    if design.imaging.pixel.fill_factor is not None:  # the fill-factor law does not apply
+        return max(smallest, min(design.imaging.pixel.pitch_um / 3, largest / 3)), largest
+    process = with_fill_factor_law(design.technology, design.imaging.pixel.fill_factor_law)
     return max(smallest, pitch_for_fill_factor_um(usual.min_fill_factor, process)), largest
 
 
-def pitches_around_optimum_um(image: SpectralImage, setup: Setup, count: int) -> tuple[float, ...]:
+def pitches_around_optimum_um(image: SpectralImage, design: ProbeDesign, count: int) -> tuple[float, ...]:
     """Return `count` pitches around the minimum of ΔE in a scan of one sensor each; empty if the range is too narrow."""
-    low, high = pitch_range_um(setup)
+    low, high = pitch_range_um(design)
     if low * AROUND >= high:
         return ()
     scanned = np.geomspace(low, high, SCAN_PITCHES)
-    chain_at = chains_of(image, setup, scanned.tolist())
+    chain_at = chains_of(image, design, scanned.tolist())
 
     def error(pitch_um: float) -> float:
         try:
-            return sensor_delta_e(chain_at(pitch_um, 0), setup, pitch_um, 0)
+            return sensor_delta_e(chain_at(pitch_um, 0), design.seed, pitch_um, 0)
         except PixsimError:
-            if setup.pixel.colour is None or pitch_um == scanned[-1]:
+            if design.imaging.pixel.colour is None or pitch_um == scanned[-1]:
                 raise
             return math.inf  # channels of small pixels mix until no matrix takes them apart
 
@@ -382,42 +357,41 @@ class Calibration:
         return self.films[-1].times((self.width / width) ** self.order)
 
 
-def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibration:
+def calibrate(scene: Scene, camera: Camera, plan: Plan, design: ProbeDesign) -> Calibration:
     """Return the calibration, measured or from the cache."""
-    key = content_hash(
-        [scene.content_hash, scene.parameters, scene.resolution, scene.sensor_id,
-         scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
-         setup.technology.content, setup.exposure.model_dump(), setup.correction.model_dump(),
-         setup.develop.model_dump(), setup.display.model_dump(),
-         setup.seed, setup.at_optimum, setup.border_um, plan.spp, plan.tolerance_e, plan.lens,
-         plan.passes, cache.version_fingerprint("mitsuba", "drjit")]
-    )  # fmt: skip
-    return cache.load_or_compute("calibration", key, Calibration.from_dict, lambda: _measure(scene, camera, plan, setup), asdict)
+    imaging = design.imaging
+    records = camera, imaging.pixel, imaging.exposure, imaging.correction, imaging.develop, imaging.display
+    of_scene = scene.content_hash, scene.parameters, scene.resolution, scene.sensor_id, scene.choice.variant
+    of_design = design.technology.content, design.seed, design.at_optimum, imaging.border_um
+    of_plan = plan.spp, plan.tolerance_e, plan.lens, plan.passes
+    versions = cache.version_fingerprint("mitsuba", "drjit")
+    key = content_hash([*of_scene, [record.model_dump() for record in records], *of_design, *of_plan, versions])
+    return cache.load_or_compute("calibration", key, Calibration.from_dict, lambda: _measure(scene, camera, plan, design), asdict)
 
 
-def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibration:
-    job = Renderer(scene, camera, plan, setup.seed)
+def _measure(scene: Scene, camera: Camera, plan: Plan, design: ProbeDesign) -> Calibration:
+    job = Renderer(scene, camera, plan, design.seed)
     (first, spp), (second, _) = job.run(0), job.run(1)
     both = [[picture.astype(float) for picture in half] for half in (first, second)]
-    noise = noise_of(job, both, 1.0, [setup.physics()], setup.exposure)[0]
+    noise = noise_of(job, both, 1.0, [design.imaging.physics], design.imaging.exposure)[0]
     image = job.image([(one + other) / 2 for one, other in zip(*both, strict=True)], 2 * spp)
     parts = [job.image(half, spp) for half in (first, second)]
     with without_warnings():  # the run itself warns of it
-        white = white_header([Seen(image, camera, setup.physics(), setup.border_um)], setup.display)
+        white = white_header([Seen(image, camera, design.imaging.physics, design.imaging.border_um)], design.imaging.display)
     for picture in (image, *parts):
         picture.header |= white
-    setup = setup.around(pitches_around_optimum_um(image, setup, PITCHES))
-    sensors = probe(image, replace(setup, sensors=SENSORS))
-    base, halves = sensors.of_first_sensor, [probe(part, setup) for part in parts]
+    design = design.around(pitches_around_optimum_um(image, design, PITCHES))
+    sensors = probe(image, replace(design, sensors=SENSORS))
+    base, halves = sensors.of_first_sensor, [probe(part, design) for part in parts]
     one, other = halves
     mean = replace(one, delta_e=(one.delta_e + other.delta_e) / 2, sweep_delta_e=(one.sweep_delta_e + other.sweep_delta_e) / 2)
-    coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if merges(image.shape, factor)]
-    sampling = FilmSampling.of(job.size[1], camera, setup.physics(), setup.display, plan.chart)
-    films, order = film_errors(base, coarse, sampling, finer_effect(image, setup, base, plan.chart))
+    coarse = [probe(coarser(image, factor), design) for factor in (2, 4) if merges(image.shape, factor)]
+    sampling = FilmSampling.of(job.size[1], design.imaging, plan.chart)
+    films, order = film_errors(base, coarse, sampling, finer_effect(image, design, base, plan.chart))
     optima = [minimum_um(sensors.pitch_um, delta_e) for delta_e in sensors.sweep_delta_e.T]
-    finer_setup = replace(setup, display=finer(setup.display, 2 * setup.display.dots))
-    fits = setup.display.raster == "fixed_size" and finer_setup.display.dots <= MAX_DOTS
-    scaled = difference_of(probe(brighter(image, 1 + SCALED_BY), setup), base)
+    finer_display = finer(design.imaging.display, 2 * design.imaging.display.dots)
+    fits = finer_display.raster == "fixed_size" and finer_display.dots <= MAX_DOTS
+    scaled = difference_of(probe(brighter(image, 1 + SCALED_BY), design), base)
     return Calibration(
         width=job.size[1],
         cells=job.size[0] * job.size[1],
@@ -428,11 +402,11 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
         films=films,
         order=order,
         sensor=Effect(spread(sensors.delta_e), spread(np.array(optima))),
-        raster=difference_of(probe(image, finer_setup), base) if fits else NOT_KNOWN,
-        interpolation=interpolation_effect(image, setup, base),
+        raster=difference_of(probe(image, design.on(finer_display)), base) if fits else NOT_KNOWN,
+        interpolation=interpolation_effect(image, design, base),
         work=2.0 * spp * plan.passes * job.size[0] * job.size[1],
         planes=len(image.factors[0]) if image.factors else image.wavelength_nm.size,
-        dots=setup.display.dots,
+        dots=design.imaging.display.dots,
     )
 
 
@@ -458,19 +432,19 @@ def film_errors(
     return (*(difference_of(film, base).plus(last) for film in reversed(coarse)), last), order_of(near.delta_e, far.delta_e)
 
 
-def finer_effect(image: SpectralImage, setup: Setup, base: Probe, chart: Chart | None) -> Effect:
+def finer_effect(image: SpectralImage, design: ProbeDesign, base: Probe, chart: Chart | None) -> Effect:
     """Return the larger change on the films `FINER`, in the `finer_parts` of a picture, and what it would do to the optimum.
 
     base : of the whole picture
     """
-    size_um = setup.border_um or max((*setup.pitches_um, setup.pixel.pitch_um))
-    parts, whole = finer_parts(image, size_um, setup.display, chart), base.sweep_delta_e.mean(axis=1)
+    size_um = design.imaging.border_um or max((*design.pitches_um, design.imaging.pixel.pitch_um))
+    parts, whole = finer_parts(image, size_um, design.imaging.display, chart), base.sweep_delta_e.mean(axis=1)
     if not parts:
         return NONE
 
     def values(film: tuple[int, int]) -> Array:
         """Mean ΔE at the pitches and at the pixel, (pitches + 1, parts)."""
-        probes = [probe(part.finer(*film), replace(setup, display=part.display)) for part in parts]
+        probes = [probe(part.finer(*film), design.on(part.display)) for part in parts]
         return np.array([[*each.sweep_delta_e.mean(axis=1), each.mean_delta_e] for each in probes]).T
 
     own, *films = map(values, FINER)
@@ -479,13 +453,13 @@ def finer_effect(image: SpectralImage, setup: Setup, base: Probe, chart: Chart |
     return Effect(max(sizes), max(abs(optimum - minimum_um(base.pitch_um, whole)) for optimum in optima))
 
 
-def interpolation_effect(image: SpectralImage, setup: Setup, base: Probe) -> Effect:
+def interpolation_effect(image: SpectralImage, design: ProbeDesign, base: Probe) -> Effect:
     """Return the difference from the next higher interpolation order; unknown if the dots are the pixels."""
-    display = setup.display
+    display = design.imaging.display
     if display.raster != "fixed_size":
         return NOT_KNOWN
     better = display.model_copy(update={"interpolation": FINER_INTERPOLATION[display.interpolation]})
-    return difference_of(probe(image, replace(setup, display=better)), base)
+    return difference_of(probe(image, design.on(better)), base)
 
 
 def brighter(image: SpectralImage, factor: float) -> SpectralImage:
@@ -630,10 +604,10 @@ def _finite(effect: Effect) -> dict[str, float | None]:
     return {name: float(f"{value:.3g}") if value == value else None for name, value in asdict(effect).items()}
 
 
-def settle(scene: Scene, camera: Camera, setup: Setup, tolerance_delta_e: float) -> Settled:
+def settle(scene: Scene, camera: Camera, design: ProbeDesign, tolerance_delta_e: float) -> Settled:
     """Calibrate, or read the cached calibration, and choose the settings. Warns if none meet the tolerance."""
-    plan = make_render_plan(scene, camera, setup.pixel)
-    calibration = calibrate(scene, camera, plan, setup)
+    plan = make_render_plan(scene, camera, design.imaging.pixel)
+    calibration = calibrate(scene, camera, plan, design)
     free = scene.resolution is None
     least = calibration.width if "resolution" in scene.parameters else 0
     choice = choose(calibration, tolerance_delta_e, film_is_free=free, least_width=least)
@@ -649,13 +623,8 @@ def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Se
     """Return the study with the settings of least work for its tolerance, calibrated at its first technology's optimum."""
     assert study.tolerance_delta_e
     first = study.technologies[0]
-    process, pixel = technology_of(study, first), pixel_of(study, first, largest_pixel_um(study, first))
-    border_um = study.border_um
-    settings = study.exposure, study.display, study.seed
-    more: dict[str, Any] = {"at_optimum": True, "border_um": border_um, "process": process, "correction": study.correction}
-    more["develop"] = study.develop
-    setup = Setup(camera, pixel, *settings, **more)
-    settled = settle(scene, camera, setup, study.tolerance_delta_e)
+    design = ProbeDesign(imaging_of(study, camera, first, largest_pixel_um(study, first)), study.seed, at_optimum=True)
+    settled = settle(scene, camera, design, study.tolerance_delta_e)
     choice = settled.choice
     repeats = min(max(MIN_REPEATS, choice.sensors), max(MIN_REPEATS, study.max_repeats))
     chosen = {"render_noise": choice.render_noise, "tolerance_e": choice.tolerance_e, "repeats": repeats}

@@ -1250,13 +1250,13 @@ def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Pro
         plan = prepared.plan(sensor, scene)
         for note in plan.warnings:
             warn(note)
-        settings, physics = prepared.settings_of(sensor), derive(sensor.pixel)
+        settings = prepared.settings_of(sensor)
 
         def plan_of(scene: Scene) -> Plan:
             return prepared.plan(sensor, scene)
 
-        options: dict[str, Any] = {"plan_of": plan_of, "progress": progress}
-        return render_and_measure(scene, sensor.camera, plan, settings, [sensor.pixel], [physics], **options)
+        measured = [Imaging.of(settings, sensor.camera)]
+        return render_and_measure(scene, plan, settings, sensor.pixel, measured, plan_of=plan_of, progress=progress)
 
 
 def series_of_sensor(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> Series:
@@ -1283,13 +1283,8 @@ def series_of_sensor(prepared: Prepared, sensor: Contestant, image: SpectralImag
 def steps_of(prepared: Prepared, sensor: Contestant, light: Rendered) -> FilmSteps:
     """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
     with without_warnings():  # the result itself warns
-        seen = light.image, sensor.camera, derive(sensor.pixel), sensor.exposure, prepared.settings.display
-        more: dict[str, Any] = {
-            "largest_um": prepared.border_um(sensor.camera) / REGISTERED_BORDER,
-            "correction": prepared.settings.correction,
-        }
-        more["develop"] = prepared.settings.develop
-        return film_steps(*seen, light.plan.chart, **more)
+        imaging = Imaging.of(prepared.settings_of(sensor), sensor.camera)
+        return film_steps(light.image, imaging, light.plan.chart, prepared.border_um(sensor.camera) / REGISTERED_BORDER)
 
 
 def evaluate_all(prepared: Prepared, series: Sequence[Series], jobs: int | None, progress: Progress) -> list[Array]:

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Camera, Display
+from pixsim.base.parameters import Display
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import LENS_HEADER
 from pixsim.scene.film import BLOCK, SAMPLES_PER_DETAIL, details_across, dots_across
 from pixsim.scene.rules import Chart
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.viewer.imaging import Imaging
 
 MIN_CELLS = 4  # across a film
 MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
@@ -53,10 +53,11 @@ class FilmSampling:
     per_dot: float
 
     @classmethod
-    def of(cls, width: int, camera: Camera, physics: PixelPhysics, display: Display, chart: Chart | None) -> FilmSampling:
+    def of(cls, width: int, imaging: Imaging, chart: Chart | None) -> FilmSampling:
         of_chart = chart.details if chart else None
-        details, _ = details_across(camera, physics.aperture_side_um, display, physics.pitch_um, of_chart)
-        dots = min(dots_across(camera, display, physics.pitch_um), details)
+        camera, display, pitch_um = imaging.camera, imaging.display, imaging.pixel.pitch_um
+        details, _ = details_across(camera, imaging.physics.aperture_side_um, display, pitch_um, of_chart)
+        dots = min(dots_across(camera, display, pitch_um), details)
         return cls(width / details, width / dots)
 
     @property

@@ -18,19 +18,7 @@ from pydantic import TypeAdapter
 
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, Array, in_threads
-from pixsim.base.parameters import (
-    DEVELOP,
-    NO_CORRECTION,
-    Camera,
-    Correction,
-    Develop,
-    Display,
-    Exposure,
-    Pixel,
-    Run,
-    Study,
-    content_hash,
-)
+from pixsim.base.parameters import Camera, Display, Pixel, Run, Study, content_hash
 from pixsim.base.progress import Progress, share_of, steps_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import Tiling, tiling_of
@@ -42,7 +30,7 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import ChannelLight, PartBehindLens
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import integration_time_s
-from pixsim.studies.budget import Settled, Setup, sensor_delta_e, without_warnings
+from pixsim.studies.budget import Settled, sensor_delta_e, without_warnings
 from pixsim.studies.film_error import (
     FINER,
     MAX_ORDER,
@@ -64,7 +52,8 @@ from pixsim.studies.film_error import (
 )
 from pixsim.studies.keys import remember_rendered
 from pixsim.viewer.colour_matrix import AlikeChannelsError
-from pixsim.viewer.score import Seen, chain_at_pitch, prepare_scene, white_header
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.score import Seen, white_header
 
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 WORTH_WIDENING = 1.2
@@ -182,21 +171,17 @@ class FilmError:
 
 def measure_film(
     image: SpectralImage,
-    camera: Camera,
-    pixels: Sequence[PixelPhysics],
-    exposure: Exposure,
-    display: Display,
+    measured: Sequence[Imaging],
     *,
     chart: Chart | None = None,
     tolerance_delta_e: float | None = None,
     keep: bool = False,
-    correction: Correction = NO_CORRECTION,
-    develop: Develop = DEVELOP,
-    larger: Sequence[PixelPhysics] = (),
+    larger: Sequence[Imaging] = (),
     progress: Progress | None = None,
 ) -> FilmError:
     """Return the error of a film for each of some pixels, from its picture.
 
+    measured : the pixels, with one camera and display
     chart : that the film shows, if nothing else; its detail is known
     tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
     keep : use the cache, for the picture of a render, whose header states everything that it depends on
@@ -205,43 +190,42 @@ def measure_film(
 
     def measure() -> FilmError:
         with without_warnings():  # the run itself warns of the white
-            white = white_header([Seen(image, camera, physics) for physics in pixels], display)
+            white = white_header([Seen(image, each.camera, each.physics) for each in measured], measured[0].display)
             shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
-        settings = exposure, display, chart
-        more: dict[str, Any] = {"correction": correction, "develop": develop}
 
-        def steps_of(number: int, physics: PixelPhysics) -> tuple[float, tuple[float, float]]:
-            more["progress"] = share_of(progress, number / len(pixels), (number + 1) / len(pixels))
-            instead = [each for each in larger if each.pitch_um > physics.pitch_um]
-            for each in (physics, *instead):
+        def steps_of(number: int, imaging: Imaging) -> tuple[float, tuple[float, float]]:
+            part = share_of(progress, number / len(measured), (number + 1) / len(measured))
+            instead = [each for each in larger if each.pixel.pitch_um > imaging.pixel.pitch_um]
+            for each in (imaging, *instead):
                 try:
-                    return each.pitch_um, film_steps(shown, camera, each, *settings, **more).error()
+                    return each.pixel.pitch_um, film_steps(shown, each, chart, progress=part).error()
                 except AlikeChannelsError:
-                    if each is (instead or [physics])[-1]:
+                    if each is (instead or [imaging])[-1]:
                         raise
             raise AssertionError("unreachable")
 
-        pitches, measured = zip(*(steps_of(*each) for each in enumerate(pixels)), strict=True)
+        pitches, found = zip(*(steps_of(*each) for each in enumerate(measured)), strict=True)
         if tolerance_delta_e is None:
-            tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
+            tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in found]
         else:
-            tolerated = [tolerance_delta_e] * len(measured)
-        return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in measured), tuple(tolerated))
+            tolerated = [tolerance_delta_e] * len(found)
+        return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in found), tuple(tolerated))
 
     if not keep:
         return measure()
-    sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in (*pixels, *larger)]
-    records = camera, exposure, correction, develop, display
+    sensed = [[each.pixel.model_dump(), each.physics.technology.content] for each in (*measured, *larger)]
+    first = measured[0]
+    records = first.camera, first.exposure, first.correction, first.develop, first.display
     settings = [*(record.model_dump() for record in records), tolerance_delta_e]
     key = content_hash([image.header, sensed, *settings, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
     return cache.load_or_compute("film", key, TypeAdapter(FilmError).validate_python, measure, asdict)
 
 
 def film_for_tolerance(
-    image: SpectralImage, pixels: Sequence[PixelPhysics], calibrated_delta_e: float, tolerance_delta_e: float
+    image: SpectralImage, measured: Sequence[Imaging], calibrated_delta_e: float, tolerance_delta_e: float
 ) -> FilmError:
     """Return the error of a film that a calibration chose: it measured coarser films against a finer one, at the optimum."""
-    count, pitches = len(pixels), tuple(physics.pitch_um for physics in pixels)
+    count, pitches = len(measured), tuple(each.pixel.pitch_um for each in measured)
     return FilmError(image.shape, image.pitch_um, pitches, (calibrated_delta_e,) * count, (tolerance_delta_e,) * count)
 
 
@@ -297,16 +281,7 @@ def _error_of(delta_e: Array, finer_delta_e: Array, mean_delta_e: float, samplin
 
 
 def film_steps(
-    image: SpectralImage,
-    camera: Camera,
-    physics: PixelPhysics,
-    exposure: Exposure,
-    display: Display,
-    chart: Chart | None,
-    largest_um: float | None = None,
-    correction: Correction = NO_CORRECTION,
-    develop: Develop = DEVELOP,
-    progress: Progress | None = None,
+    image: SpectralImage, imaging: Imaging, chart: Chart | None, largest_um: float | None = None, progress: Progress | None = None
 ) -> FilmSteps:
     """Return the mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer ones.
 
@@ -315,13 +290,12 @@ def film_steps(
 
     largest_um : pitch that sets the size of the parts; None means that of the pixel
     """
-    size_um = largest_um or physics.as_read.read_pitch_um
+    size_um, display = largest_um or imaging.physics.as_read.read_pitch_um, imaging.display
     parts = list(parts_of(image, size_um, display))
-    sampling = FilmSampling.of(image.shape[1], camera, physics, display, chart)
+    sampling = FilmSampling.of(image.shape[1], imaging, chart)
     if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:
         return FilmSteps(np.empty((0, 0)), np.empty((0, 0)), sampling)
-    lens = BehindLens.of(image, camera, physics)
-    settings = camera, physics, exposure, correction, develop
+    lens = BehindLens.of(image, imaging)
     films = [parts]
     for _ in range(int(math.log2(BLOCK))):
         films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
@@ -334,13 +308,12 @@ def film_steps(
     step_done = steps_of(share_of(progress, blurred, scored), len(films))
 
     def measure(step: int) -> None:
-        delta_e[step] = _mean_delta_e(films[step], lights[step], *settings)
+        delta_e[step] = _mean_delta_e(films[step], lights[step], imaging)
         step_done()
 
     in_threads(measure, range(len(films)), len(films) * cells_at_once(image))
-    finer = _finer_delta_e(
-        finer_parts(image, size_um, display, chart), lens, steps_of(share_of(progress, scored, 1.0), len(FINER)), *settings
-    )
+    film_done = steps_of(share_of(progress, scored, 1.0), len(FINER))
+    finer = _finer_delta_e(finer_parts(image, size_um, display, chart), lens, imaging, film_done)
     return FilmSteps(delta_e, finer, sampling, lens.tiling.error if lens else 0.0)
 
 
@@ -352,17 +325,16 @@ class BehindLens:
     """
 
     image: SpectralImage
-    camera: Camera
-    physics: PixelPhysics
+    imaging: Imaging
     tiling: Tiling
     halo: int
 
     @classmethod
-    def of(cls, image: SpectralImage, camera: Camera, physics: PixelPhysics) -> BehindLens | None:
+    def of(cls, image: SpectralImage, imaging: Imaging) -> BehindLens | None:
         """Return it for a real lens; None for a thin one."""
-        if (tiling := tiling_of(image, camera)) is None:
+        if (tiling := tiling_of(image, imaging.camera)) is None:
             return None
-        return cls(image, camera, physics, tiling, math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK)
+        return cls(image, imaging, tiling, math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK)
 
     def _lights(self, around: SpectralImage, halo: int, place: Place, more: float = 1.0) -> tuple[ChannelLight, ...]:
         """Return the light of a part.
@@ -374,7 +346,7 @@ class BehindLens:
         middle = ((side.start + side.stop - n) / 2 * self.image.pitch_um for side, n in zip(place, self.image.shape, strict=True))
         y_um, x_um = middle
         part = PartBehindLens(around, halo, (y_um, x_um), self.image.mean_spectrum(), reach)
-        return part.lights(self.camera, self.tiling, self.physics, self.image)
+        return part.lights(self.imaging.camera, self.tiling, self.imaging.physics, self.image)
 
     def of_films(
         self, places: Sequence[Place], films: int, progress: Progress | None = None
@@ -419,11 +391,10 @@ def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[Ch
     return tuple(joined)
 
 
-def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, film_done: Callable[[], None], *settings: Any) -> Array:
+def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, imaging: Imaging, film_done: Callable[[], None]) -> Array:
     """Return `FilmSteps.finer_delta_e`.
 
     film_done : called after each of the films `FINER`
-    settings : of `_mean_delta_e`
     """
     if not parts:
         return np.empty((0, 0))
@@ -432,7 +403,7 @@ def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, film_done: Ca
     def measure(film: int) -> None:
         fine = [(part.finer(*FINER[film]), part.display) for part in parts]
         lights = [lens.of_part(part, image) if lens else None for part, (image, _) in zip(parts, fine, strict=True)]
-        delta_e[film] = _mean_delta_e(fine, lights, *settings)
+        delta_e[film] = _mean_delta_e(fine, lights, imaging)
         film_done()
 
     in_threads(measure, range(len(FINER)), len(FINER) * sum(math.prod(part.image.shape) for part in parts))
@@ -446,26 +417,20 @@ def cells_at_once(image: SpectralImage) -> int:
 
 
 def _mean_delta_e(
-    parts: Sequence[tuple[SpectralImage, Display]],
-    lights: Sequence[tuple[ChannelLight, ...] | None],
-    camera: Camera,
-    physics: PixelPhysics,
-    exposure: Exposure,
-    correction: Correction,
-    develop: Develop,
+    parts: Sequence[tuple[SpectralImage, Display]], lights: Sequence[tuple[ChannelLight, ...] | None], imaging: Imaging
 ) -> Array:
     """Return the mean ΔE of each part, (parts,), all exposed as long as the brightest of them allows.
 
     lights : of each part behind the lens, where they are known
     """
-    chains = [
-        chain_at_pitch(prepare_scene(part, camera, physics, display, lights=light), physics, exposure, correction, develop)
-        for (part, display), light in zip(parts, lights, strict=True)
-    ]
-    time_s = integration_time_s(exposure, physics, max(float(chain.signal_e_per_s.max()) for chain in chains))
-    exposed = [replace(chain, exposure=exposure.model_copy(update={"integration_s": time_s})) for chain in chains]
-    setup = Setup(camera, physics.pixel, exposure, parts[0][1])
-    return np.array([sensor_delta_e(chain, setup, physics.pitch_um, number) for number, chain in enumerate(exposed)])
+    own, physics = replace(imaging, border_um=None, single=False), imaging.physics  # each part has the border of its own pixels
+    chains = []
+    for (part, display), known in zip(parts, lights, strict=True):
+        chains.append(own.chain(replace(own, display=display).light(part, physics, known), physics))
+    time_s = integration_time_s(own.exposure, physics, max(float(chain.signal_e_per_s.max()) for chain in chains))
+    exposure = own.exposure.model_copy(update={"integration_s": time_s})
+    exposed = [replace(chain, exposure=exposure) for chain in chains]
+    return np.array([sensor_delta_e(chain, 0, imaging.pixel.pitch_um, number) for number, chain in enumerate(exposed)])
 
 
 RENDERING, RENDERING_CHART = 0.9, 0.3  # of the work on a film, before its error is measured
@@ -486,47 +451,57 @@ class Rendered:
 
 def render_and_measure(
     scene: Scene,
-    camera: Camera,
     plan: Plan,
     settings: Run | Study,
-    pixels: Sequence[Pixel | PixelPhysics],
-    measured: Sequence[PixelPhysics],
+    pixel: Pixel | PixelPhysics,
+    measured: Sequence[Imaging],
     *,
     plan_of: Callable[[Scene], Plan],
     settled: Settled | None = None,
     progress: Progress | None = None,
-    larger: Sequence[PixelPhysics] = (),
+    larger: Sequence[Imaging] = (),
 ) -> Rendered:
     """Render a scene within the limits of a run or a study, by `render_on_film`.
 
     settings : with what `settled` chose
-    pixels : with whose noise that of the render is compared
-    measured : pixels for which the error of the film is measured
+    pixel : with whose noise that of the render is compared
+    measured : pixels for which the error of the film is measured, with the camera
     plan, plan_of : as for `render_on_film`
     settled : a calibration for a tolerance, which has measured the film
     larger : of `measure_film`
     """
-
     rendering = 1.0 if settled else RENDERING_CHART if plan.exact else RENDERING
+    camera = measured[0].camera
 
     def render(scene: Scene, plan: Plan) -> tuple[SpectralImage, RenderNoise]:
-        limits: dict[str, Any] = {"render_noise": settings.render_noise, "max_seconds": settings.max_seconds}
-        limits["progress"] = share_of(progress, 0.0, rendering)
-        return render_until(scene, camera, plan, pixels, settings.exposure, settings.seed, keep=True, **limits)
+        return render_until(
+            scene,
+            camera,
+            plan,
+            [pixel],
+            measured[0].exposure,
+            settings.seed,
+            keep=True,
+            render_noise=settings.render_noise,
+            max_seconds=settings.max_seconds,
+            progress=share_of(progress, 0.0, rendering),
+        )
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
         if settled:
             calibrated = settled.calibration.film(image.shape[1]).delta_e
             return film_for_tolerance(image, measured, calibrated, settled.tolerance_delta_e)
-        options: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": settings.tolerance_delta_e, "keep": True}
-        options |= {"correction": settings.correction, "develop": settings.develop, "larger": larger}
-        options["progress"] = share_of(progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across")
-        return measure_film(image, camera, measured, settings.exposure, settings.display, **options)
+        part = share_of(progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across")
+        tolerance_delta_e = settings.tolerance_delta_e
+        return measure_film(
+            image, measured, chart=plan.chart, tolerance_delta_e=tolerance_delta_e, keep=True, larger=larger, progress=part
+        )
 
     fixed = "set by --resolution" if settings.resolution else ""
     fixed = "chosen for the tolerance" if settled and settled.film_is_free else fixed
-    limits: dict[str, Any] = {"fixed": fixed, "max_seconds": settings.max_seconds}
-    made = render_on_film(scene, camera, plan, render=render, plan_of=plan_of, measure=measure, **limits)
+    made = render_on_film(
+        scene, camera, plan, render=render, plan_of=plan_of, measure=measure, fixed=fixed, max_seconds=settings.max_seconds
+    )
     if plan.exact or cache.has_room(4 * made.image.planes.size):
         remember_rendered(scene, camera, plan, settings, made.image.shape[1])
     return made

@@ -7,9 +7,10 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import MIN_FRACTION, NO_TECHNOLOGY, Pixel, Study
+from pixsim.base.parameters import MIN_FRACTION, NO_TECHNOLOGY, Camera, Pixel, Study
 from pixsim.sensor.pixel import PixelPhysics, derive, fill_factor_law
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
+from pixsim.viewer.imaging import Imaging
 
 
 @checks_arguments
@@ -37,6 +38,15 @@ def technology_of(study: Study, name: str) -> Technology:
         hint = "Put them into [pixel]."
         raise invalid(f"process.{name}", ", ".join(values), "no process numbers for a data sheet", hint)
     return technology.with_numbers(values, f"process.{name}")
+
+
+def imaging_of(study: Study, camera: Camera, technology: str, pitch_um: float) -> Imaging:
+    """Return what lies between the light and the score of a pixel of a study, without axes.
+
+    camera : of the window
+    """
+    own = study.exposure, study.display, study.correction, study.develop
+    return Imaging(camera, pixel_of(study, technology, pitch_um), *own, technology_of(study, technology), study.border_um)
 
 
 @checks_arguments

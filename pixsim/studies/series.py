@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from pixsim.base.parameters import Camera, Display, Study, channels_of
@@ -12,7 +12,7 @@ from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule
 from pixsim.sensor.technology import label_of
 from pixsim.studies.keys import Fingerprints, frames_fit_in_cache
-from pixsim.studies.pixels import pixel_of, technology_of
+from pixsim.studies.pixels import imaging_of
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import PreparedScene, SceneCache, SharedLight, allows_single
@@ -99,22 +99,11 @@ def series_of(
     stored = stored and frames_fit_in_cache(study, scenes.camera)
     made = []
     for name in study.technologies:
-        process, largest_um = technology_of(study, name), float(study_pitches_um(study, name)[-1])
-        imaging = Imaging(
-            scenes.camera,
-            pixel_of(study, name, largest_um),
-            study.exposure,
-            study.display,
-            study.correction,
-            study.develop,
-            process,
-            study.border_um,
-            scenes.single,
-        )
-        made.append(
-            # The name of the technology, not its path, which is no part of a result.
-            Series(name, imaging, scenes, (study.stream_name, study.seed, process.name), True, columns or {}, words, stored)
-        )
+        largest_um = float(study_pitches_um(study, name)[-1])
+        imaging = replace(imaging_of(study, scenes.camera, name, largest_um), single=scenes.single)
+        # The name of the technology, not its path, which is no part of a result.
+        stream = study.stream_name, study.seed, imaging.physics.technology.name
+        made.append(Series(name, imaging, scenes, stream, True, columns or {}, words, stored))
     return made
 
 

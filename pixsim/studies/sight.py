@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.parameters import Camera, Study, content_hash
+from pixsim.base.parameters import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.rules import Chart
 from pixsim.sensor.integration import collecting_area_um2, electrons_per_joule
-from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.film_error import FilmSampling
 from pixsim.viewer.display import white_rate
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import Seen, white_header
 
 DIGITS = 9  # of the light relative to white; the rest are rounding errors
@@ -49,12 +49,14 @@ class Sight:
     noise: tuple[tuple[float, ...], ...]
 
     @classmethod
-    def of(
-        cls, image: SpectralImage, camera: Camera, pixels: Sequence[PixelPhysics], study: Study, chart: Chart | None
-    ) -> Sight | None:
-        """Return what pixels see of a picture; None if its film has too few samples for its details, or no factors."""
-        display, exposure = study.display, study.exposure
-        samplings = [FilmSampling.of(image.shape[1], camera, physics, display, chart) for physics in pixels]
+    def of(cls, image: SpectralImage, measured: Sequence[Imaging], chart: Chart | None) -> Sight | None:
+        """Return what pixels see of a picture; None if its film has too few samples for its details, or no factors.
+
+        measured : the pixels, with one camera and display
+        """
+        first = measured[0]
+        camera, display, exposure, pixels = first.camera, first.display, first.exposure, [each.physics for each in measured]
+        samplings = [FilmSampling.of(image.shape[1], each, chart) for each in measured]
         if not image.factors or not all(sampling.is_fine for sampling in samplings):
             return None
         with without_warnings():  # the run itself warns of the white
@@ -77,7 +79,7 @@ class Sight:
             "brightest": [f"{values.max():.{DIGITS}g}" for values in light],
             "camera": camera.model_dump(exclude={"f_number"} if by_lens else set()),
             "display": display.model_dump(exclude={"white_cd_per_m2"}),
-            "exposure": [exposure.model_dump(), study.correction.model_dump(), study.develop.model_dump()],
+            "exposure": [exposure.model_dump(), first.correction.model_dump(), first.develop.model_dump()],
             # In a time that is set, bright light saturates pixels; an automatic one leaves them below their well.
             "whites": None if exposure.integration_s is None else whites,
             "pixels": [

@@ -36,7 +36,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
-from pixsim.sensor.pixel import PixelPhysics, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel import warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.technology import check_name, label_of, labels_of
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.allocation import next_sensors, next_where_open
@@ -46,7 +46,7 @@ from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, warn_of_clipped_white, warn_of_stacks
 from pixsim.studies.keys import light_hash, remember_evaluated
 from pixsim.studies.oversampling import FilmError, render_and_measure
-from pixsim.studies.pixels import physics_of, technology_of
+from pixsim.studies.pixels import imaging_of, physics_of, technology_of
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, jobs_in_memory, largest_frame_bytes, study_plan
 from pixsim.studies.result import Curve, StudyResult, causes_of_curve, curve_of, few
 from pixsim.studies.results_file import COLUMNS, ResultsFile
@@ -56,6 +56,7 @@ from pixsim.studies.series import Series, most_channels, scenes_of, series_of
 from pixsim.studies.sight import Sight, clearest
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display import dot_edges_um
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import SceneCache, Seen, white_header
 
 if TYPE_CHECKING:
@@ -505,16 +506,18 @@ def render_for(
     """
     scene, camera = scene_for(study, variant)
     first = study.technologies[0]
-    largest, tried = [physics_of(study, first, largest_pixel_um(study, first))], measured_pixels(study)
+    largest, tried = physics_of(study, first, largest_pixel_um(study, first)), measured_pixels(study, camera)
     coloured = study.options_of(first).colour is not None
     scene, plan = first_film(study, scene, camera)
     for note in plan.warnings:
         warn(note)
     plan_of = partial(study_plan, camera=camera, study=study)
-    options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress}
-    options["larger"] = [physics_of(study, first, pitch) for pitch in study_pitches_um(study, first).tolist()] if coloured else []
+    pitches_um = study_pitches_um(study, first).tolist() if coloured else []
+    larger = [imaging_of(study, camera, first, pitch_um) for pitch_um in pitches_um]
     try:
-        made = render_and_measure(scene, camera, plan, study, largest, tried, **options)
+        made = render_and_measure(
+            scene, plan, study, largest, tried, plan_of=plan_of, settled=settled, progress=progress, larger=larger
+        )
     except AlikeChannelsError as error:
         where = ", ".join(filter(None, (label_of(first), words)))
         raise AlikeChannelsError(f"{where}: none of its pixel sizes is possible. {error}") from None
@@ -528,11 +531,11 @@ def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen
     return [Seen(image, camera, physics, study.border_um) for physics in smallest]
 
 
-def measured_pixels(study: Study) -> list[PixelPhysics]:
+def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
     """Return the pixels for which the error of the film is measured: the smallest, a middle and the largest of the study."""
     first = study.technologies[0]
     pitches_um = study_pitches_um(study, first)
-    return [physics_of(study, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
+    return [imaging_of(study, camera, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
 
 
 def render_all(
@@ -617,7 +620,7 @@ def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[
         return key, None
     image, _noise = render_until(scene, camera, plan, [], study.exposure, study.seed, render_noise=study.render_noise)
     image.header.update(white_header(seen_by_all(study, image, camera), study.display))
-    sight = Sight.of(image, camera, measured_pixels(study), study, plan.chart)
+    sight = Sight.of(image, measured_pixels(study, camera), plan.chart)
     return key, (image, camera, sight) if sight else None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel
+from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, Run
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import ChannelLight
 from pixsim.sensor.pixel import PixelPhysics, derive
@@ -31,6 +31,11 @@ class Imaging:
     process: Technology | None = None
     border_um: float | None = None
     single: bool = False
+
+    @classmethod
+    def of(cls, run: Run, camera: Camera) -> Imaging:
+        """Return that of the frame of a run."""
+        return cls(camera, run.pixel, run.exposure, run.display, run.correction, run.develop)
 
     @cached_property
     def physics(self) -> PixelPhysics:

@@ -31,9 +31,8 @@ from pixsim.accuracy.survey import survey
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import Run
 from pixsim.scene.renderer import render
-from pixsim.studies import budget as probes
-from pixsim.studies.budget import SOURCES, Setup, brighter, pitch_range_um, pitches_around_optimum_um, probe
-from pixsim.viewer.score import chain_at_pitch
+from pixsim.studies.budget import SOURCES, ProbeDesign, brighter, pitch_range_um, pitches_around_optimum_um, probe
+from pixsim.viewer.imaging import Imaging
 
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
 pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # commands print warnings to stderr
@@ -190,70 +189,72 @@ def test_survey_other_settings_complete(case, tmp_path):
     if case == "one to one":
         assert [rung.left_out for rung in accuracy.rungs if rung.ladder == "raster"] == ["one_to_one shows one pixel per dot"]
     if case == "no room for a sweep":
-        assert accuracy.setup.pitches_um == ()
+        assert accuracy.design.pitches_um == ()
         assert "error_optimum_um" not in {metric for metric in METRICS if accuracy.rivals(metric)}
 
 
-def csf(**values) -> tuple[Setup, pixsim.SpectralImage]:
+def csf(**values) -> tuple[ProbeDesign, pixsim.SpectralImage]:
     scene = load("csf", resolution=128, spp=4)
     run = settings(**values)
     camera = scene.camera(run.camera)
-    return Setup.of(run, camera), render(scene, camera)
+    return ProbeDesign(Imaging.of(run, camera)), render(scene, camera)
 
 
 def test_pitches_around_optimum_within_range():
-    setup, image = csf(pixel={"technology": "4t-bsi", "pitch_um": 2.0}, camera={"die_mm": 0.1})
-    low, high = pitch_range_um(setup)
-    pitches = pitches_around_optimum_um(image, setup, 6)
+    design, image = csf(pixel={"technology": "4t-bsi", "pitch_um": 2.0}, camera={"die_mm": 0.1})
+    low, high = pitch_range_um(design)
+    pitches = pitches_around_optimum_um(image, design, 6)
     assert len(pitches) == 6
     assert low * 0.999 <= pitches[0] < pitches[-1] <= high * 1.001
     assert list(pitches) == sorted(set(pitches))
-    paper = replace(setup, pixel=pixsim.Pixel())
-    narrow = replace(paper, camera=setup.camera.model_copy(update={"die_mm": 0.1}))  # 16 pixels of 6.25 µm; 5.3 µm is the minimum
+    own = design.imaging
+    paper = replace(own, pixel=pixsim.Pixel(), camera=own.camera.model_copy(update={"die_mm": 0.1}))
+    narrow = replace(design, imaging=paper)  # 16 pixels of 6.25 µm; 5.3 µm is the minimum
     assert pitches_around_optimum_um(image, narrow, 6) == ()
-    large = replace(setup, camera=setup.camera.model_copy(update={"die_mm": 10.0}))
+    large = replace(design, imaging=replace(own, camera=own.camera.model_copy(update={"die_mm": 10.0})))
     assert pitch_range_um(large)[0] * 1024 == pytest.approx(10_000)  # 0.4 µm would be 600 million pixels
 
 
-def test_setup_around_at_optimum_moves_pixel():
-    setup, _ = csf()
-    assert setup.around((4.0, 5.0, 9.0)).pixel == setup.pixel
-    assert replace(setup, at_optimum=True).around((4.0, 5.0, 9.0)).pixel.pitch_um == 6.0
-    assert replace(setup, at_optimum=True).around(()).pixel == setup.pixel
+def test_design_around_at_optimum_moves_pixel():
+    design, _ = csf()
+    assert design.around((4.0, 5.0, 9.0)).imaging.pixel == design.imaging.pixel
+    assert replace(design, at_optimum=True).around((4.0, 5.0, 9.0)).imaging.pixel.pitch_um == 6.0
+    assert replace(design, at_optimum=True).around(()).imaging.pixel == design.imaging.pixel
 
 
 def test_seed_rungs_errors_fall_with_root_of_count():
     """The error of a mean over n sensors is σ/√n."""
-    setup, image = csf()
+    design, image = csf()
     shipped, clock = Rung("methods", "own", 1, seconds=1.0), Clock(math.inf, 1, 0.0, 0.01)
-    rungs = {rung.value: rung for rung in seed_rungs(image, setup, shipped, clock, 8)}
+    rungs = {rung.value: rung for rung in seed_rungs(image, design, shipped, clock, 8)}
     assert set(rungs) == {1, 2, 4, 8}
-    sensor = probe(image, replace(setup, sensors=32, seed=5)).delta_e.std(ddof=1)
+    sensor = probe(image, replace(design, sensors=32, seed=5)).delta_e.std(ddof=1)
     for count in (1, 2, 4):
         assert rungs[count].error_delta_e == pytest.approx(sensor / math.sqrt(count), rel=0.7)
         assert rungs[count].seconds >= 1.0
 
 
 def test_probe_builds_one_chain_per_pitch(monkeypatch):
-    setup, image = csf()
+    design, image = csf()
     made = []
-    monkeypatch.setattr(probes, "chain_at_pitch", lambda *given: made.append(1) or chain_at_pitch(*given))
-    probe(image, replace(setup, sensors=3, pitches_um=(6.0, 7.0)))
+    chain = Imaging.chain
+    monkeypatch.setattr(Imaging, "chain", lambda *given: made.append(1) or chain(*given))
+    probe(image, replace(design, sensors=3, pitches_um=(6.0, 7.0)))
     assert len(made) == 3
 
 
 def test_probe_is_reproducible_and_continuous():
-    setup, image = csf()
-    setup = replace(setup, sensors=2, pitches_um=(6.0, 7.0, 8.0, 9.0, 10.0))
-    one, again = probe(image, setup), probe(image, setup)
+    design, image = csf()
+    design = replace(design, sensors=2, pitches_um=(6.0, 7.0, 8.0, 9.0, 10.0))
+    one, again = probe(image, design), probe(image, design)
     np.testing.assert_array_equal(one.sweep_delta_e, again.sweep_delta_e)
     np.testing.assert_array_equal(one.delta_e, again.delta_e)
     assert one.sweep_delta_e.shape == (5, 2)
     assert one.delta_e[0] != one.delta_e[1]
-    alone = probe(image, replace(setup, sensors=1))
+    alone = probe(image, replace(design, sensors=1))
     np.testing.assert_array_equal(alone.sweep_delta_e, one.of_first_sensor.sweep_delta_e)
     np.testing.assert_array_equal(alone.delta_e, one.of_first_sensor.delta_e)
-    near = probe(brighter(image, 1 + 1e-6), setup)
+    near = probe(brighter(image, 1 + 1e-6), design)
     assert abs(near.mean_delta_e - one.mean_delta_e) < 1e-3
     assert 0 < one.score_seconds <= one.seconds
 
@@ -278,8 +279,8 @@ def truth_of(sensors: int = 16) -> float:
     scene = load("csf")
     options = Run.model_validate({"camera": {"die_mm": 0.8}, "display": {"dots": 128}})
     camera = scene.camera(options.camera)
-    image = analytic_reference(scene, camera, Setup.of(options, camera), "csf", (1024, 1024))[0]
-    return probe(image, replace(Setup.of(options, camera), sensors=sensors, seed=99)).mean_delta_e
+    design = ProbeDesign(Imaging.of(options, camera), sensors=sensors, seed=99)
+    return probe(analytic_reference(scene, camera, design, "csf", (1024, 1024))[0], design).mean_delta_e
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ from pixsim.scene.convergence import render_until
 from pixsim.scene.plan import make_plan
 from pixsim.sensor.pixel import derive
 from pixsim.studies.oversampling import measure_film
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import chain_at_pitch, ideal_on_dots, lights_of, prepare_scene
 
 EVERY_S = 0.1  # between two looks at the disk
@@ -65,7 +66,7 @@ def main() -> None:
     physics, watch = derive(pixel), Watch()
     plan = watch("plan", lambda: make_plan(scene, camera, pixel, exposure=exposure, display=display))
     image, _ = watch("renders and their noise", lambda: render_until(scene, camera, plan, [pixel], exposure, render_noise=1e3))
-    watch("error of the film", lambda: measure_film(image, camera, [physics], exposure, display, chart=plan.chart))
+    watch("error of the film", lambda: measure_film(image, [Imaging(camera, pixel, exposure, display)], chart=plan.chart))
     watch("ideal picture on the dots", lambda: ideal_on_dots(image, camera, physics, display, physics.read_pitch_um, None))
     watch("diffraction", lambda: lights_of(image, camera, physics))
     light = prepare_scene(image, camera, physics, display)

@@ -23,7 +23,7 @@ from pixsim.studies.budget import (
     Calibration,
     Effect,
     Probe,
-    Setup,
+    ProbeDesign,
     brighter,
     choose,
     difference_of,
@@ -38,6 +38,7 @@ from pixsim.studies.budget import (
 )
 from pixsim.studies.film_error import MAX_ORDER, MIN_ORDER, coarser, merges
 from pixsim.viewer.display import interpolation_mtf
+from pixsim.viewer.imaging import Imaging
 
 NO_OPTIMUM = math.nan
 
@@ -197,8 +198,8 @@ def test_interpolation_effect_uses_next_order():
 
     def changed_by(**display) -> Effect:
         shown = pixsim.Display(dots=100, bits=16, white_cd_per_m2=2 * white, **display)
-        setup = Setup(camera, pixel, pixsim.Exposure(), shown)
-        return interpolation_effect(grating, setup, probe(grating, setup))
+        design = ProbeDesign(Imaging(camera, pixel, pixsim.Exposure(), shown))
+        return interpolation_effect(grating, design, probe(grating, design))
 
     nearest, linear, cubic = (changed_by(interpolation=item).delta_e for item in ("nearest", "linear", "cubic"))
     left = {item: float(interpolation_mtf(12.0, 20.0, item)) for item in ("linear", "cubic", "quintic")}
@@ -307,10 +308,10 @@ def test_pitches_whose_colours_cannot_be_taken_apart_are_left_out_of_the_scan(
     monkeypatch.setattr(budget, "sensor_delta_e", delta_e)
     monkeypatch.setattr(budget, "chains_of", lambda *_: lambda *_: None)
     monkeypatch.setattr(budget, "pitch_range_um", lambda _: (0.5, 15.0))
-    setup: Any = SimpleNamespace(pixel=SimpleNamespace(colour=colour))
+    design: Any = SimpleNamespace(imaging=SimpleNamespace(pixel=SimpleNamespace(colour=colour)), seed=0)
     image: Any = None
     if colour is None:
         with pytest.raises(PixsimError):
-            budget.pitches_around_optimum_um(image, setup, 4)
+            budget.pitches_around_optimum_um(image, design, 4)
         return
-    assert 2 <= budget.pitches_around_optimum_um(image, setup, 4)[0] < 3
+    assert 2 <= budget.pitches_around_optimum_um(image, design, 4)[0] < 3

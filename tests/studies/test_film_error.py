@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from helpers.film_pictures import CAMERA, JUDGES, PIXEL, SCENES, SET_CELLS, WIDTH, cells, light
 
-import pixsim
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.rules import Chart
-from pixsim.studies.budget import Setup, probe
+from pixsim.studies.budget import ProbeDesign, probe
 from pixsim.studies.film_error import FINE, FINER, FilmSampling, coarser, film_error, finer_parts, parts_of
 from pixsim.studies.oversampling import film_steps, measure_film
+from pixsim.viewer.imaging import Imaging
 
 ROUNDING = 3e-4  # by which rounding to the display's codes and the ADC's moves mean ΔE
 
 
 def stated_and_true(fine: SpectralImage, times: int, camera: Camera, pixel: Pixel, display: Display) -> tuple[float, float]:
     """The stated error of a film, and that against a film of `times` as many samples across."""
-    setup, film = Setup(camera, pixel, Exposure(), display), coarser(fine, times)
-    stated = measure_film(film, camera, [pixsim.derive(pixel)], Exposure(), display).largest_delta_e
-    return stated, abs(probe(film, setup).mean_delta_e - probe(fine, setup).mean_delta_e)
+    imaging, film = Imaging(camera, pixel, Exposure(), display), coarser(fine, times)
+    design, stated = ProbeDesign(imaging), measure_film(film, [imaging]).largest_delta_e
+    return stated, abs(probe(film, design).mean_delta_e - probe(fine, design).mean_delta_e)
 
 
 def missed(cases: dict[str, tuple[float, float]], usual: float) -> dict[str, tuple[float, float]]:
@@ -137,12 +137,12 @@ def test_finer_films_of_chart_find_its_error_closer_than_even_samples() -> None:
     """Its texels are as wide as samples, but it is linear between them: the light within a sample is not even."""
     texels = np.random.default_rng(8).choice([0.3, 0.7], (192, 192))
     chart, pixel, display = Chart(texels, (1.0, 1.0), (192, 192)), PIXEL.model_copy(update={"pitch_um": 12.5}), Display(dots=96)
-    film, physics, setup = light(chart.picture()), pixsim.derive(pixel), Setup(CAMERA, pixel, Exposure(), display)
+    film, imaging = light(chart.picture()), Imaging(CAMERA, pixel, Exposure(), display)
+    design = ProbeDesign(imaging)
     fine = light(replace(chart, shape=(1152, 1152), texels_per_sample=(1 / 6, 1 / 6)).picture())
-    true = abs(probe(film, setup).mean_delta_e - probe(fine, setup).mean_delta_e)
+    true = abs(probe(film, design).mean_delta_e - probe(fine, design).mean_delta_e)
     own, even = (
-        float(np.abs(np.diff(film_steps(film, CAMERA, physics, Exposure(), display, shown).finer_delta_e[[1, 0, 2], 0])).max())
-        for shown in (chart, None)
+        float(np.abs(np.diff(film_steps(film, imaging, shown).finer_delta_e[[1, 0, 2], 0])).max()) for shown in (chart, None)
     )
     assert true > ROUNDING
     assert true < film_error(0.0, 0.0, finer=own) < 10 * true

@@ -29,6 +29,7 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.film_error import measured_places
 from pixsim.studies.oversampling import FilmError, film_steps, measure_film, render_on_film
 from pixsim.studies.result import StudyResult
+from pixsim.viewer.imaging import Imaging
 
 # --- Parts of large pictures ---
 
@@ -50,7 +51,7 @@ def behind_a_lens(
     monkeypatch.setattr("pixsim.studies.film_error.MEASURED", most)
     monkeypatch.setattr("pixsim.studies.film_error.MIN_PIXELS", 1)
     monkeypatch.setattr("pixsim.studies.film_error.MIN_DOTS", 1)
-    film_steps(texture, camera, physics, Exposure(), display, None)
+    film_steps(texture, Imaging(camera, physics.pixel, Exposure(), display), None)
     return texture, camera, physics, seen
 
 
@@ -90,10 +91,10 @@ def test_films_of_a_part_behind_a_real_lens_have_one_psf(monkeypatch: pytest.Mon
 def test_measure_film_parts_agree_with_whole(monkeypatch):
     """Of a statistically uniform texture, within the stated error of the mean over parts."""
     texture = light(np.random.default_rng(4).choice([0.2, 0.8], (256, 256)).repeat(4, axis=0).repeat(4, axis=1))
-    physics, display = pixsim.derive(PIXEL.model_copy(update={"pitch_um": 9.4})), Display(dots=256)
-    whole = measure_film(texture, CAMERA, [physics], Exposure(), display)
+    imaging = Imaging(CAMERA, PIXEL.model_copy(update={"pitch_um": 9.4}), Exposure(), Display(dots=256))
+    whole = measure_film(texture, [imaging])
     monkeypatch.setattr("pixsim.studies.film_error.MEASURED", 1 << 17)
-    parts = measure_film(texture, CAMERA, [physics], Exposure(), display)
+    parts = measure_film(texture, [imaging])
     assert parts.delta_e != whole.delta_e
     # An eighth of the picture, with its own registration of pixels and dots.
     assert parts.tolerated_delta_e[0] == pytest.approx(whole.tolerated_delta_e[0], rel=0.25)
@@ -105,9 +106,9 @@ def test_measure_film_at_gain_is_that_of_the_amplified_pixel():
     texture = light(np.random.default_rng(4).choice([0.2, 0.8], (64, 64)).repeat(4, axis=0).repeat(4, axis=1))
     own, g = pixsim.derive(PIXEL.model_copy(update={"pitch_um": 18.8})), 10**2
     amplified = own.pixel.model_copy(update={"gain_e_per_dn": own.full_well_e / own.pixel.codes_dn / g})
-    cases = (own, 40.0), (pixsim.derive(amplified), 0.0), (own, 0.0)
+    cases = (own.pixel, 40.0), (amplified, 0.0), (own.pixel, 0.0)
     at_gain, same, plain = (
-        measure_film(texture, CAMERA, [physics], Exposure(gain_db=gain_db), Display(dots=64)) for physics, gain_db in cases
+        measure_film(texture, [Imaging(CAMERA, pixel, Exposure(gain_db=gain_db), Display(dots=64))]) for pixel, gain_db in cases
     )
     assert at_gain.tolerated_delta_e == pytest.approx(same.tolerated_delta_e, rel=1e-6)
     assert at_gain.delta_e == pytest.approx(same.delta_e, rel=1e-6)
@@ -115,7 +116,7 @@ def test_measure_film_at_gain_is_that_of_the_amplified_pixel():
 
 
 def test_measure_film_too_small_is_unknown():
-    film = measure_film(light(np.ones((32, 32))), CAMERA, [pixsim.derive(PIXEL)], Exposure(), Display(dots=32))
+    film = measure_film(light(np.ones((32, 32))), [Imaging(CAMERA, PIXEL, Exposure(), Display(dots=32))])
     assert math.isnan(film.largest_delta_e)
     assert not film.met
     assert film.as_dict()["delta_e"] is None

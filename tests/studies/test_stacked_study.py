@@ -18,12 +18,13 @@ from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
 from pixsim.optics.stack import collected_shares
 from pixsim.report.axes import optima_table
 from pixsim.report.maps import axis_plates
-from pixsim.studies.budget import Setup, pitch_range_um
+from pixsim.studies.budget import ProbeDesign, pitch_range_um
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.pixels import photodiode_widths_um, physics_of
 from pixsim.studies.result import curve_table, delta_e_against_pitch
 from pixsim.studies.sampling import largest_pixel_um
 from pixsim.studies.study import load_study
+from pixsim.viewer.imaging import Imaging
 
 LENS = {"height_um": 100.0, "index": 1.5, "microlens": "square", "shift": "optimal"}
 PITCHES_UM = [6.0, 7.0, 9.0, 15.0, 20.0]
@@ -134,9 +135,10 @@ def test_ranges_of_sizes_end_at_the_widest_microlens() -> None:
     study = Study(name="x", technologies=("4t-bsi",), pixel={"stack": stack})
     assert largest_pixel_um(study, "4t-bsi") == pytest.approx(widest_um, abs=1e-4)
     run = Run(pixel={"technology": "4t-bsi", "pitch_um": 2.0, "stack": stack})
-    _, high_um = pitch_range_um(Setup.of(run, Camera()))
+    _, high_um = pitch_range_um(ProbeDesign(Imaging.of(run, Camera())))
     assert 0.995 * widest_um < float(f"{high_um:.4g}") < widest_um
-    plain = pitch_range_um(Setup.of(Run(pixel={"technology": "4t-bsi", "pitch_um": 2.0, "stack": {"enabled": False}}), Camera()))
+    run = Run(pixel={"technology": "4t-bsi", "pitch_um": 2.0, "stack": {"enabled": False}})
+    plain = pitch_range_um(ProbeDesign(Imaging.of(run, Camera())))
     assert plain[1] == 15.0
 
 

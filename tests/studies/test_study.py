@@ -28,8 +28,7 @@ from pixsim.report.study import light_against_detail, report_files, write_report
 from pixsim.report.wording import optimum_line
 from pixsim.sensor.readout import Frame
 from pixsim.studies import evaluations as rows_module
-from pixsim.studies.budget import Setup
-from pixsim.studies.pixels import pixel_of, technology_of
+from pixsim.studies.pixels import imaging_of, technology_of
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study, prepare
 from pixsim.viewer.score import ImagingChain, SceneCache
@@ -221,9 +220,8 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
     mine, theirs = (r.scores(c.technology, pitch_um, 1)[0] for r, c in ((by_study, other), (by_file, one)))
     np.testing.assert_array_equal(mine.delta_e, theirs.delta_e)
     assert light_against_detail(by_study, other).csv == light_against_detail(by_file, one).csv
-    setup = Setup(by_study.camera, pixel_of(study, "0.35um", pitch_um), study.exposure, study.display,
-                  process=technology_of(study, "0.35um"))  # fmt: skip
-    assert setup.physics().full_well_e == mine.physics.full_well_e == theirs.physics.full_well_e
+    imaging = imaging_of(study, by_study.camera, "0.35um", pitch_um)
+    assert imaging.physics.full_well_e == mine.physics.full_well_e == theirs.physics.full_well_e
     # And it is another study than the one without them.
     pixsim.study(tiny(**few), tmp_path / "plain", jobs=1)
     assert not set(keys(tmp_path / "plain")) & set(keys(tmp_path / "study"))
