@@ -707,14 +707,14 @@ def evaluate_cases(
                 changed = again
             evaluations.end_group()
         evaluations.finish(rows)
+    if all(part.fingerprints.frames_fit_in_cache for part in made):
+        remember_evaluated([part.study for part in made])
     found: list[StudyResult | str] = []
     warn_of_left_out(cases, [{} if number in impossible else own for number, own in enumerate(left_out)])
     for number, (part, own, left, (irradiance, camera, film)) in enumerate(zip(made, curves, left_out, lights, strict=True)):
         if number in impossible:
             found.append(impossible[number])
             continue
-        if part.fingerprints.frames_fit_in_cache:
-            remember_evaluated(part.study)
         warn_of_clipped_white(part)
         warn_of_stacks(part.study, irradiance, camera)
         of_case: dict[str, Any] = {"at": part.case.at, "condition": part.case.condition, "alone": part.case.alone}
