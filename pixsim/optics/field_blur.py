@@ -694,72 +694,98 @@ class FieldBlur:
     def superposed(self, picture: Array) -> tuple[Array, Array]:
         """Return a picture of `shape` with the light of each sample spread by its PSF, (H + cells - 1, W + cells - 1), and what
         the PSFs lack of the light of each sample, (H, W). Nothing is lost at the sides.
-        """
-        return self._superposed(picture)
-
-    def _superposed(self, picture: Array, is_even: bool = False) -> tuple[Array, Array]:
-        """Return `superposed`; of an even picture, tiles that share a PSF have one share of the light but for mirrors.
-
-        Where rows and columns change places, that needs a square picture: the same tile lies at the end of another one's rows.
 
         Transforms are in single precision, 1e-7 of a tile's light; what they gain or lose in all is given back evenly.
         """
-        reach, step = self.cells // 2, self.spacing
-        counts, sides = zip(*(tiles_along(n, step) for n in self.shape), strict=True)
-        top, left = ((count + 2) * step - (n + 1) // 2 for count, n in zip(counts, self.shape, strict=True))
-        light = np.pad(picture.astype(np.float32), [(top, top), (left, left)])
-        down, across = (cubic_weights((np.arange(side) - (side - 1) / 2) / step) for side in sides)
-        window = (down[:, None] * across).astype(np.float32)
-        weights = [
-            cubic_weights((np.arange(n)[:, None] - (n - 1) / 2) / step - np.arange(-count, count + 1))
-            for n, count in zip(self.shape, counts, strict=True)
-        ]  # of the tiles in rows and columns of the picture
-        light_of_tiles = weights[0].T @ picture @ weights[1]
-        lacking = np.empty(light_of_tiles.shape)
-        result = np.zeros([n + 2 * reach for n in light.shape])
-        size = [next_fast_len(side + 2 * reach, real=True) for side in sides]
-        filled = sides[0] + 2 * reach, sides[1] + 2 * reach
+        (counts, sides), (top, left) = self._tiles, self._before
+        light, window = np.pad(picture.astype(np.float32), [(top, top), (left, left)]), self._window
 
-        def spread_of(place: tuple[int, int], tiles: list[Tile]) -> tuple[list[int], NDArray[np.float32]]:
-            """Return the spread light of a place's mirrored tiles, and the number of that of each tile."""
-            kinds = [tile.swapped and self.shape[0] != self.shape[1] for tile in tiles]
-            numbers = [kinds.index(kind) for kind in kinds] if is_even else list(range(len(tiles)))
-            first = list(dict.fromkeys(numbers))
-            turned = np.empty((len(first), *sides), np.float32)
-            for tile, share in zip([tiles[number] for number in first], turned, strict=True):
-                part = _part((counts[0] + tile.y) * step, (counts[1] + tile.x) * step, *sides)
+        def spectrum_of(tiles: list[Tile]) -> NDArray[np.complex64]:
+            turned = np.empty((len(tiles), *sides), np.float32)
+            for tile, share in zip(tiles, turned, strict=True):
+                part = _part((counts[0] + tile.y) * self.spacing, (counts[1] + tile.x) * self.spacing, *sides)
                 np.multiply(tile.turned(light[part]), window, out=share)
-            spectrum = rfft2(turned, size)
-            spectrum *= rfft2(self.psfs[place].kernel, size)
-            spread = irfft2(spectrum, size, overwrite_x=True)[:, : filled[0], : filled[1]]
-            return [first.index(number) for number in numbers], spread
+            return np.asarray(rfft2(turned, self._transformed))
 
-        alike = list(tiles_alike(self.shape, step).items())
+        spread = self._added_up(spectrum_of)[_part(top, left, *(n + self.cells - 1 for n in self.shape))]
+        down, across = self._weights
+        light_of_tiles = down.T @ picture @ across
+        spread += ((light_of_tiles * (1 - self._lacking)).sum() - spread.sum()) / spread.size
+        return spread, picture * (down @ self._lacking @ across.T)
+
+    @property
+    def _tiles(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """The tiles on each side of the middle one, and the cells of a window; down and across."""
+        counts, sides = zip(*(tiles_along(n, self.spacing) for n in self.shape), strict=True)
+        return counts, sides
+
+    @property
+    def _before(self) -> tuple[int, ...]:
+        """The cells of the first tile's window before the picture, down and across."""
+        return tuple((count + 2) * self.spacing - (n + 1) // 2 for count, n in zip(self._tiles[0], self.shape, strict=True))
+
+    @property
+    def _filled(self) -> tuple[int, ...]:
+        """The cells, down and across, that the light of a window fills."""
+        return tuple(side + self.cells - 1 for side in self._tiles[1])
+
+    @property
+    def _transformed(self) -> tuple[int, ...]:
+        return tuple(next_fast_len(side, real=True) for side in self._filled)
+
+    @property
+    def _window(self) -> NDArray[np.float32]:
+        down, across = (cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing) for side in self._tiles[1])
+        return (down[:, None] * across).astype(np.float32)
+
+    @property
+    def _weights(self) -> tuple[Array, ...]:
+        """The weights of tiles in the rows and in the columns of a picture, (H, tiles) and (W, tiles)."""
+        return tuple(
+            cubic_weights((np.arange(n)[:, None] - (n - 1) / 2) / self.spacing - np.arange(-count, count + 1))
+            for n, count in zip(self.shape, self._tiles[0], strict=True)
+        )
+
+    @cached_property
+    def _lacking(self) -> Array:
+        """What the PSFs of the tiles lack, down and across."""
+        (down, across), _ = self._tiles
+        lacking = np.empty((2 * down + 1, 2 * across + 1))
+        for place, tiles in tiles_alike(self.shape, self.spacing).items():
+            for tile in tiles:
+                lacking[down + tile.y, across + tile.x] = self.psfs[place].lacking
+        return lacking
+
+    def _added_up(self, spectrum_of: Callable[[list[Tile]], NDArray[np.complex64]]) -> Array:
+        """Return the sum of the spread light of all tiles, with `_before` cells beyond `superposed` on each side.
+
+        spectrum_of : tiles that share a PSF -> transforms of their light as it lies in the mirrored tile; one may stand for all
+        """
+        (counts, _), filled, size = self._tiles, self._filled, self._transformed
+        result = np.zeros([n + 2 * before + self.cells - 1 for n, before in zip(self.shape, self._before, strict=True)])
+        alike = list(tiles_alike(self.shape, self.spacing).items())
         most = max(threads(), SPREAD_CELLS // (8 * math.prod(filled)))  # threads start anew for each strip; 8 tiles share a PSF
         for some in strips(len(alike), 1, most):
-            spread: dict[tuple[int, int], tuple[list[int], NDArray[np.float32]]] = {}
+            spread: dict[tuple[int, int], NDArray[np.float32]] = {}
 
             def compute(of_place: tuple[tuple[int, int], list[Tile]], found: dict[Any, Any] = spread) -> None:
-                found[of_place[0]] = spread_of(*of_place)
+                place, tiles = of_place
+                spectrum = spectrum_of(tiles) * rfft2(self.psfs[place].kernel, size)
+                found[place] = irfft2(spectrum, size, overwrite_x=True)[:, : filled[0], : filled[1]]
 
             def add(band: slice, found: dict[Any, Any] = spread, which: slice = some) -> None:
                 """Add the spread light in some rows; always in one order, so that sums round in one way."""
                 for place, tiles in alike[which]:
-                    for number, tile in zip(found[place][0], tiles, strict=True):
-                        row, column = tile.y + counts[0], tile.x + counts[1]
-                        lacking[row, column] = self.psfs[place].lacking
-                        first, last = max(row * step, band.start), min(row * step + filled[0], band.stop)
+                    for tile, light in zip(tiles, np.broadcast_to(found[place], (len(tiles), *filled)), strict=True):
+                        row, column = (counts[0] + tile.y) * self.spacing, (counts[1] + tile.x) * self.spacing
+                        first, last = max(row, band.start), min(row + filled[0], band.stop)
                         if first < last:
-                            share = tile.turned_back(found[place][1][number])[first - row * step : last - row * step]
-                            result[first:last, column * step : column * step + filled[1]] += share
+                            result[first:last, column : column + filled[1]] += tile.turned_back(light)[first - row : last - row]
 
-            in_threads(compute, alike[some], light.size)
-            in_threads(add, strips(len(result), 1, -(-len(result) // threads())), light.size)
+            in_threads(compute, alike[some], result.size)
+            in_threads(add, strips(len(result), 1, -(-len(result) // threads())), result.size)
             report(some.stop / len(alike))
-        height, width = self.shape
-        spread_light = result[_part(top, left, height + 2 * reach, width + 2 * reach)]
-        spread_light += ((light_of_tiles * (1 - lacking)).sum() - spread_light.sum()) / spread_light.size
-        return spread_light, picture * (weights[0] @ lacking @ weights[1].T)
+        return result
 
     def blurred(self, picture: Array, margin: int = 0) -> Array:
         """Return an irradiance (H, W) without blur as the lens shows it; `shape` is larger by the reach of a PSF at each side.
@@ -777,20 +803,29 @@ class FieldBlur:
 
     @cached_property
     def even(self) -> NDArray[np.float32]:
-        """What becomes of an even picture: where the mean shift of PSFs grows along the field, they move apart."""
-        reach = self.cells // 2
-        return self._spread(np.ones([n - 2 * reach for n in self.shape]), is_even=True).astype(np.float32)
+        """What becomes of an even picture: where the mean shift of PSFs grows along the field, they move apart.
 
-    def _spread(self, picture: Array, margin: int = 0, is_even: bool = False) -> Array:
+        All windows have the same light: what is beyond the picture does not reach it.
+        """
+        spectrum, reach = rfft2(self._window[None], self._transformed), self.cells // 2
+        before, inside = self._before, [n - 2 * reach for n in self.shape]
+        light = self._added_up(lambda _: spectrum)[_part(before[0] + 2 * reach, before[1] + 2 * reach, *inside)]
+        down, across = (part[reach : len(part) - reach] for part in self._weights)
+        return self._with_veil(light, down @ self._lacking @ across.T).astype(np.float32)
+
+    def _spread(self, picture: Array, margin: int = 0) -> Array:
         """Return a picture with its light spread by the PSFs, and what they lack as a veil."""
         reach = self.cells // 2
         height, width = (count - 2 * margin for count in picture.shape)
         cut = max(0, margin - reach)
         known = picture[_part(cut, cut, *(count - 2 * cut for count in picture.shape))]
-        full, lacked = self._superposed(np.pad(known, reach - (margin - cut), "symmetric"), is_even)
-        result, veil = empty_planes(height, width), empty_planes(height, width)
-        result[...] = full[_part(2 * reach, 2 * reach, height, width)]
-        veil[...] = lacked[_part(reach, reach, height, width)]
+        full, lacked = self.superposed(np.pad(known, reach - (margin - cut), "symmetric"))
+        return self._with_veil(full[_part(2 * reach, 2 * reach, height, width)], lacked[_part(reach, reach, height, width)])
+
+    def _with_veil(self, light: Array, lacked: Array) -> Array:
+        """Return spread light (H, W) with what the PSFs lack of it as a veil."""
+        result, veil = empty_planes(*light.shape), empty_planes(*light.shape)
+        result[...], veil[...] = light, lacked
         spectrum = dct(veil)
         down, across = (np.arange(n) / (2 * n * self.pitch_um * 1e-3) for n in veil.shape)
         few = np.linspace(0.0, float(np.hypot(down[-1], across[-1])), VEIL_FREQUENCIES)
