@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from pixsim.base import cache
-from pixsim.base.arrays import WORTH_THREADS, Array, in_threads
+from pixsim.base.arrays import WORTH_THREADS, Array, in_threads, strips
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import READING, Camera, CameraOptions, LensOptions, TracedLens, content_hash
 from pixsim.light.spectral import SpectralImage
@@ -253,26 +253,40 @@ def _moved(picture: Picture, pitch_um: float, source_mm: Callable[..., Array], m
 
     y, x = ((np.arange(n) - (n - 1) / 2) * pitch_um * 1e-3 for n in picture.shape)
     filtered = spline_filter(np.asarray(picture, float), SPLINE, mode="reflect")
-    result = np.empty(picture.shape)
-    for row, height in enumerate(y):
-        radius = np.maximum(np.hypot(x, height), 1e-12)
+    moved = np.empty(picture.shape)
+
+    def move(rows: slice) -> None:
+        radius = np.maximum(np.hypot(x, y[rows, None]), 1e-12)
         grown = source_mm(np.minimum(radius, most_mm)) / np.minimum(radius, most_mm) / (widening * pitch_um * 1e-3)
-        at = [height * grown + (picture.shape[0] - 1) / 2, x * grown + (picture.shape[1] - 1) / 2]
-        result[row] = map_coordinates(filtered, at, order=SPLINE, mode="reflect", prefilter=False)
-    del filtered
+        at = [y[rows, None] * grown + (picture.shape[0] - 1) / 2, x * grown + (picture.shape[1] - 1) / 2]
+        map_coordinates(filtered, at, moved[rows], SPLINE, "reflect", prefilter=False)
+
+    in_threads(move, strips(*picture.shape), picture.size)
     # A cell of the source covers 1/m cells here. Means over one are these and (1 - 1/m²)/24 of their curvature, in each direction.
-    around = np.pad(result, len(SLOPE) // 2, "symmetric")
-    for row, height in enumerate(y):
-        radius = np.maximum(np.hypot(x, height), 1e-12)
+    around = np.pad(moved, len(SLOPE) // 2, "symmetric")
+
+    def widen(rows: slice) -> None:
+        height, radius = y[rows, None], np.maximum(np.hypot(x, y[rows, None]), 1e-12)
         within = np.minimum(radius, most_mm)
         tangential = 1 - np.square(widening * within / source_mm(within))
         radial = np.where(radius > most_mm, tangential, 1 - np.square(widening / source_mm(within, 1)))
-        lines = around[row : row + len(SLOPE)]
-        down, across = CURVATURE @ lines[:, 2:-2], np.convolve(lines[2], CURVATURE, "valid")
-        twist = np.convolve(SLOPE @ lines, SLOPE[::-1], "valid")
-        outwards = (np.square(x) * across + 2 * x * height * twist + height**2 * down) / np.square(radius)
-        result[row] += (tangential * (down + across) + (radial - tangential) * outwards) / 24
-    return result
+        lines = around[rows.start : rows.stop + len(SLOPE) - 1]
+        down = correlated(lines[:, 2:-2], CURVATURE)
+        across, sloped = (correlated(part.T, of).T for part, of in ((lines[2:-2], CURVATURE), (lines, SLOPE)))
+        outwards = (np.square(x) * across + 2 * x * height * correlated(sloped, SLOPE) + height**2 * down) / np.square(radius)
+        moved[rows] += (tangential * (down + across) + (radial - tangential) * outwards) / 24
+
+    in_threads(widen, strips(*picture.shape), picture.size)
+    return moved
+
+
+def correlated(lines: Array, weights: Array) -> Array:
+    """Return the sums of neighbouring lines (n + m - 1, columns) by weights (m,), (n, columns)."""
+    count = len(lines) - len(weights) + 1
+    total = np.zeros((count, lines.shape[1]))
+    for first, weight in enumerate(weights.tolist()):
+        total += weight * lines[first : first + count]
+    return total
 
 
 def moved_error(distortion: Distortion, pitch_um: float, frequency: NDArray[np.floating]) -> Array:
@@ -493,6 +507,7 @@ def dark_share(camera: Camera) -> float:
 _BLURS: dict[str, FieldBlur] = {}
 _PSFS: dict[str, RadialPsfs] = {}
 KEPT_BLURS, KEPT_PSF_BYTES = 8, 1 << 28
+COARSE = 3.0  # times the cells that resolve a lens's PSFs: with larger ones, it takes less time to compute PSFs for each film
 SPARE_TILES = 4  # beyond the die, for which there are PSFs
 BEHIND_CY_PER_MM = np.linspace(0.0, 1000.0, 17)  # by which a transfer behind the lens is known
 DARK_CELLS = 512
@@ -520,8 +535,10 @@ def psfs_of(
     weight: Array,
     transfer: Transfer = None,
 ) -> RadialPsfs:
-    """Return the PSFs of a light for the tiles of a film; they are the same for all films that are finer than the lens."""
-    cell_um = max(pitch_um, resolving_um(light_of(camera, wavelength_nm, weight, tiling)))
+    """Return the PSFs of a light for the tiles of a film; all films that are not much coarser than the lens have the same."""
+    cell_um = resolving_um(light_of(camera, wavelength_nm, weight, tiling))
+    if pitch_um > COARSE * cell_um:
+        cell_um = pitch_um
     key = content_hash([*_light_key(camera, tiling, wavelength_nm, weight, transfer), cell_um])
     farthest_um = tiles_reach_um(shape, pitch_um, *tiling.cells(pitch_um))
     known = _PSFS.pop(key, None)

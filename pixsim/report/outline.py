@@ -44,9 +44,6 @@ if TYPE_CHECKING:
     from pixsim.studies.study import Prepared
 
 
-LOOKED_UP = 32  # cases of which the cache is asked
-
-
 def run_outline(
     source: str,
     settings: Run,
@@ -112,8 +109,7 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
     lights = len({light_hash(case.study) for case, _ in prepared.parts})
     film_shape, rendered = known_film(film["samples"], rendered_across(scene, camera, plan, study))
     of_cases = [(case.study, part.camera) for case, part in prepared.parts]
-    some = of_cases[:: math.ceil(len(of_cases) / LOOKED_UP)]
-    known = Known(rendered, sum(evaluated_before(case) for case, _ in some) / len(some))
+    known = Known(rendered, evaluated_before([case for case, _ in of_cases]))
     cost = cases_cost(of_cases, lights, plan, film_shape, jobs, types, known)
     sensors = []
     for name in study.technologies:

@@ -433,17 +433,17 @@ class PartBehindLens:
         inside = slice(self.halo, -self.halo or None)
         return total[inside, inside]
 
-    def lights(self, camera: Camera, tiling: Tiling, physics: PixelPhysics, whole: SpectralImage) -> tuple[ChannelLight, ...]:
+    def lights(
+        self, camera: Camera, tiling: Tiling, physics: PixelPhysics, illuminations: Sequence[Illumination]
+    ) -> tuple[ChannelLight, ...]:
         """Return the light in the part for each channel of a pixel.
 
-        whole : the picture, whose illumination the part has
+        illuminations : of the channels, those of the whole picture
         """
-        transfer, channels = diffusion_of(physics.channels[0]), physics.channels
-        weights = [electrons_per_joule(channel, self.around) for channel in channels]
-        return tuple(
-            ChannelLight(_per_um2(self.rate(camera, tiling, weight, transfer)), illumination_of(whole, camera, channel))
-            for weight, channel in zip(weights, channels, strict=True)
-        )
+        transfer = diffusion_of(physics.channels[0])
+        weights = [electrons_per_joule(channel, self.around) for channel in physics.channels]
+        rates = [_per_um2(self.rate(camera, tiling, weight, transfer)) for weight in weights]
+        return tuple(ChannelLight(*pair) for pair in zip(rates, illuminations, strict=True))
 
 
 BLUR_WORK = 0.3  # of a light's blur: its PSFs, and an even picture, whose tiles are mostly alike

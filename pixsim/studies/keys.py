@@ -125,25 +125,27 @@ def block_key(frames_key: str, block: int) -> str:
 
 
 EVALUATED = "evaluated"  # kind of the cache's entries that tell of a study
+TELLING = 32  # cases by which a study is known
 
 
-def evaluated_before(study: Study) -> bool:
-    """Whether the cache has the frames of a study, for an estimate of its time."""
-    return cache.value_of(EVALUATED, _evaluated_key(study), lambda value: bool(value["frames"])) or False
+def evaluated_before(cases: Sequence[Study]) -> bool:
+    """Whether the cache has the frames of all cases of a study, for an estimate of its time."""
+    return cache.value_of(EVALUATED, _evaluated_key(cases), lambda value: bool(value["frames"])) or False
 
 
-def remember_evaluated(study: Study) -> None:
-    """Note in the cache that it has the frames of a study."""
-    cache.store_value(EVALUATED, _evaluated_key(study), {"frames": True})
+def remember_evaluated(cases: Sequence[Study]) -> None:
+    """Note in the cache, once for a study, that it has the frames of all cases."""
+    cache.store_value(EVALUATED, _evaluated_key(cases), {"frames": True})
 
 
-def _evaluated_key(study: Study) -> str:
+def _evaluated_key(cases: Sequence[Study]) -> str:
     """Return the key of a study whose frames the cache may have; a frame does not depend on the display.
 
-    The film is left out, which the render chooses.
+    The film is left out, which the render chooses. Of many cases some tell which study they are of.
     """
-    of_frames = study.model_dump(mode="json", exclude={*OF_SCORE, *OF_WORDS, "resolution"})
-    return content_hash([of_frames, cache.version_fingerprint(*COMPUTED_BY)])
+    some, left_out = cases[:: math.ceil(len(cases) / TELLING)], {*OF_SCORE, *OF_WORDS, "resolution"}
+    of_frames = [study.model_dump(mode="json", exclude=left_out) for study in some]
+    return content_hash([len(cases), of_frames, cache.version_fingerprint(*COMPUTED_BY)])
 
 
 RENDERED = "rendered"  # kind of the cache's entries that tell of a render

@@ -27,7 +27,8 @@ from pixsim.scene.film import BLOCK, fitting_width, largest_film
 from pixsim.scene.plan import Plan
 from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
-from pixsim.sensor.integration import ChannelLight, PartBehindLens
+from pixsim.sensor.collection import Illumination
+from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.budget import Settled, sensor_delta_e, without_warnings
@@ -322,19 +323,25 @@ class BehindLens:
     """Parts of a picture behind a real lens, on films of more and of fewer samples.
 
     halo : film cells around a part, whole blocks, as wide as the lens's PSF
+    seen : mean spectrum of the picture, (B,)
+    illuminations : of the pixel's channels, in the picture
     """
 
     image: SpectralImage
     imaging: Imaging
     tiling: Tiling
     halo: int
+    seen: Array
+    illuminations: Sequence[Illumination]
 
     @classmethod
     def of(cls, image: SpectralImage, imaging: Imaging) -> BehindLens | None:
         """Return it for a real lens; None for a thin one."""
         if (tiling := tiling_of(image, imaging.camera)) is None:
             return None
-        return cls(image, imaging, tiling, math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK)
+        halo = math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK
+        illuminations = [illumination_of(image, imaging.camera, channel) for channel in imaging.physics.channels]
+        return cls(image, imaging, tiling, halo, image.mean_spectrum(), illuminations)
 
     def _lights(self, around: SpectralImage, halo: int, place: Place, more: float = 1.0) -> tuple[ChannelLight, ...]:
         """Return the light of a part.
@@ -345,8 +352,8 @@ class BehindLens:
         reach = (height, width), self.image.pitch_um / more
         middle = ((side.start + side.stop - n) / 2 * self.image.pitch_um for side, n in zip(place, self.image.shape, strict=True))
         y_um, x_um = middle
-        part = PartBehindLens(around, halo, (y_um, x_um), self.image.mean_spectrum(), reach)
-        return part.lights(self.imaging.camera, self.tiling, self.imaging.physics, self.image)
+        part = PartBehindLens(around, halo, (y_um, x_um), self.seen, reach)
+        return part.lights(self.imaging.camera, self.tiling, self.imaging.physics, self.illuminations)
 
     def of_films(
         self, places: Sequence[Place], films: int, progress: Progress | None = None

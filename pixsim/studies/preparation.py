@@ -277,10 +277,10 @@ def duration_words(seconds: float) -> str:
 
 @dataclass(frozen=True)
 class Known:
-    """What the cache has of a study: its first light, and the share of its cases with frames."""
+    """Whether the cache has a study's first light, and its frames."""
 
     light: bool = False
-    frames: float = 0.0
+    frames: bool = False
 
 
 UNKNOWN = Known()
@@ -422,7 +422,7 @@ def cases_cost(
     evaluations_s = sum(study.repeats * seconds for (study, _), seconds in zip(cases, sums_s, strict=True)) / jobs
     if len(cases) == 1 and study.own_um is not None and study.display.raster == "fixed_size":  # its optimum on other displays
         evaluations_s += STUDY_VIEWINGS * min(study.repeats, SENSORS_VIEWED) * sums_s[0] / jobs
-    evaluations_s *= 1 - known.frames * (1 - KNOWN_FRAMES)
+    evaluations_s *= KNOWN_FRAMES if known.frames else 1.0
     types_s = types * sum(TYPE_S + MOST_EVALUATIONS * seconds / len(of) for of, seconds in zip(frames, sums_s, strict=True)) / jobs
     largest = max(frame.memory_bytes for of_case in frames for frame in of_case)
     light = min(4.0 * cells * (plan.planes if plan.factored else plan.bands.width_nm.size), MOST_BYTES)

@@ -719,6 +719,8 @@ def evaluate_cases(
                             samplings[own] = more[name]
             evaluations.end_group()
         evaluations.finish(rows)
+    if all(each.stored for each in series):
+        remember_evaluated([case.study for case in cases])
     found: list[StudyResult | str] = []
     left_of_cases = [{series[number].name: left_out[number] for number in numbers if left_out[number]} for numbers in members]
     reasons = [next((impossible[number] for number in numbers if number in impossible), "") for numbers in members]
@@ -727,8 +729,6 @@ def evaluate_cases(
         if reason:
             found.append(reason)
             continue
-        if any(series[number].stored for number in numbers):
-            remember_evaluated(case.study)
         for number in numbers:
             warn_of_clipped_white(series[number], smallest_um[number])
         for number in numbers:

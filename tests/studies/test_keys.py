@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.tiny import tiny
 
+from pixsim.base import cache
 from pixsim.base.parameters import Camera, Study
 from pixsim.light.spectral import SpectralImage
-from pixsim.studies.keys import OF_FRAME, OF_LIGHT, OF_NO_FRAME, OF_SCORE, light_hash
+from pixsim.studies.keys import (
+    EVALUATED,
+    OF_FRAME,
+    OF_LIGHT,
+    OF_NO_FRAME,
+    OF_SCORE,
+    evaluated_before,
+    light_hash,
+    remember_evaluated,
+)
 from pixsim.studies.series import scenes_of, series_of
 
 NAMES = "name", "streams"  # their content is that of the random streams
@@ -85,3 +96,15 @@ def test_every_setting_belongs_to_a_stage() -> None:
     stated = {*OF_LIGHT, *OF_FRAME, *OF_SCORE, *OF_NO_FRAME, *NAMES}
     assert stated == set(Study.model_fields)
     assert not {*OF_LIGHT, *OF_FRAME, *OF_SCORE} & {*OF_NO_FRAME}
+
+
+def test_a_study_of_many_cases_is_remembered_by_one_entry(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
+    cases = [tiny(seed=seed) for seed in range(100)]
+    assert not evaluated_before(cases)
+    remember_evaluated(cases)
+    assert evaluated_before(cases)
+    assert evaluated_before([case.model_copy(update={"display": tiny(display={"gamma": 1.8}).display}) for case in cases])
+    assert not evaluated_before(cases[:-1])
+    assert not evaluated_before(cases[:1])
+    assert len(list((cache.folder() / EVALUATED).iterdir())) == 1
