@@ -26,7 +26,6 @@ from pixsim.show.pages import Plate, coarse_table
 from pixsim.show.pictures import (
     Picture,
     PictureAxes,
-    Window,
     contact_sheet_png,
     display_codes,
     factor_for,
@@ -35,12 +34,12 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.studies.evaluations import frames_of, task_of
 from pixsim.studies.result import Curve, StudyResult
-from pixsim.viewer.score import Score, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from pixsim.viewer.score import Score
 
 
 # Layout of four pictures and a colour bar with its labels.
@@ -159,7 +158,8 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     window = window_at(centre, shape) if centre else worst_window([scores[0].delta_e, scores[last].delta_e])
     tiles = [Picture(display_codes(window.of(ideal)), "ideal image")]
     for place in range(last + 1):
-        part = window.of(scores[place].image) if place in scores else detail_at(result, curve, place, window)
+        size_um = float(curve.pitch_um[place])
+        part = window.of(scores[place].image) if place in scores else result.shown_part(curve.technology, size_um, window.of)
         tiles.append(Picture(display_codes(part), *labels(curve, place), is_best(curve, place)))
     optimum = f"; the optimum is {curve.optimum.pitch_um:.2f} µm" if curve.optimum.inside else ""
     framed = f"; framed: the {LEAST}{optimum}" if is_best(curve, at) else ""
@@ -188,14 +188,3 @@ def rank(curve: Curve, place: int) -> str:
     """Return whether a pitch is the smallest, the largest or that of the least error tried, as text."""
     parts = {"smallest": place == 0, "largest": place == curve.pitch_um.size - 1, LEAST: is_best(curve, place)}
     return ", ".join(part for part, is_so in parts.items() if is_so)
-
-
-def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> Array:
-    """Return the shown luminance in a window, as `result.scores` gives it for the first sensor of a pitch, without ΔE.
-
-    A cached frame is shown directly, which takes a fifth of the time of simulating it.
-    """
-    series = result.series[curve.technology]
-    task = task_of(series, float(curve.pitch_um[place]), 0, {})
-    _, chain, frame, _ = next(frames_of(task, series.light(), [0], shown=True))
-    return shown(chain.light(frame, window.of), result.study.display)

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+from pixsim.base.labels import label_of
 from pixsim.base.parameters import Camera, Display, Study, channels_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule
-from pixsim.sensor.technology import label_of
 from pixsim.studies.keys import Fingerprints, frames_fit_in_cache
 from pixsim.studies.pixels import imaging_of
 from pixsim.studies.sampling import study_pitches_um
