@@ -15,7 +15,7 @@ PACKAGE = Path(pixsim.__file__).parent
 
 
 def module_name(path: Path) -> str:
-    """Import name without `pixsim.`, such as cli or accuracy.stability.optics."""
+    """Import name without `pixsim.`, such as cli or verification.stability.optics."""
     parts = path.relative_to(PACKAGE).with_suffix("").parts
     return ".".join(parts[:-1] if len(parts) > 1 and parts[-1] == "__init__" else parts)
 
@@ -35,8 +35,8 @@ ALLOWED = {
     "studies": (*BELOW_SHOW, "scene", "show", "viewer"),
     "measure": (*BELOW_SHOW, "show", "viewer"),
     "report": (*BELOW_SHOW, "scene", "show", "viewer", "studies"),
-    "accuracy": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "report"),
-    "cli": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "measure", "report", "accuracy"),
+    "verification": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "report"),
+    "cli": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "measure", "report", "verification"),
 }
 # Slow to import: 0.3 s (mitsuba) to 2.6 s (colour). They are imported inside functions.
 HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral", "distributed", "dask"}

@@ -529,8 +529,8 @@ def accuracy(
     Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
     import_less()
-    from pixsim.accuracy.report import FILES, accuracy_lines, write_accuracy
-    from pixsim.accuracy.survey import survey
+    from pixsim.verification.report import FILES, accuracy_lines, write_accuracy
+    from pixsim.verification.survey import survey
 
     settings = options.settings(display=display, seed=seed)
     folder = out or DEFAULT_OUT / f"{Path(scene).stem}-accuracy"

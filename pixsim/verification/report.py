@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.accuracy.ladders import Rung
-from pixsim.accuracy.result import METRICS, Accuracy, pareto
-from pixsim.accuracy.solvers import response_plate
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
 from pixsim.show.pages import Column, Plate, plain, rows_csv, write_figures, write_page
+from pixsim.verification.ladders import Rung
+from pixsim.verification.result import METRICS, Accuracy, pareto
+from pixsim.verification.solvers import response_plate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student_t
 
-from pixsim.accuracy.ladders import Rung
-from pixsim.accuracy.solvers import Solved
-from pixsim.accuracy.stability import Case
 from pixsim.show.pages import plain
 from pixsim.studies.budget import Calibration, Effect, Setup
+from pixsim.verification.ladders import Rung
+from pixsim.verification.solvers import Solved
+from pixsim.verification.stability import Case
 
 MIN_POINTS = 3
 FLAT = 2 / 3  # of the previous slope: a slower decrease means that another source of error dominates

@@ -8,11 +8,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
-from pixsim.accuracy import ladders, stability
-from pixsim.accuracy.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
-from pixsim.accuracy.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
-from pixsim.accuracy.result import Accuracy
-from pixsim.accuracy.solvers import Solved, solvers
 from pixsim.base.locks import temporary_folder
 from pixsim.base.parameters import Camera, Pixel, Run
 from pixsim.base.progress import Stage
@@ -25,6 +20,11 @@ from pixsim.scene.scene import Scene, chart_parameters, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.budget import MAX_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe
+from pixsim.verification import ladders, stability
+from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
+from pixsim.verification.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
+from pixsim.verification.result import Accuracy
+from pixsim.verification.solvers import Solved, solvers
 from pixsim.viewer.score import Seen, chain_at_pitch, prepare_scene, white_header
 
 LONG_S = 5.0

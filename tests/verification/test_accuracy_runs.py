@@ -21,18 +21,18 @@ from helpers.processes import HANG_S
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 import pixsim
-from pixsim.accuracy import ladders, stability, survey as surveys
-from pixsim.accuracy.ladders import QUICK, Clock, Rung, seed_rungs
-from pixsim.accuracy.reference import analytic_reference
-from pixsim.accuracy.report import FILES, accuracy_lines, plates_of, write_accuracy
-from pixsim.accuracy.result import METRICS, Accuracy
-from pixsim.accuracy.stability import compare
-from pixsim.accuracy.survey import survey
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import Run
 from pixsim.scene.renderer import render
 from pixsim.studies import budget as probes
 from pixsim.studies.budget import SOURCES, Setup, brighter, pitch_range_um, pitches_around_optimum_um, probe
+from pixsim.verification import ladders, stability, survey as surveys
+from pixsim.verification.ladders import QUICK, Clock, Rung, seed_rungs
+from pixsim.verification.reference import analytic_reference
+from pixsim.verification.report import FILES, accuracy_lines, plates_of, write_accuracy
+from pixsim.verification.result import METRICS, Accuracy
+from pixsim.verification.stability import compare
+from pixsim.verification.survey import survey
 from pixsim.viewer.score import chain_at_pitch
 
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
