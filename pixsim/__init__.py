@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pixsim.light import spectral as spectral
     from pixsim.light.exr import read_exr as read_exr, write_exr as write_exr
     from pixsim.light.spectral import SpectralImage as SpectralImage
+    from pixsim.measure.datasheet import datasheet as datasheet
     from pixsim.measure.sfr import edge_response as edge_response
     from pixsim.optics.exchange import read_irradiance as read_irradiance, write_npz as write_npz
     from pixsim.optics.lens import load_lens as load_lens
@@ -62,6 +63,7 @@ _NAMES_OF = {
     "sensor.pixel": "derive",
     "sensor.readout": "Frame capture make_sensor",
     "sensor.raw": "write_frame read_frame",
+    "measure.datasheet": "datasheet",
     "measure.sfr": "edge_response",
     "viewer.colour_matrix": "colour_matrix",
     "viewer.demosaic": "demosaic",

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from cyclopts import Parameter
 
 from pixsim.base.caller import command_line
-from pixsim.base.config import checked, read_toml, study_layers
-from pixsim.base.errors import PixsimError, UnwritableError, invalid
+from pixsim.base.config import checked, study_layers
+from pixsim.base.errors import UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files
 from pixsim.base.headline import headline_lines
 from pixsim.base.lazy import import_less
@@ -577,25 +577,20 @@ def datasheet(
     signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
     """
     import_less()
-    from pixsim.measure.datasheet import make_datasheet, sheet_summary as summary
-    from pixsim.measure.datasheet_report import FILES, datasheet_lines, sheet_name, write_datasheet
+    from pixsim.measure.datasheet import datasheet as measured, datasheet_settings
+    from pixsim.measure.datasheet_report import FILES, datasheet_lines, sheet_name
 
-    files, pixel_options = list(config or []), given({"pixel": pixel}).get("pixel", {})
-    if pixel_file is not None and pixel_file.endswith(".toml") and "pixel" in read_toml(Path(pixel_file)):
-        files.insert(0, Path(pixel_file))
-    elif pixel_file is not None:
-        if "technology" in pixel_options:
-            technology = pixel_options["technology"]
-            raise PixsimError(f"PIXEL: got '{pixel_file}' and --pixel.technology {technology}; give only one of them.")
-        pixel_options["technology"] = pixel_file
-    settings = SceneOptions(files, exposure=exposure).settings(pixel=pixel_options or None, seed=seed)
+    tables = given({"pixel": pixel, "exposure": exposure})
+    settings = datasheet_settings(pixel_file, config or [], tables.get("pixel"), tables.get("exposure"), seed)
     folder = out or DEFAULT_OUT / sheet_name(settings.pixel)
     check_replaceable(folder, FILES)
     with output_folder(folder), stages() as stage:  # an invalid folder fails before the measurement
-        sheet = make_datasheet(settings.pixel, settings.exposure, stage=stage, wavelength_nm=wavelength_nm, seed=settings.seed)
+        sheet = measured(
+            pixel=settings.pixel, exposure=settings.exposure, wavelength_nm=wavelength_nm, seed=settings.seed, progress=stage
+        )
         stage("report")
-        report = write_datasheet(sheet, folder)
-    show(summary(sheet), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
+        report = sheet.write(folder)
+    show(sheet.as_dict(), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
 
 
 @app.command
