@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
     from pixsim.studies.compare import compare as compare
     from pixsim.studies.study import study as study
+    from pixsim.verification.survey import accuracy as accuracy
     from pixsim.viewer import display as display, scielab as scielab
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
     from pixsim.viewer.demosaic import demosaic as demosaic
@@ -72,6 +73,7 @@ _NAMES_OF = {
     "studies.study": "study",
     "studies.compare": "compare",
     "report.study": "write_report",
+    "verification.survey": "accuracy",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
 _MODULES = {

@@ -153,6 +153,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 NOT_CALLED = {
     "pixsim.compare": "its own tests", "pixsim.studies.compare.Comparison": "a whole comparison",
     "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
+    "pixsim.accuracy": "its own tests below", "pixsim.verification": "a whole survey",
     "pixsim.datasheet": "its own tests below", "pixsim.measure.datasheet": "a whole measurement",
     "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
     "pixsim.PixsimError": "takes any text",

@@ -270,7 +270,7 @@ def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
     warn(f"[pixel] is a mixture of {len(sensors)} files. {'; '.join(parts)}")
 
 
-def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: dict[str, Any]) -> Run:
+def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: Mapping[str, Any]) -> Run:
     """Return settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems.
 
     config : one or more TOML files; later ones take precedence
@@ -279,7 +279,8 @@ def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str
     paths = [config] if isinstance(config, str | os.PathLike) else config
     files = [settings_layer(Path(path)) for path in paths]
     warn_of_mixed_sensors(files)
-    settings: Run = checked(Run, [*files, Layer(options)])
+    tables = {name: dict(value) if isinstance(value, Mapping) else value for name, value in options.items()}
+    settings: Run = checked(Run, [*files, Layer(tables)])
     return settings
 
 

@@ -529,7 +529,7 @@ def accuracy(
     Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
     import_less()
-    from pixsim.verification.report import FILES, accuracy_lines, write_accuracy
+    from pixsim.verification.report import FILES, accuracy_lines
     from pixsim.verification.survey import survey
 
     settings = options.settings(display=display, seed=seed)
@@ -538,10 +538,8 @@ def accuracy(
     with stages() as stage, output_folder(folder):  # an invalid folder fails before a minute of work
         result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
-        report = write_accuracy(result, folder)
-    assumed = settings.pixel.assumption
-    lines = [*accuracy_lines(result), *([assumed] if assumed else []), f"report: {report}"]
-    show(result.as_dict() | {"assumption": assumed}, json, "\n".join(lines))
+        report = result.write(folder)
+    show(result.as_dict(), json, "\n".join([*accuracy_lines(result), f"report: {report}"]))
 
 
 @app.command

@@ -1,122 +1,48 @@
-"""Results of `pixsim accuracy`: errors, orders of convergence with their uncertainty, and the Pareto front against time."""
+"""The result of `pixsim accuracy`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import os
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from scipy.stats import t as student_t
-
-from pixsim.show.pages import plain
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.parameters import Run
+from pixsim.show.pages import html_cell, plain, rows_csv
 from pixsim.studies.budget import Calibration, Effect, Setup
-from pixsim.verification.ladders import Rung
+from pixsim.verification.ladders import METRICS, Metric, Rung
+from pixsim.verification.orders import Order, beaten_by, fit_order
 from pixsim.verification.solvers import Solved
 from pixsim.verification.stability import Case
 
-MIN_POINTS = 3
-FLAT = 2 / 3  # of the previous slope: a slower decrease means that another source of error dominates
-SAME_TIME = 0.9  # wall times of equal work scatter by a tenth
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-
-@dataclass(frozen=True)
-class Order:
-    """Power law error ∝ setting^-order, from weighted least squares in logarithms.
-
-    order_se : standard error of the order, the larger one of that from the residuals and that from the points' errors
-    points : number of fitted points
-    """
-
-    order: float
-    order_se: float
-    factor: float
-    points: int
-
-    def at(self, setting: float) -> float:
-        return self.factor * setting**-self.order
-
-    @property
-    def ci95(self) -> float:
-        """Half width of the order's 95 % interval by Student's t: 13 standard errors for three points."""
-        return float(student_t.ppf(0.975, self.points - 2)) * self.order_se
-
-    def __str__(self) -> str:
-        return f"{self.order:.2f} ± {self.ci95:.2f}"
-
-
-def fit_order(setting: Sequence[float], error: Sequence[float], spread: Sequence[float] | None = None) -> Order | None:
-    """The order of convergence; None if fewer than three points lie above the floor set by other settings.
-
-    The fit ends where the errors rise, or fall by less than two thirds of the slope up to there. A threshold on the error
-    would mistake a slow order, such as ½ for random sampling, for a floor. With `spread`, the standard errors of the logarithms
-    of the errors, all points are fitted, weighted by 1/spread².
-    """
-    sigmas = [0.0] * len(setting) if spread is None else spread
-    points = sorted((s, e, d) for s, e, d in zip(setting, error, sigmas, strict=True) if s > 0 and e > 0 and math.isfinite(s * e))
-    falling = points if any(sigmas) else points[: len(above_floor([(s, e) for s, e, _ in points]))]
-    if len(falling) < MIN_POINTS:
-        return None
-    x, y = np.log([s for s, _, _ in falling]), np.log([e for _, e, _ in falling])
-    sigma = np.array([d for _, _, d in falling])
-    weight = 1 / sigma**2 if sigma.all() else np.ones(x.size)
-    middle = np.average(x, weights=weight)
-    slope = float((weight * (x - middle) * y).sum() / (weight * (x - middle) ** 2).sum())
-    start = float(np.average(y, weights=weight)) - slope * float(middle)
-    reach = float((weight * (x - middle) ** 2).sum())
-    scatter = float((weight * (y - slope * x - start) ** 2).sum()) / (x.size - 2) / reach
-    return Order(-slope, math.sqrt(max(scatter, 1 / reach if sigma.all() else 0.0)), math.exp(start), x.size)
-
-
-def above_floor(pairs: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
-    """The leading (setting, error) pairs, sorted by setting, up to where the errors stop falling."""
-    if len({setting for setting, _ in pairs}) < len(pairs):
-        return ()
-    for k in range(1, len(pairs)):
-        slope = slope_of(pairs[k - 1], pairs[k])
-        if slope <= 0 or (k > 1 and slope < FLAT * slope_of(pairs[0], pairs[k - 1])):
-            return pairs[:k]
-    return pairs
-
-
-def slope_of(one: tuple[float, float], other: tuple[float, float]) -> float:
-    """Local order between two (setting, error) pairs."""
-    return math.log(one[1] / other[1]) / math.log(other[0] / one[0])
-
-
-def pareto(seconds: Sequence[float], error: Sequence[float]) -> list[int]:
-    """Indices of the points that no other dominates in time and error, sorted by time; NaN errors are excluded."""
-    front: list[int] = []
-    best = math.inf
-    for index in sorted(range(len(seconds)), key=lambda k: (seconds[k], error[k])):
-        if error[index] < best:
-            front.append(index)
-            best = error[index]
-    return front
-
-
-def beaten_by(index: int, seconds: Sequence[float], error: Sequence[float], visible: float = 0.0) -> int | None:
-    """Index of the most accurate point that is clearly faster, and more accurate by more than `visible`; or None."""
-    better = [
-        k
-        for k in range(len(seconds))
-        if seconds[k] < SAME_TIME * seconds[index] and math.isfinite(error[k]) and error[k] < error[index] - visible
-    ]
-    return min(better, key=lambda k: error[k], default=None)
-
-
-METRICS = {
-    "error_e": "RMS relative error of mean electrons",
-    "error_delta_e": "error of mean ΔE",
-    "error_optimum_um": "error of the optimal pitch (µm)",
-}
 USUAL_SENSORS = 8  # of a study: differences that their mean does not resolve do not matter
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Results of a survey. `notes` list reductions made to limit the time."""
+    """The errors of a scene's results against run time, their error budget, and extreme cases with known answers.
+
+    name : of the scene
+    reference : what the errors are measured against, in words
+    analytic : whether it is a formula
+    shipped : the default settings
+    rungs : settings that differ from the default in one, each with its time and errors
+    stage_seconds : wall time in s of each stage of a first result
+    calibration : effects of the sources of error on ΔE
+    budget : source of error -> its effect on mean ΔE and on the optimum of one result
+    cases : extreme cases
+    solvers : of the photodiode's discharge
+    header : of the irradiance with the default settings
+    setup : what stays fixed
+    settings : as given
+    notes : reductions made to limit the time
+    seconds : wall time in s
+    """
 
     name: str
     reference: str
@@ -130,32 +56,51 @@ class Accuracy:
     solvers: tuple[Solved, ...] = field(repr=False)
     header: dict[str, Any] = field(repr=False)
     setup: Setup = field(repr=False)
+    settings: Run = field(repr=False)
     notes: tuple[str, ...]
     seconds: float
 
+    @checks_arguments
     def ladder(self, name: str) -> list[Rung]:
-        """Measured rungs of a ladder, sorted by value."""
+        """Return the measured rungs of a ladder, sorted by value.
+
+        name : of the ladder, one of `names`
+        """
         return sorted((rung for rung in self.rungs if rung.ladder == name and not rung.left_out), key=lambda rung: rung.value)
 
     @property
     def names(self) -> list[str]:
+        """Names of the ladders."""
         return list(dict.fromkeys(rung.ladder for rung in self.rungs))
 
-    def order(self, name: str, metric: str) -> Order | None:
-        """Order of convergence of a ladder; None if its settings are not numbers."""
+    @checks_arguments
+    def order(self, name: str, metric: Metric) -> Order | None:
+        """Return the order of convergence of a ladder; None if its settings are not numbers, or too few of its errors fall.
+
+        name : of the ladder
+        metric : which error
+        """
         if name in ("methods", "sampler"):
             return None
         rungs = [rung for rung in self.ladder(name) if "pinhole" not in rung.setting and "planned" not in rung.setting]
         errors, spread = [getattr(rung, metric) for rung in rungs], [rung.spread for rung in rungs]
         return fit_order([rung.value for rung in rungs], errors, spread if any(spread) else None)
 
-    def rivals(self, metric: str) -> list[Rung]:
-        """Measured render settings, the default ones first; the ladders of seeds and raster have other references."""
+    @checks_arguments
+    def rivals(self, metric: Metric) -> list[Rung]:
+        """Return the measured render settings, the default ones first; the ladders of seeds and raster have other references.
+
+        metric : which error
+        """
         others = [rung for rung in self.rungs if not (rung.left_out or rung.shipped) and rung.ladder not in ("seeds", "raster")]
         return [rung for rung in (self.shipped, *others) if math.isfinite(getattr(rung, metric))]
 
-    def beaten(self, metric: str) -> Rung | None:
-        """The setting that is clearly faster, and more accurate beyond the standard error of eight sensors; or None."""
+    @checks_arguments
+    def beaten(self, metric: Metric) -> Rung | None:
+        """Return the setting that is clearly faster, and more accurate beyond the standard error of eight sensors; or None.
+
+        metric : which error
+        """
         rivals = self.rivals(metric)
         if not rivals or rivals[0] is not self.shipped:
             return None
@@ -166,9 +111,10 @@ class Accuracy:
         return None if index is None else rivals[index]
 
     def as_dict(self) -> dict[str, Any]:
-        """The results as the contents of summary.json."""
+        """Return the results as in summary.json."""
         return {
             "scene": self.name,
+            "assumption": self.settings.pixel.assumption,
             "reference": self.reference,
             "analytic": self.analytic,
             "shipped": plain(asdict(self.shipped)),
@@ -184,3 +130,41 @@ class Accuracy:
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
+
+    @checks_arguments
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """Return a row for each rung of the ladders as CSV, and write it to `path` if given."""
+        return rows_csv([vars(rung) for rung in self.rungs], path)
+
+    @checks_arguments
+    def write(self, folder: str | os.PathLike[str]) -> Path:
+        """Write report.html, ladders.csv, stability.csv, solvers.csv, summary.json, figures/ (*.svg, *.csv) and provenance.json.
+
+        folder : created if missing
+
+        Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
+        pixsim did not write.
+        """
+        from pixsim.verification.report import write_accuracy
+
+        return write_accuracy(self, Path(folder))
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of error against wall time, with the Pareto front."""
+        from pixsim.verification.report import work_precision
+
+        return work_precision(self).figure
+
+    def _repr_html_(self) -> str:
+        from pixsim.verification.report import SHORT, number, stability_words
+
+        rungs = [self.shipped, *(rung for rung in self.rungs if not (rung.left_out or rung.shipped))]
+        fields = "seconds", *METRICS
+        rows = [(rung.ladder, rung.setting, *(number(getattr(rung, name)) for name in fields)) for rung in rungs]
+        notes = [f"Errors are those against the reference: {self.reference}.", stability_words(self), *self.notes]
+        return html_cell(repr(self)[1:-1], ("ladder", "setting", "seconds", *SHORT.values()), rows, self.plot(), notes)
+
+    def __repr__(self) -> str:
+        from pixsim.verification.report import error_words
+
+        return f"<Accuracy of {self.name}: the default settings err by {error_words(self)}, in {self.shipped.seconds:.2g} s>"

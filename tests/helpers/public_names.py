@@ -13,6 +13,7 @@ import pixsim
 
 RESULTS = (  # inside other results
     *("studies.result.Curve", "studies.optimum.Optimum", "sensor.technology.Junction", "measure.datasheet.Entry"),
+    *("verification.ladders.Rung", "verification.orders.Order"),
 )
 MODULES = {name: getattr(pixsim, name) for name in pixsim._MODULES}
 

@@ -12,8 +12,8 @@ from scipy import stats
 from pixsim.scene import charts
 from pixsim.studies.budget import PairedNoise, minimum_um, relative_rms
 from pixsim.verification import reference
+from pixsim.verification.orders import beaten_by, fit_order, pareto
 from pixsim.verification.reference import csf_picture, edge_picture, formula_of
-from pixsim.verification.result import beaten_by, fit_order, pareto
 
 SETTINGS = (4.0, 16.0, 64.0, 256.0, 1024.0)
 SIGMA = 5.0  # one false alarm in 1.7 million comparisons

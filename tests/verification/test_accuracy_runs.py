@@ -27,12 +27,11 @@ from pixsim.scene.renderer import render
 from pixsim.studies import budget as probes
 from pixsim.studies.budget import SOURCES, Setup, brighter, pitch_range_um, pitches_around_optimum_um, probe
 from pixsim.verification import ladders, stability, survey as surveys
-from pixsim.verification.ladders import QUICK, Clock, Rung, seed_rungs
+from pixsim.verification.ladders import METRICS, QUICK, Clock, Rung, seed_rungs
 from pixsim.verification.reference import analytic_reference
-from pixsim.verification.report import FILES, accuracy_lines, plates_of, write_accuracy
-from pixsim.verification.result import METRICS, Accuracy
+from pixsim.verification.report import FILES, accuracy_lines, plates_of
+from pixsim.verification.result import Accuracy
 from pixsim.verification.stability import compare
-from pixsim.verification.survey import survey
 from pixsim.viewer.score import chain_at_pitch
 
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
@@ -57,14 +56,14 @@ def few_extremes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stability, "all_cases", lambda report_progress=None: cases)
 
 
-def settings(**values) -> Run:
-    return Run.model_validate({"scene": {"resolution": 64, "spp": 4}, "display": DISPLAY, "camera": DIE} | values)
+TABLES = {"display": DISPLAY, "camera": DIE}
 
 
 def surveyed(source: str | Path, depth=SMALL, **values) -> Accuracy:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ladders, "QUICK", depth)
-        return survey(str(source), settings(**values), quick=True, variant=VARIANT, progress=lambda _: lambda *_: None)
+        parameters = values.pop("scene", {"resolution": 64, "spp": 4})
+        return pixsim.accuracy(source, quick=True, variant=VARIANT, parameters=parameters, **TABLES | values)
 
 
 class Page(HTMLParser):
@@ -101,9 +100,15 @@ def check(accuracy: Accuracy, folder: Path) -> dict:
         assert rung.left_out or rung.seconds > 0
     for metric in ("error_e", "error_delta_e"):
         assert accuracy.rivals(metric)[0] is accuracy.shipped
-    report = write_accuracy(accuracy, folder)
+    report = accuracy.write(folder)
     made = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     assert made <= {*FILES, "provenance.json"}
+    assert accuracy.to_csv().encode() == (folder / "ladders.csv").read_bytes()
+    cell = accuracy._repr_html_()
+    Page(cell)
+    assert f"<td>{accuracy.shipped.seconds:.2g}</td>" in cell
+    assert "1 of 2 extreme cases" in cell
+    assert f"% of mean electrons, {accuracy.shipped.error_delta_e:.2g} of mean ΔE" in repr(accuracy)
     text = report.read_text(encoding="utf-8")
     Page(text)
     assert "by &lt;hand&gt;" in text
@@ -196,7 +201,7 @@ def test_survey_other_settings_complete(case, tmp_path):
 
 def csf(**values) -> tuple[Setup, pixsim.SpectralImage]:
     scene = load("csf", resolution=128, spp=4)
-    run = settings(**values)
+    run = Run.model_validate(TABLES | values)
     camera = scene.camera(run.camera)
     return Setup.of(run, camera), render(scene, camera)
 
