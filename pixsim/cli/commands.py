@@ -338,7 +338,7 @@ def study(
     from pixsim.studies.conditions import compromises_of
     from pixsim.studies.engine import Workers, workers_here
     from pixsim.studies.preparation import duration_words, fitting_jobs
-    from pixsim.studies.sensor_types import Asked, check_types
+    from pixsim.studies.sensor_types import asked_of, check_types
 
     table = sweep.read_study(study)
     tables = options.study_tables(
@@ -357,14 +357,9 @@ def study(
         if MANY_CASES < (cases := number_of_cases(plan.quickened if quick else plan)) <= MAX_CASES:
             common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration_words(cases * CASE_S)}")
         prepared = replace(sweep.prepare(plan, variant, quick), uncertainty=spreads)
-        asked, types = None, 0
-        if uncertainty is not None or sobol is not None:
-            if uncertainty is not None and sobol is not None:
-                raise invalid("--uncertainty", "with --sobol", "one of the two")
-            asked = Asked(uncertainty or sobol or 0, sobol is not None, tuple(smaller_than or ()), spreads)
+        asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
+        if asked is not None:
             types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes or dry_run)
-        elif smaller_than:
-            raise invalid("--smaller-than", "without --uncertainty", "--uncertainty N beside it")
         outline = study_outline(prepared, jobs, plan.quickened if quick else plan, types)
         if dry_run:
             show(outline, json, "\n".join(outline_lines(outline, folder)))
@@ -380,8 +375,7 @@ def study(
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
                 result = sweep.run_prepared(prepared, folder, progress=stage, agreed=yes, asked=asked, **run_options)
-                total = sobol is not None
-                more = partial(write_uncertainty, result=result, total=total) if result.uncertainty else None
+                more = partial(write_uncertainty, result=result) if result.uncertainty else None
                 stage("report")
                 first = result.parts[0] if result.parts else result
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
