@@ -10,11 +10,14 @@ import math
 import mmap
 import os
 import tempfile
+from collections.abc import Iterator
+from hashlib import blake2b
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from pixsim.base.arrays import strips
 from pixsim.base.notes import MachineWarning, warn
 
 MOST_BYTES = 1 << 28  # of an array in memory: a picture of 8192² in float32
@@ -49,6 +52,25 @@ def release(*parts: NDArray[Any]) -> None:
             low, high = np.lib.array_utils.byte_bounds(part)
             first = (low - start) // mmap.PAGESIZE * mmap.PAGESIZE
             content.madvise(mmap.MADV_DONTNEED, first, min(high - start, len(content)) - first)
+
+
+def update_with_array(digest: blake2b, array: NDArray[Any]) -> None:
+    """Add the type, the shape and the content of an array to a digest, a few rows at a time: a file may have those of a picture."""
+    digest.update(f"{array.dtype} {array.shape}".encode())
+    for part in _parts(array):
+        digest.update(np.ascontiguousarray(part).data)
+        release(part)
+
+
+def _parts(array: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Yield a few rows of an array at a time, in the order of its memory."""
+    if array.ndim < 2:
+        yield array
+    elif array.ndim == 2:
+        yield from (array[rows] for rows in strips(*array.shape))
+    else:
+        for part in np.moveaxis(array, int(np.argmax(array.strides)), 0):
+            yield from _parts(part)
 
 
 def is_mapped(array: NDArray[Any]) -> bool:

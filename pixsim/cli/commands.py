@@ -642,8 +642,9 @@ def lens(
     figures/*.svg and *.csv.
     """
     import_less()
+    from pixsim.measure.lens import chosen_lens, lens_data
     from pixsim.optics.lens import read_lens
-    from pixsim.report.lens import FILES, chosen_lens, lens_data, lens_lines, write_lens
+    from pixsim.report.lens import FILES, lens_lines, write_lens
 
     positive = [("--focal-length-mm", focal_length_mm), ("--f-number", f_number), ("--object-distance-m", object_distance_m)]
     for name, value in [*positive, ("--pitch-um", pitch_um), *(("--wavelength-nm", nm) for nm in wavelength_nm or [])]:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from pixsim.base.arguments import check_broadcast, checks_arguments
 from pixsim.base.arrays import Array, strips, values_of
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.mapped import is_mapped, release
+from pixsim.base.mapped import is_mapped, release, update_with_array
 
 # The public names; everything else is internal.
 __all__ = ["SpectralImage", "colour_matching", "d65", "luminous_weight", "photons_per_joule", "photopic_efficiency"]
@@ -168,11 +168,10 @@ class SpectralImage:
         """Return a hash of everything that the light is made of, 32 hexadecimal digits; arrays can change in place."""
         found = blake2b(repr((self.pitch_um, self.margin)).encode(), digest_size=16)
         found.update(json.dumps(self.header, sort_keys=True, default=repr).encode())
-        light = (self.data,) if self.factors is None else self.factors
-        given = (self._given,) if self.margin else ()
-        for array in (self.wavelength_nm, self.band_width_nm, *self.within, *light, *given):
-            found.update(f"{array.dtype}{array.shape}".encode())
-            found.update(np.ascontiguousarray(array).data)
+        spectra = () if self.factors is None else self.factors[:1]
+        pictures = self._given if self.margin else self.data if self.factors is None else self.factors[1]
+        for array in (self.wavelength_nm, self.band_width_nm, *self.within, *spectra, pictures):
+            update_with_array(found, array)
         return found.hexdigest()
 
     def _set_margin(self, given: NDArray[np.float32]) -> None:

@@ -14,10 +14,10 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.base.headline import below_headline, with_headline
+from pixsim.base.labels import file_label, label_of
 from pixsim.base.parameters import Pixel
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
-from pixsim.sensor.technology import file_label, label_of
 from pixsim.show.figures import COLOURS, LOOKS, Look, new_figure, own_style, plain_powers
 from pixsim.show.pages import Plate, rounded, shown_value, write_figures, write_page
 

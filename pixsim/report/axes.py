@@ -12,8 +12,7 @@ from pixsim.base.files import check_replaceable, output_folder, publishing, vers
 from pixsim.base.headline import headline_lines, with_headline
 from pixsim.base.parameters import Study
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
-from pixsim.report.parts import PARTS_FILE, parts_rows, parts_table
-from pixsim.report.study import report_files, write_pages
+from pixsim.report.study import PARTS_FILE, parts_rows, report_files, write_pages
 from pixsim.report.wording import (
     compromise_lines,
     film_words,
@@ -23,7 +22,6 @@ from pixsim.report.wording import (
     optimum_parts,
     study_light_lines,
     study_lines,
-    study_unconverged_lines,
     study_view_line,
 )
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
@@ -34,7 +32,9 @@ from pixsim.studies.conditions import Compromise, Regret
 from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
+from pixsim.studies.parts import parts_table
 from pixsim.studies.result import StudyResult, alike_words, fresnel_column, interval_words, within_words
+from pixsim.studies.unconverged import study_unconverged_lines
 
 SHOWN_CASES = 4  # with a report of their own
 SHOWN_COMPROMISES = 6  # with a figure of their own

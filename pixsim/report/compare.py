@@ -16,14 +16,14 @@ import numpy as np
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
 from pixsim.base.headline import below_headline
+from pixsim.base.labels import label_of
 from pixsim.base.machine import processors
 from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, paths_of
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.run import colour_rows
-from pixsim.report.settings import LightLevel, record_rows, scene_rows
+from pixsim.report.settings import record_rows, scene_rows
 from pixsim.report.wording import field_words, map_words
 from pixsim.scene.charts import MAX_LP_PER_MM
-from pixsim.sensor.technology import label_of
 from pixsim.show.pages import rounded, shown_value, write_page
 from pixsim.show.pictures import (
     Picture,
@@ -48,6 +48,7 @@ from pixsim.studies.compare import (
     verdict,
 )
 from pixsim.studies.keys import rendered_across
+from pixsim.studies.light_level import LightLevel
 from pixsim.studies.preparation import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 

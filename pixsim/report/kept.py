@@ -11,15 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from pixsim.base import cache
-from pixsim.base.arrays import strips
 from pixsim.base.files import DEPENDENCIES, are_kept, digest_of, files_are_finished, output_folder, versions, write_made_from
-from pixsim.base.mapped import release
-from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.technology import technology_of
+from pixsim.base.mapped import update_with_array
 from pixsim.studies.result import StudyResult
 
 DRAWING = ("Jinja2", "MarkupSafe", "Pillow", "contourpy", "kiwisolver")  # packages that decide on the bytes, besides DEPENDENCIES
@@ -46,9 +42,7 @@ def keep_or_write(result: StudyResult, folder: Path, write: Callable[[], Path]) 
 
 def digest_of_report(result: StudyResult) -> str:
     """Hash of everything that the files of a study's report are made from, but the wall times."""
-    studies = [result.study, *(part.study for part in result.parts)]
-    technologies = [[technology_of(study, name) for name in study.technologies] for study in studies]
-    return digest_of_content(technologies, result)
+    return digest_of_content([part.processes for part in (result, *result.parts)], result)
 
 
 def digest_of_content(*content: Any) -> str:
@@ -57,7 +51,7 @@ def digest_of_content(*content: Any) -> str:
     Raises TypeError for a value of an unknown kind.
     """
     digest = hashlib.blake2b(digest_size=16)
-    for text in _texts([_environment(), *content], digest.update):
+    for text in _texts([_environment(), *content], digest):
         digest.update(f"{len(text)}:{text}".encode(errors="surrogatepass"))
     return digest.hexdigest()
 
@@ -68,47 +62,31 @@ def _environment() -> list[object]:
     return [cache.version_fingerprint(*DEPENDENCIES, *DRAWING), versions(), *map(digest_of, templates)]
 
 
-def _texts(value: Any, update: Callable[[Any], object]) -> Iterator[str]:
-    """Yield texts that tell a value from others; the content of arrays goes to `update`.
+def _texts(value: Any, digest: hashlib.blake2b) -> Iterator[str]:
+    """Yield texts that tell a value from others; arrays go to `digest` themselves.
 
     Raises TypeError for a value of another kind: what it holds would not be compared.
     """
     if value is None or isinstance(value, bool | int | float | str | np.generic | os.PathLike):
         yield repr(value)
     elif isinstance(value, np.ndarray):
-        yield f"{value.dtype} {value.shape}"
-        for part in _parts(value):
-            update(np.ascontiguousarray(part).data)
-            release(part)
-    elif isinstance(value, SpectralImage):
-        light = value.whole.factors or value.whole.data
-        own = [value.wavelength_nm, value.band_width_nm, value.within, value.pitch_um, value.margin, value.header]
-        yield from _texts([*own, light], update)
+        update_with_array(digest, value)
+    elif callable(of_light := getattr(value, "digest", None)):  # of a SpectralImage
+        yield of_light()
     elif isinstance(value, Mapping):
         yield f"table of {len(value)}"
         for key, content in value.items():
             yield repr(key)
-            yield from _texts(content, update)
+            yield from _texts(content, digest)
     elif isinstance(value, list | tuple | set | frozenset):
         yield f"list of {len(value)}"
         for content in sorted(value, key=repr) if isinstance(value, set | frozenset) else value:
-            yield from _texts(content, update)
+            yield from _texts(content, digest)
     elif isinstance(value, BaseModel):
         yield type(value).__name__
-        yield from _texts([dict(value), value.model_fields_set], update)
+        yield from _texts([dict(value), value.model_fields_set], digest)
     elif is_dataclass(value):
         yield type(value).__name__
-        yield from _texts({each.name: getattr(value, each.name) for each in fields(value) if each.name not in LEFT_OUT}, update)
+        yield from _texts({each.name: getattr(value, each.name) for each in fields(value) if each.name not in LEFT_OUT}, digest)
     else:
         raise TypeError(f"a report made from {type(value).__name__}, whose content is not known")
-
-
-def _parts(array: NDArray[Any]) -> Iterator[NDArray[Any]]:
-    """Yield a few rows of an array at a time, in the order of its memory: a file may have those of a large picture."""
-    if array.ndim < 2:
-        yield array
-    elif array.ndim == 2:
-        yield from (array[rows] for rows in strips(*array.shape))
-    else:
-        for part in np.moveaxis(array, int(np.argmax(array.strides)), 0):
-            yield from _parts(part)

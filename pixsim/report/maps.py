@@ -16,16 +16,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.labels import labels_of
 from pixsim.base.parameters import Axis, Camera, Study, content_hash, setting_path
 from pixsim.base.units import unit_of
-from pixsim.optics.diffraction import cutoff_cy_per_mm
-from pixsim.scene.film import GREEN_NM
-from pixsim.sensor.technology import labels_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
 from pixsim.studies.result import DOUBTFUL, Curve, StudyResult, fresnel_column, interval_columns, with_ends
+from pixsim.studies.sampling import CUTOFF_NM, cutoff_pitch_um
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -206,9 +205,8 @@ class Line:
 
     @property
     def cutoff_um(self) -> Array:
-        """The pitch whose Nyquist frequency is the lens's cut-off, λ/(4 sin α), for each curve."""
-        cutoffs = [float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)) for camera in self.cameras]
-        return 1e3 / (2 * np.array(cutoffs))
+        """The pitch whose Nyquist frequency is the lens's cut-off, for each curve."""
+        return np.array([cutoff_pitch_um(camera) for camera in self.cameras])
 
     @property
     def doubtful_um(self) -> Array:
@@ -785,7 +783,7 @@ def cutoff_words(cutoff_um: Array, low_um: float, high_um: float) -> str:
     where = (
         ", below all sizes tried" if cutoff_um.max() < low_um else ", above all sizes tried" if cutoff_um.min() > high_um else ""
     )
-    return f"The size whose Nyquist frequency is the lens's cut-off, λ/(4 sin α) at {GREEN_NM:g} nm, is {ends} µm{where}."
+    return f"The size whose Nyquist frequency is the lens's cut-off, λ/(4 sin α) at {CUTOFF_NM:g} nm, is {ends} µm{where}."
 
 
 def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:

@@ -7,16 +7,17 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pixsim.base.labels import label_of
 from pixsim.base.machine import processors
 from pixsim.base.parameters import Camera, CameraOptions, Effort, Run, Study
 from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
 from pixsim.report.wording import field_words, focal_length_assumption, lens_words, view_words
-from pixsim.sensor.integration import pixels_along, pixels_on
-from pixsim.sensor.pixel import PixelPhysics, derive, physics_of
-from pixsim.sensor.technology import label_of
+from pixsim.sensor.integration import pixels_on
+from pixsim.sensor.pixel import derive
 from pixsim.show.pages import rounded
-from pixsim.studies.film_error import FilmSampling, film_error
-from pixsim.studies.keys import evaluated_before, light_hash, rendered_across
+from pixsim.studies.extent import columns_on
+from pixsim.studies.keys import rendered_across
+from pixsim.studies.outline import errors_of, film_of, planned_sensors, planned_study
 from pixsim.studies.oversampling import TOLERATED_SHARE
 from pixsim.studies.preparation import (
     COLOUR_S,
@@ -26,24 +27,14 @@ from pixsim.studies.preparation import (
     STACK_S,
     START_S,
     Cost,
-    Known,
-    cases_cost,
     duration_words,
-    first_film,
     frame_cost,
     known_film,
     render_cost,
-    window_within,
 )
-from pixsim.studies.sampling import study_pitches_um
 
 if TYPE_CHECKING:
-    from pixsim.scene.plan import Plan
-    from pixsim.scene.scene import Scene
     from pixsim.studies.study import Prepared
-
-
-LOOKED_UP = 32  # cases of which the cache is asked
 
 
 def run_outline(
@@ -97,40 +88,11 @@ def run_outline(
 
 
 def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
-    """Return what a study would do; nothing is rendered or written.
-
-    jobs : processes; None means as many as it would take
-    asked : the study before it was prepared, for the window that would take less than a minute
-    types : number of sensor types of --uncertainty or --sobol
-    """
+    """Return what a study would do; nothing is rendered or written. The arguments are those of `planned_study`."""
     first = prepared.parts[0][1]
-    study, camera = first.study, first.camera
-    scene, plan = first_film(study, first.scene, camera)
-    film = film_of(scene, camera, plan)
-    shape = tuple(film["samples"])
-    lights = len({light_hash(case.study) for case, _ in prepared.parts})
-    film_shape, rendered = known_film(film["samples"], rendered_across(scene, camera, plan, study))
-    of_cases = [(case.study, part.camera) for case, part in prepared.parts]
-    some = of_cases[:: math.ceil(len(of_cases) / LOOKED_UP)]
-    known = Known(rendered, sum(evaluated_before(case) for case, _ in some) / len(some))
-    cost = cases_cost(of_cases, lights, plan, film_shape, jobs, types, known)
-    sensors = []
-    for name in study.technologies:
-        pitches_um = study_pitches_um(study, name).tolist()
-        counts = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
-        sensors.append({"technology": name, "pitch_um": pitches_um, "pixels": counts, "sensors": study.repeats})
-    smallest = physics_of(study, study.technologies[0], sensors[0]["pitch_um"][0])
-    more: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name, "evaluations": prepared.evaluations}
-    more["errors"] = errors_of(plan, film, camera, smallest, study)
-    if types:
-        more["sensor_types"] = types
-    if prepared.cases:
-        more["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case, _ in prepared.cases]
-    elif cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, shape, jobs)):
-        more["window_within_a_minute_mm"] = window
-    own = {} if study.own_um is None else {"own_um": study.own_um}
-    header = {"parameters": scene.parameters}
-    return common(study.scene.file, header, study, camera, study.camera, prepared.view.as_dict(), sensors) | more | own
+    header, sensors = {"parameters": first.scene.parameters}, planned_sensors(first.study, first.camera)
+    shared = common(first.study.scene.file, header, first.study, first.camera, first.study.camera, prepared.view.as_dict(), sensors)
+    return shared | planned_study(prepared, jobs, asked, types)
 
 
 def common(
@@ -159,36 +121,6 @@ def common(
         "seed": settings.seed,
         "assumption": focal_length_assumption(camera, given),
     } | ({"window_mm": settings.window_mm} if settings.window_mm else {})
-
-
-def film_of(scene: Scene, camera: Camera, plan: Plan) -> dict[str, Any]:
-    """Return the film of a plan: its samples, rows and columns, their pitch, and the rays of each.
-
-    scene : on that film
-    """
-    height, width = scene.film_shape(camera, scene.for_camera(camera))
-    return {"samples": [height, width], "pitch_um": 1e3 * camera.die_mm / width, "spp": plan.spp, "passes": plan.passes}
-
-
-def errors_of(
-    plan: Plan, film: dict[str, Any], camera: Camera, physics: PixelPhysics, settings: Run | Study
-) -> dict[str, float | None]:
-    """Return what is known of the errors of the light before there is light.
-
-    physics : of the smallest pixel
-
-    film_share : least error of the film as a share of mean ΔE, for details and dots that it cannot show; None if a calibration
-        chooses the film
-    rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits them, 0 if there are none
-    render_noise : its target, as a fraction of the sensor's noise
-    """
-    sampling = FilmSampling.of(film["samples"][1], camera, physics, settings.display, plan.chart)
-    rays = plan.most_samples / math.prod(pixels_on(camera.die_um, physics.pitch_um))
-    return {
-        "film_share": None if settings.tolerance_delta_e else film_error(0.0, 0.0, 1.0, sampling),
-        "rays_a_pixel": 0.0 if plan.exact else None if settings.max_seconds else rays,
-        "render_noise": settings.render_noise,
-    }
 
 
 def errors_words(errors: dict[str, float | None]) -> str:
@@ -250,7 +182,7 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
     if types := outline.get("sensor_types"):
         rows.append(("types", f"{types} sensor types, each at up to {MOST_EVALUATIONS} sensors around the optimum"))
     own_um = outline.get("own_um") or (outline["sensors"][0]["pitch_um"][0] if "study" not in outline else None)
-    columns = None if own_um is None else pixels_along(width_um, own_um)
+    columns = None if own_um is None else columns_on(seen, own_um)
     shown = "; ".join(view_words(display, outline, columns)) or "one dot a pixel"
     rows.append(("display", f"{shown}; {display['samples_per_deg']:g} dots per degree"))
     rows.append(("limits", ", ".join(f"{name} = {value:g}" for name, value in limits.items())))

@@ -7,11 +7,8 @@ from dataclasses import replace
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
-from pixsim.report.merit import study_mtf_terms, system_mtf
-from pixsim.report.pictures import CONTRAST_LABEL, extent, picture_axes
+from pixsim.report.pictures import CONTRAST_LABEL, picture_axes
 from pixsim.report.views import draw_iso, map_end, study_pictures
-from pixsim.scene.charts import csf_contrast
-from pixsim.sensor.pixel import physics_of
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure, own_style
 from pixsim.show.pages import Column, Plate, coarse_table
 from pixsim.studies.claims import (
@@ -24,6 +21,8 @@ from pixsim.studies.claims import (
     frequency_contrast_table,
     reference_process,
 )
+from pixsim.studies.extent import extent
+from pixsim.studies.merit import study_mtf_terms, system_mtf
 from pixsim.studies.result import StudyResult
 
 PAPER_PLATES = (
@@ -80,7 +79,7 @@ def figure_2b(result: StudyResult) -> Plate:
     axes, terms_axes = figure.subplots(1, 2, sharey=True)
     table: dict[str, Column] = {"frequency_over_6um_nyquist": relative.tolist(), "frequency_lp_per_mm": frequency.tolist()}
     for pitch_um, look in zip(FIGURE_2B_PITCHES_UM, LOOKS, strict=False):
-        physics = physics_of(result.study, REFERENCE_TECHNOLOGY, pitch_um)
+        physics = result.physics(REFERENCE_TECHNOLOGY, pitch_um)
         mtf = system_mtf(result, physics, frequency)
         axes.plot(relative, mtf, markevery=20, ms=4, label=f"{pitch_um:g} µm", **look.line)
         nyquist = 6.0 / pitch_um
@@ -91,7 +90,7 @@ def figure_2b(result: StudyResult) -> Plate:
     axes.set(ylabel="MTF: contrast over the scene's", ylim=(0, 1))
     axes.legend(title="pixel size", frameon=False, handlelength=LEGEND_LINE)
 
-    physics = physics_of(result.study, REFERENCE_TECHNOLOGY, OPTIMUM_UM)
+    physics = result.physics(REFERENCE_TECHNOLOGY, OPTIMUM_UM)
     terms = study_mtf_terms(result, physics, frequency)
     shown = draw_terms(terms_axes, frequency, terms, result.study.display.interpolation)
     table |= {f"{name.replace(' ', '_')}_mtf_{OPTIMUM_UM:g}um": mtf.tolist() for name, mtf in (terms | {"shown": shown}).items()}
@@ -155,7 +154,7 @@ def figure_6(evidence: Evidence) -> Plate:
     table: dict[str, Column] = {
         "pitch_um": pitch_um_of.tolist(),
         "frequency_lp_per_mm": evidence.frequency_lp_per_mm(x).tolist(),
-        "contrast": csf_contrast(y).tolist(),
+        "contrast": evidence.contrast(y).tolist(),
     }
     caption = (
         f"Figure 6: of four sizes, {best:g} µm pixels have the least mean ΔE, {errors[best]:.3f}. Curves of ΔE = {level:g} (mean "

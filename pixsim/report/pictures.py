@@ -4,34 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixsim.light.spectral import SpectralImage
-from pixsim.scene.charts import csf_contrast, csf_frequency_on_sensor
 from pixsim.show.pictures import Axis, Picture, PictureAxes, Window, delta_e_colours, display_codes
-from pixsim.viewer.display import picture_size_um
-from pixsim.viewer.score import Score
+from pixsim.studies.extent import NO_BORDER, Border, csf_contrasts, csf_range_lp_per_mm, extent
+
+if TYPE_CHECKING:
+    from pixsim.light.spectral import SpectralImage
+    from pixsim.viewer.score import Score
 
 MAX_TICKS = 7
 CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
-Border = tuple[float, float]  # µm omitted above and below, and left and right, of the rendered picture
-NO_BORDER: Border = (0.0, 0.0)
-
-
-def extent(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float, float, float]:
-    """Return left, right, bottom, top in mm on the sensor of a picture without its border, row 0 on top."""
-    height_um, width_um = picture_size_um(irradiance)
-    down_um, across_um = border_um
-    return 1e-3 * across_um, 1e-3 * (width_um - across_um), 1e-3 * (height_um - down_um), 1e-3 * down_um
-
-
-def csf_range_lp_per_mm(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float] | None:
-    """Return the lowest and highest frequency of the CSF chart within a border; None for another scene."""
-    left, right, _, _ = extent(irradiance, border_um)
-    width_mm = extent(irradiance)[1]
-    frequency = csf_frequency_on_sensor(irradiance.header, width_mm)
-    return None if frequency is None else (float(frequency(left / width_mm)), float(frequency(right / width_mm)))
 
 
 def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> PictureAxes:
@@ -41,10 +26,8 @@ def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> Pi
     if frequencies is None:
         across, down = _even_ticks(left, right), _even_ticks(top, bottom)
         return PictureAxes(extent_mm, Axis("x on the sensor (mm)", across), Axis("y on the sensor (mm)", down))
-    height_mm = extent(irradiance)[2]
-    faintest, strongest = (float(csf_contrast(at / height_mm)) for at in (top, bottom))
     across = _ratio_ticks((left, right), frequencies, (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000))
-    down = _ratio_ticks((top, bottom), (faintest, strongest), (0.03, 0.1, 0.3))
+    down = _ratio_ticks((top, bottom), csf_contrasts(irradiance, border_um), (0.03, 0.1, 0.3))
     return PictureAxes(extent_mm, Axis("spatial frequency on the sensor (lp/mm)", across), Axis(CONTRAST_LABEL, down), fixed=True)
 
 

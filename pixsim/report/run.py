@@ -28,16 +28,17 @@ from pixsim.base.files import (
     write_json,
     write_made_from,
 )
+from pixsim.base.labels import label_of
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Correction, Develop, Display, Exposure, Record, Run
 from pixsim.base.progress import Stage, share_of, watched
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.kept import digest_of_content
-from pixsim.report.merit import blur_words
-from pixsim.report.pictures import crops, extent, picture_axes
-from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
+from pixsim.report.pictures import crops, picture_axes
+from pixsim.report.settings import FILLED, record_rows, scene_rows
 from pixsim.report.wording import (
+    blur_words,
     budget_lines,
     film_words,
     focal_length_assumption,
@@ -52,7 +53,6 @@ from pixsim.report.wording import (
 )
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_along, pixels_on
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
-from pixsim.sensor.technology import label_of
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.pages import compile_page, rounded, write_page
 from pixsim.show.pictures import (
@@ -66,6 +66,8 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
+from pixsim.studies.extent import extent
+from pixsim.studies.light_level import LightLevel
 from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.score import Score, Seen, dark_clip, make_imaging_chain, white_header

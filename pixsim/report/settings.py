@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from pixsim.base.parameters import Display, PixelOptions, Record
-from pixsim.light.spectral import SpectralImage
+from pixsim.base.parameters import PixelOptions, Record
 from pixsim.show.pages import shown_value
-from pixsim.viewer.display import white_light
+
+if TYPE_CHECKING:
+    from pixsim.light.spectral import SpectralImage
+    from pixsim.studies.light_level import LightLevel
 
 FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel
 
@@ -20,35 +20,6 @@ FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the 
 OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})
 OF_COLOUR = frozenset({"adaptation"})  # options of the display for coloured pictures
 Row = tuple[str, Any, str, str]  # setting, value, meaning, source
-
-
-class LightLevel(NamedTuple):
-    """Luminance that is shown as display white, its source, and the shortest and longest exposure time."""
-
-    white_cd_per_m2: float
-    white_from: str
-    shortest_s: float
-    longest_s: float
-
-    @classmethod
-    def of(cls, irradiance: SpectralImage, display: Display, integration_s: Iterable[float]) -> LightLevel:
-        """Return the light level of a scored picture; the display's white takes precedence over the scene's."""
-        header, times_s = irradiance.header, np.array(list(integration_s), float)
-        if display.white_cd_per_m2:
-            white, source = display.white_cd_per_m2, "display.white_cd_per_m2"
-        else:
-            white = header["luminance_cd_per_m2"]
-            source = f"{header['white_from']}, in the sensor's response" if "white_from" in header else "the scene"
-        return cls(float(white), source, float(times_s.min()), float(times_s.max()))
-
-    @property
-    def exposure(self) -> str:
-        """Exposure time in ms, or its range."""
-        ends = [f"{1e3 * time_s:.3g}" for time_s in (self.shortest_s, self.longest_s)]
-        return " to ".join(dict.fromkeys(ends)) + " ms"
-
-    def __str__(self) -> str:
-        return f"display white is {self.white_cd_per_m2:.4g} cd/m² in the scene; exposed for {self.exposure}"
 
 
 def scene_rows(
@@ -73,7 +44,7 @@ def scene_rows(
     if isinstance(scene_white, int | float) and scene_white != light.white_cd_per_m2:
         rows.append(("luminance_cd_per_m2", f"{scene_white:.4g}", "white of the scene, which is not shown as display white", ""))
     rows.append(("white_cd_per_m2", f"{light.white_cd_per_m2:.4g}", "scene luminance shown as display white", light.white_from))
-    rows.append(("white_spectrum", white_light(irradiance)[1], "light of the scene's white", ""))
+    rows.append(("white_spectrum", light.white_spectrum, "light of the scene's white", ""))
     rows.append(("integration_s", light.exposure, "exposure time: shortest to longest frame", ""))
     return rows
 

@@ -13,28 +13,21 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import SETTINGS_FILE
 from pixsim.base.files import check_replaceable, output_folder, publishing, versions, write_json
+from pixsim.base.labels import file_label, labels_of
 from pixsim.base.parameters import Record, Study
-from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
-from pixsim.report.parts import PARTS_FILE, parts_rows, parts_table
-from pixsim.report.pictures import csf_range_lp_per_mm
-from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
+from pixsim.report.settings import FILLED, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import (
-    film_words,
-    no_difference_words,
-    outside_words,
-    study_light_lines,
-    study_unconverged_lines,
-    study_view_line,
-)
-from pixsim.sensor.pixel import physics_of
-from pixsim.sensor.technology import file_label, labels_of, technology_of
+from pixsim.report.wording import blur_words, film_words, no_difference_words, outside_words, study_light_lines, study_view_line
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
 from pixsim.show.pages import Column, Drawn, Plate, table_csv, write_figures, write_page
 from pixsim.show.pictures import scale
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.extent import csf_range_lp_per_mm
+from pixsim.studies.light_level import LightLevel
+from pixsim.studies.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
+from pixsim.studies.parts import parts_table
 from pixsim.studies.result import (
     Curve,
     StudyResult,
@@ -47,8 +40,9 @@ from pixsim.studies.result import (
     with_ends,
     within_words,
 )
-from pixsim.viewer.metrics import DELTA_E
+from pixsim.studies.unconverged import study_unconverged_lines
 
+PARTS_FILE = "parts.csv"
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
 
@@ -57,14 +51,13 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     """Plot the mean, percentiles and maximum of ΔE against pitch, each over its minimum."""
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
-    for name, look in zip(DELTA_E.columns, LOOKS, strict=False):
-        values = curve.mean(name)
+    for (name, values), look in zip(curve.means.items(), LOOKS, strict=False):
         label = f"{name.removesuffix('_delta_e')}: minimum {values.min():.2f} at {curve.pitch_um[values.argmin()]:.2f} µm"
         axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
     axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its minimum", ylim=(0.9, 3.0))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
-    at_um = {name: float(curve.pitch_um[curve.mean(name).argmin()]) for name in DELTA_E.columns}
+    at_um = {name: float(curve.pitch_um[values.argmin()]) for name, values in curve.means.items()}
     low, high = (end(at_um, key=at_um.__getitem__) for end in (min, max))
     words = [f"{at_um[name]:.2f} µm ({name.removesuffix('_delta_e')})" for name in (low, high)]
     same = at_um[low] == at_um[high]
@@ -121,7 +114,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
 @own_style()
 def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     """Plot MTF50 and MPE30 of each pitch, the two sides of the trade-off, and the MTF of each blur term at fine detail."""
-    pixels = [physics_of(result.study, curve.technology, pitch) for pitch in curve.pitch_um.tolist()]
+    pixels = [result.physics(curve.technology, pitch_um) for pitch_um in curve.pitch_um.tolist()]
     mtf50 = [mtf50_cy_per_mm(result, physics) for physics in pixels]
     shown50 = [mtf50_cy_per_mm(result, physics, shown_mtf) for physics in pixels]
     mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
@@ -264,6 +257,11 @@ def report_files(study: Study) -> set[str]:
     return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *(f"figures/{name}" for name in figures)}
 
 
+def parts_rows(table: dict[str, Column]) -> list[tuple[float | str, ...]]:
+    """Return the rows of a table of columns."""
+    return list(zip(*table.values(), strict=True))
+
+
 def write_pages(
     result: StudyResult,
     folder: Path,
@@ -298,7 +296,7 @@ def write_pages(
         return LightLevel.of(result.irradiance, study.display, np.concatenate([curve.mean("integration_s") for curve in curves]))
 
     def blur_of(curve: Curve) -> str:
-        physics = physics_of(study, curve.technology, curve.optimum.pitch_um)
+        physics = result.physics(curve.technology, curve.optimum.pitch_um)
         return blur_words(result.irradiance, result.camera, physics, study.display)
 
     page = {
@@ -327,7 +325,7 @@ def write_pages(
         "settings": settings(result, light_of(result.curves)),
         "filled": FILLED,
         "sheets": any(curve.data_sheet for curve in result.curves),
-        "technologies": [technology_rows(study, curve.technology) for curve in result.curves if not curve.data_sheet],
+        "technologies": [technology_rows(result, curve.technology) for curve in result.curves if not curve.data_sheet],
         "provenance": {"versions": versions(), "seconds": seconds},
     }
     write_page(folder / "report.html", "report.html.j2", page)
@@ -357,9 +355,9 @@ def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
 
 
-def technology_rows(study: Study, technology: str) -> tuple[str, list[tuple[str, float | str, str, str]]]:
+def technology_rows(result: StudyResult, technology: str) -> tuple[str, list[tuple[str, float | str, str, str]]]:
     """Return a process's name, and the name, value, plausible range and source of each of its numbers."""
-    process = technology_of(study, technology)
+    process = result.processes[technology]
     values = process.content | process.numbers
     kinds = {name: f" ({distribution}, 90 %)" for name, distribution in process.distributions.items() if distribution != "uniform"}
     ranges = {name: f"{low:g} to {high:g}{kinds.get(name, '')}" for name, (low, high) in process.ranges.items()}

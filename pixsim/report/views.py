@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,6 @@ import scipy  # whose parts are imported when they are used
 
 from pixsim.base.arrays import Array
 from pixsim.report.pictures import crops, picture_axes
-from pixsim.sensor.readout import make_frame
 from pixsim.show.figures import (
     ISO_SMOOTHING_DOTS,
     LEGEND_LINE,
@@ -28,7 +26,6 @@ from pixsim.show.pages import Plate, coarse_table
 from pixsim.show.pictures import (
     Picture,
     PictureAxes,
-    Window,
     contact_sheet_png,
     display_codes,
     factor_for,
@@ -37,13 +34,12 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.studies.evaluations import CORRECTED, DN, chain_at, kept_frames, light_of, name_of, shown_chain, stream_key
-from pixsim.studies.keys import block_key
 from pixsim.studies.result import Curve, StudyResult
-from pixsim.viewer.score import Score, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from pixsim.viewer.score import Score
 
 
 # Layout of four pictures and a colour bar with its labels.
@@ -162,7 +158,8 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     window = window_at(centre, shape) if centre else worst_window([scores[0].delta_e, scores[last].delta_e])
     tiles = [Picture(display_codes(window.of(ideal)), "ideal image")]
     for place in range(last + 1):
-        part = window.of(scores[place].image) if place in scores else detail_at(result, curve, place, window)
+        size_um = float(curve.pitch_um[place])
+        part = window.of(scores[place].image) if place in scores else result.shown_part(curve.technology, size_um, window.of)
         tiles.append(Picture(display_codes(part), *labels(curve, place), is_best(curve, place)))
     optimum = f"; the optimum is {curve.optimum.pitch_um:.2f} µm" if curve.optimum.inside else ""
     framed = f"; framed: the {LEAST}{optimum}" if is_best(curve, at) else ""
@@ -191,22 +188,3 @@ def rank(curve: Curve, place: int) -> str:
     """Return whether a pitch is the smallest, the largest or that of the least error tried, as text."""
     parts = {"smallest": place == 0, "largest": place == curve.pitch_um.size - 1, LEAST: is_best(curve, place)}
     return ", ".join(part for part, is_so in parts.items() if is_so)
-
-
-def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> Array:
-    """Return the shown luminance in a window, as `result.scores` gives it for the first sensor of a pitch, without ΔE.
-
-    A cached frame is shown directly, which takes a fifth of the time of simulating it.
-    """
-    study, pitch_um = result.study, float(curve.pitch_um[place])
-    light = light_of(study, result.scenes, curve.technology)
-    known = kept_frames(block_key(result.fingerprints.frames_of_pitch(curve.technology, pitch_um), 0))
-    chain = shown_chain(study, light, curve.technology, pitch_um, 0, known)
-    if chain is None:
-        chain = chain_at(study, light, result.camera, curve.technology, pitch_um)
-        frame = chain.capture(*stream_key(study, chain.physics.technology.name, pitch_um, 0))
-    else:
-        # The shown picture does not depend on the saturated fraction or the mean signal.
-        frame = make_frame(known[name_of(0, DN)].astype(np.int32), math.nan, chain.signal_e_per_s, chain.physics, chain.exposure)
-        frame = replace(frame, corrected_e=known.get(name_of(0, CORRECTED)))
-    return shown(chain.light(frame, window.of), study.display)

@@ -5,22 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.caller import setting
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED, headline_lines
 from pixsim.base.notes import told_apart
-from pixsim.base.parameters import Camera, CameraOptions, Correction, paths_of
-from pixsim.report.settings import LightLevel
-from pixsim.scene.charts import MAX_LP_PER_MM
-from pixsim.scene.convergence import RENDER_NOISE, what_reaches
-from pixsim.sensor.integration import pixels_along
-from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, few, interval_words, viewed_words, within_words
+from pixsim.base.parameters import Camera, CameraOptions, Correction, Display
+from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
+from pixsim.studies.light_level import LightLevel
+from pixsim.studies.merit import LENSES, detail_frequency_lp_per_mm, mtf_terms, of_sensor
+from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, interval_words, viewed_words, within_words
+from pixsim.studies.unconverged import study_unconverged_lines, unconverged_lines
 from pixsim.viewer.causes import Cause
 from pixsim.viewer.light_error import LightError, cause_words
 from pixsim.viewer.score import clip_words, clips_dark
+
+if TYPE_CHECKING:
+    from pixsim.light.spectral import SpectralImage
+    from pixsim.sensor.pixel import PixelPhysics
 
 SATURATED_SHOWN = 0.01
 
@@ -177,49 +180,6 @@ def unsure_lines(result: dict[str, Any]) -> list[str]:
     return [line for _, line in sorted(sized, key=lambda one: -one[0])]
 
 
-def unconverged_lines(
-    header: Mapping[str, Any], film: Mapping[str, Any] | None, budget: Mapping[str, Any] | None = None, mean_delta_e: float = 0.0
-) -> list[str]:
-    """Return a line on the errors of a result's light that are above their limits, and what makes them less; none without.
-
-    header : of the irradiance
-    film, budget : entries `film` and `error_budget` of score.json; a budget that is met holds all errors
-    mean_delta_e : whose largest error is named first
-    """
-    light = LightError.of(header, film)
-    if light.converged or (budget and budget["met"]):
-        return []
-    found = f"{NOT_CONVERGED}: {'; '.join(reason for _, reason in light.errors(mean_delta_e))}"
-    if film is None:
-        return [f"{found}. To be surer: a render of its own, with more samples"]
-    means, limit = [], film.get("limit", "")
-    if not light.film_is_met and "--resolution" in limit:
-        means.append(f"leaving out {setting('resolution')}")
-    if light.noise is not None and not light.noise_is_met:
-        times, seconds = what_reaches(light.noise, light.noise_target)
-        by_clock = header["render_noise"].get("ended_by") == "max_seconds"
-        longer = f"a longer {setting('max_seconds')}"
-        option = longer if by_clock else setting("max_seconds", f"{seconds:.15g}")
-        means.append(f"{option} (about {times:.15g} times as many samples)")
-    elif light.noise is not None and light.noise > RENDER_NOISE:  # which coarser films show too, so that it counts as their error
-        means.append(f"a lower {setting('render_noise')}")
-    elif not light.film_is_met and "--max-seconds" in limit:
-        means.append(f"a longer {setting('max_seconds')}")
-    surer = [" and ".join(means)] * bool(means)
-    window = f"a smaller part of the die ({setting('window_mm')}, in mm)"
-    return [f"{found}. To be surer: {', or '.join([*surer, window])}"]
-
-
-def study_unconverged_lines(result: Any) -> list[str]:
-    """Return the lines of `unconverged_lines` of a study, each once, for the films at the best pixel sizes."""
-    lines = []
-    for curve in result.curves:
-        part = result.part_of(curve)
-        least = float(curve.mean().min())
-        lines.append(unconverged_lines(part.irradiance.header, part.film_at_best(curve), part.budget, least))
-    return few(lines)
-
-
 def field_words(camera: Camera) -> str:
     """Return the full angles that a camera sees, across and down.
 
@@ -271,10 +231,9 @@ def view_words(display: dict[str, Any], result: dict[str, Any], columns: float |
         dots = f"shown on {display['dots']} dots" + (" (from the sensor's pixels)" if "dots" in chosen else "")
         a_dot = "" if columns is None else f"{columns / display['dots']:.2g}"
         words.append(f"{dots}, {a_dot} pixel{'s' * (a_dot != '1')} a dot" if a_dot else dots)
-    parameters = result["irradiance"].get("parameters")
-    if isinstance(parameters, dict) and MAX_LP_PER_MM in parameters:
+    if (end := stated_end_lp_per_mm(result["irradiance"])) is not None:
         limit = f", {chosen['limited_by']}" if "limited_by" in chosen else ""
-        words.append(f"chart to {float(parameters[MAX_LP_PER_MM]):.3g} lp/mm{limit}")
+        words.append(f"chart to {end:.3g} lp/mm{limit}")
     if result.get("window_mm"):
         words.append(f"only the central {result['window_mm']:g} mm of the die are shown and scored")
     return words
@@ -285,11 +244,10 @@ def study_view_line(result: Any) -> list[str]:
     study = result.study
     if study.own_um is None and study.window_mm is None:
         return []
-    columns = None if study.own_um is None else pixels_along(result.camera.die_um[1], study.own_um)
+    columns = None if study.own_um is None else columns_on(result.camera, study.own_um)
     shown = {"irradiance": result.irradiance.header, "chosen": result.view, "window_mm": study.window_mm}
     words = "; ".join(view_words(study.display.model_dump(), shown, columns))
-    moved = {path for axis in study.axis for path in axis.paths} | {path for each in study.condition for path in paths_of(each.set)}
-    if others := [".".join(path) for path in (("display", "dots"), ("scene", "parameters", MAX_LP_PER_MM)) if path in moved]:
+    if others := moved_view(study):
         words += f", except where an axis or a condition sets {' or '.join(others)}"
     own = "" if study.own_um is None else f" (pixels of {study.own_um:g} µm, as on the data sheet)"
     return [f"{words}{own}"] if words else []
@@ -347,3 +305,21 @@ def budget_lines(result: dict[str, Any]) -> list[str]:
         *lines,
         f"  {'total without display':21} {text(budget['total'])}",
     ]
+
+
+def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> str:
+    """Return sentences on the contrast left by each term at `detail_frequency_lp_per_mm`."""
+    frequency, name = detail_frequency_lp_per_mm(irradiance, physics.pitch_um)
+    terms = {term: float(mtf) for term, mtf in mtf_terms(irradiance, camera, physics, display, np.array(frequency)).items()}
+    left, *others = (f"{term} {'is ' * (term in LENSES)}{terms[term]:.3f}" for term in of_sensor(terms))
+    *some, last = (f"that of the {words}" for words in others)
+    words = f"At {frequency:.3g} lp/mm, {name}, the MTF of the {', '.join([left, *some])} and {last}: "
+    sensor = math.prod(of_sensor(terms).values())
+    words += f"together they reduce the contrast by {100 * (1 - sensor):.0f} %. "
+    if "dot" not in terms:
+        return words + "The display shows each pixel as one dot and reduces it no further."
+    of_display = terms["interpolation"] * terms["dot"]
+    return words + (
+        f"On the display, the MTF of the {display.interpolation} interpolation is {terms['interpolation']:.3f} and that of the "
+        f"dots {terms['dot']:.3f}: they reduce the recorded contrast by another {100 * (1 - of_display):.0f} %."
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -12,6 +11,7 @@ from pydantic import Field, model_validator
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import checked, packaged, read_toml
 from pixsim.base.errors import PixsimError, did_you_mean, excerpt, invalid, name_fault, one_line, quoted
+from pixsim.base.labels import label_of
 from pixsim.base.parameters import (
     MICROLENSES,
     NO_TECHNOLOGY,
@@ -356,33 +356,3 @@ def check_name(file: str, kind: str = "technology") -> None:
     """Raise PixsimError if the name of a file, or of a technology, cannot stand in tables."""
     if fault := name_fault(file) or name_fault(label_of(file)):
         raise invalid(kind, f"'{one_line(file)}', whose name {fault}", "another name", "Rename the file, or write ./ before it.")
-
-
-def label_of(technology: str) -> str:
-    """Return the display name of a technology: 0.35um, or the stem of a user's TOML file."""
-    if technology == NO_TECHNOLOGY:
-        return "data sheet"
-    return one_line(Path(technology).stem if technology.endswith(".toml") else technology)
-
-
-def file_label(label: str) -> str:
-    """Return a label without spaces, for file names."""
-    return label.replace(" ", "_")
-
-
-def labels_of(technologies: Sequence[str]) -> tuple[str, ...]:
-    """Return a unique label for each technology of a study: mine, mine-2.
-
-    Labels differ by more than case, since some file systems ignore it, and a numbered label is never another's plain label.
-    """
-    plain = [label_of(technology) for technology in technologies]
-    taken: set[str] = {label.casefold() for label in plain}
-    labels, used = [], set[str]()
-    for label in plain:
-        stem, number = label, 1
-        while label.casefold() in (used if number == 1 else used | taken):
-            number += 1
-            label = f"{stem}-{number}"
-        used.add(label.casefold())
-        labels.append(label)
-    return tuple(labels)

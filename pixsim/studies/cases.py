@@ -14,9 +14,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.labels import labels_of
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Axis, AxisPoint, Study, case_folder, check_case_folders, explain, merge
-from pixsim.sensor.technology import labels_of, technology_of
+from pixsim.sensor.technology import technology_of
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 

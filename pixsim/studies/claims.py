@@ -129,6 +129,10 @@ class Evidence:
         width_mm = 1e-3 * picture_size_um(self.result.irradiance)[1]
         return csf_frequency_on_sensor(self.result.irradiance.header, width_mm) or csf_frequency_lp_per_mm
 
+    def contrast(self, y: ArrayLike) -> Array:
+        """Return the contrast of the chart at y in [0, 1], 0 at its top, (...)."""
+        return csf_contrast(y)
+
     @cached_property
     def frequencies_lp_per_mm(self) -> Array:
         """Centres of the bins of `thresholds`."""

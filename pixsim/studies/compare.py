@@ -25,6 +25,7 @@ from pixsim.base.config import checked, packaged, settings_layer, sheet_uncertai
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED, with_headline
+from pixsim.base.labels import file_label, labels_of
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import (
     NO_TECHNOLOGY,
@@ -50,7 +51,7 @@ from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, Registration, derive, implausible_numbers, sheet_disagreements
-from pixsim.sensor.technology import check_name, file_label, labels_of
+from pixsim.sensor.technology import check_name
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.pages import html_cell

@@ -20,6 +20,7 @@ import numpy as np
 
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError
+from pixsim.base.labels import label_of
 from pixsim.base.parameters import Camera, Study, channels_of, content_hash
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
@@ -28,7 +29,7 @@ from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, physics_of
 from pixsim.sensor.readout import Sensor, make_frame
-from pixsim.sensor.technology import Technology, label_of, technology_of
+from pixsim.sensor.technology import Technology, technology_of
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.keys import REPEATS_PER_TASK, Fingerprints, block_key

@@ -15,6 +15,7 @@ from typing import Any
 
 from pixsim.base.arrays import MEASURED
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.labels import label_of
 from pixsim.base.machine import memory
 from pixsim.base.mapped import MOST_BYTES
 from pixsim.base.notes import warn
@@ -29,7 +30,6 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, physics_of
-from pixsim.sensor.technology import label_of
 from pixsim.studies.engine import workers_here
 from pixsim.studies.sampling import largest_lens_um, study_pitches_um
 from pixsim.studies.viewing import SENSORS_VIEWED, STUDY_VIEWINGS

@@ -9,10 +9,13 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import NO_TECHNOLOGY, Study
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
+from pixsim.optics.diffraction import cutoff_cy_per_mm
+from pixsim.scene.film import GREEN_NM
 from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.technology import technology_of, with_fill_factor_law
 
+CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
 Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors; both in order
 
 
@@ -60,6 +63,11 @@ def largest_lens_um(study: Study, technology: str) -> float:
     """Return the widest pixel on which a technology's stack allows a microlens, rounded down; infinity without microlenses."""
     largest_um = largest_pitch_um(study.options_of(technology), technology_of(study, technology))
     return largest_um if math.isinf(largest_um) else math.floor(1e4 * largest_um) / 1e4
+
+
+def cutoff_pitch_um(camera: Camera) -> float:
+    """Return the pitch whose Nyquist frequency is the cut-off of a lens at `CUTOFF_NM`, λ/(4 sin α)."""
+    return 1e3 / (2 * float(cutoff_cy_per_mm(CUTOFF_NM, camera.effective_f_number)))
 
 
 def largest_pixel_um(study: Study, technology: str) -> float:

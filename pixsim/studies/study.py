@@ -28,6 +28,7 @@ from pixsim.base.config import (
 )
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing, output_folder
+from pixsim.base.labels import label_of, labels_of
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, merge, owner_of, paths_of
 from pixsim.base.progress import Progress, Stage
@@ -37,7 +38,7 @@ from pixsim.light.stored import PictureFile
 from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import PixelPhysics, physics_of, warn_of_disagreements, warn_of_implausible_numbers
-from pixsim.sensor.technology import check_name, label_of, labels_of, technology_of
+from pixsim.sensor.technology import check_name, technology_of
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends

@@ -23,8 +23,9 @@ from pixsim.base.arguments import brief, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
 from pixsim.base.config import spreads_of_study
 from pixsim.base.errors import did_you_mean, invalid
+from pixsim.base.labels import label_of
 from pixsim.base.parameters import MIN_FRACTION, PixelOptions, Record, Spread, StackOptions, Study, excluded_by, stack_excluded_by
-from pixsim.sensor.technology import Junction, Technology, label_of, technology_of
+from pixsim.sensor.technology import Junction, Technology, technology_of
 from pixsim.show.figures import COLOURS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, rows_csv
 from pixsim.studies.indices import FirstOrder, Marginal, first_order, saltelli, total_indices

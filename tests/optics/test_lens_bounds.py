@@ -10,7 +10,7 @@ import pytest
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.report.lens import MOST_FINE, lens_data
+from pixsim.measure.lens import MOST_FINE, lens_data
 
 NUMBERS = {
     "enpd": "10",

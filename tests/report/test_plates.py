@@ -23,7 +23,6 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 import pixsim
 from pixsim.base.parameters import pixel_of
 from pixsim.light.spectral import SpectralImage
-from pixsim.report.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.report.paper import figure_2a, figure_2b, map_plates, scene_plates
 from pixsim.report.pictures import MAX_TICKS, picture_axes
 from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
@@ -32,6 +31,7 @@ from pixsim.scene.charts import DIE_MM
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_style, svg_text
 from pixsim.show.pages import Plate, answer_and_rest
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
+from pixsim.studies.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import StudyResult, delta_e_against_pitch
 

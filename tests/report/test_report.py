@@ -14,11 +14,11 @@ from helpers.looks import Elements, assert_short_headlines, text_of
 from helpers.tiny import tiny
 
 import pixsim
-from pixsim.report.merit import blur_words
-from pixsim.report.settings import LightLevel
+from pixsim.base.labels import label_of
 from pixsim.report.study import plates_of_curves, report_files, write_report
+from pixsim.report.wording import blur_words
 from pixsim.sensor.pixel import physics_of
-from pixsim.sensor.technology import label_of
+from pixsim.studies.light_level import LightLevel
 from pixsim.studies.result import StudyResult
 
 TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"

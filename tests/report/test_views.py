@@ -16,9 +16,8 @@ from pixsim.base import cache
 from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import merge
-from pixsim.report import views
 from pixsim.report.pictures import crops
-from pixsim.report.views import best_place, detail_at, rank, study_views
+from pixsim.report.views import best_place, rank, study_views
 from pixsim.show import pictures as details
 from pixsim.show.pictures import (
     COLUMNS,
@@ -104,19 +103,19 @@ def test_worst_window_is_bad_in_all_maps() -> None:
 
 
 @pytest.mark.parametrize("how", ["kept", "not kept", "of another shape"])
-def test_detail_at_equals_scored_picture(tiny_result: StudyResult, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shown_part_equals_scored_picture(tiny_result: StudyResult, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, with the frame from the cache and without it."""
     curve = tiny_result.curves[0]
+    places = [(curve.technology, float(curve.pitch_um[place])) for place in (0, 3)]
+    expected = [tiny_result.scores(*place, 1)[0].image for place in places]
     if how == "not kept":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
     elif how == "of another shape":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: {"0": np.zeros((3, 3), np.uint16)})
     else:
-        monkeypatch.setattr(views, "chain_at", None)  # the expensive way is not used
-    for place in (0, 3):
-        picture = detail_at(tiny_result, curve, place, WHOLE)
-        expected = tiny_result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
-        np.testing.assert_array_equal(picture, expected)
+        monkeypatch.setattr("pixsim.studies.result.chain_at", None)  # the expensive way is not used
+    for place, image in zip(places, expected, strict=True):
+        np.testing.assert_array_equal(tiny_result.shown_part(*place, WHOLE.of), image)
 
 
 def test_shown_scores_equal_scores(tiny_result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:

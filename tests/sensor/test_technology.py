@@ -7,10 +7,10 @@ import pytest
 from pydantic import ValidationError
 
 from pixsim.base.config import packaged, read_toml
-from pixsim.base.errors import MAX_LABEL as MAX_LENGTH, PixsimError
+from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Pixel
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.technology import Junction, Technology, file_label, label_of, labels_of, load_technology
+from pixsim.sensor.technology import Junction, Technology, load_technology
 
 TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]
 PINNED = ["4t-bsi", "4t-fsi"]
@@ -240,30 +240,3 @@ def test_technology_with_numbers_changes_values(name):
 def test_technology_with_invalid_numbers_raises(values, message):
     with pytest.raises(PixsimError, match=message):
         T035.with_numbers(values, "process.x")
-
-
-# --- Names ---
-
-
-STUDIES = [
-    (["0.35um", "0.25um"], ["0.35um", "0.25um"]),
-    (["/home/me/mine.toml", "b/mine.toml", "c.d/mine.toml"], ["mine", "mine-2", "mine-3"]),
-    # mine-2 is the plain label of another technology; some file systems ignore case
-    (["a/mine.toml", "b/mine.toml", "mine-2.toml"], ["mine", "mine-3", "mine-2"]),
-    (["a/Mine.toml", "b/mine.toml"], ["Mine", "mine-2"]),
-    (["none", "data sheet.toml"], ["data sheet", "data sheet-2"]),
-    (["0.35um", "mine/0.35um.toml"], ["0.35um", "0.35um-2"]),
-    ([f"a/{'n' * 100}1.toml", f"a/{'n' * 100}2.toml"], [f"{'n' * (MAX_LENGTH - 1)}…", f"{'n' * (MAX_LENGTH - 1)}…-2"]),
-]
-
-
-@pytest.mark.parametrize(("technologies", "labels"), STUDIES)
-def test_labels_of_are_unique(technologies: list[str], labels: list[str]) -> None:
-    assert list(labels_of(technologies)) == labels
-    assert len({file_label(label).casefold() for label in labels}) == len(labels)
-
-
-def test_label_of_is_one_printable_line() -> None:
-    assert label_of("x/two\nlines\t \x1b[31m.toml") == r"two lines \x1b[31m"
-    assert label_of("none") == "data sheet"
-    assert file_label("data sheet") == "data_sheet"

@@ -20,10 +20,10 @@ from pixsim.base.config import packaged
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Study, merge
 from pixsim.report.maps import Grid, axis_plates
-from pixsim.report.parts import parts_table
 from pixsim.scene.colour_chart import modulation, write_colour_chart
 from pixsim.sensor.pixel import physics_of
 from pixsim.studies.cases import cases_of
+from pixsim.studies.parts import parts_table
 from pixsim.studies.study import load_study
 from pixsim.viewer.scielab import XYZ_FROM_OPPONENT
 from pixsim.viewer.score import check_one_ideal

@@ -17,16 +17,7 @@ from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel, St
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, without_lens
 from pixsim.optics.diffraction import diffraction_otf
-from pixsim.report.merit import (
-    blur_words,
-    mpe30_lx_s,
-    mtf50_cy_per_mm,
-    mtf_terms,
-    sensitivity_e_per_lx_s_um2,
-    shown_mtf,
-    study_mtf_terms,
-    system_mtf,
-)
+from pixsim.report.wording import blur_words
 from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import derive, fill_factor_law
@@ -48,6 +39,15 @@ from pixsim.studies.claims import (
     response_note,
     rise,
     threshold_contrast,
+)
+from pixsim.studies.merit import (
+    mpe30_lx_s,
+    mtf50_cy_per_mm,
+    mtf_terms,
+    sensitivity_e_per_lx_s_um2,
+    shown_mtf,
+    study_mtf_terms,
+    system_mtf,
 )
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import Curve, StudyResult

@@ -9,16 +9,10 @@ import pytest
 
 import pixsim
 from pixsim.base.caller import command_line
-from pixsim.report.wording import (
-    mean_words,
-    optimum_line,
-    score_parts,
-    study_light_lines,
-    study_unconverged_lines,
-    unconverged_lines,
-)
+from pixsim.report.wording import mean_words, optimum_line, score_parts, study_light_lines
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import StudyResult
+from pixsim.studies.unconverged import study_unconverged_lines, unconverged_lines
 from pixsim.viewer.light_error import LightError, with_error
 
 NOISY = {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}

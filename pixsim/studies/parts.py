@@ -1,4 +1,4 @@
-"""What the errors of a study of colour sensors are made of, as a table: parts.csv, and a section of the page."""
+"""What the errors of a study of colour sensors are made of, as a table."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from pixsim.studies.evaluations import chain_at, light_of, stream_key
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.parts import delta_e_parts
 from pixsim.viewer.score import prepare_scene
-
-PARTS_FILE = "parts.csv"
 
 
 def parts_table(result: StudyResult) -> dict[str, Column]:
@@ -37,8 +35,3 @@ def parts_table(result: StudyResult) -> dict[str, Column]:
             rows.append({"pixel": curve.label, "pitch_um": pitch_um, **parts.as_dict()})
         part.scenes.clear()
     return {name: [row[name] for row in rows] for name in rows[0]}
-
-
-def parts_rows(table: dict[str, Column]) -> list[tuple[float | str, ...]]:
-    """Return the rows of a table of columns."""
-    return list(zip(*table.values(), strict=True))

@@ -14,10 +14,10 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import lens_mtf
 from pixsim.optics.diffraction import diffraction_otf, square_aperture_mtf, white_otf
 from pixsim.optics.stack import aperture_mtf, aperture_side_um
-from pixsim.report.pictures import csf_range_lp_per_mm
 from pixsim.sensor.collection import kernel_on_axis
 from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, diffusion_of, electrons_per_joule, illumination_of
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.viewer.display import interpolation_mtf, picture_size_um
 
 if TYPE_CHECKING:
@@ -128,24 +128,6 @@ def detail_frequency_lp_per_mm(irradiance: SpectralImage, pitch_um: float) -> tu
     if frequencies := csf_range_lp_per_mm(irradiance):
         return frequencies[1], "the highest frequency of the chart"
     return 1e3 / (4 * pitch_um), f"half the Nyquist frequency of {pitch_um:.3g} µm pixels"
-
-
-def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> str:
-    """Return sentences on the contrast left by each term at `detail_frequency_lp_per_mm`."""
-    frequency, name = detail_frequency_lp_per_mm(irradiance, physics.pitch_um)
-    terms = {term: float(mtf) for term, mtf in mtf_terms(irradiance, camera, physics, display, np.array(frequency)).items()}
-    left, *others = (f"{term} {'is ' * (term in LENSES)}{terms[term]:.3f}" for term in of_sensor(terms))
-    *some, last = (f"that of the {words}" for words in others)
-    words = f"At {frequency:.3g} lp/mm, {name}, the MTF of the {', '.join([left, *some])} and {last}: "
-    sensor = math.prod(of_sensor(terms).values())
-    words += f"together they reduce the contrast by {100 * (1 - sensor):.0f} %. "
-    if "dot" not in terms:
-        return words + "The display shows each pixel as one dot and reduces it no further."
-    of_display = terms["interpolation"] * terms["dot"]
-    return words + (
-        f"On the display, the MTF of the {display.interpolation} interpolation is {terms['interpolation']:.3f} and that of the "
-        f"dots {terms['dot']:.3f}: they reduce the recorded contrast by another {100 * (1 - of_display):.0f} %."
-    )
 
 
 def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float = MPE30_INTEGRATION_S) -> float:

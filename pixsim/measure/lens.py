@@ -1,0 +1,439 @@
+"""What a lens designer expects of a lens: first-order data, spots, PSFs, MTFs and curves over the field, and its layout."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
+from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
+from pixsim.optics.field_blur import UM_PER_NM, Light, even_window, fit_wavefronts, periodic_psf
+from pixsim.optics.glass import AIR
+from pixsim.optics.lens import FirstOrder, Lens
+from pixsim.optics.lens_waves import pupil_rays
+from pixsim.optics.ray_trace import sag_and_slope
+from pixsim.show.pages import plain
+
+FIELDS = 9  # from the axis to the largest, of spots, PSFs and MTFs
+CURVE_FIELDS = 33
+NEAR_AXIS = 1e-3  # of the largest field: distortion on the axis is its limit, not 0 if the plane is out of focus
+SPOT_RINGS = 6  # of rays: 1, 6, 12 … in each
+FREQUENCIES = (10.0, 30.0, 60.0)  # lp/mm
+MTF_POINTS = 61
+MTF_LINES = ("tangential", "sagittal")
+PSF_SPOTS = 6  # rms radii along a side of a PSF
+PSF_SAMPLES = 3  # of the width λN along a side
+MOST_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
+MOST_FINE = 3000  # samples along a side, on which waves interfere
+MOST_WIDTHS = 300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
+GRID, LINE_BINS = 81, 4096  # of rays across the stop, and of their line spread functions
+RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
+MOST_TRACED = 5e6  # rays of such a grid times surfaces, about a second: 81 across for three wavelengths and 28 surfaces
+# Of the cross-section: shares of the largest field, and heights of its rays in the stop.
+CUT_FIELDS, CUT_HEIGHTS = (0.0, 0.7, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
+CUT_EDGE = 1.05  # of the rays' heights, for a surface without a size
+CUT_POINTS = 81  # of a surface
+BEFORE_LENS = 0.15  # of its length: a piece of the parallel light in front
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Rays of one field in the image plane.
+
+    x_um, y_um : (wavelengths, rays) from the chief ray of the primary wavelength; NaN for rays that do not get through
+    """
+
+    x_um: Array
+    y_um: Array
+
+    @property
+    def rms_um(self) -> float:
+        """Root mean square distance from the centroid of all rays."""
+        x, y = (part[np.isfinite(part)] for part in (self.x_um, self.y_um))
+        return float(np.sqrt(x.var() + y.var())) if x.size else math.nan
+
+
+@dataclass(frozen=True)
+class LensData:
+    """All numbers of a lens's page.
+
+    wavelength_nm : of equal weight
+    first : first-order data of each wavelength
+    field_deg : (F,) of spots, PSFs and MTFs
+    spots : one of each field
+    psfs : (n, n) of each field, means over squares of `psf_pitch_um`; the chief ray of the primary wavelength in the middle
+    dark : (F,), whether no light reaches the image of a field: its spot and MTF are NaN, its PSF 0
+    geometric : whether aberrations are so large that PSFs and MTFs are those of rays, times the limit of diffraction
+    frequency_lp_per_mm : (n,)
+    mtf : (F, 2, n), tangential and sagittal
+    rms_waves : (F,), rms wavefront of the primary wavelength without piston and tilt
+    curve_deg : (n,) of the curves over the field
+    curves : name -> values (n,)
+    pitch_um : of the pixel whose Nyquist frequency is looked at
+    notes : of how the file was read
+    """
+
+    lens: Lens
+    wavelength_nm: Array
+    first: Sequence[FirstOrder]
+    field_deg: Array
+    spots: Sequence[Spot]
+    psfs: Sequence[Array]
+    psf_pitch_um: float
+    dark: NDArray[np.bool_]
+    geometric: bool
+    frequency_lp_per_mm: Array
+    mtf: Array
+    rms_waves: Array
+    curve_deg: Array
+    curves: dict[str, Array]
+    pitch_um: float | None
+    notes: Sequence[str] = ()
+
+    @property
+    def primary(self) -> FirstOrder:
+        return self.lens.first_order(self.lens.primary_nm)
+
+    @property
+    def airy_um(self) -> float:
+        """Radius of the first dark ring of diffraction on the axis, at the primary wavelength."""
+        return 1.22e-3 * self.lens.primary_nm * self.primary.f_number
+
+    @property
+    def diffraction_mtf(self) -> Array:
+        """MTF of a lens without aberrations on the axis, for the wavelengths together, (n,)."""
+        return _diffraction_mtf(self.frequency_lp_per_mm, self.wavelength_nm, self.primary.f_number)
+
+    @property
+    def mtf50_lp_per_mm(self) -> Array:
+        """First of the frequencies at which the lower MTF, tangential or sagittal, is below one half, (F,); inf if none is.
+
+        NaN without light.
+        """
+        below = self.mtf.min(axis=1) < 0.5
+        first = np.where(below.any(axis=1), self.frequency_lp_per_mm[below.argmax(axis=1)], np.inf)
+        return np.where(self.dark, np.nan, first)
+
+    @property
+    def half_area_um2(self) -> Array:
+        """Area in which a PSF is above half of its maximum, (F,); NaN without light."""
+        areas = [float((psf >= psf.max() / 2).sum()) * self.psf_pitch_um**2 if psf.any() else math.nan for psf in self.psfs]
+        return np.array(areas)
+
+    @property
+    def loss_percent(self) -> float:
+        """Light on the axis that uncoated surfaces would reflect."""
+        return 100 * (1 - self.lens.fresnel_transmittance(self.lens.primary_nm))
+
+    def axial_colour(self) -> tuple[Array, Array]:
+        """Return wavelengths in nm and the paraxial focus of an object at infinity in µm from that of the primary one, (m,)."""
+        low, high = self.wavelength_nm.min(), self.wavelength_nm.max()
+        nm = np.linspace(low, high, CURVE_FIELDS) if high > low else np.array([low])
+        focus_mm = np.array([self.lens.first_order(float(each)).back_focal_length_mm for each in nm])
+        return nm, 1e3 * (focus_mm - self.primary.back_focal_length_mm)
+
+    @property
+    def asked_lp_per_mm(self) -> tuple[float, ...]:
+        """Frequencies of the tables: 10, 30 and 60 lp/mm, and the pixel's Nyquist frequency."""
+        return asked_frequencies(self.pitch_um)
+
+    def mtf_at(self, frequency_lp_per_mm: float) -> Array:
+        """Return the tangential and sagittal MTF at one frequency of the tables, (F, 2)."""
+        index = int(np.argmin(np.abs(self.frequency_lp_per_mm - frequency_lp_per_mm)))
+        return np.asarray(self.mtf[:, :, index])
+
+    @property
+    def height_mm(self) -> Array:
+        """Image heights of the fields, (F,)."""
+        return np.asarray(self.lens.chief_ray(self.field_deg, self.lens.primary_nm).height_mm)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers for JSON."""
+        lens = self.lens
+        fields = [
+            {
+                "field_deg": float(angle),
+                "height_mm": float(height),
+                "rms_spot_um": spot.rms_um,
+                "rms_wavefront_waves": float(rms),
+                **{name: float(np.interp(angle, self.curve_deg, values)) for name, values in self.curves.items()},
+                "mtf": [
+                    {"lp_per_mm": f, **plain({name: float(self.mtf_at(f)[i, axis]) for axis, name in enumerate(MTF_LINES)})}
+                    for f in self.asked_lp_per_mm
+                ],
+            }
+            for i, (angle, height, spot, rms) in enumerate(
+                zip(self.field_deg, self.height_mm, self.spots, self.rms_waves, strict=True)
+            )
+        ]
+        first = [{"wavelength_nm": float(nm), **vars(each)} for nm, each in zip(self.wavelength_nm, self.first, strict=True)]
+        return {
+            "name": lens.prescription.name,
+            "title": lens.prescription.title,
+            "source": lens.prescription.source,
+            "primary_nm": lens.primary_nm,
+            "max_field_deg": lens.max_field_deg,
+            "object_distance_mm": lens.object_distance_mm if math.isfinite(lens.object_distance_mm) else None,
+            "image_distance_mm": lens.prescription.surfaces[-1].thickness_mm,
+            "stop_semi_diameter_mm": lens.stop_semi_diameter_mm,
+            "fresnel_transmittance": lens.fresnel_transmittance(lens.primary_nm),
+            "pitch_um": self.pitch_um,
+            "mtf_of": "rays times the limit of diffraction" if self.geometric else "waves",
+            "first_order": [plain(each) for each in first],
+            "glasses": [{"name": glass.name, "source": glass.source} for glass in lens.prescription.glasses],
+            "fields": [plain(each) for each in fields],
+            "notes": list(self.notes),
+        }
+
+
+def asked_frequencies(pitch_um: float | None) -> tuple[float, ...]:
+    """Return the frequencies of the tables in lp/mm."""
+    return FREQUENCIES if pitch_um is None else tuple(sorted({*FREQUENCIES, 500 / pitch_um}))
+
+
+def lens_data(
+    lens: Lens, wavelength_nm: Sequence[float] | None = None, pitch_um: float | None = None, notes: Sequence[str] = ()
+) -> LensData:
+    """Trace a lens.
+
+    wavelength_nm : of equal weight; those of its file by default
+    pitch_um : of a pixel whose Nyquist frequency is looked at
+    notes : of how the file was read
+
+    Raises PixsimError if a wavelength is outside the range of a glass, or if chief rays do not reach the image.
+    """
+    wavelengths = np.array(wavelength_nm or lens.prescription.wavelengths_nm)
+    primary = lens.primary_nm
+    largest = lens.max_field_deg
+    fields = np.linspace(0.0, largest, FIELDS) if largest else np.zeros(1)
+    curve = np.linspace(0.0, largest, CURVE_FIELDS) if largest else np.zeros(1)
+    x, y = spot_points()
+    illumination = lens.projected_solid_angle_sr(curve, primary)
+    dark = np.asarray(illumination[:: (CURVE_FIELDS - 1) // (FIELDS - 1)] <= 0)
+    if dark[0]:
+        got = "no light on the axis"
+        raise invalid(f"lens '{lens.prescription.name}'", got, "light on the axis", "Check its clear apertures and semi-diameters.")
+    spots = []
+    for angle, none in zip(fields, dark, strict=True):
+        waves = lens.wavefront(angle, wavelengths, x, y)
+        seen = waves.passed & np.isfinite(waves.opd_waves) & ~none
+        off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, primary).height_mm
+        spots.append(Spot(*(np.where(seen, 1e3 * part, np.nan) for part in (waves.x_mm, waves.y_mm + off))))
+    asked = asked_frequencies(pitch_um)
+    shortest, f_number = float(wavelengths.min()), lens.first_order(primary).f_number
+    cutoff = float(cutoff_cy_per_mm(shortest, f_number))
+    highest = max(1.1 * max(asked), min(cutoff, 1.5 * max(asked), 150.0))
+    frequency = np.unique(np.concatenate([np.linspace(0.0, highest, MTF_POINTS), asked]))
+    dark = dark | np.array([math.isnan(spot.rms_um) for spot in spots])  # or too little light for a ray
+    side = PSF_SPOTS * max(spot.rms_um for spot, none in zip(spots, dark, strict=True) if not none)
+    geometric = side > MOST_WIDTHS * 1e-3 * shortest * f_number
+    pitch = min(max(1e-3 * shortest * f_number / PSF_SAMPLES, side / MOST_SAMPLES), 500 / min(highest, 1.05 * cutoff))
+    seen_fields = fields[~dark]
+    if not geometric:
+        psfs = point_spreads(lens, seen_fields, wavelengths, pitch, side)
+        geometric = not psfs
+    if geometric:
+        pitch = side / MOST_SAMPLES
+        psfs, mtf = ray_spreads(lens, seen_fields, wavelengths, pitch, frequency)
+    else:
+        mtf = np.array([[line_mtf(psf.sum(axis=1 - axis), pitch, frequency) for axis in (0, 1)] for psf in psfs])
+    for index in np.flatnonzero(dark):  # in rising order, so that each is put at its place
+        psfs.insert(int(index), np.zeros_like(psfs[0]))
+        mtf = np.insert(mtf, index, np.nan, axis=0)
+    mtf[..., frequency > cutoff] = 0.0  # where samples of the PSF would repeat lower frequencies
+    chief = lens.chief_ray(curve, primary)
+    tangential, sagittal = lens.foci_mm(curve, primary)
+    ends = lens.chief_ray(curve[:, None], np.array([wavelengths.min(), wavelengths.max()])).height_mm
+    curves = {
+        "image_height_mm": chief.height_mm,
+        "chief_ray_angle_deg": chief.angle_deg,
+        "distortion": lens.distortion(np.maximum(curve, NEAR_AXIS * largest)) if largest else np.zeros(1),
+        "relative_illumination": illumination / illumination[0],
+        "tangential_focus_mm": tangential,
+        "sagittal_focus_mm": sagittal,
+        "lateral_colour_um": 1e3 * (ends[:, 1] - ends[:, 0]),
+    }
+    first = [lens.first_order(float(nm)) for nm in wavelengths]
+    return LensData(
+        lens, wavelengths, first, fields, spots, psfs, pitch, dark, geometric, frequency, mtf,
+        np.where(dark, np.nan, rms_wavefronts(lens, fields)), curve,
+        {name: np.asarray(values) for name, values in curves.items()}, pitch_um, notes,
+    )  # fmt: skip
+
+
+def spot_points() -> tuple[Array, Array]:
+    """Return points of the stop of about equal areas, (rays,) each."""
+    radius = np.concatenate([[0.0], *(np.full(6 * ring, ring / SPOT_RINGS) for ring in range(1, SPOT_RINGS + 1))])
+    radius *= SPOT_RINGS / (SPOT_RINGS + 0.5)  # a ring is the middle of its area
+    angle = np.concatenate([[0.0], *((np.arange(6 * ring) + 0.5) / (3 * ring) * np.pi for ring in range(1, SPOT_RINGS + 1))])
+    return radius * np.cos(angle), radius * np.sin(angle)
+
+
+def rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
+    """Return the rms wavefront at the primary wavelength without piston and tilt, (F,), in waves."""
+    x, y = spot_points()
+    waves = lens.wavefront(field_deg, lens.primary_nm, x, y)
+    found = []
+    for opd, passed, cosines in zip(waves.opd_waves, waves.passed, waves.cosines, strict=True):
+        seen = passed & np.isfinite(opd)
+        basis = np.column_stack([np.ones(int(seen.sum())), cosines[seen]])
+        residual = (
+            opd[seen] - basis @ np.linalg.lstsq(basis, opd[seen], rcond=None)[0] if seen.sum() > basis.shape[1] else [math.nan]
+        )
+        found.append(float(np.std(residual)))
+    return np.array(found)
+
+
+def point_spreads(lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, side_um: float) -> list[Array]:
+    """Return the PSF of each field, means over squares of `pitch_um`, with the chief ray in the middle of y upwards, (n, n).
+
+    None at all if the cone of light at the image plane has much finer waves than the f-number tells, as far from a focus.
+
+    side_um : at least, of the square that a PSF lies in
+    """
+    heights = 1e3 * np.asarray(lens.chief_ray(field_deg, lens.primary_nm).height_mm)
+    rays = pupil_rays(lens, field_deg, wavelength_nm)
+    fronts = [fit_wavefronts(float(nm), heights, of_nm) for nm, of_nm in zip(wavelength_nm, rays, strict=True)]
+    light = Light(fronts, np.full(len(fronts), 1 / len(fronts)))
+    found = []
+    for height in heights:
+        window = even_window(light, 0.0, float(height), pitch_um, math.ceil(side_um / pitch_um))
+        widest_per_nm = max(2 * float(front.at(float(height))[:2].max()) / front.wavelength_nm for front in fronts)
+        if 2 * window * pitch_um / UM_PER_NM * widest_per_nm > MOST_FINE:
+            return []
+        found.append(np.fft.fftshift(periodic_psf(light, 0.0, float(height), pitch_um, window)))
+    return found
+
+
+def ray_spreads(
+    lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, frequency_lp_per_mm: Array
+) -> tuple[list[Array], Array]:
+    """Return PSFs of rays, as `point_spreads` does, and MTFs (F, 2, n): those of the rays times the limit of diffraction."""
+    rays = GRID**2 * field_deg.size * wavelength_nm.size * len(lens.prescription.surfaces)
+    grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(MOST_TRACED / rays))))
+    x, y = (part[np.hypot(*np.meshgrid(grid, grid)) <= 1] for part in np.meshgrid(grid, grid))
+    f_number = lens.first_order(lens.primary_nm).f_number
+    limit = _diffraction_mtf(frequency_lp_per_mm, wavelength_nm, f_number)
+    edges = (np.arange(MOST_SAMPLES + 2) - (MOST_SAMPLES + 1) / 2) * pitch_um
+    psfs, mtf = [], []
+    for angle in field_deg:
+        waves = lens.wavefront(angle, wavelength_nm, x, y, RAYS_AIMED)
+        seen = waves.passed & np.isfinite(waves.opd_waves)
+        off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, lens.primary_nm).height_mm
+        across, along = 1e3 * waves.x_mm[seen], 1e3 * (waves.y_mm + off)[seen]
+        counts = np.histogram2d(along, across, [edges, edges])[0]
+        psfs.append(counts / max(along.size, 1))
+        lines = []
+        for values in (along, across):
+            reach = max(float(np.abs(values).max(initial=0.0)), pitch_um) * (1 + 1e-9)
+            line, _ = np.histogram(values, LINE_BINS, (-reach, reach))
+            lines.append(line_mtf(line.astype(float), 2 * reach / LINE_BINS, frequency_lp_per_mm) * limit)
+        mtf.append(lines)
+    return psfs, np.array(mtf)
+
+
+def _diffraction_mtf(frequency_lp_per_mm: Array, wavelength_nm: Array, f_number: float) -> Array:
+    """Return the MTF of diffraction (n,), the mean over the wavelengths."""
+    return np.asarray(np.mean([diffraction_otf(frequency_lp_per_mm, float(nm), f_number) for nm in wavelength_nm], axis=0))
+
+
+def line_mtf(line: Array, pitch_um: float, frequency_lp_per_mm: Array) -> Array:
+    """Return the MTF (n,) of a line spread function: the modulus of its Fourier transform, 1 at frequency 0."""
+    at_mm = (np.arange(line.size) - line.size // 2) * pitch_um * 1e-3
+    turning = np.exp(-2j * np.pi * frequency_lp_per_mm[:, None] * at_mm)
+    return np.asarray(np.abs(turning @ line) / line.sum())
+
+
+@dataclass(frozen=True)
+class CutRay:
+    """A ray in the y-z plane, in mm.
+
+    field_deg : its field angle
+    stop_y : its height in the stop, as a fraction of the stop's radius
+    """
+
+    field_deg: float
+    stop_y: float
+    z_mm: Array
+    y_mm: Array
+
+
+@dataclass(frozen=True)
+class CrossSection:
+    """A lens cut along the y-z plane, and rays at the primary wavelength, in mm from the first vertex.
+
+    length_mm : from there to the image plane
+    surfaces : (z, y) of each surface, from its lower to its upper edge
+    glass_behind : whether there is glass behind each surface
+    stop : z of the stop's edges, and the stop's radius
+    rays : for each field, of the rays that clear apertures do not stop
+    """
+
+    length_mm: float
+    surfaces: Sequence[tuple[Array, Array]]
+    glass_behind: Sequence[bool]
+    stop: tuple[float, float]
+    rays: Sequence[Sequence[CutRay]]
+
+
+def cross_section(lens: Lens) -> CrossSection:
+    """Return a lens cut along the y-z plane, with rays through the centre of the stop, its edges and halfway between."""
+    surfaces, heights = lens.prescription.surfaces, np.array(CUT_HEIGHTS)
+    vertices = np.cumsum([0.0, *(surface.thickness_mm for surface in surfaces)])
+    length_mm = float(vertices[-1])
+    fields = [share * lens.max_field_deg for share in (CUT_FIELDS if lens.max_field_deg else CUT_FIELDS[:1])]
+    paths = [lens.ray_points(angle, lens.primary_nm, 0 * heights, CUT_HEIGHTS) for angle in fields]
+    reached = np.nanmax(np.abs([path[:, :-1, 1] for path in paths]), axis=(0, 1))
+    outlines = []
+    for surface, vertex, most in zip(surfaces, vertices, reached, strict=False):
+        edge = surface.semi_diameter_mm or CUT_EDGE * float(most)
+        y = np.linspace(-edge, edge, CUT_POINTS)
+        with np.errstate(invalid="ignore"):
+            sag, _ = sag_and_slope(surface, np.square(y))
+        outlines.append((vertex + sag, y))
+    stop, semi = lens.prescription.stop, lens.stop_semi_diameter_mm
+    at = vertices[stop] + float(sag_and_slope(surfaces[stop], np.array(semi**2))[0])
+    rays = []
+    for angle, path in zip(fields, paths, strict=True):
+        passed = lens.wavefront(angle, lens.primary_nm, np.zeros(heights.size), CUT_HEIGHTS).passed[0]
+        of_field = []
+        for height, points in zip(heights[passed], path[passed], strict=True):
+            z, y = points[:, 2], points[:, 1]
+            if math.isinf(lens.object_distance_mm):
+                before = BEFORE_LENS * length_mm
+                z = np.concatenate([[z[0] - before], z])
+                y = np.concatenate([[y[0] - before * math.tan(math.radians(angle))], y])
+            of_field.append(CutRay(angle, float(height), z, y))
+        rays.append(of_field)
+    return CrossSection(length_mm, outlines, [surface.glass != AIR for surface in surfaces], (float(at), semi), rays)
+
+
+def chosen_lens(
+    lens: Lens,
+    focal_length_mm: float | None,
+    f_number: float | None,
+    field_deg: float | None,
+    refocus: str | None,
+    object_distance_m: float | None,
+) -> Lens:
+    """Return a lens as the options of `pixsim lens` change it; None leaves it as its file has it.
+
+    Raises PixsimError as the methods of `Lens` do.
+    """
+    if focal_length_mm is not None:
+        factor = focal_length_mm / lens.first_order(lens.primary_nm).focal_length_mm
+        lens = replace(lens.scaled(factor), object_distance_mm=factor * lens.object_distance_mm)
+    if f_number is not None:
+        lens = lens.stopped_down(f_number)
+    if field_deg is not None:
+        lens = lens.with_same_rays(max_field_deg=field_deg)
+    if refocus is not None or object_distance_m is not None:
+        distance = lens.object_distance_mm if object_distance_m is None else 1e3 * object_distance_m
+        lens = lens.refocused(refocus or "axis", distance)  # type: ignore[arg-type]
+    return lens

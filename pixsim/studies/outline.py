@@ -1,0 +1,93 @@
+"""What a study would do, in numbers: its film, its pixels, its errors and its cost, all that is found before a render."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from pixsim.base.parameters import Camera, Run, Study
+from pixsim.sensor.integration import pixels_on
+from pixsim.sensor.pixel import PixelPhysics, physics_of
+from pixsim.studies.film_error import FilmSampling, film_error
+from pixsim.studies.keys import evaluated_before, light_hash, rendered_across
+from pixsim.studies.preparation import LONG_S, Known, cases_cost, first_film, known_film, window_within
+from pixsim.studies.sampling import study_pitches_um
+
+if TYPE_CHECKING:
+    from pixsim.scene.plan import Plan
+    from pixsim.scene.scene import Scene
+    from pixsim.studies.study import Prepared
+
+
+LOOKED_UP = 32  # cases of which the cache is asked
+
+
+def planned_sensors(study: Study, camera: Camera) -> list[dict[str, Any]]:
+    """Return the pixel sizes of each technology of a study, with their rows and columns, and the sensors of each size."""
+    sensors = []
+    for name in study.technologies:
+        pitches_um = study_pitches_um(study, name).tolist()
+        counts = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
+        sensors.append({"technology": name, "pitch_um": pitches_um, "pixels": counts, "sensors": study.repeats})
+    return sensors
+
+
+def planned_study(prepared: Prepared, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
+    """Return the film, errors, evaluations, cases and cost of a study; nothing is rendered.
+
+    jobs : processes; None means as many as it would take
+    asked : the study before it was prepared, for the window that would take less than a minute
+    types : number of sensor types of --uncertainty or --sobol
+    """
+    first = prepared.parts[0][1]
+    study, camera = first.study, first.camera
+    scene, plan = first_film(study, first.scene, camera)
+    film = film_of(scene, camera, plan)
+    shape = tuple(film["samples"])
+    lights = len({light_hash(case.study) for case, _ in prepared.parts})
+    film_shape, rendered = known_film(film["samples"], rendered_across(scene, camera, plan, study))
+    of_cases = [(case.study, part.camera) for case, part in prepared.parts]
+    some = of_cases[:: math.ceil(len(of_cases) / LOOKED_UP)]
+    known = Known(rendered, sum(evaluated_before(case) for case, _ in some) / len(some))
+    cost = cases_cost(of_cases, lights, plan, film_shape, jobs, types, known)
+    smallest = physics_of(study, study.technologies[0], float(study_pitches_um(study, study.technologies[0])[0]))
+    planned: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name, "evaluations": prepared.evaluations}
+    planned["errors"] = errors_of(plan, film, camera, smallest, study)
+    if types:
+        planned["sensor_types"] = types
+    if prepared.cases:
+        planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case, _ in prepared.cases]
+    elif cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, shape, jobs)):
+        planned["window_within_a_minute_mm"] = window
+    return planned | ({} if study.own_um is None else {"own_um": study.own_um})
+
+
+def film_of(scene: Scene, camera: Camera, plan: Plan) -> dict[str, Any]:
+    """Return the film of a plan: its samples, rows and columns, their pitch, and the rays of each.
+
+    scene : on that film
+    """
+    height, width = scene.film_shape(camera, scene.for_camera(camera))
+    return {"samples": [height, width], "pitch_um": 1e3 * camera.die_mm / width, "spp": plan.spp, "passes": plan.passes}
+
+
+def errors_of(
+    plan: Plan, film: dict[str, Any], camera: Camera, physics: PixelPhysics, settings: Run | Study
+) -> dict[str, float | None]:
+    """Return what is known of the errors of the light before there is light.
+
+    physics : of the smallest pixel
+
+    film_share : least error of the film as a share of mean ΔE, for details and dots that it cannot show; None if a calibration
+        chooses the film
+    rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits them, 0 if there are none
+    render_noise : its target, as a fraction of the sensor's noise
+    """
+    sampling = FilmSampling.of(film["samples"][1], camera, physics, settings.display, plan.chart)
+    rays = plan.most_samples / math.prod(pixels_on(camera.die_um, physics.pitch_um))
+    return {
+        "film_share": None if settings.tolerance_delta_e else film_error(0.0, 0.0, 1.0, sampling),
+        "rays_a_pixel": 0.0 if plan.exact else None if settings.max_seconds else rays,
+        "render_noise": settings.render_noise,
+    }
