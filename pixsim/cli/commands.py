@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 import shutil
 import sys
@@ -37,9 +36,6 @@ if TYPE_CHECKING:
 
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
-LEAST_LENGTH = 1e-6  # of an option, in its unit; its reciprocal is the most
-MAX_WAVELENGTHS = 24  # of `lens`, as in design programs
-MANY_TO_TRACE = 150  # surfaces times wavelengths of a lens, which take more than about 5 s
 SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
 
 
@@ -642,34 +638,35 @@ def lens(
     figures/*.svg and *.csv.
     """
     import_less()
-    from pixsim.measure.lens import chosen_lens, lens_data
-    from pixsim.optics.lens import read_lens
+    from pixsim.measure.lens import lens as traced
     from pixsim.report.lens import FILES, lens_lines, write_lens
 
-    positive = [("--focal-length-mm", focal_length_mm), ("--f-number", f_number), ("--object-distance-m", object_distance_m)]
-    for name, value in [*positive, ("--pitch-um", pitch_um), *(("--wavelength-nm", nm) for nm in wavelength_nm or [])]:
-        if value is not None and not LEAST_LENGTH <= value <= 1 / LEAST_LENGTH:
-            raise invalid(name, f"{value:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
-    if wavelength_nm and len(wavelength_nm) > MAX_WAVELENGTHS:
-        raise invalid("--wavelength-nm", f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}")
-    if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
-        raise invalid("--field-deg", f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
     reading = given(
         {
             "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
             "glass_catalogues": glass_catalogues, "unknown_glass": unknown_glass,
         }
     )  # fmt: skip
-    with collected_notes() as notes:
-        own = read_lens(file, checked(LensOptions, [Layer({"file": file, **reading})]))
-        chosen = chosen_lens(own, focal_length_mm, f_number, field_deg, refocus, object_distance_m)
+    how: LensOptions = checked(LensOptions, [Layer({"file": file, **reading})])
     folder = out or DEFAULT_OUT / f"lens-{Path(file).stem}"
     check_replaceable(folder, FILES)
-    surfaces, wavelengths = len(chosen.prescription.surfaces), len(wavelength_nm or chosen.prescription.wavelengths_nm)
-    of_many = f" {surfaces} surfaces at {wavelengths} wavelengths" if surfaces * wavelengths > MANY_TO_TRACE else ""
     with stages() as stage:
-        stage(f"trace{of_many}")
-        data = lens_data(chosen, wavelength_nm, pitch_um, notes)
+        data = traced(
+            file,
+            focal_length_mm=focal_length_mm,
+            f_number=f_number,
+            field_deg=field_deg,
+            refocus=refocus,
+            object_distance_m=object_distance_m,
+            wavelength_nm=wavelength_nm or (),
+            pitch_um=pitch_um,
+            configuration=how.configuration,
+            semi_diameters=how.semi_diameters,
+            vignetting_factors=how.vignetting_factors,
+            glass_catalogues=how.glass_catalogues,
+            unknown_glass=how.unknown_glass,
+            progress=stage,
+        )
         stage("report")
         report = write_lens(data, folder)
     show(data.as_dict(), json, "\n".join([*lens_lines(data), f"report: {report}"]))
@@ -733,38 +730,21 @@ def sfr(
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
-    from pixsim.measure.sfr import FILES, edge_response, read_edge_picture, sfr_parts, sfr_summary as summary, write_sfr
+    from pixsim.measure.sfr import FILES, sfr as measured, sfr_parts
 
-    if pitch_um is not None and not LEAST_LENGTH <= pitch_um <= 1 / LEAST_LENGTH:
-        raise invalid("--pitch-um", f"{pitch_um:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
-    for name, value in (("--black", black_level_dn), ("--saturation", saturation)):
-        if value is not None and not math.isfinite(value):
-            raise invalid(name, f"{value:g}", "a finite number")
     folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
     check_replaceable(folder, FILES)
-    with collected_notes() as notes:
-        picture = read_edge_picture(image, channel)
-        if layout is not None and picture.channel is not None:
-            raise invalid("--layout", f"{layout} for red, green and blue at each pixel of '{image}'", "the filters of a mosaic")
-        pitch = picture.pitch_um if pitch_um is None else pitch_um
-        black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn
-        top = picture.top if saturation is None else saturation
-        if top is not None and top <= black:
-            raise invalid(
-                "--saturation" if saturation is not None else "--black", f"{top:g} with a black level of {black:g}", "more than it"
-            )
-        response = edge_response(
-            picture.data.astype(float) - black,
-            region=corners(region),
-            saturation=None if top is None else top - black,
-            is_unclipped=saturation is not None,
-            layout=layout or picture.layout,
-            channel=channel if picture.channel is None else None,
-        )
-    if picture.channel is not None:
-        response = replace(response, channel=picture.channel)
-    result = summary(response, pitch, notes)
-    write_sfr(folder, response, pitch, result)
+    response = measured(
+        image,
+        pitch_um=pitch_um,
+        channel=channel,
+        layout=layout,
+        black=black_level_dn,
+        saturation=saturation,
+        region=corners(region),
+    )
+    response.write(folder)
+    result = response.as_dict()
     show(result, json, "\n".join([*headline_lines(sfr_parts(result)), f"curves in {folder}"]))
 
 
