@@ -31,7 +31,7 @@ from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
-from pixsim.show.pages import html_cell, plain, rows_csv
+from pixsim.show.pages import html_cell, plain, rounded, rows_csv
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -294,7 +294,7 @@ class DataSheet:
 
         t = self.transfer
         values = f"K {t.gain_dn_per_e.value:.3g} DN/e-, η {100 * t.efficiency.value:.3g} %, σ_d {t.dark_noise_e.value:.3g} e-"
-        return f"<DataSheet {described(self)[0]}: {values}, μ_e.sat {t.saturation_e.value:.4g} e->"
+        return f"<DataSheet {described(self)[0]}: {values}, μ_e.sat {rounded(t.saturation_e.value, 4)} e->"
 
 
 @checks_arguments

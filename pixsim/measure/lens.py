@@ -199,6 +199,10 @@ class LensData:
             "notes": list(self.notes),
         }
 
+    def __repr__(self) -> str:
+        first = self.primary
+        return f"<LensData {self.lens.prescription.name}: f = {first.focal_length_mm:.5g} mm, f/{first.f_number:.4g}>"
+
 
 def asked_frequencies(pitch_um: float | None) -> tuple[float, ...]:
     """Return the frequencies of the tables in lp/mm."""

@@ -965,6 +965,15 @@ def sfr(
     region : x0, y0, x1, y1 of the edge in pixels from the upper left, x1 and y1 excluded; None means the whole picture
 
     Raises PixsimError if the file is no linear picture, and as `edge_response` does.
+
+    >>> import tempfile
+    >>> y, x = np.mgrid[:200, :200] - 99.5
+    >>> distance = (x + y * np.tan(np.radians(5))) * np.cos(np.radians(5))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.save(f"{folder}/edge.npy", np.clip(distance + 0.5, 0, 1) * 0.8 + 0.1)  # blurred by one pixel
+    ...     edge = sfr(f"{folder}/edge.npy", pitch_um=5.0)
+    >>> round(edge.as_dict()["mtf50_cy_per_mm"])  # sinc(0.603) = 1/2
+    121
     """
     lowest, highest = METADATA_RANGES["pitch_um"]
     if pitch_um is not None and not lowest <= pitch_um <= highest:

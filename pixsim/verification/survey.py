@@ -125,6 +125,11 @@ def accuracy(
     progress : returns a callback for each named stage
 
     Raises PixsimError for invalid input, and if the scene cannot be rendered or captured.
+
+    >>> small = {"parameters": {"resolution": 64, "spp": 4}, "camera": {"die_mm": 0.4}, "display": {"dots": 32}}
+    >>> result = accuracy("csf", quick=True, **small)
+    >>> result.analytic, all(case.passed for case in result.cases)
+    (True, True)
     """
     tables = {"camera": camera, "lens": lens, "pixel": pixel, "exposure": exposure, "correction": correction}
     tables |= {"develop": develop, "display": display, "scene": parameters}
