@@ -363,20 +363,6 @@ def line_mtf(line: Array, pitch_um: float, frequency_lp_per_mm: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class CutRay:
-    """A ray in the y-z plane, in mm.
-
-    field_deg : its field angle
-    stop_y : its height in the stop, as a fraction of the stop's radius
-    """
-
-    field_deg: float
-    stop_y: float
-    z_mm: Array
-    y_mm: Array
-
-
-@dataclass(frozen=True)
 class CrossSection:
     """A lens cut along the y-z plane, and rays at the primary wavelength, in mm from the first vertex.
 
@@ -384,14 +370,15 @@ class CrossSection:
     surfaces : (z, y) of each surface, from its lower to its upper edge
     glass_behind : whether there is glass behind each surface
     stop : z of the stop's edges, and the stop's radius
-    rays : for each field, of the rays that clear apertures do not stop
+    rays : field angle in degrees -> rays that clear apertures do not stop, each by its height in the stop as a fraction of the
+        stop's radius, its z and its y
     """
 
     length_mm: float
     surfaces: Sequence[tuple[Array, Array]]
     glass_behind: Sequence[bool]
     stop: tuple[float, float]
-    rays: Sequence[Sequence[CutRay]]
+    rays: dict[float, list[tuple[float, Array, Array]]]
 
 
 def cross_section(lens: Lens) -> CrossSection:
@@ -411,18 +398,15 @@ def cross_section(lens: Lens) -> CrossSection:
         outlines.append((vertex + sag, y))
     stop, semi = lens.prescription.stop, lens.stop_semi_diameter_mm
     at = vertices[stop] + float(sag_and_slope(surfaces[stop], np.array(semi**2))[0])
-    rays = []
+    rays: dict[float, list[tuple[float, Array, Array]]] = {}
     for angle, path in zip(fields, paths, strict=True):
         passed = lens.wavefront(angle, lens.primary_nm, np.zeros(heights.size), CUT_HEIGHTS).passed[0]
-        of_field = []
-        for height, points in zip(heights[passed], path[passed], strict=True):
-            z, y = points[:, 2], points[:, 1]
-            if math.isinf(lens.object_distance_mm):
-                before = BEFORE_LENS * length_mm
-                z = np.concatenate([[z[0] - before], z])
-                y = np.concatenate([[y[0] - before * math.tan(math.radians(angle))], y])
-            of_field.append(CutRay(angle, float(height), z, y))
-        rays.append(of_field)
+        z, y = path[passed, :, 2], path[passed, :, 1]
+        if math.isinf(lens.object_distance_mm):
+            before = BEFORE_LENS * length_mm
+            z = np.column_stack([z[:, 0] - before, z])
+            y = np.column_stack([y[:, 0] - before * math.tan(math.radians(angle)), y])
+        rays[angle] = list(zip(heights[passed].tolist(), z, y, strict=True))
     return CrossSection(length_mm, outlines, [surface.glass != AIR for surface in surfaces], (float(at), semi), rays)
 
 

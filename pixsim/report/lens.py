@@ -90,14 +90,13 @@ def layout(data: LensData) -> Plate:
     for sign in (1, -1):
         axes.plot([at, at], [sign * semi, sign * 1.35 * semi], color="black", lw=2.5, label="stop" if sign > 0 else None)
     table: dict[str, list[float | str]] = {"field_deg": [], "stop_y": [], "z_mm": [], "y_mm": []}
-    for rays, look in zip(cut.rays, LOOKS, strict=False):
-        for number, ray in enumerate(rays):
-            label = None if number else f"{ray.field_deg:.3g}°"
-            axes.plot(ray.z_mm, ray.y_mm, color=look.colour, lw=0.8, ls=look.dashes, label=label)
-            table["field_deg"] += [ray.field_deg] * ray.z_mm.size
-            table["stop_y"] += [ray.stop_y] * ray.z_mm.size
-            table["z_mm"] += ray.z_mm.tolist()
-            table["y_mm"] += ray.y_mm.tolist()
+    for (angle, rays), look in zip(cut.rays.items(), LOOKS, strict=False):
+        for number, (height, z, y) in enumerate(rays):
+            axes.plot(z, y, color=look.colour, lw=0.8, ls=look.dashes, label=None if number else f"{angle:.3g}°")
+            table["field_deg"] += [angle] * z.size
+            table["stop_y"] += [height] * z.size
+            table["z_mm"] += z.tolist()
+            table["y_mm"] += y.tolist()
     image = max(float(np.abs(data.curves["image_height_mm"]).max()), semi)
     axes.plot([cut.length_mm] * 2, [-1.05 * image, 1.05 * image], color="black", lw=1.2)
     axes.set_aspect("equal", adjustable="datalim")

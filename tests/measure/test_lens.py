@@ -99,9 +99,9 @@ def test_rays_of_the_cross_section_meet_the_surfaces_and_the_stop() -> None:
     cut = cross_section(lens)
     assert len(cut.surfaces) == len(lens.prescription.surfaces)
     assert sum(cut.glass_behind) == 3
-    for rays in cut.rays:
-        for ray in rays:
-            assert ray.z_mm.size == len(cut.surfaces) + 2, "one in front, one in the image plane"
-            assert ray.z_mm[-1] == pytest.approx(cut.length_mm)
-        (chief,) = (ray for ray in rays if ray.stop_y == 0)
-        assert chief.y_mm[-1] == pytest.approx(float(lens.chief_ray(chief.field_deg, 550.0).height_mm), abs=1e-6)
+    for field_deg, rays in cut.rays.items():
+        for _, z, _ in rays:
+            assert z.size == len(cut.surfaces) + 2, "one in front, one in the image plane"
+            assert z[-1] == pytest.approx(cut.length_mm)
+        (chief_mm,) = (y[-1] for height, _, y in rays if height == 0)
+        assert chief_mm == pytest.approx(float(lens.chief_ray(field_deg, 550.0).height_mm), abs=1e-6)
