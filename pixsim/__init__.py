@@ -23,9 +23,13 @@ if TYPE_CHECKING:
     from pixsim.light import spectral as spectral
     from pixsim.light.exr import read_exr as read_exr, write_exr as write_exr
     from pixsim.light.spectral import SpectralImage as SpectralImage
-    from pixsim.measure.sfr import edge_response as edge_response
+    from pixsim.measure.datasheet import datasheet as datasheet
+    from pixsim.measure.lens import lens as lens
+    from pixsim.measure.sfr import edge_response as edge_response, sfr as sfr
     from pixsim.optics.exchange import read_irradiance as read_irradiance, write_npz as write_npz
     from pixsim.optics.lens import load_lens as load_lens
+    from pixsim.report.compare import write_comparison as write_comparison
+    from pixsim.report.lens import write_lens as write_lens
     from pixsim.report.study import write_report as write_report
     from pixsim.scene import charts as charts
     from pixsim.scene.charts import make_chart as make_chart, write_chart as write_chart
@@ -39,6 +43,7 @@ if TYPE_CHECKING:
     from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
     from pixsim.studies.compare import compare as compare
     from pixsim.studies.study import study as study
+    from pixsim.verification.survey import accuracy as accuracy
     from pixsim.viewer import display as display, scielab as scielab
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
     from pixsim.viewer.demosaic import demosaic as demosaic
@@ -62,14 +67,19 @@ _NAMES_OF = {
     "sensor.pixel": "derive",
     "sensor.readout": "Frame capture make_sensor",
     "sensor.raw": "write_frame read_frame",
-    "measure.sfr": "edge_response",
+    "measure.datasheet": "datasheet",
+    "measure.lens": "lens",
+    "measure.sfr": "edge_response sfr",
     "viewer.colour_matrix": "colour_matrix",
     "viewer.demosaic": "demosaic",
     "viewer.scielab": "delta_e_map",
     "viewer.score": "evaluate",
     "studies.study": "study",
     "studies.compare": "compare",
+    "report.compare": "write_comparison",
+    "report.lens": "write_lens",
     "report.study": "write_report",
+    "verification.survey": "accuracy",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
 _MODULES = {

@@ -15,7 +15,7 @@ PACKAGE = Path(pixsim.__file__).parent
 
 
 def module_name(path: Path) -> str:
-    """Import name without `pixsim.`, such as cli or accuracy.stability.optics."""
+    """Import name without `pixsim.`, such as cli or verification.stability.optics."""
     parts = path.relative_to(PACKAGE).with_suffix("").parts
     return ".".join(parts[:-1] if len(parts) > 1 and parts[-1] == "__init__" else parts)
 
@@ -35,8 +35,8 @@ ALLOWED = {
     "studies": (*BELOW_SHOW, "scene", "show", "viewer"),
     "measure": (*BELOW_SHOW, "show", "viewer"),
     "report": ("base", "show", "studies", "measure"),  # it turns results into pages and files, and computes nothing
-    "accuracy": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "report"),
-    "cli": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "measure", "report", "accuracy"),
+    "verification": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "report"),
+    "cli": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "measure", "report", "verification"),
 }
 # Modules of report that still compute, and the packages that they do it with.
 COMPUTING = {

@@ -120,7 +120,8 @@ GOOD: dict[str, Any] = {
     "factor": 2.0, "edges_nm": np.array([400.0, 500.0, 600.0]), "height_mm": 1.0, "azimuth_deg": 30.0,
 }  # fmt: skip
 OWN: dict[str, Any] = {
-    "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
+    "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sfr.image": "edge.npy",
+    "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
     "pixsim.read_frame.path": "raw.npz", "pixsim.Technology.with_numbers.values": {"prnu": 0.01},
     "pixsim.Study.options_of.technology": "0.35um", "pixsim.studies.pixels.pixel_of.technology": "0.35um",
     "pixsim.studies.pixels.physics_of.technology": "0.35um", "pixsim.studies.pixels.photodiode_widths_um.technology": "0.35um",
@@ -153,6 +154,10 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 NOT_CALLED = {
     "pixsim.compare": "its own tests", "pixsim.studies.compare.Comparison": "a whole comparison",
     "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
+    "pixsim.lens": "its own tests below", "pixsim.measure.lens": "a whole trace", "pixsim.write_lens": "its result is one",
+    "pixsim.write_comparison": "its result is a whole comparison", "pixsim.measure.sfr.EdgeResponse.write": "it writes a folder",
+    "pixsim.accuracy": "its own tests below", "pixsim.verification": "a whole survey",
+    "pixsim.datasheet": "its own tests below", "pixsim.measure.datasheet": "a whole measurement",
     "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
     "pixsim.PixsimError": "takes any text",
 }  # fmt: skip
@@ -273,6 +278,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The files of `GOOD` in the working folder."""
     monkeypatch.chdir(tmp_path)
     pixsim.write_exr("a.exr", LIGHT)
+    np.save("edge.npy", EDGE)
     pixsim.write_frame("raw.npz", FRAME)
 
 
@@ -300,20 +306,28 @@ def test_any_argument_gives_a_right_result_or_an_error_that_names_it(name: str) 
     assert not wrong, "\n".join(wrong)
 
 
-def test_study_any_argument_gives_an_error_that_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All values of a wrong kind; none of them gets as far as a render."""
+LONG: dict[str, dict[str, Any]] = {
+    "study": {"plan": STUDY, "out": "out"}, "datasheet": {}, "accuracy": {"scene": "csf"}, "lens": {"file": "cooke_triplet"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_any_argument_of_a_long_function_gives_an_error_that_names_it(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All values of a wrong kind; none of them gets as far as a render, or the trace of a lens."""
     monkeypatch.chdir(tmp_path)
-    base: dict[str, Any] = {"plan": STUDY, "out": "out"}
-    parameters = inspect.signature(pixsim.study).parameters
+    function = getattr(pixsim, name)
+    parameters = inspect.signature(function).parameters
     wrong = []
-    for argument in [name for name, each in parameters.items() if each.kind is not each.VAR_KEYWORD]:
+    for argument in [key for key, each in parameters.items() if each.kind is not each.VAR_KEYWORD]:
         for label in ("-1", "nan", "10**30", "object()", "None", "text"):
             valid_kind = {"None": parameters[argument].default is None, "text": argument in ("out", "progress")}.get(label, False)
             if valid_kind or (label == "10**30" and argument == "scheduler"):
                 continue
             try:
                 with limited(), warnings.catch_warnings(action="ignore"):
-                    pixsim.study(**base | {argument: JUNK[label]})
+                    function(**LONG[name] | {argument: JUNK[label]})
             except PixsimError as error:
                 if not names(str(error), argument, JUNK[label]):
                     wrong.append(f"{argument} = {label}: not named in '{error}'")

@@ -21,7 +21,7 @@ from pixsim.base.headline import BELOW
 from pixsim.base.parameters import Pixel, Study, is_data_sheet
 from pixsim.cli.options import SceneOptions
 from pixsim.measure import datasheet
-from pixsim.measure.datasheet import entries, make_datasheet, sheet_summary
+from pixsim.measure.datasheet import make_datasheet
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
 from pixsim.studies.pixels import technology_of
@@ -126,7 +126,7 @@ def test_datasheet_same_sensor_in_every_way_gives_same_numbers(tmp_path: Path, m
     """The command's summary against that of `make_datasheet`: measured on the frames, it is equal only if they are."""
     few = partial(datasheet.make_datasheet, shape=(60, 60), stack_frames=8)
     monkeypatch.setattr(datasheet, "make_datasheet", few)
-    expected = json.loads(json.dumps(sheet_summary(few(pixsim.Pixel(**SHEET)))))
+    expected = json.loads(json.dumps(few(pixsim.Pixel(**SHEET)).as_dict()))
     arguments = ways(SHEET, tmp_path / "sheets") | {"positional": [tmp_path / "sheets/0.toml"]}
     for name in ("both", "positional"):
         code, out, err = command("datasheet --json", *arguments[name], "--out", tmp_path / name)
@@ -226,7 +226,7 @@ def test_datasheet_returns_published_numbers(name: str) -> None:
     pixel = settings.pixel
     assert (pixel.technology, pixel.assumption) == ("none", "")
     sheet = make_datasheet(pixel, wavelength_nm=PUBLISHED[name][0])
-    found = {entry.symbol: entry for entry in entries(sheet)}
+    found = {entry.symbol: entry for entry in sheet.entries}
     assert sheet.transfer.limited == (name in BOUNDED)
     for symbol, value in expected_numbers(pixel, name).items():
         entry = found[symbol]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -267,6 +268,20 @@ def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
         left -= set(own)
         parts.insert(0, f"{layer.source}: {', '.join(own) or 'nothing'}")
     warn(f"[pixel] is a mixture of {len(sensors)} files. {'; '.join(parts)}")
+
+
+def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: Mapping[str, Any]) -> Run:
+    """Return settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems.
+
+    config : one or more TOML files; later ones take precedence
+    options : tables and fields of `Run`
+    """
+    paths = [config] if isinstance(config, str | os.PathLike) else config
+    files = [settings_layer(Path(path)) for path in paths]
+    warn_of_mixed_sensors(files)
+    tables = {name: dict(value) if isinstance(value, Mapping) else value for name, value in options.items()}
+    settings: Run = checked(Run, [*files, Layer(tables)])
+    return settings
 
 
 def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 import shutil
 import sys
@@ -19,8 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from cyclopts import Parameter
 
 from pixsim.base.caller import command_line
-from pixsim.base.config import checked, read_toml, study_layers
-from pixsim.base.errors import PixsimError, UnwritableError, invalid
+from pixsim.base.config import checked, study_layers
+from pixsim.base.errors import UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files
 from pixsim.base.headline import headline_lines
 from pixsim.base.lazy import import_less
@@ -37,9 +36,6 @@ if TYPE_CHECKING:
 
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
-LEAST_LENGTH = 1e-6  # of an option, in its unit; its reciprocal is the most
-MAX_WAVELENGTHS = 24  # of `lens`, as in design programs
-MANY_TO_TRACE = 150  # surfaces times wavelengths of a lens, which take more than about 5 s
 SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
 
 
@@ -338,7 +334,7 @@ def study(
     from pixsim.studies.conditions import compromises_of
     from pixsim.studies.engine import Workers, workers_here
     from pixsim.studies.preparation import duration_words, fitting_jobs
-    from pixsim.studies.sensor_types import Asked, check_types
+    from pixsim.studies.sensor_types import asked_of, check_types
 
     table = sweep.read_study(study)
     tables = options.study_tables(
@@ -357,14 +353,9 @@ def study(
         if MANY_CASES < (cases := number_of_cases(plan.quickened if quick else plan)) <= MAX_CASES:
             common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration_words(cases * CASE_S)}")
         prepared = replace(sweep.prepare(plan, variant, quick), uncertainty=spreads)
-        asked, types = None, 0
-        if uncertainty is not None or sobol is not None:
-            if uncertainty is not None and sobol is not None:
-                raise invalid("--uncertainty", "with --sobol", "one of the two")
-            asked = Asked(uncertainty or sobol or 0, sobol is not None, tuple(smaller_than or ()), spreads)
+        asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
+        if asked is not None:
             types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes or dry_run)
-        elif smaller_than:
-            raise invalid("--smaller-than", "without --uncertainty", "--uncertainty N beside it")
         outline = study_outline(prepared, jobs, plan.quickened if quick else plan, types)
         if dry_run:
             show(outline, json, "\n".join(outline_lines(outline, folder)))
@@ -380,8 +371,7 @@ def study(
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
                 result = sweep.run_prepared(prepared, folder, progress=stage, agreed=yes, asked=asked, **run_options)
-                total = sobol is not None
-                more = partial(write_uncertainty, result=result, total=total) if result.uncertainty else None
+                more = partial(write_uncertainty, result=result) if result.uncertainty else None
                 stage("report")
                 first = result.parts[0] if result.parts else result
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
@@ -529,8 +519,8 @@ def accuracy(
     Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
     import_less()
-    from pixsim.accuracy.report import FILES, accuracy_lines, write_accuracy
-    from pixsim.accuracy.survey import survey
+    from pixsim.verification.report import FILES, accuracy_lines
+    from pixsim.verification.survey import survey
 
     settings = options.settings(display=display, seed=seed)
     folder = out or DEFAULT_OUT / f"{Path(scene).stem}-accuracy"
@@ -538,10 +528,8 @@ def accuracy(
     with stages() as stage, output_folder(folder):  # an invalid folder fails before a minute of work
         result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
-        report = write_accuracy(result, folder)
-    assumed = settings.pixel.assumption
-    lines = [*accuracy_lines(result), *([assumed] if assumed else []), f"report: {report}"]
-    show(result.as_dict() | {"assumption": assumed}, json, "\n".join(lines))
+        report = result.write(folder)
+    show(result.as_dict(), json, "\n".join([*accuracy_lines(result), f"report: {report}"]))
 
 
 @app.command
@@ -577,25 +565,20 @@ def datasheet(
     signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
     """
     import_less()
-    from pixsim.measure.datasheet import make_datasheet, sheet_summary as summary
-    from pixsim.measure.datasheet_report import FILES, datasheet_lines, sheet_name, write_datasheet
+    from pixsim.measure.datasheet import datasheet as measured, datasheet_settings
+    from pixsim.measure.datasheet_report import FILES, datasheet_lines, sheet_name
 
-    files, pixel_options = list(config or []), given({"pixel": pixel}).get("pixel", {})
-    if pixel_file is not None and pixel_file.endswith(".toml") and "pixel" in read_toml(Path(pixel_file)):
-        files.insert(0, Path(pixel_file))
-    elif pixel_file is not None:
-        if "technology" in pixel_options:
-            technology = pixel_options["technology"]
-            raise PixsimError(f"PIXEL: got '{pixel_file}' and --pixel.technology {technology}; give only one of them.")
-        pixel_options["technology"] = pixel_file
-    settings = SceneOptions(files, exposure=exposure).settings(pixel=pixel_options or None, seed=seed)
+    tables = given({"pixel": pixel, "exposure": exposure})
+    settings = datasheet_settings(pixel_file, config or [], tables.get("pixel"), tables.get("exposure"), seed)
     folder = out or DEFAULT_OUT / sheet_name(settings.pixel)
     check_replaceable(folder, FILES)
     with output_folder(folder), stages() as stage:  # an invalid folder fails before the measurement
-        sheet = make_datasheet(settings.pixel, settings.exposure, stage=stage, wavelength_nm=wavelength_nm, seed=settings.seed)
+        sheet = measured(
+            pixel=settings.pixel, exposure=settings.exposure, wavelength_nm=wavelength_nm, seed=settings.seed, progress=stage
+        )
         stage("report")
-        report = write_datasheet(sheet, folder)
-    show(summary(sheet), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
+        report = sheet.write(folder)
+    show(sheet.as_dict(), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
 
 
 @app.command
@@ -655,34 +638,35 @@ def lens(
     figures/*.svg and *.csv.
     """
     import_less()
-    from pixsim.measure.lens import chosen_lens, lens_data
-    from pixsim.optics.lens import read_lens
+    from pixsim.measure.lens import lens as traced
     from pixsim.report.lens import FILES, lens_lines, write_lens
 
-    positive = [("--focal-length-mm", focal_length_mm), ("--f-number", f_number), ("--object-distance-m", object_distance_m)]
-    for name, value in [*positive, ("--pitch-um", pitch_um), *(("--wavelength-nm", nm) for nm in wavelength_nm or [])]:
-        if value is not None and not LEAST_LENGTH <= value <= 1 / LEAST_LENGTH:
-            raise invalid(name, f"{value:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
-    if wavelength_nm and len(wavelength_nm) > MAX_WAVELENGTHS:
-        raise invalid("--wavelength-nm", f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}")
-    if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
-        raise invalid("--field-deg", f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
     reading = given(
         {
             "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
             "glass_catalogues": glass_catalogues, "unknown_glass": unknown_glass,
         }
     )  # fmt: skip
-    with collected_notes() as notes:
-        own = read_lens(file, checked(LensOptions, [Layer({"file": file, **reading})]))
-        chosen = chosen_lens(own, focal_length_mm, f_number, field_deg, refocus, object_distance_m)
+    how: LensOptions = checked(LensOptions, [Layer({"file": file, **reading})])
     folder = out or DEFAULT_OUT / f"lens-{Path(file).stem}"
     check_replaceable(folder, FILES)
-    surfaces, wavelengths = len(chosen.prescription.surfaces), len(wavelength_nm or chosen.prescription.wavelengths_nm)
-    of_many = f" {surfaces} surfaces at {wavelengths} wavelengths" if surfaces * wavelengths > MANY_TO_TRACE else ""
     with stages() as stage:
-        stage(f"trace{of_many}")
-        data = lens_data(chosen, wavelength_nm, pitch_um, notes)
+        data = traced(
+            file,
+            focal_length_mm=focal_length_mm,
+            f_number=f_number,
+            field_deg=field_deg,
+            refocus=refocus,
+            object_distance_m=object_distance_m,
+            wavelength_nm=wavelength_nm or (),
+            pitch_um=pitch_um,
+            configuration=how.configuration,
+            semi_diameters=how.semi_diameters,
+            vignetting_factors=how.vignetting_factors,
+            glass_catalogues=how.glass_catalogues,
+            unknown_glass=how.unknown_glass,
+            progress=stage,
+        )
         stage("report")
         report = write_lens(data, folder)
     show(data.as_dict(), json, "\n".join([*lens_lines(data), f"report: {report}"]))
@@ -746,38 +730,21 @@ def sfr(
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
-    from pixsim.measure.sfr import FILES, edge_response, read_edge_picture, sfr_parts, sfr_summary as summary, write_sfr
+    from pixsim.measure.sfr import FILES, sfr as measured, sfr_parts
 
-    if pitch_um is not None and not LEAST_LENGTH <= pitch_um <= 1 / LEAST_LENGTH:
-        raise invalid("--pitch-um", f"{pitch_um:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
-    for name, value in (("--black", black_level_dn), ("--saturation", saturation)):
-        if value is not None and not math.isfinite(value):
-            raise invalid(name, f"{value:g}", "a finite number")
     folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
     check_replaceable(folder, FILES)
-    with collected_notes() as notes:
-        picture = read_edge_picture(image, channel)
-        if layout is not None and picture.channel is not None:
-            raise invalid("--layout", f"{layout} for red, green and blue at each pixel of '{image}'", "the filters of a mosaic")
-        pitch = picture.pitch_um if pitch_um is None else pitch_um
-        black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn
-        top = picture.top if saturation is None else saturation
-        if top is not None and top <= black:
-            raise invalid(
-                "--saturation" if saturation is not None else "--black", f"{top:g} with a black level of {black:g}", "more than it"
-            )
-        response = edge_response(
-            picture.data.astype(float) - black,
-            region=corners(region),
-            saturation=None if top is None else top - black,
-            is_unclipped=saturation is not None,
-            layout=layout or picture.layout,
-            channel=channel if picture.channel is None else None,
-        )
-    if picture.channel is not None:
-        response = replace(response, channel=picture.channel)
-    result = summary(response, pitch, notes)
-    write_sfr(folder, response, pitch, result)
+    response = measured(
+        image,
+        pitch_um=pitch_um,
+        channel=channel,
+        layout=layout,
+        black=black_level_dn,
+        saturation=saturation,
+        region=corners(region),
+    )
+    response.write(folder)
+    result = response.as_dict()
     show(result, json, "\n".join([*headline_lines(sfr_parts(result)), f"curves in {folder}"]))
 
 

@@ -7,15 +7,21 @@ numerically over shot noise, reset and read noise, and the spread of gain and of
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.caller import setting
+from pixsim.base.config import read_toml, run_settings
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.parameters import NO_TECHNOLOGY, Exposure, Pixel
+from pixsim.base.parameters import NO_TECHNOLOGY, Exposure, Pixel, Run
 from pixsim.base.progress import Stage
 from pixsim.measure import colour as colours, estimators
 from pixsim.measure.colour import Colour, measure_colour
@@ -25,7 +31,10 @@ from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
-from pixsim.show.pages import plain
+from pixsim.show.pages import html_cell, plain, rounded, rows_csv
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LEAST_NOISE_DN = 0.1  # of light at saturation: below it, most frames of even light have one code and no noise
 GREY_FRAMES = 16  # ISO 15739 requires at least 8
@@ -71,10 +80,17 @@ def dark_map_e(experiment: Experiment) -> Array:
 class DataSheet:
     """The frames' statistics of one device, the estimates from them, and the true values.
 
-    light : series over photons per pixel. dim : the same below its first exposure, for S/N. dark : a pair without light.
-    dark_series : over seconds. warm : dark series by temperature in K. dark_stack, bright_stack : at 0 and 50 % of saturation.
-    grey : (frames, rows, columns) at 13 % of saturation, DN. channels : of a colour sensor, the light series of its other channels.
-    colour : fields of a chart on a colour sensor; its problem in words if their colours cannot be told apart; None if monochrome.
+    experiment : the device and its exposures
+    light : series over photons per pixel
+    dim : the same below its first exposure, for S/N
+    dark : a pair without light
+    dark_series : over seconds
+    warm : dark series by temperature in K
+    dark_stack, bright_stack : at 0 and 50 % of saturation
+    grey : (frames, rows, columns) at 13 % of saturation, DN
+    grey_photons, bright_photons : per pixel, of `grey` and `bright_stack`
+    channels : of a colour sensor, the light series of its other channels
+    colour : fields of a chart on a colour sensor; its problem in words if their colours cannot be told apart; None if monochrome
     """
 
     experiment: Experiment = field(repr=False)
@@ -93,10 +109,12 @@ class DataSheet:
 
     @property
     def pixels(self) -> int:
+        """Number of pixels of the device."""
         return math.prod(self.experiment.sensor.shape)
 
     @cached_property
     def transfer(self) -> PhotonTransfer:
+        """Gain, responsivity, dark noise and saturation from the light series."""
         spread = 0.0 if math.isnan(self.prnu.value) else self.prnu.value  # NaN: too small to be seen
         return estimators.photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, spread)
 
@@ -113,14 +131,17 @@ class DataSheet:
 
     @cached_property
     def linearity(self) -> Linearity:
+        """Deviation of the light series from a straight line."""
         return estimators.linearity(self.light.at, self.signal_dn, self.transfer.saturation_index)
 
     @cached_property
     def dsnu_e(self) -> Estimate:
+        """Dark signal non-uniformity of EMVA 1288."""
         return estimators.dsnu_e(self.dark_stack, self.transfer.gain_dn_per_e)
 
     @cached_property
     def prnu(self) -> Estimate:
+        """Photo response non-uniformity of EMVA 1288, a fraction of the signal."""
         return estimators.prnu(self.dark_stack, self.bright_stack)
 
     @cached_property
@@ -136,12 +157,16 @@ class DataSheet:
 
     @property
     def true_dark_noise_e(self) -> float:
+        """Temporal dark noise by the pixel's parameters."""
         p = self.experiment.physics
         return math.sqrt(p.reset_noise_e**2 + p.read_noise_at_gain_e**2 + p.dark_current_e_per_s * self.experiment.integration_s)
 
     @cached_property
     def true_prnu(self) -> float:
-        """PRNU1288 of the device's maps; it differs from the spread of the gain by its correlation with the dark map."""
+        """PRNU1288 of the device's maps, a fraction of the signal.
+
+        It differs from the spread of the gain by its correlation with the dark map.
+        """
         if self.experiment.sensor.gain is None:
             return 0.0
         dark = dark_map_e(self.experiment)
@@ -149,15 +174,21 @@ class DataSheet:
         return math.sqrt(max((light + dark).var(ddof=1) - dark.var(ddof=1), 0.0)) / float(light.mean())
 
     @cached_property
-    def true_linearity(self) -> Linearity:
+    def expected(self) -> tuple[Array, Array]:
+        """(n,) signals (DN) and (n,) temporal variances (DN²) of the light series by the model, minus those in the dark."""
         e = self.experiment
-        mean, _ = expected_curve(e.photons * e.efficiency, e.integration_s, e.physics)
-        dark, _ = expected_curve(np.zeros(1), e.integration_s, e.physics)
-        return estimators.linearity(e.photons, mean - dark, self.transfer.saturation_index)
+        mean, variance = expected_curve(e.photons * e.efficiency, e.integration_s, e.physics)
+        dark_mean, dark_variance = expected_curve(np.zeros(1), e.integration_s, e.physics)
+        return mean - dark_mean, variance - dark_variance
+
+    @cached_property
+    def true_linearity(self) -> Linearity:
+        """Deviation of the model's mean signals from a straight line."""
+        return estimators.linearity(self.experiment.photons, self.expected[0], self.transfer.saturation_index)
 
     @property
     def full_in_the_dark(self) -> float:
-        """Fraction of hot pixels whose dark charge alone saturates them at the longest time of the dark series."""
+        """The fraction of hot pixels whose dark charge alone saturates them at the longest time of the dark series."""
         e, p = self.experiment, self.experiment.physics
         if e.sensor.dark_gain is None or not p.hot_pixel_fraction:
             return 0.0
@@ -211,6 +242,117 @@ class DataSheet:
                 "The measured K, R and η are means over the fitted range; the true values refer to the charge."
             )
         return notes
+
+    @cached_property
+    def entries(self) -> list[Entry]:
+        """All lines of the data sheet, grouped by standard."""
+        return [*(*sensitivity(self), *channels(self), *spatial(self), *dark(self)), *(*noise(self), *speed(self), *colour(self))]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the data sheet as in summary.json."""
+        e = self.experiment
+        return {
+            "pixel": e.physics.pixel.model_dump(), "assumption": e.physics.pixel.assumption,
+            "wavelength_nm": e.wavelength_nm, "integration_s": e.integration_s, "gain_db": e.physics.gain_db,
+            "shape": list(e.sensor.shape), "exposures": e.photons.size, "stack_frames": e.stack_frames, "seed": e.seed,
+            "black_level_asked_dn": e.asked_black_dn, "quantisation_limited": self.transfer.limited,
+            "notes": self.notes, "entries": [entry.as_dict() for entry in self.entries],
+        }  # fmt: skip
+
+    @checks_arguments
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """Return a row for each line of the data sheet as CSV, and write it to `path` if given."""
+        return rows_csv([entry.as_dict() for entry in self.entries], path)
+
+    @checks_arguments
+    def write(self, folder: str | os.PathLike[str]) -> Path:
+        """Write report.html, datasheet.csv, summary.json, figures/ (*.svg, *.csv) and provenance.json.
+
+        folder : created if missing
+
+        Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
+        pixsim did not write.
+        """
+        from pixsim.measure.datasheet_report import write_datasheet
+
+        return write_datasheet(self, Path(folder))
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of the photon transfer: temporal variance against mean signal."""
+        from pixsim.measure.datasheet_report import photon_transfer_plate
+
+        return photon_transfer_plate(self).figure
+
+    def _repr_html_(self) -> str:
+        from pixsim.measure.datasheet_report import HEAD, cells, described
+
+        title, *more = described(self)
+        return html_cell(title, HEAD, map(cells, self.entries), self.plot(), [*more, *self.notes])
+
+    def __repr__(self) -> str:
+        from pixsim.measure.datasheet_report import described
+
+        t = self.transfer
+        values = f"K {t.gain_dn_per_e.value:.3g} DN/e-, η {100 * t.efficiency.value:.3g} %, σ_d {t.dark_noise_e.value:.3g} e-"
+        return f"<DataSheet {described(self)[0]}: {values}, μ_e.sat {rounded(t.saturation_e.value, 4)} e->"
+
+
+@checks_arguments
+def datasheet(
+    file: str | os.PathLike[str] | None = None,
+    *,
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    pixel: Pixel | Mapping[str, Any] | None = None,
+    exposure: Exposure | Mapping[str, Any] | None = None,
+    wavelength_nm: float | None = None,
+    seed: int | None = None,
+    progress: Stage | None = None,
+) -> DataSheet:
+    """Measure one simulated sensor of a pixel by EMVA 1288, ISO 15739 and ISO 12232, beside the true values.
+
+    file : a TOML file with a table [pixel], such as a data sheet; the file of a technology, or the name of a packaged one
+    config : one or more TOML files with [pixel] and [exposure]; later ones take precedence
+    pixel : a Pixel, or fields of one, each in its unit, which override those of the files
+    exposure : integration time of the light series and gain of all frames, as an Exposure or its fields; by default 30 ms, or less
+        where the dark current is high
+    wavelength_nm : of the light; by default the peak of the response
+    seed : of the sensor and its noise; None means that of `config`, or 0
+    progress : returns a callback for each named stage
+
+    Raises PixsimError for invalid input, and if the pixel's codes are so coarse that no frame shows noise.
+
+    >>> sheet = datasheet("0.35um", pixel={"pitch_um": 6.5, "bits": 12})
+    >>> gain = next(entry for entry in sheet.entries if entry.symbol == "K")
+    >>> abs(gain.measured - gain.true) < 4 * gain.standard_error
+    True
+    """
+    settings = datasheet_settings(file, config, pixel, exposure, seed)
+    return make_datasheet(settings.pixel, settings.exposure, stage=progress, wavelength_nm=wavelength_nm, seed=settings.seed)
+
+
+def datasheet_settings(
+    file: str | os.PathLike[str] | None,
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    pixel: Pixel | Mapping[str, Any] | None,
+    exposure: Exposure | Mapping[str, Any] | None,
+    seed: int | str | None,
+) -> Run:
+    """Return the settings of `datasheet`, whose arguments these are. Raises PixsimError that lists all problems."""
+    files = [config] if isinstance(config, str | os.PathLike) else list(config)
+    if isinstance(pixel, Pixel) and (given := [name for name, value in (("file", file), ("config", files)) if value]):
+        raise invalid(", ".join(given), "with a Pixel", "fields of a pixel beside a file", "Set these values in the Pixel instead.")
+    name = None if file is None else os.fspath(file)
+    if name is not None and name.endswith(".toml") and "pixel" in read_toml(Path(name)):
+        files.insert(0, name)
+    elif name is not None:
+        fields = dict(pixel or {})
+        if "technology" in fields:
+            raise PixsimError(
+                f"pixel: got '{name}' and {setting('pixel.technology', fields['technology'])}; give only one of them."
+            )
+        pixel = fields | {"technology": name}
+    options = {"pixel": pixel or None, "exposure": exposure, "seed": seed}
+    return run_settings(files, {name: value for name, value in options.items() if value is not None})
 
 
 def make_datasheet(pixel: Pixel, exposure: Exposure | None = None, *, stage: Stage | None = None, **how: Any) -> DataSheet:
@@ -295,7 +437,15 @@ PARTS = ("of columns", "col"), ("of rows", "row"), ("of single pixels", "pixel")
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of a data sheet. `measured`, `standard_error` and `true` are in `unit`; NaN if not available."""
+    """A line of a data sheet.
+
+    standard, quantity, symbol, unit : as in summary.json; the unit is empty for a ratio
+    measured : on the frames; NaN if it is not available, and so are the next two
+    standard_error : of it
+    true : by the pixel's parameters, or by the device's maps
+    true_is : the source of the true value
+    note : limits of the measured value
+    """
 
     standard: str
     quantity: str
@@ -309,29 +459,12 @@ class Entry:
 
     @property
     def off(self) -> float:
-        """measured/true - 1; NaN if there is no true value or it is 0 within rounding."""
+        """Relative deviation, measured/true - 1; NaN if there is no true value or it is 0 within rounding."""
         return self.measured / self.true - 1 if abs(self.true) > ROUNDING * abs(self.measured) else math.nan
 
     def as_dict(self) -> dict[str, Any]:
-        """The entry for JSON, with None for NaN and infinity."""
+        """Return the line for JSON, with None for NaN and infinity."""
         return plain(asdict(self) | {"off": self.off})
-
-
-def entries(sheet: DataSheet) -> list[Entry]:
-    """All lines of the data sheet, grouped by standard."""
-    return [*sensitivity(sheet), *channels(sheet), *spatial(sheet), *dark(sheet), *noise(sheet), *speed(sheet), *colour(sheet)]
-
-
-def sheet_summary(sheet: DataSheet) -> dict[str, Any]:
-    """The data sheet as the contents of summary.json."""
-    e = sheet.experiment
-    return {
-        "pixel": e.physics.pixel.model_dump(), "assumption": e.physics.pixel.assumption,
-        "wavelength_nm": e.wavelength_nm, "integration_s": e.integration_s, "gain_db": e.physics.gain_db,
-        "shape": list(e.sensor.shape), "exposures": e.photons.size, "stack_frames": e.stack_frames, "seed": e.seed,
-        "black_level_asked_dn": e.asked_black_dn, "quantisation_limited": sheet.transfer.limited,
-        "notes": sheet.notes, "entries": [entry.as_dict() for entry in entries(sheet)],
-    }  # fmt: skip
 
 
 def line(standard: str, name: str, symbol: str, unit: str, measured: Estimate, true: float, source: str, note: str = "") -> Entry:

@@ -16,16 +16,16 @@ from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.base.headline import below_headline, with_headline
 from pixsim.base.labels import file_label, label_of
 from pixsim.base.parameters import Pixel
-from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_curve, sheet_summary
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.show.figures import COLOURS, LOOKS, Look, new_figure, own_style, plain_powers
-from pixsim.show.pages import Plate, rounded, rows_csv, shown_value, write_figures, write_page
+from pixsim.show.pages import Plate, rounded, shown_value, write_figures, write_page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from pixsim.measure.datasheet import DataSheet, Entry
 
 BLUE, ORANGE = COLOURS[:2]
 DARK, LIGHT = LOOKS[2:4]  # distinct in greyscale, for overlapping lines
@@ -66,13 +66,11 @@ def finish(axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] = 
 @own_style()
 def photon_transfer_plate(sheet: DataSheet) -> Plate:
     """Temporal variance against mean signal, both minus the dark."""
-    t, light, e = sheet.transfer, sheet.light, sheet.experiment
+    t, light, (expected, expected_variance) = sheet.transfer, sheet.light, sheet.expected
     signal, variance = sheet.signal_dn, light.variance_dn2 - sheet.dark.variance_dn2
-    mean, expected = expected_curve(e.photons * e.efficiency, e.integration_s, e.physics)
-    dark_mean, dark_variance = expected_curve(np.zeros(1), e.integration_s, e.physics)
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
-    axes.plot(mean - dark_mean, expected - dark_variance, color="0.6", lw=1, label="model")
+    axes.plot(expected, expected_variance, color="0.6", lw=1, label="model")
     axes.plot(signal, variance, "o", ms=3.5, mfc="none", color=BLUE, label="measured")
     axes.plot(signal[t.fitted], variance[t.fitted], "o", ms=3.5, color=BLUE, label=f"fitted, up to {100 * SENSITIVITY_SHARE:.0f} %")
     reach = np.array([0.0, signal[t.saturation_index]])
@@ -86,8 +84,8 @@ def photon_transfer_plate(sheet: DataSheet) -> Plate:
         "is the system gain K. Saturation is the peak of the variance, "
         "beyond which the pixels reach full well, those of higher gain first."
     )
-    table = {"photons_p": light.at, "signal_dn": signal, "variance_dn2": variance, "expected_signal_dn": mean - dark_mean,
-             "expected_variance_dn2": expected - dark_variance, "fitted": t.fitted.astype(int)}  # fmt: skip
+    table = {"photons_p": light.at, "signal_dn": signal, "variance_dn2": variance, "expected_signal_dn": expected,
+             "expected_variance_dn2": expected_variance, "fitted": t.fitted.astype(int)}  # fmt: skip
     return plate("photon_transfer", caption, figure, table)
 
 
@@ -323,6 +321,15 @@ def described(sheet: DataSheet) -> list[str]:
     ])  # fmt: skip
 
 
+HEAD = ("", "", "measured", "± s.e.", "true", "unit", "deviation")
+
+
+def cells(entry: Entry) -> tuple[str, ...]:
+    """A line of the sheet as text, in the columns of `HEAD`."""
+    numbers = number(entry.measured), number(entry.standard_error, 2), number(entry.true)
+    return entry.quantity, entry.symbol, *numbers, entry.unit, off(entry)
+
+
 def datasheet_lines(sheet: DataSheet) -> list[str]:
     """Lines for the terminal: the sheet as a table, then its notes."""
     from rich.console import Console
@@ -330,15 +337,15 @@ def datasheet_lines(sheet: DataSheet) -> list[str]:
     from rich.text import Text
 
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("", "", "measured", "± s.e.", "true", "unit", "deviation"):
+    for name in HEAD:
         table.add_column(name, justify="left" if name in ("", "unit") else "right", no_wrap=True)
     standard = ""
-    for entry in entries(sheet):
+    for entry in sheet.entries:
         if entry.standard != standard:
             standard = entry.standard
             table.add_row(Text(standard, style="bold"))
-        numbers = number(entry.measured), number(entry.standard_error, 2), number(entry.true)
-        table.add_row(f"  {entry.quantity}", entry.symbol, *numbers, entry.unit, off(entry))
+        quantity, *others = cells(entry)
+        table.add_row(f"  {quantity}", *others)
     text = StringIO()
     Console(file=text, width=TERMINAL_WIDTH, markup=False, emoji=False).print(table)
     return [
@@ -356,9 +363,9 @@ def write_datasheet(sheet: DataSheet, out: Path) -> Path:
     pixel = sheet.experiment.physics.pixel
     with output_folder(out), publishing(out, "datasheet") as folder:
         shown = write_figures(folder, [plate.drawn() for plate in datasheet_plates(sheet)])
-        rows_csv([entry.as_dict() for entry in entries(sheet)], folder / "datasheet.csv")
-        write_json(folder / "summary.json", sheet_summary(sheet))
-        groups = [(standard, list(lines)) for standard, lines in groupby(entries(sheet), attrgetter("standard"))]
+        sheet.to_csv(folder / "datasheet.csv")
+        write_json(folder / "summary.json", sheet.as_dict())
+        groups = [(standard, list(lines)) for standard, lines in groupby(sheet.entries, attrgetter("standard"))]
         page = {
             "described": described(sheet), "sheet": sheet, "groups": groups, "number": number, "off": off,
             "pixel": {key: shown_value(value) for key, value in pixel.model_dump(exclude_none=True).items()},

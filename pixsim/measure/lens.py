@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
+from pixsim.base.notes import collected_notes
+from pixsim.base.progress import Stage
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.field_blur import UM_PER_NM, Light, even_window, fit_wavefronts, periodic_psf
 from pixsim.optics.glass import AIR
-from pixsim.optics.lens import FirstOrder, Lens
+from pixsim.optics.lens import FirstOrder, Lens, load_lens
 from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.ray_trace import sag_and_slope
 from pixsim.show.pages import plain
@@ -63,11 +68,13 @@ class Spot:
 class LensData:
     """All numbers of a lens's page.
 
-    wavelength_nm : of equal weight
+    lens : as it is traced
+    wavelength_nm : (n,) of equal weight
     first : first-order data of each wavelength
     field_deg : (F,) of spots, PSFs and MTFs
     spots : one of each field
-    psfs : (n, n) of each field, means over squares of `psf_pitch_um`; the chief ray of the primary wavelength in the middle
+    psfs : (n, n) of each field; the chief ray of the primary wavelength in the middle
+    psf_pitch_um : of the squares over which PSFs are means
     dark : (F,), whether no light reaches the image of a field: its spot and MTF are NaN, its PSF 0
     geometric : whether aberrations are so large that PSFs and MTFs are those of rays, times the limit of diffraction
     frequency_lp_per_mm : (n,)
@@ -98,6 +105,7 @@ class LensData:
 
     @property
     def primary(self) -> FirstOrder:
+        """First-order data at the primary wavelength."""
         return self.lens.first_order(self.lens.primary_nm)
 
     @property
@@ -128,7 +136,7 @@ class LensData:
 
     @property
     def loss_percent(self) -> float:
-        """Light on the axis that uncoated surfaces would reflect."""
+        """Light on the axis that uncoated surfaces would reflect, in %."""
         return 100 * (1 - self.lens.fresnel_transmittance(self.lens.primary_nm))
 
     def axial_colour(self) -> tuple[Array, Array]:
@@ -144,7 +152,7 @@ class LensData:
         return asked_frequencies(self.pitch_um)
 
     def mtf_at(self, frequency_lp_per_mm: float) -> Array:
-        """Return the tangential and sagittal MTF at one frequency of the tables, (F, 2)."""
+        """Return the tangential and sagittal MTF at one frequency of the tables, (F, 2), 1 for full contrast."""
         index = int(np.argmin(np.abs(self.frequency_lp_per_mm - frequency_lp_per_mm)))
         return np.asarray(self.mtf[:, :, index])
 
@@ -190,6 +198,10 @@ class LensData:
             "fields": [plain(each) for each in fields],
             "notes": list(self.notes),
         }
+
+    def __repr__(self) -> str:
+        first = self.primary
+        return f"<LensData {self.lens.prescription.name}: f = {first.focal_length_mm:.5g} mm, f/{first.f_number:.4g}>"
 
 
 def asked_frequencies(pitch_um: float | None) -> tuple[float, ...]:
@@ -396,6 +408,68 @@ def cross_section(lens: Lens) -> CrossSection:
             y = np.column_stack([y[:, 0] - before * math.tan(math.radians(angle)), y])
         rays[angle] = list(zip(heights[passed].tolist(), z, y, strict=True))
     return CrossSection(length_mm, outlines, [surface.glass != AIR for surface in surfaces], (float(at), semi), rays)
+
+
+LEAST_LENGTH = 1e-6  # of an argument, in its unit; its reciprocal is the most
+MAX_WAVELENGTHS = 24  # as in design programs
+MANY_TO_TRACE = 150  # surfaces times wavelengths, which take more than about 5 s
+
+
+@checks_arguments
+def lens(
+    file: str | os.PathLike[str],
+    *,
+    focal_length_mm: float | None = None,
+    f_number: float | None = None,
+    field_deg: float | None = None,
+    refocus: Literal["paraxial", "axis", "field"] | None = None,
+    object_distance_m: float | None = None,
+    wavelength_nm: Sequence[float] = (),
+    pitch_um: float | None = None,
+    configuration: int | None = None,
+    semi_diameters: Literal["ignore", "clip"] = "ignore",
+    vignetting_factors: Literal["use", "ignore"] | None = None,
+    glass_catalogues: Sequence[str | os.PathLike[str]] = (),
+    unknown_glass: Literal["error", "model"] = "error",
+    progress: Stage | None = None,
+) -> LensData:
+    """Trace a lens: first-order data, spots, PSF and MTF, distortion, field curvature, illumination and chief ray angles.
+
+    The lens is as in its file unless the arguments change it.
+
+    file : a packaged lens by its name (cooke_triplet, double_gauss, phone, singlet), or a `.toml` or `.zmx` file
+    focal_length_mm : scale the whole lens to it
+    f_number : stop the lens down
+    field_deg : largest field angle that is looked at
+    refocus : move the image plane to the paraxial focus, or to the least rms wavefront on the axis or over the field; None means
+        the file's plane, or axis if an object distance is given
+    object_distance_m : of the object from the entrance pupil
+    wavelength_nm : of equal weight; empty means those of the file
+    pitch_um : of a pixel, whose Nyquist frequency joins 10, 30 and 60 lp/mm
+    configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass : as in `load_lens`
+    progress : returns a callback for each named stage
+
+    Raises PixsimError for invalid input, and for what pixsim does not trace.
+
+    >>> data = lens("cooke_triplet", f_number=8.0, pitch_um=5.0)
+    >>> round(float(data.primary.f_number), 3), 100.0 in data.asked_lp_per_mm
+    (8.0, True)
+    """
+    positive = [("focal_length_mm", focal_length_mm), ("f_number", f_number), ("object_distance_m", object_distance_m)]
+    for name, value in [*positive, ("pitch_um", pitch_um), *(("wavelength_nm", nm) for nm in wavelength_nm)]:
+        if value is not None and not LEAST_LENGTH <= value <= 1 / LEAST_LENGTH:
+            raise invalid(setting(name), f"{value:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
+    if len(wavelength_nm) > MAX_WAVELENGTHS:
+        raise invalid(setting("wavelength_nm"), f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}")
+    if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
+        raise invalid(setting("field_deg"), f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
+    with collected_notes() as notes:
+        own = load_lens(file, configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass)
+        chosen = chosen_lens(own, focal_length_mm, f_number, field_deg, refocus, object_distance_m)
+    if progress:
+        surfaces, wavelengths = len(chosen.prescription.surfaces), len(wavelength_nm or chosen.prescription.wavelengths_nm)
+        progress(f"trace {surfaces} surfaces at {wavelengths} wavelengths" if surfaces * wavelengths > MANY_TO_TRACE else "trace")
+    return lens_data(chosen, wavelength_nm, pitch_um, tuple(notes))
 
 
 def chosen_lens(

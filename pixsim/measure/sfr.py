@@ -8,11 +8,12 @@ channel of a colour mosaic has only some of them.
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,13 +24,17 @@ from scipy.special import chndtrinc, erf, ndtri
 
 from pixsim.base.arguments import LARGEST, SMALLEST, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
+from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.files import output_folder, publishing, write_json
-from pixsim.base.notes import warn
+from pixsim.base.notes import collected_notes, warn
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, layout_of, number_of, read_picture
 from pixsim.show.figures import COLOURS, new_figure, own_style
-from pixsim.show.pages import Plate
+from pixsim.show.pages import Column, Plate, html_cell, table_csv, write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 BINS_A_PIXEL = 4  # ISO 12233
 NYQUIST_CY_PER_PX = 0.5
@@ -86,6 +91,8 @@ class EdgeResponse:
     mtf50_interval_cy_per_px : interval of 95 % of the MTF50, from the picture's own noise; None for a bound above the last one
     nyquist_cy_per_px : of the pixels measured, along the rows or columns across the edge: 0.5, or less for a channel of a mosaic
     channel : that was measured; None for a picture of one channel
+    pitch_um : of the pixels; None if it is unknown
+    notes : warnings of the picture
     """
 
     frequency_cy_per_px: Array = field(repr=False)
@@ -101,6 +108,8 @@ class EdgeResponse:
     mtf50_interval_cy_per_px: tuple[float | None, float | None] = (None, None)
     nyquist_cy_per_px: float = NYQUIST_CY_PER_PX
     channel: str | None = None
+    pitch_um: float | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def mtf50_cy_per_px(self) -> float | None:
@@ -123,6 +132,71 @@ class EdgeResponse:
     def frequency_cy_per_mm(self, pitch_um: float) -> Array:
         """(F,) frequencies on the sensor for a given pixel pitch."""
         return self.frequency_cy_per_px * 1e3 / pitch_um
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the results for JSON, with frequencies in cy/px, and in cy/mm if the pitch is known."""
+        mtf50, interval_cy_per_px = self.mtf50_cy_per_px, self.mtf50_interval_cy_per_px
+        at_nyquist, at_own = self.at(NYQUIST_CY_PER_PX), self.at(self.nyquist_cy_per_px)
+        result: dict[str, Any] = {
+            "mtf50_cy_per_px": mtf50, "mtf50_interval_cy_per_px": list(interval_cy_per_px),
+            "sfr_at_nyquist": at_nyquist[0], "sfr_at_nyquist_interval": list(at_nyquist[1:]), "interval_coverage": COVERAGE,
+            "channel": self.channel, "channel_nyquist_cy_per_px": self.nyquist_cy_per_px, "sfr_at_channel_nyquist": at_own[0],
+            "highest_frequency_cy_per_px": float(self.frequency_cy_per_px[-1]),
+            "angle_deg": self.angle_deg, "contrast": self.contrast, "half_window_px": self.half_window_px,
+            "rows_used": self.rows_used, "pitch_um": self.pitch_um, "warnings": list(self.notes),
+        }  # fmt: skip
+        if self.pitch_um is not None:
+            scale = 1e3 / self.pitch_um
+            result["mtf50_cy_per_mm"] = None if mtf50 is None else mtf50 * scale
+            result["mtf50_interval_cy_per_mm"] = [None if bound is None else bound * scale for bound in interval_cy_per_px]
+            result["nyquist_cy_per_mm"] = NYQUIST_CY_PER_PX * scale
+        return result
+
+    @property
+    def _table(self) -> dict[str, Column]:
+        columns = {
+            "frequency_cy_per_px": self.frequency_cy_per_px,
+            "sfr": self.sfr,
+            "sfr_low": self.sfr_low,
+            "sfr_high": self.sfr_high,
+        }
+        if self.pitch_um is not None:
+            columns["frequency_cy_per_mm"] = self.frequency_cy_per_mm(self.pitch_um)
+        return {name: values.tolist() for name, values in columns.items()}
+
+    @checks_arguments
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """Return the SFR and its interval at each frequency as CSV, and write it to `path` if given."""
+        text = table_csv(self._table)
+        if path is not None:
+            write_text(Path(path), text)
+        return text
+
+    @checks_arguments
+    def write(self, folder: str | os.PathLike[str]) -> Path:
+        """Write sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg, summary.json and provenance.json.
+
+        folder : created if missing
+
+        Returns the path of summary.json. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
+        pixsim did not write.
+        """
+        with output_folder(folder) as path, publishing(path, "sfr") as unfinished:
+            for plate in (sfr_plate(self), edge_plate(self, "above black")):
+                plate.drawn().write(unfinished)
+            write_json(unfinished / "summary.json", self.as_dict())
+        return Path(folder) / "summary.json"
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of the SFR against frequency, with its interval."""
+        return sfr_plate(self).figure
+
+    def _repr_html_(self) -> str:
+        title, *more = sfr_parts(self.as_dict())
+        return html_cell(title, (), (), self.plot(), [*more, *self.notes])
+
+    def __repr__(self) -> str:
+        return f"<EdgeResponse {sfr_parts(self.as_dict())[0]}>"
 
 
 def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
@@ -867,27 +941,63 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
     return EdgePicture(data, numbers.get("pitch_um"), numbers.get("black_level_dn"), top, layout_text, rgb)
 
 
-def sfr_summary(edge: EdgeResponse, pitch_um: float | None, warnings: Sequence[str] = ()) -> dict[str, Any]:
-    """The results for JSON, with frequencies in cy/px, and in cy/mm if the pitch is known.
+@checks_arguments
+def sfr(
+    image: str | os.PathLike[str],
+    *,
+    pitch_um: float | None = None,
+    channel: str | None = None,
+    layout: str | None = None,
+    black: float | None = None,
+    saturation: float | None = None,
+    region: Sequence[int] | None = None,
+) -> EdgeResponse:
+    """Measure the spatial frequency response of a slanted edge in the file of a linear picture by ISO 12233.
 
-    warnings : of the picture
+    image : raw.exr of `pixsim run`, another .exr, .npy, .npz of one array, .png of 16 bits, or .tiff of 16 bits or floating point
+    pitch_um : of the pixels, for frequencies on the sensor; None means that of the file
+    channel : of a picture in colour: R, G, B, or another letter of its filters, `luminance`, or a place of the mosaic as
+        row,column; None means luminance of red, green and blue, and none of a mosaic
+    layout : colour filters of a mosaic, upper row first, as RG/GB, or R+G+B for planes one below the other; None means those of
+        the file
+    black : level of no light as stored, in DN, which affects the contrast only; None means that of the file, or 0
+    saturation : value as stored, in DN, from which a pixel counts as saturated; None means that of the file
+    region : x0, y0, x1, y1 of the edge in pixels from the upper left, x1 and y1 excluded; None means the whole picture
+
+    Raises PixsimError if the file is no linear picture, and as `edge_response` does.
+
+    >>> import tempfile
+    >>> y, x = np.mgrid[:200, :200] - 99.5
+    >>> distance = (x + y * np.tan(np.radians(5))) * np.cos(np.radians(5))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.save(f"{folder}/edge.npy", np.clip(distance + 0.5, 0, 1) * 0.8 + 0.1)  # blurred by one pixel
+    ...     edge = sfr(f"{folder}/edge.npy", pitch_um=5.0)
+    >>> round(edge.as_dict()["mtf50_cy_per_mm"])  # sinc(0.603) = 1/2
+    121
     """
-    mtf50, interval_cy_per_px = edge.mtf50_cy_per_px, edge.mtf50_interval_cy_per_px
-    at_nyquist, at_own = edge.at(NYQUIST_CY_PER_PX), edge.at(edge.nyquist_cy_per_px)
-    result: dict[str, Any] = {
-        "mtf50_cy_per_px": mtf50, "mtf50_interval_cy_per_px": list(interval_cy_per_px),
-        "sfr_at_nyquist": at_nyquist[0], "sfr_at_nyquist_interval": list(at_nyquist[1:]), "interval_coverage": COVERAGE,
-        "channel": edge.channel, "channel_nyquist_cy_per_px": edge.nyquist_cy_per_px, "sfr_at_channel_nyquist": at_own[0],
-        "highest_frequency_cy_per_px": float(edge.frequency_cy_per_px[-1]),
-        "angle_deg": edge.angle_deg, "contrast": edge.contrast,
-        "half_window_px": edge.half_window_px, "rows_used": edge.rows_used, "pitch_um": pitch_um, "warnings": list(warnings),
-    }  # fmt: skip
-    if pitch_um is not None:
-        scale = 1e3 / pitch_um
-        result["mtf50_cy_per_mm"] = None if mtf50 is None else mtf50 * scale
-        result["mtf50_interval_cy_per_mm"] = [None if bound is None else bound * scale for bound in interval_cy_per_px]
-        result["nyquist_cy_per_mm"] = NYQUIST_CY_PER_PX * scale
-    return result
+    lowest, highest = METADATA_RANGES["pitch_um"]
+    if pitch_um is not None and not lowest <= pitch_um <= highest:
+        raise invalid(setting("pitch_um"), f"{pitch_um:g}", f"a number above 0, {lowest:g} to {highest:g}")
+    with collected_notes() as notes:
+        picture = read_edge_picture(Path(image), channel)
+        if layout is not None and picture.channel is not None:
+            got = f"{layout} for red, green and blue at each pixel of '{image}'"
+            raise invalid(setting("layout"), got, "the filters of a mosaic")
+        level = (picture.black_level_dn or 0.0) if black is None else black
+        top = picture.top if saturation is None else saturation
+        if top is not None and top <= level:
+            name = "black" if saturation is None else "saturation"
+            raise invalid(setting(name), f"{top:g} with a black level of {level:g}", "more than it")
+        edge = edge_response(
+            picture.data.astype(float) - level,
+            region=region,
+            saturation=None if top is None else top - level,
+            is_unclipped=saturation is not None,
+            layout=layout or picture.layout,
+            channel=channel if picture.channel is None else None,
+        )
+    pitch = picture.pitch_um if pitch_um is None else pitch_um
+    return replace(edge, channel=picture.channel or edge.channel, pitch_um=pitch, notes=tuple(notes))
 
 
 def sfr_parts(result: dict[str, Any]) -> list[str]:
@@ -914,11 +1024,11 @@ def sfr_parts(result: dict[str, Any]) -> list[str]:
 
 
 @own_style()
-def sfr_plate(edge: EdgeResponse, pitch_um: float | None) -> Plate:
+def sfr_plate(edge: EdgeResponse) -> Plate:
     """Plot of the SFR against frequency, with Nyquist frequency and MTF50."""
     figure = new_figure(5.2, 3.4)
     axes = figure.subplots()
-    scale, unit = (1.0, "cycles/pixel") if pitch_um is None else (1e3 / pitch_um, "cycles/mm on the sensor")
+    scale, unit = (1.0, "cycles/pixel") if edge.pitch_um is None else (1e3 / edge.pitch_um, "cycles/mm on the sensor")
     nyquist = NYQUIST_CY_PER_PX * scale
     axes.fill_between(edge.frequency_cy_per_px * scale, edge.sfr_low, edge.sfr_high, color=COLOURS[0], alpha=0.25, lw=0)
     axes.plot(edge.frequency_cy_per_px * scale, edge.sfr, color=COLOURS[0], lw=1.5)
@@ -932,12 +1042,8 @@ def sfr_plate(edge: EdgeResponse, pitch_um: float | None) -> Plate:
     axes.set(xlabel=f"frequency along the normal of the edge ({unit})", ylabel="e-SFR")
     axes.set_xlim(0, edge.frequency_cy_per_px[-1] * scale)
     axes.set_ylim(0, top)
-    table: dict[str, Any] = {"frequency_cy_per_px": edge.frequency_cy_per_px.tolist(), "sfr": edge.sfr.tolist()}
-    table |= {"sfr_low": edge.sfr_low.tolist(), "sfr_high": edge.sfr_high.tolist()}
-    if pitch_um is not None:
-        table["frequency_cy_per_mm"] = edge.frequency_cy_per_mm(pitch_um).tolist()
     title = "Edge-based spatial frequency response (ISO 12233), and its interval of 95 % by the noise of the picture."
-    return Plate("sfr", title, figure, table)
+    return Plate("sfr", title, figure, edge._table)
 
 
 @own_style()
@@ -953,14 +1059,3 @@ def edge_plate(edge: EdgeResponse, unit: str) -> Plate:
 
 
 FILES = ("sfr.csv", "sfr.svg", "edge_spread.csv", "edge_spread.svg", "summary.json")
-
-
-def write_sfr(folder: Path, edge: EdgeResponse, pitch_um: float | None, result: dict[str, Any]) -> None:
-    """Write sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
-
-    Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
-    """
-    with output_folder(folder), publishing(folder, "sfr") as unfinished:
-        for plate in (sfr_plate(edge, pitch_um), edge_plate(edge, "above black")):
-            plate.drawn().write(unfinished)
-        write_json(unfinished / "summary.json", result)

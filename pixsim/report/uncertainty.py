@@ -11,7 +11,6 @@ from pixsim.base.files import write_json
 from pixsim.base.headline import headline_lines
 from pixsim.show.pages import Drawn, write_figures, write_page
 from pixsim.studies.result import StudyResult
-from pixsim.studies.sensor_types import total_indices_of
 from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distribution_plate, indices_plate
 
 PAGE = "uncertainty.html"
@@ -25,11 +24,11 @@ def uncertainty_files() -> set[str]:
     return {PAGE, "uncertainty.json", *figures, *(f"sensor_types_{number}.csv" for number in range(1, MOST_RESULTS + 1))}
 
 
-def write_uncertainty(folder: Path, result: StudyResult, total: bool = False) -> None:
+def write_uncertainty(folder: Path, result: StudyResult) -> None:
     """Write uncertainty.html, uncertainty.json, a table of the sensor types and the figures of each optimum to a new folder."""
     sections: list[tuple[UncertaintyResult, Sequence[Drawn], list[tuple[str, str]]]] = []
     summary: list[dict[str, Any]] = []
-    study = result.study
+    study, total = result.study, result.uncertainty[0].total
     for number, each in enumerate(result.uncertainty[:MOST_RESULTS], 1):
         plates = [distribution_plate(each)] if total else [distribution_plate(each), indices_plate(each)]
         drawn = write_figures(folder, [replace(plate, name=f"{plate.name}_{number}").drawn() for plate in plates])
@@ -37,7 +36,7 @@ def write_uncertainty(folder: Path, result: StudyResult, total: bool = False) ->
         content = each.as_dict()
         if total:
             del content["first_order"]
-            content["indices"] = total_indices_of(each)
+            content["indices"] = each.total_indices
         summary.append(content)
         sections.append((each, drawn, verdict_rows(each)))
     write_json(folder / "uncertainty.json", {"study": study.name, "results": summary})

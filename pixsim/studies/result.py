@@ -420,10 +420,11 @@ class StudyResult:
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 
     def shown_part(self, technology: str, pitch_um: float, part: Callable[[Array], Array]) -> Array:
-        """Return a part of the picture that the first sensor of a pitch shows, as `scores` has it, without ΔE.
+        """Return a part of the picture, (rows, columns), that the first sensor of a pitch shows, as `scores` has it, without ΔE.
 
         A frame of the cache is shown directly, which takes a fifth of the time of simulating it.
 
+        technology : name or path as in `Study.technologies`
         part : cuts it out of the whole picture
         """
         series = self.series[technology]

@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from pixsim.base.caller import setting
 from pixsim.base.config import Uncertainty
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Study, merge
@@ -21,7 +21,6 @@ from pixsim.studies.cases import Case, check_number
 from pixsim.studies.claims import scaling_rows
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluations import Evaluations
-from pixsim.studies.indices import total_indices
 from pixsim.studies.preparation import MOST_EVALUATIONS
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.rows import NO_ROWS
@@ -30,7 +29,6 @@ from pixsim.studies.series import Series, scenes_of, series_of
 from pixsim.studies.uncertainty import (
     LEAST_DRAWS,
     MOST_DRAWS,
-    OUTPUTS,
     Outcome,
     Sample,
     UncertaintyResult,
@@ -63,7 +61,9 @@ class Asked:
 
     def __post_init__(self) -> None:
         if not LEAST_DRAWS <= self.draws <= MOST_DRAWS:
-            raise invalid("uncertainty", self.draws, f"{LEAST_DRAWS} to {MOST_DRAWS} sensor types")
+            raise invalid(
+                setting("sobol" if self.total else "uncertainty"), self.draws, f"{LEAST_DRAWS} to {MOST_DRAWS} sensor types"
+            )
 
     def sample(self, study: Study) -> Sample:
         """Return the sensor types. Raises PixsimError if nothing is unknown."""
@@ -71,11 +71,31 @@ class Asked:
         return make(unknowns_of_study(study, self.uncertainty), self.draws, study.seed)
 
 
+def asked_of(uncertainty: int | None, sobol: int | None, smaller_than_um: Sequence[float], spreads: Uncertainty) -> Asked | None:
+    """Return what is asked about the unknown numbers; None if nothing is.
+
+    uncertainty, sobol : sensor types to draw, or those of total indices
+    smaller_than_um : as in `Asked`
+    spreads : `Asked.uncertainty`
+
+    Raises PixsimError for both numbers of types, and for sizes without any.
+    """
+    if uncertainty is not None and sobol is not None:
+        raise invalid(setting("uncertainty"), f"with {setting('sobol')}", "one of the two")
+    draws = uncertainty if sobol is None else sobol
+    if draws is not None:
+        return Asked(draws, sobol is not None, tuple(smaller_than_um), spreads)
+    if smaller_than_um:
+        got = f"without {setting('uncertainty')}"
+        raise invalid(setting("smaller_than_um"), got, f"{setting('uncertainty', 'N')} beside it")
+    return None
+
+
 def check_axes(study: Study) -> None:
     """Raise PixsimError for axes with which sensor types cannot be drawn."""
     if any(axis.alone for axis in study.axis) or len(study.axis) > 1 or any(len(axis.points) > MOST_VALUES for axis in study.axis):
         got = ", ".join(f"{axis.name} with {len(axis.points)} values" for axis in study.axis)
-        raise invalid("--uncertainty", f"a study with the axes {got}", f"at most one axis of at most {MOST_VALUES} values")
+        raise invalid(setting("uncertainty"), f"a study with the axes {got}", f"at most one axis of at most {MOST_VALUES} values")
 
 
 def check_types(study: Study, cases: Sequence[Study], asked: Asked, agreed: bool) -> tuple[int, int]:
@@ -146,7 +166,8 @@ def draw_types(
             of_types = members[number * count : (number + 1) * count]
             outcomes = [_outcome([curves[own] for own in of_type], place, base, asked) for of_type in of_types]
             inputs = sample if asked.total else sample_of(sample, curve.technology)
-            found.append(summarise(inputs, outcomes, asked.draws, study.seed, curve.label if len(result.curves) > 1 else ""))
+            label = curve.label if len(result.curves) > 1 else ""
+            found.append(summarise(inputs, outcomes, asked.draws, study.seed, label, asked.total))
     return found
 
 
@@ -181,13 +202,3 @@ def _outcome(curves: Sequence[Curve], place: int, base: StudyResult, asked: Aske
     tried = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
     pitch_um = float(np.clip(best.pitch_um, *tried))
     return Outcome(pitch_um, best.interval_um, best.mean_delta_e, best.inside, tried, verdicts)
-
-
-def total_indices_of(result: UncertaintyResult) -> dict[str, Any]:
-    """Return first-order and total indices of the optimum and of the least ΔE, from the points of `Asked.total`."""
-    names = list(result.sample.inputs)
-    found = {}
-    for output in OUTPUTS:
-        first, total = total_indices(result.values(output), names, result.seed)
-        found[output] = {name: {"first": vars(first[name]), "total": vars(total[name])} for name in names}
-    return found

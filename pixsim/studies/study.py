@@ -797,6 +797,7 @@ def study(
     progress: Stage | None = None,
     agreed: bool = False,
     uncertainty: int | None = None,
+    sobol: int | None = None,
     smaller_than_um: Sequence[float] = (),
     **settings: Any,
 ) -> StudyResult:
@@ -818,6 +819,7 @@ def study(
     agreed : whether a study with axes or sensor types may take more than 100 000 evaluations
     uncertainty : number of sensor types to draw from the ranges of technologies and [pixel.uncertainty] of `config`, for the
         result's `uncertainty`; None means none
+    sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor types
     smaller_than_um : sizes; the probability that the optimum is smaller is reported
     settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
         pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0, axis=[{"name": "lens", "set":
@@ -839,13 +841,11 @@ def study(
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
     with collected_notes():  # also of what is found before the study begins
         chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
-        asked = None
         files = [config] if isinstance(config, str | os.PathLike) else config
         spreads = uncertainty_of(plan, files) if isinstance(plan, str | os.PathLike) else {}
-        if uncertainty is not None:
-            from pixsim.studies.sensor_types import Asked
+        from pixsim.studies.sensor_types import asked_of
 
-            asked = Asked(uncertainty, smaller_than_um=tuple(smaller_than_um), uncertainty=spreads)
+        asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
         prepared = replace(prepare(chosen, variant, quick=quick), uncertainty=spreads)
         options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "progress": progress, "agreed": agreed}
         return run_prepared(prepared, out, asked=asked, **options)

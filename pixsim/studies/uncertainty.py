@@ -28,7 +28,7 @@ from pixsim.base.parameters import MIN_FRACTION, PixelOptions, Record, Spread, S
 from pixsim.sensor.technology import Junction, Technology
 from pixsim.show.figures import COLOURS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, rows_csv
-from pixsim.studies.indices import FirstOrder, Marginal, first_order, saltelli
+from pixsim.studies.indices import FirstOrder, Marginal, first_order, saltelli, total_indices
 from pixsim.studies.pixels import technology_of
 
 if TYPE_CHECKING:
@@ -495,6 +495,7 @@ class UncertaintyResult:
     outcomes : one for each
     asked, seed : as given
     label : of the curve whose optimum it is; empty for the only one
+    total : whether the sensor types are the points of total indices
     """
 
     sample: Sample = field(repr=False)
@@ -502,6 +503,7 @@ class UncertaintyResult:
     asked: int
     seed: int
     label: str = ""
+    total: bool = False
 
     @cached_property
     def optimum(self) -> ResultDistribution:
@@ -535,6 +537,18 @@ class UncertaintyResult:
             else:
                 quantiles, values = self.sample.quantiles[used], self.values(name)[used]
                 found[name] = first_order(quantiles, values, self.sample.marginals, self.seed)
+        return found
+
+    @cached_property
+    def total_indices(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """First-order and total indices of the optimum and of the least ΔE, by input. Raises PixsimError without their points."""
+        if not self.total:
+            raise invalid("total_indices", "sensor types that are drawn", "those of study(…, sobol=N)")
+        names = list(self.sample.inputs)
+        found = {}
+        for output in OUTPUTS:
+            first, total = total_indices(self.values(output), names, self.seed)
+            found[output] = {name: {"first": vars(first[name]), "total": vars(total[name])} for name in names}
         return found
 
     def values(self, name: str) -> Array:
@@ -632,8 +646,12 @@ def propagate(
     return summarise(sample, evaluate(sample.draws), n, seed)
 
 
-def summarise(sample: Sample, outcomes: Sequence[Outcome], asked: int, seed: int, label: str = "") -> UncertaintyResult:
+def summarise(
+    sample: Sample, outcomes: Sequence[Outcome], asked: int, seed: int, label: str = "", total: bool = False
+) -> UncertaintyResult:
     """Return the result of outcomes that are known already, as where one study of each type has several curves.
+
+    The arguments are the fields of the result.
 
     Raises PixsimError for outcomes that are not one for each type, with the same verdicts.
     """
@@ -644,7 +662,7 @@ def summarise(sample: Sample, outcomes: Sequence[Outcome], asked: int, seed: int
         raise invalid(
             "verdicts", ", ".join(others[0].verdicts) or "none", f"those of the first type: {', '.join(outcomes[0].verdicts)}"
         )
-    return UncertaintyResult(sample, tuple(outcomes), asked, seed, label)
+    return UncertaintyResult(sample, tuple(outcomes), asked, seed, label, total)
 
 
 FEW_EVALUATIONS = 24

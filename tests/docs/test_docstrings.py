@@ -201,6 +201,7 @@ def test_rules_reject_incomplete_docstrings() -> None:
 SHOWN = (
     *("load_scene", "render", "evaluate", "study", "Camera", "derive", "make_sensor", "capture", "delta_e_map", "read_exr"),
     *("read_frame", "edge_response", "make_plan", "load_technology", "SpectralImage", "make_chart"),
+    *("compare", "datasheet", "accuracy", "sfr", "lens"),
     *("optics.irradiance_factor", "optics.diffraction_otf", "sensor.photodiode.collected_charge_e", "sensor.pixel.fill_factor_law"),
 )
 

@@ -148,7 +148,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "study one to one": ("study few.toml --config small.toml --display.raster one_to_one",),
     "types of a technology": ("study process.toml --uncertainty 8",),
     "types of a sheet": ("study few.toml --config unsure.toml --uncertainty 8",),
-    "indices": ("study few.toml --config unsure.toml --sobol 4 --smaller-than 5",),
+    "indices": ("study few.toml --config unsure.toml --sobol 8 --smaller-than 5",),
     "compare view": ("compare large.toml small.toml --repeats 4 --resolution 512",),
     "compare lens": ("compare large.toml third.toml --match lens --repeats 4 --resolution 512",),
     "compare own": ("compare large.toml third.toml --match own --repeats 4 --resolution 512",),
@@ -158,13 +158,26 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "datasheet of a technology": ("datasheet 0.35um --pixel.pitch-um 6.5 --pixel.bits 12",),
     "sfr": ("run slanted_edge --resolution 512 --out edge", "sfr edge/raw.exr"),
     "lens": ("lens cooke_triplet --pitch-um 2",),
-    "accuracy": ("accuracy csf -D resolution=128 --display.dots 64 --pixel.pitch-um 21.2",),
+    "accuracy": ("accuracy csf --quick -D resolution=128 --display.dots 64 --pixel.pitch-um 21.2",),
 }
 QUICK = (
     *("run chart", "run scene", "run colour", "run lens", "run sheet", "study paper", "study axes", "study conditions"),
     *("types of a sheet", "compare view", "compare conditions"),
 )
-TIMES = {"seconds", "wall_s", "time_s", "cpu_s", "memory_bytes", "estimate", "created", "versions", "machine", "stages", "pixsim"}
+TIMES = {
+    "seconds",
+    "stage_seconds",
+    "wall_s",
+    "time_s",
+    "cpu_s",
+    "memory_bytes",
+    "estimate",
+    "created",
+    "versions",
+    "machine",
+    "stages",
+    "pixsim",
+}
 
 
 def plain(value: Any, folder: str) -> Any:
@@ -187,7 +200,10 @@ def kept(path: Path, folder: str) -> Any:
             return plain(json.loads(path.read_text(encoding="utf-8")), folder)
         case ".csv":
             with path.open(newline="", encoding="utf-8") as file:
-                return [{name: text for name, text in row.items() if name != "key"} for row in csv.DictReader(file)]
+                return [
+                    {name: text for name, text in row.items() if name != "key" and name not in TIMES}
+                    for row in csv.DictReader(file)
+                ]
         case ".png":
             from PIL import Image
 

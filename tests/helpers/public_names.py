@@ -11,7 +11,10 @@ from typing import Any
 
 import pixsim
 
-RESULTS = ("studies.result.Curve", "studies.optimum.Optimum", "sensor.technology.Junction")  # inside other results
+RESULTS = (  # inside other results
+    *("studies.result.Curve", "studies.optimum.Optimum", "sensor.technology.Junction", "measure.datasheet.Entry"),
+    *("verification.ladders.Rung", "verification.orders.Order"),
+)
 MODULES = {name: getattr(pixsim, name) for name in pixsim._MODULES}
 
 

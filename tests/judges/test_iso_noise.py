@@ -25,7 +25,7 @@ import pytest
 from judges.gates import not_met, verdict
 
 from pixsim.base.parameters import Pixel
-from pixsim.measure.datasheet import NOISE, SPEED, dark_map_e, entries, make_datasheet
+from pixsim.measure.datasheet import NOISE, SPEED, dark_map_e, make_datasheet
 from pixsim.measure.estimators import daylight_e_per_lx_s, noise_15739
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.pixel import derive
@@ -88,7 +88,7 @@ def light_off(case: Case) -> float:
 @lru_cache(maxsize=16)
 def speed_offs(case: Case) -> list[tuple[str, float]]:
     sheet = make_datasheet(pixel_of(case))
-    return [(entry.symbol, entry.off) for entry in entries(sheet) if entry.standard == SPEED and math.isfinite(entry.off)]
+    return [(entry.symbol, entry.off) for entry in sheet.entries if entry.standard == SPEED and math.isfinite(entry.off)]
 
 
 def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:

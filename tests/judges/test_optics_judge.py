@@ -39,10 +39,10 @@ from scipy.optimize import brentq
 
 import pixsim
 from pixsim import optics
-from pixsim.accuracy.stability.optics import solid_angle_integral
 from pixsim.light.spectral import luminous_weight, photons_per_joule
 from pixsim.optics import diffraction
 from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.verification.stability.optics import solid_angle_integral
 
 ISETCAM = Path(__file__).parents[1] / "data" / "isetcam_optics" / "isetcam_optics.npz"
 Law = Callable[[float, float], float]  # E/L of f-number and tangent of the field angle

@@ -13,13 +13,14 @@ from helpers.browser import assert_fits, assert_prints, needs_browser
 from helpers.commands import command
 from helpers.looks import grey_look
 
+import pixsim
 from pixsim.base.arrays import stream
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import MIN_FRACTION, Exposure, Pixel
 from pixsim.measure import datasheet, estimators
 from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
-from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_moments, make_datasheet, mean_offset_e, variance_peak_e
-from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_plates, described, sheet_name, spectrogram, write_datasheet
+from pixsim.measure.datasheet import DataSheet, Entry, expected_moments, make_datasheet, mean_offset_e, variance_peak_e
+from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_plates, described, sheet_name, spectrogram
 from pixsim.measure.estimators import Estimate, Series, Stack, daylight_e_per_lx_s
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.pixel import derive
@@ -36,7 +37,7 @@ def sheet() -> DataSheet:
 
 
 def by_symbol(sheet: DataSheet) -> dict[str, Entry]:
-    return {entry.symbol: entry for entry in entries(sheet)}
+    return {entry.symbol: entry for entry in sheet.entries}
 
 
 def test_pair_with_pattern_and_drift_gives_temporal_variance() -> None:
@@ -237,7 +238,7 @@ def test_make_datasheet_noiseless_pixel_is_finite() -> None:
 
 
 def test_entries_measured_within_standard_errors(sheet: DataSheet) -> None:
-    for entry in entries(sheet):
+    for entry in sheet.entries:
         assert math.isfinite(entry.measured), entry.symbol
         assert abs(entry.measured - entry.true) <= 4.5 * entry.standard_error, entry
 
@@ -477,6 +478,44 @@ def test_wavelength_without_response_of_a_channel_names_it() -> None:
         make_datasheet(colour_pixel(colour={"quantum_efficiencies": curves}), wavelength_nm=550.0, shape=(20, 20), stack_frames=2)
 
 
+def test_datasheet_of_python_and_of_the_command_write_same_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(datasheet, "make_datasheet", partial(datasheet.make_datasheet, shape=(40, 40), stack_frames=4))
+    file = tmp_path / "sensor.toml"
+    file.write_text("seed = 5\n[pixel]\ntechnology = '0.35um'\npitch_um = 6.5\n[exposure]\ngain_db = 6\n", encoding="utf-8")
+    code, out, err = command(f"datasheet {file} --pixel.bits 12 --exposure.integration-s 0.01 --json --out {tmp_path / 'command'}")
+    assert code == 0, err
+    made = pixsim.datasheet(file, pixel={"bits": 12}, exposure={"integration_s": 0.01})
+    assert json.loads(out) == {"schema": 1} | json.loads(json.dumps(made.as_dict()))
+    assert made.write(tmp_path / "python") == tmp_path / "python/report.html"
+    names = {path.relative_to(tmp_path / "python") for path in (tmp_path / "python").rglob("*") if path.is_file()}
+    assert {name.as_posix() for name in names} == {*PLANNED, "provenance.json"}
+    for name in names:
+        assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "command" / name).read_bytes(), name
+    assert made.to_csv().encode() == (tmp_path / "python/datasheet.csv").read_bytes()
+    record = pixsim.datasheet(
+        pixel=Pixel(technology="0.35um", pitch_um=6.5, bits=12), exposure=Exposure(integration_s=0.01, gain_db=6), seed=5
+    )
+    assert record.as_dict() == made.as_dict()
+
+
+def test_datasheet_shows_itself(sheet: DataSheet) -> None:
+    cell = sheet._repr_html_()
+    assert "<script" not in cell
+    assert all(f"<td>{entry.symbol}</td>" in cell for entry in sheet.entries)
+    assert all(note.split(". ")[0] in cell for note in sheet.notes)
+    assert repr(sheet).startswith("<DataSheet 0.35um, 5.3 µm pixels, 12 bits, black level")
+    assert f"K {sheet.transfer.gain_dn_per_e.value:.3g} DN/e-" in repr(sheet)
+
+
+def test_datasheet_of_two_pixels_at_once_raises() -> None:
+    with pytest.raises(PixsimError, match=r"file: got with a Pixel; .* in the Pixel instead"):
+        pixsim.datasheet("0.35um", pixel=Pixel())
+    with pytest.raises(PixsimError, match=r"Pixel\(technology=4t-bsi\); give only one"):
+        pixsim.datasheet("0.35um", pixel={"technology": "4t-bsi"})
+    with pytest.raises(PixsimError, match=r"bits: got 2.5; .*\n.*exposure.gain: unknown name"):
+        pixsim.datasheet(pixel={"bits": 2.5}, exposure={"gain": 6})
+
+
 @pytest.mark.slow
 def test_datasheet_command_options_and_file_write_same_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few = partial(datasheet.make_datasheet, shape=(100, 100), stack_frames=16)  # a quarter of the pixels and frames, for speed
@@ -512,7 +551,7 @@ def test_datasheet_command_bad_folder_fails_before_measurement(tmp_path: Path, m
 @pytest.mark.slow
 @needs_browser
 def test_datasheet_report_fits_browser_and_print(sheet: DataSheet, tmp_path: Path) -> None:
-    page = write_datasheet(sheet, tmp_path / "out")
+    page = sheet.write(tmp_path / "out")
     assert_fits(page, tmp_path)
     texts = ["Data sheet", sheet_name(sheet.experiment.physics.pixel).split("-")[1], "μ_p.sat", "Data (CSV)"]
     assert_prints(page, tmp_path, range(4, 9), texts, ["Measured and true", "Figures", "How it was made"])

@@ -11,9 +11,9 @@ from helpers.commands import assert_refused, command
 from PIL import Image
 from scipy.special import erf
 
-from pixsim import PixsimError, edge_response, write_frame
+from pixsim import PixsimError, edge_response, sfr, write_frame
 from pixsim.light.exr import write_channels
-from pixsim.measure.sfr import NYQUIST_CY_PER_PX, first_crossing, read_edge_picture, sfr_parts, sfr_summary as summary
+from pixsim.measure.sfr import NYQUIST_CY_PER_PX, first_crossing, read_edge_picture, sfr_parts
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import RawFrame
 
@@ -368,13 +368,24 @@ def test_sfr_command_writes_files(tmp_path: Path) -> None:
     first = (tmp_path / "o/sfr.csv").read_text(encoding="utf-8").splitlines()
     assert first[0] == "frequency_cy_per_px,sfr,sfr_low,sfr_high,frequency_cy_per_mm"
     assert float(first[1].split(",")[1]) == 1.0
+    edge = sfr(tmp_path / "raw.exr")
+    assert edge.write(tmp_path / "python") == tmp_path / "python/summary.json"
+    for path in (tmp_path / "o").iterdir():
+        assert (tmp_path / "python" / path.name).read_bytes() == path.read_bytes(), path.name
+    assert edge.to_csv().encode() == (tmp_path / "o/sfr.csv").read_bytes()
+    assert repr(edge).startswith(f"<EdgeResponse MTF50 {edge.mtf50_cy_per_px:.3f} [")
+    assert f"contrast {edge.contrast:.2f}" in edge._repr_html_()
     code, out, _ = command(f"sfr {tmp_path}/raw.exr --out {tmp_path}/o --region 60,40,260,280")
     assert code == 0
     assert out.startswith("MTF50 0.31")
+    part = sfr(tmp_path / "raw.exr", region=(60, 40, 260, 280), pitch_um=2.5, black=30.0, saturation=1100.0)
+    assert f"MTF50 {part.mtf50_cy_per_px:.3f}" in out
+    assert part.contrast > edge.contrast, "of a higher black level"
+    assert part.as_dict()["nyquist_cy_per_mm"] == 200.0
 
 
 def test_sfr_summary_without_pitch_has_no_millimetres() -> None:
-    result = summary(edge_response(gaussian_edge(sigma_px=0.1)), None)
+    result = edge_response(gaussian_edge(sigma_px=0.1)).as_dict()
     assert "mtf50_cy_per_mm" not in result
     assert "above 1 cy/px" in sfr_parts(result)[0]
 

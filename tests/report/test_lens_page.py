@@ -111,5 +111,11 @@ def test_json_has_no_nan_and_options_change_the_lens(tmp_path: Path) -> None:
     assert content["object_distance_mm"] == 1000.0
     assert [each["field_deg"] for each in content["fields"]] == [0.0]
     assert [each["wavelength_nm"] for each in content["first_order"]] == [500.0, 600.0]
+    made = pixsim.lens("singlet", object_distance_m=1.0, field_deg=0.0, wavelength_nm=[500.0, 600.0])
+    assert content == {"schema": 1} | json.loads(json.dumps(made.as_dict()))
+    assert pixsim.write_lens(made, tmp_path / "python") == tmp_path / "python/report.html"
+    names = {path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert len(names) > 10
+    assert all((tmp_path / "python" / name).read_bytes() == (tmp_path / "out" / name).read_bytes() for name in names)
     focal = pixsim.load_lens("singlet").first_order(587.5618).focal_length_mm
     assert content["image_distance_mm"] == pytest.approx(47.67 + focal**2 / (1000 - focal), abs=1.0), "refocused"

@@ -102,7 +102,7 @@ def test_check_axes_more_than_one_small_axis_raises() -> None:
         [axis, {"name": "b", "set": "pixel.prnu", "values": [0]}],
         [axis | {"alone": True}],
     ):
-        with pytest.raises(PixsimError, match=r"--uncertainty.*at most one axis of at most 5 values"):
+        with pytest.raises(PixsimError, match=r"uncertainty: .*at most one axis of at most 5 values"):
             check_axes(small(axis=axes))
 
 
@@ -144,6 +144,36 @@ def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: 
     for name, config in (("s.toml", ["sheet.toml"]), ("out/settings.toml", [])):
         draws.append(Asked(8, uncertainty=uncertainty_of(name, config)).sample(load_study(name, config)).draws)
     assert draws[0] == draws[1]
+
+
+def test_sobol_in_python_has_the_indices_of_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command takes the rows of the study in Python, and finds nothing else to evaluate in them."""
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
+    sheet = SHEET | {"uncertainty": {"read_noise_e": {"sd": 5.0}}}
+    Path("sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
+    (found,) = pixsim.study("s.toml", "out", config="sheet.toml", jobs=1, sobol=8, smaller_than_um=[6.0]).uncertainty
+    assert len(found.outcomes) == 8 * (1 + 2)
+    before = Path("out", TYPES_FILE).read_bytes()
+    code, _, err = command("study s.toml --config sheet.toml --sobol 8 --smaller-than 6 --jobs 1 --out out")
+    assert code == 0, err
+    assert Path("out", TYPES_FILE).read_bytes() == before
+    (written_one,) = json.loads(Path("out/uncertainty.json").read_text(encoding="utf-8"))["results"]
+    assert written_one["indices"] == json.loads(json.dumps(found.total_indices))
+    assert set(found.total_indices) == {"optimum_um", "mean_delta_e"}
+    assert "first_order" not in written_one
+    with pytest.raises(PixsimError, match=r"uncertainty: got with sobol; allowed: one of the two"):
+        pixsim.study("s.toml", "none", config="sheet.toml", sobol=8, uncertainty=8)
+    with pytest.raises(PixsimError, match=r"smaller_than_um: got without uncertainty"):
+        pixsim.study("s.toml", "none", config="sheet.toml", smaller_than_um=[6.0])
+    with pytest.raises(PixsimError, match=r"sobol: got 4; allowed: 8 to"):
+        pixsim.study("s.toml", "none", config="sheet.toml", sobol=4)
+    assert not Path("none").exists()
+
+
+def test_drawn_types_have_no_total_indices(done: tuple[Any, list[Any], Path]) -> None:
+    with pytest.raises(PixsimError, match=r"total_indices: got sensor types that are drawn; .*sobol=N"):
+        _ = done[1][0].total_indices
 
 
 @pytest.mark.slow

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from pixsim.accuracy import stability
 from pixsim.base import arrays
 from pixsim.base.errors import PixsimError
+from pixsim.verification import stability
 from pixsim.viewer import scielab
 
 D65 = np.array([95.047, 100.0, 108.883])
@@ -361,5 +361,5 @@ def test_delta_e_near_grey_is_small(formula, chroma):
     ],
 )
 def test_stability_cases_detect_wrong_viewer(monkeypatch, name, target, wrong):
-    monkeypatch.setattr(f"pixsim.accuracy.stability.viewer.{target}", wrong)
+    monkeypatch.setattr(f"pixsim.verification.stability.viewer.{target}", wrong)
     assert not all(case.passed for case in stability.cases_of("viewer")), name

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -72,11 +72,13 @@ QUICK = Depth(
 class Rung:
     """Measured time and error of one setting.
 
-    ladder, setting : names; value : position on the axis of the ladder
+    ladder, setting : names
+    value : position on the axis of the ladder
     shipped : whether these are the default settings
     seconds : of rendering and scoring one picture, after a warm-up; minimum of the runs
     error_e : RMS relative error of the mean electrons of the pixels
-    error_delta_e : of mean ΔE; error_optimum_um : of the optimal pitch; RMS over the runs, NaN if not measured
+    error_delta_e : of mean ΔE, RMS over the runs; NaN if not measured
+    error_optimum_um : of the optimal pitch, RMS over the runs; NaN if not measured
     spread : standard error of the logarithm of the errors, if they are estimates from a few sensors
     left_out : reason why the setting was skipped
     """
@@ -91,6 +93,14 @@ class Rung:
     error_optimum_um: float = math.nan
     spread: float = 0.0
     left_out: str = ""
+
+
+Metric = Literal["error_e", "error_delta_e", "error_optimum_um"]
+METRICS: dict[Metric, str] = {
+    "error_e": "RMS relative error of mean electrons",
+    "error_delta_e": "error of mean ΔE",
+    "error_optimum_um": "error of the optimal pitch (µm)",
+}
 
 
 @dataclass

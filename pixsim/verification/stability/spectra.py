@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pixsim.accuracy.stability import Case, compare
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, Display, Pixel
@@ -16,6 +15,7 @@ from pixsim.light.spectral import HIGH_NM, LOW_NM, SpectralImage, Spectrum, phot
 from pixsim.scene.bands import Bands, Response, Witness, fit, place_bands
 from pixsim.sensor.integration import electrons_per_joule, mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.verification.stability import Case, compare
 from pixsim.viewer.display import white_rate
 
 # Integer and fractional wavelengths, borders of bands, ends of the response (400 and 800 nm) and of the range.

@@ -9,14 +9,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from pixsim.accuracy.solvers import solve_ode
-from pixsim.accuracy.stability import Case, compare
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Pixel
 from pixsim.sensor import photodiode as model
 from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.photodiode import collected_charge_e, default_diode, diode_of
 from pixsim.sensor.pixel import Diode, derive
+from pixsim.verification.solvers import solve_ode
+from pixsim.verification.stability import Case, compare
 
 CURRENTS_E_PER_S = np.logspace(-3, 17, 201)
 TIMES_S = np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0])

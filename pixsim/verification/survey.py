@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import time
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
-from pixsim.accuracy import ladders, stability
-from pixsim.accuracy.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
-from pixsim.accuracy.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
-from pixsim.accuracy.result import Accuracy
-from pixsim.accuracy.solvers import Solved, solvers
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.config import run_settings
 from pixsim.base.locks import temporary_folder
 from pixsim.base.parameters import Camera, Pixel, Run
 from pixsim.base.progress import Stage
@@ -25,6 +25,11 @@ from pixsim.scene.scene import Scene, chart_parameters, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.budget import MAX_DOTS, ProbeDesign, calibrate, effects, pitches_around_optimum_um, probe
+from pixsim.verification import ladders, stability
+from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
+from pixsim.verification.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
+from pixsim.verification.result import Accuracy
+from pixsim.verification.solvers import Solved, solvers
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import Seen, white_header
 
@@ -88,6 +93,54 @@ def discharges(pixel: Pixel) -> tuple[Solved, ...]:
     )
 
 
+@checks_arguments
+def accuracy(
+    scene: str | os.PathLike[str],
+    *,
+    quick: bool = False,
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    parameters: Mapping[str, float | int | str] | None = None,
+    camera: Mapping[str, Any] | None = None,
+    lens: Mapping[str, Any] | None = None,
+    pixel: Mapping[str, Any] | None = None,
+    exposure: Mapping[str, Any] | None = None,
+    correction: Mapping[str, Any] | None = None,
+    develop: Mapping[str, Any] | None = None,
+    display: Mapping[str, Any] | None = None,
+    seed: int | None = None,
+    sensor: str | None = None,
+    variant: str | None = None,
+    progress: Stage | None = None,
+) -> Accuracy:
+    """Measure the error of a scene's results against run time, and check numerical stability at extreme settings.
+
+    It takes five minutes, with `quick` about one.
+
+    scene : XML file or name of a packaged scene
+    quick : fewer steps
+    config : one or more TOML files with a sensor, its camera, exposure and display; later ones take precedence
+    parameters : of the scene, each in its unit
+    camera, lens, pixel, exposure, correction, develop, display : fields of these tables, each in its unit, which override those of
+        the files
+    seed : of the sensor and its noise; None means that of `config`, or 0
+    sensor : id of the scene's sensor, if it has several
+    variant : Mitsuba variant; None means the fastest that works
+    progress : returns a callback for each named stage
+
+    Raises PixsimError for invalid input, and if the scene cannot be rendered or captured.
+
+    >>> small = {"parameters": {"resolution": 64, "spp": 4}, "camera": {"die_mm": 0.4}, "display": {"dots": 32}}
+    >>> result = accuracy("csf", quick=True, **small)
+    >>> result.analytic, all(case.passed for case in result.cases)
+    (True, True)
+    """
+    tables = {"camera": camera, "lens": lens, "pixel": pixel, "exposure": exposure, "correction": correction}
+    tables |= {"develop": develop, "display": display, "scene": parameters}
+    settings = run_settings(config, {name: value for name, value in (tables | {"seed": seed}).items() if value is not None})
+    stage = progress or (lambda _: lambda *_: None)
+    return survey(os.fspath(scene), settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
+
+
 def survey(
     source: str, settings: Run, *, quick: bool = False, sensor: str | None = None, variant: str | None = None, progress: Stage
 ) -> Accuracy:
@@ -128,6 +181,7 @@ def survey(
         solvers=discharges(settings.pixel),
         header=image.header,
         design=subject.design,
+        settings=settings,
         notes=subject.notes,
         seconds=time.perf_counter() - start,
     )

@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.accuracy.ladders import Rung
-from pixsim.accuracy.result import METRICS, Accuracy, pareto
-from pixsim.accuracy.solvers import response_plate
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
 from pixsim.show.pages import Column, Plate, plain, rows_csv, write_figures, write_page
+from pixsim.verification.ladders import METRICS, Metric, Rung
+from pixsim.verification.orders import pareto
+from pixsim.verification.solvers import response_plate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from pixsim.verification.result import Accuracy
 
 
 SHORT = {"error_e": "electrons", "error_delta_e": "mean ΔE", "error_optimum_um": "optimum"}
@@ -36,12 +38,17 @@ def error_words(accuracy: Accuracy) -> str:
     return ", ".join(parts)
 
 
-def verdict(accuracy: Accuracy, metric: str) -> str:
+def verdict(accuracy: Accuracy, metric: Metric) -> str:
     """Whether the default settings are on the Pareto front, within the scatter; otherwise the setting that dominates them."""
     rival = accuracy.beaten(metric)
     if rival is None:
         return "on the Pareto front"
     return f"dominated by '{rival.setting}' ({rival.seconds:.2g} s, {number(getattr(rival, metric))})"
+
+
+def stability_words(accuracy: Accuracy) -> str:
+    """How many of the extreme cases are right, as text."""
+    return f"{sum(case.passed for case in accuracy.cases)} of {len(accuracy.cases)} extreme cases meet their known answers"
 
 
 def accuracy_lines(accuracy: Accuracy) -> list[str]:
@@ -57,12 +64,12 @@ def accuracy_lines(accuracy: Accuracy) -> list[str]:
     lines += [f"  {name:21} {number(effect.delta_e)} ΔE, {number(effect.optimum_um)} µm of the optimum" for name, effect in budget]
     lines.append("stages: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in accuracy.stage_seconds.items()))
     lines.append(f"  slowest stage: {max(accuracy.stage_seconds, key=lambda name: accuracy.stage_seconds[name])}")
+    lines.append(f"stability: {stability_words(accuracy)}")
     failed = [case for case in accuracy.cases if not case.passed]
-    count = len(accuracy.cases)
-    lines.append(f"stability: {count - len(failed)} of {count} extreme cases meet their known answers")
     lines += [f"  {case.room}, {case.name}: error {case.error:.1e}, limit {case.allowed:.1e}" for case in failed]
     lines += [f"skipped: {rung.ladder}, {rung.setting} ({rung.left_out})" for rung in accuracy.rungs if rung.left_out]
-    return lines + [f"note: {note}" for note in accuracy.notes]
+    lines += [f"note: {note}" for note in accuracy.notes]
+    return lines + [assumed for assumed in (accuracy.settings.pixel.assumption,) if assumed]
 
 
 RENDERED = ("methods", "spp", "film", "sampler", "lens", "bands")
@@ -192,7 +199,8 @@ def convergence(accuracy: Accuracy) -> Plate:
 def viewing(accuracy: Accuracy) -> Plate:
     """Error against wall time of the ladders without a render: sensors and display."""
     names = [name for name in VIEWING if accuracy.ladder(name)]
-    metrics = [m for m in ("error_delta_e", "error_optimum_um") if any(finite(accuracy.ladder(n), m) for n in names)]
+    shown: tuple[Metric, ...] = "error_delta_e", "error_optimum_um"
+    metrics = [m for m in shown if any(finite(accuracy.ladder(n), m) for n in names)]
     figure = new_figure(8.4, 3.6)
     for axes, metric in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics, strict=True):
         for name, look in zip(names, LOOKS, strict=False):
@@ -282,7 +290,7 @@ def write_accuracy(accuracy: Accuracy, out: Path) -> Path:
     """
     with output_folder(out), publishing(out, "accuracy") as folder:
         shown = write_figures(folder, [plate.drawn() for plate in plates_of(accuracy)])
-        rows_csv([vars(rung) for rung in accuracy.rungs], folder / "ladders.csv")
+        accuracy.to_csv(folder / "ladders.csv")
         rows_csv([case.as_dict() for case in accuracy.cases], folder / "stability.csv")
         if accuracy.solvers:
             rows_csv([plain(vars(row)) for row in accuracy.solvers], folder / "solvers.csv")

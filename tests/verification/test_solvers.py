@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pixsim.accuracy.solvers import dn_against_light, response_plate, solve_ode, solvers
 from pixsim.base.parameters import Pixel
 from pixsim.sensor.photodiode import collected_charge_e, default_diode, diode_of
+from pixsim.verification.solvers import dn_against_light, response_plate, solve_ode, solvers
 
 
 @pytest.mark.parametrize("reset_v", [1e-3, 0.02, 0.3])

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm, poisson
 
-from pixsim.accuracy.stability import QUIET, ROUNDING, Case, compare, compare_drawn
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
@@ -17,6 +16,7 @@ from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor import readout as sensors
 from pixsim.sensor.integration import mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.verification.stability import QUIET, ROUNDING, Case, compare, compare_drawn
 
 STORED = 2e-7  # the irradiance is stored in float32
 LUMINANCES_CD_PER_M2 = 10.0 ** np.arange(-9, 13)

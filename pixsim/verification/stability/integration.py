@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pixsim.accuracy.stability import Case, compare
 from pixsim.base.arrays import Array
 from pixsim.sensor.integration import integrate_pixels
+from pixsim.verification.stability import Case, compare
 from pixsim.viewer.display import average_axis
 
 ALMOST = 1e-12

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.accuracy.stability import Case, compare, flat
 from pixsim.base.arrays import Array
+from pixsim.verification.stability import Case, compare, flat
 from pixsim.viewer.scielab import CIE_LAB, Filters, delta_e, delta_e_map, filtered_grey_lab, filtered_lab, xyz_to_lab
 
 WHITE = np.array([95.047, 100.0, 108.883])

@@ -77,7 +77,7 @@ def flat(arrays: Iterable[Array]) -> Array:
 
 def cases_of(room: str) -> Iterator[Case]:
     """The cases of one module, each with the warnings raised during its evaluation."""
-    source: Callable[[], Iterator[Case]] = import_module(f"pixsim.accuracy.stability.{room}").cases
+    source: Callable[[], Iterator[Case]] = import_module(f"pixsim.verification.stability.{room}").cases
     running = source()
     while True:
         with warnings.catch_warnings(record=True) as caught, np.errstate(all="warn", under="ignore"):

@@ -8,10 +8,10 @@ from functools import cache
 
 import numpy as np
 
-from pixsim.accuracy.stability import Case, compare, flat
 from pixsim.base.arrays import Array
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffract, diffraction_otf
 from pixsim.optics.thin_lens import irradiance_factor
+from pixsim.verification.stability import Case, compare, flat
 
 F_NUMBERS = (0.5, 0.7, 1.0, 1.4, 4.0, 22.0, 180.0, 1000.0)
 FIELDS_DEG = (0.0, 1e-6, 0.1, 5.0, 20.0, 45.0, 60.0, 75.0, 80.0)

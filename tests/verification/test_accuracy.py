@@ -9,11 +9,11 @@ import pytest
 from helpers.edits import edited, load, render_plan
 from scipy import stats
 
-from pixsim.accuracy import reference
-from pixsim.accuracy.reference import csf_picture, edge_picture, formula_of
-from pixsim.accuracy.result import beaten_by, fit_order, pareto
 from pixsim.scene import charts
 from pixsim.studies.budget import PairedNoise, minimum_um, relative_rms
+from pixsim.verification import reference
+from pixsim.verification.orders import beaten_by, fit_order, pareto
+from pixsim.verification.reference import csf_picture, edge_picture, formula_of
 
 SETTINGS = (4.0, 16.0, 64.0, 256.0, 1024.0)
 SIGMA = 5.0  # one false alarm in 1.7 million comparisons

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from pixsim import optics
-from pixsim.accuracy import stability
-from pixsim.accuracy.stability import photodiode, sensor
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.stack import stack_collection
 from pixsim.sensor.integration import electrons_per_joule, integrate_pixels, mean_signal_rate, pixel_count
 from pixsim.sensor.photodiode import collected_charge_e
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.verification import stability
+from pixsim.verification.stability import photodiode, sensor
 
 
 def padded(picture, pitch_um, nm, weight, f_number):
@@ -57,8 +57,8 @@ WRONG = {
 @pytest.mark.parametrize("name", WRONG)
 def test_cases_with_wrong_kernel_fail(monkeypatch, name):
     target, wrong = WRONG[name]
-    monkeypatch.setattr(f"pixsim.accuracy.stability.{target}", wrong)
-    monkeypatch.setattr("pixsim.accuracy.stability.integration.LONG", 200)
+    monkeypatch.setattr(f"pixsim.verification.stability.{target}", wrong)
+    monkeypatch.setattr("pixsim.verification.stability.integration.LONG", 200)
     failed = {case.name for case in stability.cases_of(target.partition(".")[0]) if not case.passed}
     assert len(failed) > (3 if target.startswith("integration") else 0)
     assert wrong is not padded or "mean of pictures of 1×1 to 24×40 samples behind f/0.5 to a pinhole" in failed

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm, poisson
 
-from pixsim.accuracy.stability import QUIET, ROUNDING, Case, compare, compare_drawn
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Exposure, Pixel
 from pixsim.optics.pupil import elliptic_pupil
@@ -20,6 +19,7 @@ from pixsim.sensor import readout as sensors
 from pixsim.sensor.integration import integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.technology import Junction, Technology, load_technology
+from pixsim.verification.stability import QUIET, ROUNDING, Case, compare, compare_drawn
 from pixsim.viewer.causes import causes_of, codes_to_white
 
 PITCHES_UM = (0.3, 1.0, 6.5, 40.0, 100.0)

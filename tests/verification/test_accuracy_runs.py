@@ -21,17 +21,16 @@ from helpers.processes import HANG_S
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 import pixsim
-from pixsim.accuracy import ladders, stability, survey as surveys
-from pixsim.accuracy.ladders import QUICK, Clock, Rung, seed_rungs
-from pixsim.accuracy.reference import analytic_reference
-from pixsim.accuracy.report import FILES, accuracy_lines, plates_of, write_accuracy
-from pixsim.accuracy.result import METRICS, Accuracy
-from pixsim.accuracy.stability import compare
-from pixsim.accuracy.survey import survey
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import Run
 from pixsim.scene.renderer import render
 from pixsim.studies.budget import SOURCES, ProbeDesign, brighter, pitch_range_um, pitches_around_optimum_um, probe
+from pixsim.verification import ladders, stability, survey as surveys
+from pixsim.verification.ladders import METRICS, QUICK, Clock, Rung, seed_rungs
+from pixsim.verification.reference import analytic_reference
+from pixsim.verification.report import FILES, accuracy_lines, plates_of
+from pixsim.verification.result import Accuracy
+from pixsim.verification.stability import compare
 from pixsim.viewer.imaging import Imaging
 
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
@@ -56,14 +55,14 @@ def few_extremes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stability, "all_cases", lambda report_progress=None: cases)
 
 
-def settings(**values) -> Run:
-    return Run.model_validate({"scene": {"resolution": 64, "spp": 4}, "display": DISPLAY, "camera": DIE} | values)
+TABLES = {"display": DISPLAY, "camera": DIE}
 
 
 def surveyed(source: str | Path, depth=SMALL, **values) -> Accuracy:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ladders, "QUICK", depth)
-        return survey(str(source), settings(**values), quick=True, variant=VARIANT, progress=lambda _: lambda *_: None)
+        parameters = values.pop("scene", {"resolution": 64, "spp": 4})
+        return pixsim.accuracy(source, quick=True, variant=VARIANT, parameters=parameters, **TABLES | values)
 
 
 class Page(HTMLParser):
@@ -100,9 +99,15 @@ def check(accuracy: Accuracy, folder: Path) -> dict:
         assert rung.left_out or rung.seconds > 0
     for metric in ("error_e", "error_delta_e"):
         assert accuracy.rivals(metric)[0] is accuracy.shipped
-    report = write_accuracy(accuracy, folder)
+    report = accuracy.write(folder)
     made = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     assert made <= {*FILES, "provenance.json"}
+    assert accuracy.to_csv().encode() == (folder / "ladders.csv").read_bytes()
+    cell = accuracy._repr_html_()
+    Page(cell)
+    assert f"<td>{accuracy.shipped.seconds:.2g}</td>" in cell
+    assert "1 of 2 extreme cases" in cell
+    assert f"% of mean electrons, {accuracy.shipped.error_delta_e:.2g} of mean ΔE" in repr(accuracy)
     text = report.read_text(encoding="utf-8")
     Page(text)
     assert "by &lt;hand&gt;" in text
@@ -195,7 +200,7 @@ def test_survey_other_settings_complete(case, tmp_path):
 
 def csf(**values) -> tuple[ProbeDesign, pixsim.SpectralImage]:
     scene = load("csf", resolution=128, spp=4)
-    run = settings(**values)
+    run = Run.model_validate(TABLES | values)
     camera = scene.camera(run.camera)
     return ProbeDesign(Imaging.of(run, camera)), render(scene, camera)
 

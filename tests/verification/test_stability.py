@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from pixsim.accuracy import stability
-from pixsim.accuracy.stability import Case, compare
+from pixsim.verification import stability
+from pixsim.verification.stability import Case, compare
 
 
 @pytest.fixture(scope="module", params=stability.ROOMS)
