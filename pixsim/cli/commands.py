@@ -105,6 +105,11 @@ def check_current_folder() -> None:
         raise invalid("current folder", got, "a folder that exists", "Change to another one: cd ~") from None
 
 
+Scheduler = Annotated[
+    str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.", metavar="ADDRESS")
+]
+
+
 @app.command
 def run(
     scene: Annotated[
@@ -273,9 +278,7 @@ def study(
     ] = None,
     quick: Annotated[bool, Parameter(help="Use the values of the study's [quick] table: fewer pitches and sensors.")] = False,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
-    scheduler: Annotated[
-        str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.", metavar="ADDRESS")
-    ] = None,
+    scheduler: Scheduler = None,
     axis: Annotated[
         list[str] | None,
         Parameter(
@@ -460,6 +463,7 @@ def compare(
     sensor: common.SensorId = None,
     variant: common.Variant = None,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
+    scheduler: Scheduler = None,
     dry_run: common.DryRun = False,
     out: Out = None,
     json: Json = False,
@@ -492,7 +496,7 @@ def compare(
         check_output(prepared, folder)
         seconds: dict[str, float] = {}
         with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the renders
-            result = run_prepared(prepared, jobs=jobs, progress=stage)
+            result = run_prepared(prepared, jobs=jobs, scheduler=scheduler, progress=stage, out=folder)
             stage("report")
             report = write_comparison(result, folder, seconds)
     left = [note for note in result.notes if note not in notes]  # the others are on stderr

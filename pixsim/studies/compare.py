@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -23,7 +23,7 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.config import checked, packaged, settings_layer, sheet_uncertainty, warn_of_mixed_sensors
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
-from pixsim.base.files import missing
+from pixsim.base.files import missing, output_folder
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED, with_headline
 from pixsim.base.labels import file_label, labels_of
 from pixsim.base.notes import collected_notes, warn
@@ -55,18 +55,23 @@ from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.pages import html_cell
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.circumstances import Circumstances, circumstances_of
-from pixsim.studies.engine import workers_here
+from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
 from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
 from pixsim.studies.preparation import ALLOWED_DOTS, VIEWED_S_PER_DOT, Cost, View, choose_view, dots_on, frame_cost, jobs_in_memory
 from pixsim.studies.result import NO_VISIBLE_DELTA_E
+from pixsim.studies.results_file import ResultsFile
+from pixsim.studies.rows import NO_ROWS
+from pixsim.studies.sampling import Sizes
 from pixsim.studies.series import Series
 from pixsim.studies.viewing import OF_VIEWING, Viewed, Viewing, ViewingRange, range_words, where_words
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
+from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display import dot_edges_um, white_light
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError, with_error
 from pixsim.viewer.score import (
+    ImagingChain,
     PreparedScene,
     SceneCache,
     Score,
@@ -1106,7 +1111,9 @@ def compare(
     sensor: str | None = None,
     variant: str | None = None,
     jobs: int | None = None,
+    scheduler: Any = None,
     progress: Stage | None = None,
+    out: str | os.PathLike[str] | None = None,
     **settings: Any,
 ) -> Comparison:
     """Compare two or more sensors in one scene, by the mean ΔE of their pictures on one display.
@@ -1125,7 +1132,9 @@ def compare(
     sensor : id of the scene's sensor, if it has several
     variant : Mitsuba variant; None means the fastest that works
     jobs : processes; None means one per core, where they are worth it. The results do not depend on it
+    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes
     progress : returns a callback for each named stage
+    out : folder whose results.csv keeps the mean ΔE of each frame, so that an interrupted comparison goes on; None keeps nothing
     settings : tables and fields of `Run` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3. They take
         precedence over the study, but not over its conditions
 
@@ -1142,51 +1151,157 @@ def compare(
     given: dict[str, Any] = {"config": [Path(path) for path in paths], "options": options}
     with collected_notes():  # also of what is found before the comparison begins
         prepared = prepare(files, scene, study=study, match=match, repeats=repeats, sensor=sensor, variant=variant, **given)
-        return run_prepared(prepared, jobs=jobs, progress=progress)
+        return run_prepared(prepared, jobs=jobs, scheduler=scheduler, progress=progress, out=out)
 
 
-def run_prepared(prepared: Prepared, *, jobs: int | None = None, progress: Stage | None = None) -> Comparison:
-    """Run a prepared comparison; the arguments are those of `compare`."""
-    if jobs is not None and jobs < 1:
-        raise invalid("--jobs", jobs, "1 or more processes")
+def run_prepared(
+    prepared: Prepared,
+    *,
+    jobs: int | None = None,
+    scheduler: Any = None,
+    progress: Stage | None = None,
+    out: str | os.PathLike[str] | None = None,
+) -> Comparison:
+    """Run a prepared comparison; the other arguments are those of `compare`."""
     stage = progress or (lambda _: lambda *_: None)
-    with collected_notes() as notes:
-        result = _run_conditions(prepared, jobs, stage)
-        pairs = []
-        for part in prepared.pairs:
-            one, other = part.sensors
-            with without_warnings(), named(f"{one.name} and {other.name} alone"):
-                pairs.append(_run_conditions(part, jobs, partial(_stage_of, stage, f"{one.name} and {other.name}"), result))
-        result = replace(result, pairs=tuple(pairs))
+    with collected_notes() as notes, ExitStack() as stack:
+        folder = None if out is None else stack.enter_context(output_folder(out))
+        results = None if folder is None else folder / "results.csv"
+        if results is not None:
+            ResultsFile(results).check_replaceable()
+        if jobs is not None or scheduler is not None:
+            workers: Workers | None = stack.enter_context(workers_for(jobs, scheduler))
+        else:
+            workers = None
+        whole = lit_parts(prepared, stage)
+        pairs = [lit_pair(pair, whole, stage) for pair in prepared.pairs]
+        lit = dict.fromkeys(each for parts in (whole, *pairs) for each in parts)
+        evaluate_all(list(lit), results, workers, stage("sense and score"))
+        result = comparison_of(prepared, whole)
+        with without_warnings():
+            of_pairs = tuple(comparison_of(pair, parts) for pair, parts in zip(prepared.pairs, pairs, strict=True))
+        result = replace(result, pairs=of_pairs)
         elsewhere = [elsewhere_note(result, other) for other in result.names[1:]]
     return replace(result, notes=(*notes, *result.notes, *filter(None, elsewhere)))
 
 
-def _run_conditions(prepared: Prepared, jobs: int | None, stage: Stage, of_all: Comparison | None = None) -> Comparison:
-    """Run the comparison under each of its conditions.
+@dataclass(eq=False)
+class Lit:
+    """A comparison under one condition with the light of its sensors, and then with the mean ΔE of their frames.
 
-    of_all : the comparison of more sensors, of which these are two
+    made, series : of each sensor
+    viewed : (viewings, repeats) mean ΔE of each sensor, by its name
     """
-    if not prepared.conditions:
-        return (of_all and _known(prepared, of_all)) or _run(prepared, jobs, stage)
+
+    prepared: Prepared
+    made: list[Rendered]
+    series: list[Series]
+    viewed: dict[str, Array] = field(default_factory=dict)
+
+    @property
+    def sizes(self) -> list[Sizes]:
+        """The pixel size of each sensor, and its frames."""
+        return [{sensor.pixel.pitch_um: self.prepared.repeats} for sensor in self.prepared.sensors]
+
+    @cached_property
+    def compared(self) -> dict[str, Compared]:
+        """Each sensor's part of the comparison, by its name."""
+        found = {}
+        for sensor, light, series in zip(self.prepared.sensors, self.made, self.series, strict=True):
+            chain = first_chain(series)
+            score = chain.simulate(*series.stream, 0)
+            time_s = score.frame.integration_s
+            white_e = chain.white_e_per_s * time_s
+            found[sensor.name] = Compared(
+                sensor,
+                light.image,
+                light.noise,
+                light.film,
+                score,
+                self.viewed[sensor.name],
+                dark_clip(score.physics, time_s, white_e),
+                white_e,
+                steps_of(self.prepared, sensor, light),
+                None if chain.rendition is None else chain.colour_facts(time_s),
+            )
+        return found
+
+
+def first_chain(series: Series) -> ImagingChain:
+    """Return the imaging chain of a sensor's first frame."""
+    return series.imaging.chain(series.light(), series.imaging.registered(0))
+
+
+def lit_parts(prepared: Prepared, stage: Stage) -> list[Lit]:
+    """Return a comparison under each of its conditions, with the light of its sensors."""
     parts = []
-    for number, part in enumerate(prepared.conditions):
-        known = of_all and _known(part, of_all.conditions[number])
-        with named(f"condition {part.condition}"):
-            parts.append(known or _run(part, jobs, partial(_stage_of, stage, part.condition)))
-    shown = next(part for part in parts if part.prepared.weight)
-    return replace(shown, prepared=prepared, conditions=tuple(parts), notes=_notes_of(parts))
+    for part in prepared.parts:
+        with named(f"condition {part.condition}" if part.condition else ""):
+            parts.append(lit_part(part, partial(_stage_of, stage, part.condition) if part.condition else stage))
+    return parts
 
 
-def _known(prepared: Prepared, of_all: Comparison) -> Comparison | None:
-    """Return the comparison of two sensors from that of more, if it is the same: field, chart, film and displays."""
+def lit_part(prepared: Prepared, stage: Stage, pair: str = "") -> Lit:
+    """Return a comparison under one condition with the light of its sensors.
+
+    pair : names of its sensors, if they are compared as if there were no others
+    """
+    made = render_all(prepared, stage)
+    lights = zip(prepared.sensors, made, strict=True)
+    series = [series_of_sensor(prepared, sensor, light.image, pair) for sensor, light in lights]
+    chains = {each.name: first_chain(each) for each in series}
+    grey = [name for name, chain in chains.items() if chain.rendition is None]
+    check_one_ideal(grey, {name: chain.screen.ideal for name, chain in chains.items() if chain.rendition is not None})
+    return Lit(prepared, made, series)
+
+
+def lit_pair(prepared: Prepared, whole: Sequence[Lit], stage: Stage) -> list[Lit]:
+    """Return the comparison of two of the sensors alone under each condition: that of all of them, if it is the same."""
+    one, other = prepared.sensors
+    pair = f"{one.name} and {other.name}"
+    found = []
+    for part, of_all in zip(prepared.parts, whole, strict=True):
+        if is_alike(part, of_all):
+            found.append(of_all)
+            continue
+        words = f"{pair}: {part.condition}" if part.condition else pair
+        condition = f"condition {part.condition}" if part.condition else ""
+        with without_warnings(), named(f"{pair} alone"), named(condition):
+            found.append(lit_part(part, partial(_stage_of, stage, words), pair))
+    return found
+
+
+def is_alike(prepared: Prepared, of_all: Lit) -> bool:
+    """Return whether the comparison of two sensors is the same among more: field, chart, film and displays."""
     among = of_all.prepared
     alike = ("settings", "border", "viewing", "film_width")
-    sensors = tuple(sensor for sensor in of_all.sensors if sensor.sensor in prepared.sensors)
-    if len(sensors) < len(prepared.sensors) or any(getattr(prepared, name) != getattr(among, name) for name in alike):
-        return None
-    finer = sensors[0].irradiance.shape[1] != among.film_width  # as another sensor may have asked for
-    return None if finer else Comparison(prepared, sensors)
+    if any(getattr(prepared, name) != getattr(among, name) for name in alike):
+        return False
+    # Another sensor may have asked for a finer film.
+    return all(sensor in among.sensors for sensor in prepared.sensors) and of_all.made[0].image.shape[1] == among.film_width
+
+
+def comparison_of(prepared: Prepared, parts: Sequence[Lit]) -> Comparison:
+    """Return the comparison of evaluated sensors; its notes are those on causes, black levels and assumptions.
+
+    parts : under each of its conditions
+    """
+    comparisons = [_under_condition(part, lit) for part, lit in zip(prepared.parts, parts, strict=True)]
+    if not prepared.conditions:
+        return comparisons[0]
+    shown = next(part for part in comparisons if part.prepared.weight)
+    return replace(shown, prepared=prepared, conditions=tuple(comparisons), notes=_notes_of(comparisons))
+
+
+def _under_condition(prepared: Prepared, lit: Lit) -> Comparison:
+    """Return the comparison of the sensors under one condition."""
+    compared = tuple(lit.compared[sensor.name] for sensor in prepared.sensors)
+    notes = [f"{each.name}: {cause}" for each in compared for cause in each.causes]
+    for each in compared:
+        pixel = each.sensor.pixel
+        notes += [f"{each.name}: {clip_words(each.dark, pixel.model_dump())}"] if clips_dark(each.dark) else []
+        notes += [f"{each.name}: {pixel.assumption}"] if pixel.assumption else []
+    return Comparison(prepared, compared, tuple(notes))
 
 
 def _stage_of(stage: Stage, part: str, name: str) -> Progress:
@@ -1197,31 +1312,6 @@ def _notes_of(parts: Sequence[Comparison]) -> tuple[str, ...]:
     """Return the notes of all conditions; those that not all have name theirs."""
     of_all = [note for note in parts[0].notes if all(note in part.notes for part in parts)]
     return *of_all, *(f"{part.prepared.condition}: {note}" for part in parts for note in part.notes if note not in of_all)
-
-
-def _run(prepared: Prepared, jobs: int | None, stage: Stage) -> Comparison:
-    """Run the comparison under one condition; its notes are those on black levels and assumptions."""
-    made = render_all(prepared, stage)
-    series = [series_of_sensor(prepared, sensor, light.image) for sensor, light in zip(prepared.sensors, made, strict=True)]
-    first = [each.imaging.chain(each.light(), each.imaging.registered(0)) for each in series]
-    named_chains = [(sensor.name, chain) for sensor, chain in zip(prepared.sensors, first, strict=True)]
-    grey = [name for name, chain in named_chains if chain.rendition is None]
-    check_one_ideal(grey, {name: chain.screen.ideal for name, chain in named_chains if chain.rendition is not None})
-    frames = stage("sense and score")
-    scores = [chain.simulate(*each.stream, 0) for each, chain in zip(series, first, strict=True)]
-    viewed = evaluate_all(prepared, series, jobs, frames)
-    steps = [steps_of(prepared, sensor, light) for sensor, light in zip(prepared.sensors, made, strict=True)]
-    compared, clips = [], []
-    for sensor, light, chain, score, values, step in zip(prepared.sensors, made, first, scores, viewed, steps, strict=True):
-        time_s = score.frame.integration_s
-        white_e = chain.white_e_per_s * time_s
-        dark = dark_clip(score.physics, time_s, white_e)
-        clips += [f"{sensor.name}: {clip_words(dark, sensor.pixel.model_dump())}"] if clips_dark(dark) else []
-        clips += [f"{sensor.name}: {sensor.pixel.assumption}"] if sensor.pixel.assumption else []
-        colour = None if chain.rendition is None else chain.colour_facts(time_s)
-        compared.append(Compared(sensor, light.image, light.noise, light.film, score, values, dark, white_e, step, colour))
-    causes = [f"{sensor.name}: {cause}" for sensor in compared for cause in sensor.causes]
-    return Comparison(prepared, tuple(compared), (*causes, *clips))
 
 
 def render_all(prepared: Prepared, stage: Stage) -> list[Rendered]:
@@ -1260,10 +1350,12 @@ def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Pro
         return render_and_measure(scene, plan, settings, sensor.pixel, measured, plan_of=plan_of, progress=progress)
 
 
-def series_of_sensor(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> Series:
+def series_of_sensor(prepared: Prepared, sensor: Contestant, image: SpectralImage, pair: str = "") -> Series:
     """Return the series of a sensor, which show and score the same part of the scene as those of the others.
 
     Its random streams do not name the sensor, so that equal sensors give equal frames.
+
+    pair : of `lit_part`
     """
     with named(sensor.name):
         settings = prepared.settings
@@ -1273,7 +1365,8 @@ def series_of_sensor(prepared: Prepared, sensor: Contestant, image: SpectralImag
             warn(f"{sensor.name}: {text}")
         first, *others = prepared.displays.values()
         scenes = SceneCache(image, sensor.camera, first, len(imaging.physics.channels), single=True, others=others)
-        series = Series(sensor.name, imaging, scenes, ("compare", settings.seed), stream_has_pitch=False, stored=False)
+        columns = {"pair": pair, "condition": prepared.condition}
+        series = Series(sensor.name, imaging, scenes, ("compare", settings.seed), False, columns, prepared.condition, False)
         light = series.light()
         assert isinstance(light, PreparedScene)
         warn_of_clipping(light.beyond_white)
@@ -1288,18 +1381,30 @@ def steps_of(prepared: Prepared, sensor: Contestant, light: Rendered) -> FilmSte
         return film_steps(light.image, imaging, light.plan.chart, prepared.border_um(sensor.camera) / REGISTERED_BORDER)
 
 
-def evaluate_all(prepared: Prepared, series: Sequence[Series], jobs: int | None, progress: Progress) -> list[Array]:
-    """Return the mean ΔE of all frames of each sensor under each viewing, (viewings, repeats)."""
-    costs = [prepared.cost_of_frame(sensor) for sensor in prepared.sensors]
-    if jobs is None:
-        in_all_s = prepared.repeats * sum(cost.seconds for cost in costs)
-        jobs = 1 if in_all_s < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for cost in costs))
-    evaluations = Evaluations(series, None, workers_here(jobs))
-    sizes = [{sensor.pixel.pitch_um: prepared.repeats} for sensor in prepared.sensors]
-    places = [list(prepared.displays).index(viewing) for viewing in prepared.viewing.viewings]
-    found: dict[int, Array] = {}
+def evaluate_all(parts: Sequence[Lit], results: Path | None, workers: Workers | None, progress: Progress) -> None:
+    """Evaluate the frames of all sensors under all conditions, and note the mean ΔE of each frame under each viewing.
+
+    results : the file of the rows, from which an interrupted comparison goes on; None for none
+    workers : None takes as many processes as are worth it
+    """
+    series, sizes = [each for part in parts for each in part.series], [each for part in parts for each in part.sizes]
+    told_by = [name for name in series[0].columns if any(each.columns[name] for each in series)]
+    series = [replace(each, columns={name: each.columns[name] for name in told_by}) for each in series]
+    if workers is None:
+        costs = [(part.prepared.repeats, part.prepared.cost_of_frame(sensor)) for part in parts for sensor in part.prepared.sensors]
+        in_all_s = sum(repeats * cost.seconds for repeats, cost in costs)
+        workers = workers_here(1 if in_all_s < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for _, cost in costs)))
+    evaluations = Evaluations(series, results, workers, len(parts))
+    rows = [NO_ROWS for _ in series]
     with evaluations.resumed(sizes):
-        for number, rows in evaluations.rows(sizes, progress):
-            values = np.array([float(row["mean_delta_e"]) for row in rows])
-            found[number] = values.reshape(prepared.repeats, -1).T[places]
-    return [found[number] for number in range(len(series))]
+        for number, own in evaluations.rows(sizes, progress):
+            rows[number] = own
+            for reason in evaluations.left_out(number, sizes[number]).values():
+                raise AlikeChannelsError(f"{series[number].label}: {reason}")
+        evaluations.finish(rows)
+    left = iter(rows)
+    for part in parts:
+        places = [list(part.prepared.displays).index(viewing) for viewing in part.prepared.viewing.viewings]
+        for each in part.series:
+            values = np.array([float(row["mean_delta_e"]) for row in next(left)])
+            part.viewed[each.name] = values.reshape(part.prepared.repeats, -1).T[places]

@@ -185,14 +185,14 @@ def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
                 numbers = {name: repr(value) for name, value in (on_screen.score_frame(frame).statistics() | known).items()}
                 of_row = {"key": task.keys[repeat * len(task.displays) + display], "technology": task.name, "repeat": str(repeat)}
                 viewed = task.displays[display]
-                of_display = {DOTS: repr(viewed.dots), DEGREE: repr(viewed.samples_per_deg)} if len(task.displays) > 1 else {}
+                of_display = {DOTS: repr(viewed.dots), DEGREE: repr(viewed.samples_per_deg)}
                 rows.append(of_row | numbers | task.columns | of_display | ({FROM_CACHE: "1"} if known else {}))
     except AlikeChannelsError as error:
         return [{"key": key, LEFT_OUT: str(error)} for key in task.keys.values()]
     return rows
 
 
-DOTS, DEGREE = "dots", "samples_per_deg"  # columns of frames that are shown on several displays
+DOTS, DEGREE = "dots", "samples_per_deg"  # columns of rows of several displays
 
 
 def kept_frames(frames_key: str) -> cache.Arrays:
@@ -329,7 +329,7 @@ class Evaluations:
 
     def __init__(self, series: Sequence[Series], results: Path | None, workers: Workers, cases: int = 1) -> None:
         self.series, self._workers = series, workers
-        more = (*series[0].columns, *((DOTS, DEGREE) if len(series[0].displays) > 1 else ()))
+        more = (*series[0].columns, *((DOTS, DEGREE) if any(len(each.displays) > 1 for each in series) else ()))
         self._results = None if results is None else ResultsFile(results, more)
         self._done = RowStore(columns_of(more))
         self._left_out: dict[str, str] = {}
