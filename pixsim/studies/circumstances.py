@@ -15,7 +15,10 @@ from pixsim.base.notes import warn
 from pixsim.base.parameters import Condition, Layer, Study, owner_of, paths_of
 from pixsim.studies.study import checked_study, read_study
 
-SHARED = ("exposure", "display", "seed", "tolerance_e", "render_noise", "resolution", "window_mm")  # as `Run` has them
+SHARED = (  # as `Run` has them
+    *("exposure", "correction", "develop", "display", "seed"),
+    *("tolerance_e", "render_noise", "resolution", "window_mm"),
+)
 DIE = ("die_mm", "die_height_mm", "pixels")  # of the camera: each sensor has its own
 SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel, likewise
 LABELS = ("name", "streams", "title", "sources", "paper", "condition", "quick")  # of a study, that say nothing of a sensor
@@ -28,7 +31,7 @@ class Circumstances:
     plan : the study
     source : its file, or empty
     scene : file, or name of a packaged scene
-    lens : [camera] without its die, for files that state none of it
+    lens : [camera] without its die, and [lens], for files that state none of them
     shared : settings that take precedence over the sensors' files
     not_used : its settings that are not used, by their dotted names
     """
@@ -61,7 +64,7 @@ class Circumstances:
         """Return a condition's settings as tables of `Run`. Raises PixsimError for a setting that a comparison does not have."""
         source = f"{self.source}: condition {condition.name}" if self.source else f"condition {condition.name}"
         table = dict(condition.set)
-        allowed = ("scene", "camera", "pixel", *(name for name in SHARED if name != "seed"))
+        allowed = ("scene", "camera", "lens", "pixel", *(name for name in SHARED if name != "seed"))
         if others := [name for name in table if name not in allowed]:
             hint = "The sensors of a comparison have their numbers from their own files."
             raise invalid(source, f"set.{others[0]}", ", ".join(f"set.{name}" for name in allowed), hint)
@@ -104,9 +107,10 @@ def circumstances_of(study: Study | str | os.PathLike[str], scene: str | os.Path
     shared = {key: table[key] for key in SHARED if key in table}
     if scene is None and plan.scene.parameters:
         shared["scene"] = table["scene"]["parameters"]
-    not_used = [key for key in table if key not in (*SHARED, *LABELS, "scene", "camera")]
+    not_used = [key for key in table if key not in (*SHARED, *LABELS, "scene", "camera", "lens")]
     not_used += [f"camera.{key}" for key in DIE if key in table.get("camera", {})]
     not_used += ["scene"] if scene is not None and "scene" in table else []
     file = plan.scene.file if scene is None else str(scene)
-    parts = Layer({"camera": lens} if lens else {}, layer.source), Layer(shared, layer.source)
+    of_lens = ({"camera": lens} if lens else {}) | {key: table[key] for key in ("lens",) if key in table}
+    parts = Layer(of_lens, layer.source), Layer(shared, layer.source)
     return Circumstances(plan, layer.source, file, *parts, tuple(not_used))

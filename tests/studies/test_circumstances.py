@@ -134,6 +134,20 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     assert set(made.circumstances.not_used) == {"technologies", "camera.die_mm"}
 
 
+def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list[Path]) -> None:
+    """As with the same tables in the settings of all sensors; a lens is for files that state none."""
+    tables: dict[str, Any] = {"correction": {"dark_frames": 4}, "develop": {"matrix": "least_squares"}}
+    options: dict[str, Any] = {"match": "view", "repeats": 2}
+    made = prepare(files, study=plan(**tables, lens={"file": "cooke_triplet"}), **options)
+    same = prepare(files, study=plan(), options=tables | {"lens": {"file": "cooke_triplet"}}, **options)
+    assert made.settings == same.settings
+    assert made.settings.correction.dark_frames == 4
+    assert [each.camera for each in made.sensors] == [each.camera for each in same.sensors]
+    assert made.sensors[0].camera.lens is not None
+    assert made.circumstances is not None
+    assert made.circumstances.not_used == ()
+
+
 def test_options_that_every_condition_sets_are_named(files: list[Path], recwarn: pytest.WarningsRecorder) -> None:
     options = {"scene": {"luminance_cd_per_m2": 5.0}, "exposure": {"max_integration_s": 0.2}}
     prepare(files, study=plan(condition=BOTH), match="view", repeats=2, options=options)

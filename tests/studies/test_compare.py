@@ -21,6 +21,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
+from pixsim.studies import evaluations
 from pixsim.studies.compare import (
     Comparison,
     Prepared,
@@ -241,6 +242,26 @@ def test_frame_of_another_process_is_the_same(noisy: Comparison) -> None:
     rows = evaluate_task(*pickle.loads(pickle.dumps((task, series.light()))))
     of_first_display = [float(row["mean_delta_e"]) for row in rows][:: len(series.displays)]
     assert of_first_display == compared.delta_e.tolist()
+
+
+def test_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the rows that it has, of two conditions; the answers are those of one that was not interrupted, bit for bit."""
+    files = [sheet(tmp_path / "a.toml", 10.0), sheet(tmp_path / "b.toml", 10.5)]
+    dim = {"name": "dim", "set": {"exposure": {"max_integration_s": 0.01}}}
+    table = {"name": "two", "condition": [dim, {"name": "long", "set": {"exposure": {"max_integration_s": 0.1}}}]}
+    options: dict[str, Any] = {"study": pixsim.Study.model_validate(table | SMALL), "parameters": DIM, "repeats": 3, "jobs": 1}
+    whole = pixsim.compare(files, out=tmp_path / "out", **options)
+    results = tmp_path / "out/results.csv"
+    lines = results.read_text(encoding="utf-8").splitlines(keepends=True)
+    assert len(lines) == 1 + 2 * 2 * 3 * len(whole.prepared.displays)
+    results.write_text("".join(lines[: len(lines) // 2]), encoding="utf-8")
+    made: list[int] = []
+    evaluate = evaluations.evaluate_task
+    monkeypatch.setattr(evaluations, "evaluate_task", lambda task, light: made.append(len(task.keys)) or evaluate(task, light))
+    again = pixsim.compare(files, out=tmp_path / "out", **options)
+    assert sum(made) == len(lines) - len(lines) // 2
+    assert again.answers() == whole.answers()
+    assert results.read_text(encoding="utf-8").splitlines(keepends=True) == lines
 
 
 def test_mean_interval_is_student_t() -> None:

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import joblib
 import numpy as np
@@ -391,6 +392,13 @@ def assert_same_bytes_on_cluster(by: str, cluster: str, toml: Path, expected: by
         assert client.status == "running", "it stays open"
         assert len(client.scheduler_info()["workers"]) == 2
     assert (out / "results.csv").read_bytes() == expected
+
+
+def test_comparison_on_cluster_is_the_same(cluster_here: str) -> None:
+    options: dict[str, Any] = {"repeats": 2, "camera": {"die_mm": 2.7}, "display": {"dots": 32}, "resolution": 64}
+    options |= {"pixel": {"pitch_um": 60.0}}
+    own = pixsim.compare(["0.35um", "4t-bsi"], jobs=1, **options)
+    assert pixsim.compare(["0.35um", "4t-bsi"], scheduler=cluster_here, **options).answers() == own.answers()
 
 
 @pytest.mark.parametrize("by", ["address", "client"])
