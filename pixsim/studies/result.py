@@ -304,6 +304,7 @@ class StudyResult:
         allowed = f"one of: {allowed}" if allowed else "a study with axes or conditions"
         raise invalid("case", f"{got or 'nothing'}, which names {len(found)} cases", allowed)
 
+    @checks_arguments
     def physics(self, technology: str, pitch_um: float) -> PixelPhysics:
         """Return a pixel of the study. Raises PixsimError for a pitch that is impossible in the technology."""
         return physics_of(self.study, technology, pitch_um)
@@ -419,6 +420,7 @@ class StudyResult:
         # Figures sum over the maps, for which float32 has too few digits.
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 
+    @checks_arguments
     def shown_part(self, technology: str, pitch_um: float, part: Callable[[Array], Array]) -> Array:
         """Return a part of the picture, (rows, columns), that the first sensor of a pitch shows, as `scores` has it, without ΔE.
 
