@@ -23,13 +23,13 @@ from helpers.tiny import WHOLE_CHART, tiny
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.parameters import Camera, merge
+from pixsim.base.parameters import merge
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame
 from pixsim.studies import oversampling
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import StudyResult
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import ImagingChain
 
 
@@ -75,10 +75,10 @@ def unpaged(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pixsim.report.study.draw_section", lambda section, _: (section, [], None, []))
 
 
-def fine(image: SpectralImage, _camera: Camera, pixels: Sequence[PixelPhysics], *_: object, **__: object) -> FilmError:
+def fine(image: SpectralImage, measured: Sequence[Imaging], **_: object) -> FilmError:
     """In place of `measure_film`: no error."""
-    known = [0.0] * len(pixels), [oversampling.TOLERATED_DELTA_E] * len(pixels)
-    return FilmError(image.shape, image.pitch_um, tuple(pixel.pitch_um for pixel in pixels), *map(tuple, known))
+    known = [0.0] * len(measured), [oversampling.TOLERATED_DELTA_E] * len(measured)
+    return FilmError(image.shape, image.pitch_um, tuple(each.pixel.pitch_um for each in measured), *map(tuple, known))
 
 
 @pytest.fixture(scope="module")

@@ -337,6 +337,7 @@ def study(
     from pixsim.studies.conditions import compromises_of
     from pixsim.studies.engine import Workers, workers_here
     from pixsim.studies.preparation import duration_words, fitting_jobs
+    from pixsim.studies.result import CasesResult
     from pixsim.studies.sensor_types import asked_of, check_types
 
     table = sweep.read_study(study)
@@ -376,13 +377,17 @@ def study(
                 result = sweep.run_prepared(prepared, folder, progress=stage, agreed=yes, asked=asked, **run_options)
                 more = partial(write_uncertainty, result=result) if result.uncertainty else None
                 stage("report")
-                first = result.parts[0] if result.parts else result
+                first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
                 found = compromises_of(result.study, result.curves)
-                write = partial(write_axes_report, compromises=found) if result.parts else write_report
-                report = keep_or_write(result, folder, lambda: write(result, folder, seconds, drawing, more))
+                own = folder, seconds, drawing, more
+                if isinstance(result, CasesResult):
+                    write = partial(write_axes_report, result, *own, compromises=found)
+                else:
+                    write = partial(write_report, result, *own)
+                report = keep_or_write(result, folder, write)
             warned = set(result.warned)  # they are on stderr
-            if result.counts:
+            if isinstance(result, CasesResult):
                 summary = axes_summary(result, found) | {"counts": asdict(result.counts)}
                 lines = axes_lines(result, found)
                 common.verbosity.note(str(result.counts))

@@ -33,7 +33,7 @@ from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.parts import parts_table
-from pixsim.studies.result import StudyResult, alike_words, fresnel_column, interval_words, within_words
+from pixsim.studies.result import CasesResult, alike_words, fresnel_column, interval_words, within_words
 from pixsim.studies.unconverged import study_unconverged_lines
 
 SHOWN_CASES = 4  # with a report of their own
@@ -114,7 +114,7 @@ def conditions_table(found: Sequence[Compromise]) -> dict[str, Column]:
     return dict(table)
 
 
-def optima_table(result: StudyResult) -> dict[str, Column]:
+def optima_table(result: CasesResult) -> dict[str, Column]:
     """Return a table with the optimum of each technology, combination and condition."""
     table: dict[str, list[float | str]] = {}
     for curve in result.curves:
@@ -129,7 +129,7 @@ def optima_table(result: StudyResult) -> dict[str, Column]:
     return dict(table) | fresnel_column(result.curves, [curve.optimum.pitch_um for curve in result.curves])
 
 
-def axes_lines(result: StudyResult, compromises: Sequence[Compromise]) -> list[str]:
+def axes_lines(result: CasesResult, compromises: Sequence[Compromise]) -> list[str]:
     """Return the result as lines of text: compromises and optima, of very many the first ones, then axes that are moved alone."""
     answers = [compromise_lines(found) for found in compromises]
     answers += [headline_lines(optimum_parts(curve)) for curve in result.curves if not curve.alone]
@@ -141,7 +141,7 @@ def axes_lines(result: StudyResult, compromises: Sequence[Compromise]) -> list[s
     return lines
 
 
-def alone_lines(result: StudyResult) -> list[str]:
+def alone_lines(result: CasesResult) -> list[str]:
     """Return how far each axis that is moved alone moves the optimum, widest first, for the panels of its figure."""
     names = [axis.name for axis in result.study.axis if axis.alone]
     groups = alone_groups(result, names)[0] if names else []
@@ -158,13 +158,13 @@ def alone_lines(result: StudyResult) -> list[str]:
     return lines
 
 
-def axes_summary(result: StudyResult, compromises: Sequence[Compromise]) -> dict[str, Any]:
+def axes_summary(result: CasesResult, compromises: Sequence[Compromise]) -> dict[str, Any]:
     """Return the result as in summary.json."""
     more = {"compromises": [found.as_dict() for found in compromises], "claims": [each.as_dict() for each in verdicts(result)]}
     return result.as_dict() | {name: values for name, values in more.items() if values}
 
 
-def film_lines(result: StudyResult) -> list[str]:
+def film_lines(result: CasesResult) -> list[str]:
     """Return a line on each film of the cases, with its largest error."""
     worst: dict[tuple[int, int], FilmError] = {}
     for part in result.parts:
@@ -184,7 +184,7 @@ def axes_files(study: Study) -> set[str]:
 
 
 def write_axes_report(
-    result: StudyResult,
+    result: CasesResult,
     folder: Path,
     seconds: dict[str, float],
     workers: Workers,

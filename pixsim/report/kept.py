@@ -42,7 +42,7 @@ def keep_or_write(result: StudyResult, folder: Path, write: Callable[[], Path]) 
 
 def digest_of_report(result: StudyResult) -> str:
     """Hash of everything that the files of a study's report are made from, but the wall times."""
-    return digest_of_content([part.processes for part in (result, *result.parts)], result)
+    return digest_of_content([part.processes for part in (result, *result.cases)], result)
 
 
 def digest_of_content(*content: Any) -> str:

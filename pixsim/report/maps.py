@@ -23,7 +23,7 @@ from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_
 from pixsim.show.pages import Column, Plate
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
-from pixsim.studies.result import DOUBTFUL, Curve, StudyResult, fresnel_column, interval_columns, with_ends
+from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, fresnel_column, interval_columns, with_ends
 from pixsim.studies.sampling import CUTOFF_NM, cutoff_pitch_um
 
 if TYPE_CHECKING:
@@ -222,7 +222,7 @@ class Grid:
     conditions : names; one that is empty in a study without conditions
     """
 
-    def __init__(self, result: StudyResult) -> None:
+    def __init__(self, result: CasesResult) -> None:
         self.result = result
         self.scales = [Scale.of(axis) for axis in result.study.axis if not axis.alone]
         self.conditions = [condition.name for condition in result.study.condition] or [""]
@@ -302,7 +302,7 @@ class Grid:
         return case_columns(self.result, curves, [scale.name for scale in self.scales])
 
 
-def case_columns(result: StudyResult, curves: Sequence[Curve], axes: Sequence[str]) -> dict[str, Column]:
+def case_columns(result: CasesResult, curves: Sequence[Curve], axes: Sequence[str]) -> dict[str, Column]:
     """Return a table's first columns: technology, condition if there are some, and the value of each axis."""
     names = list(dict.fromkeys(curve.technology for curve in result.curves))
     labels = dict(zip(names, labels_of(names), strict=True))
@@ -491,7 +491,7 @@ def plate_names(study: Study) -> list[str]:
     return unique_names([*names, "tornado"] if any(axis.alone for axis in study.axis) else names)
 
 
-def axis_plates(result: StudyResult) -> list[Plate]:
+def axis_plates(result: CasesResult) -> list[Plate]:
     """Return the figures of every axis that is not moved alone, then those of every two of them; none without such axes.
 
     Of an axis: the optimum along it, and mean ΔE over pixel size and axis. Of two: the optimum and the least mean ΔE.
@@ -932,7 +932,7 @@ class Group:
 
 
 @own_style()
-def alone_plate(result: StudyResult) -> Plate | None:
+def alone_plate(result: CasesResult) -> Plate | None:
     """Plot the optimum and the least mean ΔE of each axis that is moved alone about the base, the widest first; None without such.
 
     Panels for technologies and conditions.
@@ -987,12 +987,12 @@ def alone_plate(result: StudyResult) -> Plate | None:
     return Plate("tornado", caption, figure, table | optimum_columns(curves))
 
 
-def bases_of(result: StudyResult) -> dict[str, StudyResult]:
+def bases_of(result: CasesResult) -> dict[str, StudyResult]:
     """Return the case about which axes are moved alone, by its condition."""
     return {part.curves[0].condition: part for part in result.parts if set(part.curves[0].at.values()) == {BASE}}
 
 
-def alone_groups(result: StudyResult, names: Sequence[str]) -> tuple[list[Group], str]:
+def alone_groups(result: CasesResult, names: Sequence[str]) -> tuple[list[Group], str]:
     """Return the curves about the base, a group for each technology and condition, and what is left out."""
     bases = bases_of(result)
     moved: dict[tuple[str, str], list[StudyResult]] = {}

@@ -255,7 +255,7 @@ def study_view_line(result: Any) -> list[str]:
 
 def study_light_lines(result: Any) -> list[str]:
     """Return a line on the lens of a study, its field, what is display white, and the exposure; in cases, as far as all have it."""
-    parts = result.parts or (result,)
+    parts = result.cases
     lenses, whites = [], []
     for part in parts:
         camera = part.camera

@@ -24,7 +24,7 @@ from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.pixels import physics_of, technology_of
-from pixsim.studies.result import Curve, StudyResult, interval_words
+from pixsim.studies.result import CasesResult, Curve, StudyResult, interval_words
 from pixsim.studies.sampling import largest_pixel_um
 from pixsim.viewer.display import picture_size_um
 
@@ -277,7 +277,7 @@ class Verdict:
         return asdict(self.finding) | {"turned_by": [{key: value for key, value in case.items() if value} for case in cases]}
 
 
-def verdicts(result: StudyResult) -> list[Verdict]:
+def verdicts(result: CasesResult) -> list[Verdict]:
     """Return each statement compared with the first case, and the cases that turn it.
 
     A setting may change the statement itself, such as its iso level: such a case is not counted.

@@ -15,11 +15,10 @@ def parts_table(result: StudyResult) -> dict[str, Column]:
 
     Of its first sensor and frame, the same for all cases (`pixsim.viewer.parts`).
     """
-    cases = result.parts or (result,)
-    if not any(part.study.options_of(curve.technology).colour for part in cases for curve in part.curves):
+    if not any(part.study.options_of(curve.technology).colour for part in result.cases for curve in part.curves):
         return {}
     rows: list[dict[str, float | str]] = []
-    for part in cases:
+    for part in result.cases:
         for curve in part.curves:
             pitch_um = float(curve.pitch_um[int(np.argmin(curve.mean()))])
             series = part.series[curve.technology]

@@ -228,12 +228,7 @@ class StudyResult:
     view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.preparation.View`)
     settings_toml : text of settings.toml, from which `pixsim study` makes the same numbers again
     warned : warnings while it was computed
-    parts : of a study with axes or conditions, the result of each case; irradiance, camera and film are then those of the first
-    counts : what was made and what was reused, in a study with axes or conditions
     uncertainty : for each curve a `pixsim.studies.uncertainty.UncertaintyResult`, if sensor types were asked for
-    left_out : reasons why cases of a study with axes or conditions have no curves; each begins with technology and case
-    findings : of a study with axes or conditions that compares with the paper, for each case its statements
-        (`pixsim.studies.claims.Finding`)
     lights : behind the lens, where they are prepared already
     """
 
@@ -246,11 +241,7 @@ class StudyResult:
     view: dict[str, Any] = field(default_factory=dict)
     settings_toml: str = field(default="", repr=False)
     warned: tuple[str, ...] = ()
-    parts: tuple[StudyResult, ...] = field(default=(), repr=False)
-    counts: Counts | None = None
-    left_out: tuple[str, ...] = ()
     uncertainty: tuple[Any, ...] = ()
-    findings: tuple[tuple[Any, ...], ...] = field(default=(), repr=False)
     lights: SceneCache | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -278,31 +269,12 @@ class StudyResult:
     @checks_arguments
     def part_of(self, curve: Curve) -> StudyResult:
         """Return the result of the case of a curve: of a study without axes and conditions, this result."""
-        case = curve.at, curve.condition, curve.alone
-        same = (part for part in self.parts if (part.curves[0].at, part.curves[0].condition, part.curves[0].alone) == case)
-        return next(same, self)
+        return self
 
-    @checks_arguments
-    def case(self, condition: str | None = None, **at: float | int | str) -> StudyResult:
-        """Return the result of one case of a study with axes or conditions, with its curves, pictures and files.
-
-        condition : its name; None if the study has at most one
-        at : axis -> its value in the unit of its settings, or its label; axes that tell no cases apart need not be given
-
-        Raises PixsimError if no case, or more than one, is named.
-        """
-        of_study = ([part.curves[0].at for part in self.parts], [part.curves[0].condition for part in self.parts])
-        found = [
-            part
-            for part, values, name in zip(self.parts, *of_study, strict=True)
-            if condition in (None, name) and all(axis in values and _is_value(values[axis], value) for axis, value in at.items())
-        ]
-        if len(found) == 1:
-            return found[0]
-        got = ", ".join([f"{name} = {value}" for name, value in at.items()] + ([f"condition {condition}"] if condition else []))
-        allowed = "; ".join(part.curves[0].words or BASE for part in self.parts)
-        allowed = f"one of: {allowed}" if allowed else "a study with axes or conditions"
-        raise invalid("case", f"{got or 'nothing'}, which names {len(found)} cases", allowed)
+    @property
+    def cases(self) -> tuple[StudyResult, ...]:
+        """The result of each case: a study without axes and conditions is its own only one."""
+        return (self,)
 
     @checks_arguments
     def physics(self, technology: str, pitch_um: float) -> PixelPhysics:
@@ -334,14 +306,11 @@ class StudyResult:
     @cached_property
     def notes(self) -> list[str]:
         """What a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
-        parts = self.parts or (self,)
         kinds = target_notes, open_notes, study_dark_notes
-        return [*self.cause_notes, *sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, parts)]))]
+        return [*self.cause_notes, *sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, self.cases)]))]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
-        if self.parts:
-            return self._cases_as_dict()
         more: dict[str, Any] = {"error_budget": self.budget, "film": self.film and self.film.as_dict(), "chosen": self.view}
         more["window_mm"] = self.study.window_mm
         return {name: value for name, value in more.items() if value} | {
@@ -350,24 +319,6 @@ class StudyResult:
             "irradiance": self.irradiance.header,
             "notes": self.notes,
             "curves": [curve.as_dict() | {"dark": self.dark(curve)} for curve in self.curves],
-        }
-
-    def _cases_as_dict(self) -> dict[str, Any]:
-        """Return the result of a study with axes or conditions as in summary.json."""
-        cases: list[dict[str, Any]] = []
-        for part in self.parts:
-            first = part.curves[0]
-            own = {"at": first.at, "condition": first.condition, "alone": first.alone, "film": part.film and part.film.as_dict()}
-            own["agrees"] = {row.statement: row.agrees for row in self.findings[len(cases)]} if self.findings else {}
-            cases.append({name: value for name, value in own.items() if value} | {"irradiance": part.irradiance.header})
-            cases[-1]["white_spectrum"] = white_light(part.irradiance)[1]
-        return {
-            "study": self.study.model_dump(mode="json", exclude={"quick"}),
-            "chosen": self.view,
-            "notes": self.notes,
-            **({"left_out": list(self.left_out)} if self.left_out else {}),
-            "cases": cases,
-            "curves": [curve.as_dict() | {"dark": self.part_of(curve).dark(curve)} for curve in self.curves],
         }
 
     @checks_arguments
@@ -514,6 +465,75 @@ class StudyResult:
             text = alike_words(curve) if curve.alike_um else text
             words.append(f"{curve.label}: {text}")
         return f"<StudyResult {self.study.name}: {'; '.join(words)}>"
+
+
+@checks_fields
+@dataclass(frozen=True)
+class CasesResult(StudyResult):
+    """The result of a study with axes or conditions.
+
+    parts : the result of each case; irradiance, camera and film are those of the first
+    counts : what was made and what was reused
+    left_out : reasons why cases have no curves; each begins with technology and case
+    findings : of a study that compares with the paper, for each case its statements (`pixsim.studies.claims.Finding`)
+    """
+
+    parts: tuple[StudyResult, ...] = field(default=(), repr=False)
+    counts: Counts = field(default_factory=lambda: Counts(0, 0, 0))
+    left_out: tuple[str, ...] = ()
+    findings: tuple[tuple[Any, ...], ...] = field(default=(), repr=False)
+
+    @checks_arguments
+    def part_of(self, curve: Curve) -> StudyResult:
+        """Return the result of the case of a curve."""
+        case = curve.at, curve.condition, curve.alone
+        same = (part for part in self.parts if (part.curves[0].at, part.curves[0].condition, part.curves[0].alone) == case)
+        return next(same, self)
+
+    @property
+    def cases(self) -> tuple[StudyResult, ...]:
+        """The result of each case."""
+        return self.parts
+
+    @checks_arguments
+    def case(self, condition: str | None = None, **at: float | int | str) -> StudyResult:
+        """Return the result of one case, with its curves, pictures and files.
+
+        condition : its name; None if the study has at most one
+        at : axis -> its value in the unit of its settings, or its label; axes that tell no cases apart need not be given
+
+        Raises PixsimError if no case, or more than one, is named.
+        """
+        of_study = ([part.curves[0].at for part in self.parts], [part.curves[0].condition for part in self.parts])
+        found = [
+            part
+            for part, values, name in zip(self.parts, *of_study, strict=True)
+            if condition in (None, name) and all(axis in values and _is_value(values[axis], value) for axis, value in at.items())
+        ]
+        if len(found) == 1:
+            return found[0]
+        got = ", ".join([f"{name} = {value}" for name, value in at.items()] + ([f"condition {condition}"] if condition else []))
+        allowed = "; ".join(part.curves[0].words or BASE for part in self.parts)
+        allowed = f"one of: {allowed}" if allowed else "a study with axes or conditions"
+        raise invalid("case", f"{got or 'nothing'}, which names {len(found)} cases", allowed)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result as in summary.json."""
+        cases: list[dict[str, Any]] = []
+        for part in self.parts:
+            first = part.curves[0]
+            own = {"at": first.at, "condition": first.condition, "alone": first.alone, "film": part.film and part.film.as_dict()}
+            own["agrees"] = {row.statement: row.agrees for row in self.findings[len(cases)]} if self.findings else {}
+            cases.append({name: value for name, value in own.items() if value} | {"irradiance": part.irradiance.header})
+            cases[-1]["white_spectrum"] = white_light(part.irradiance)[1]
+        return {
+            "study": self.study.model_dump(mode="json", exclude={"quick"}),
+            "chosen": self.view,
+            "notes": self.notes,
+            **({"left_out": list(self.left_out)} if self.left_out else {}),
+            "cases": cases,
+            "curves": [curve.as_dict() | {"dark": self.part_of(curve).dark(curve)} for curve in self.curves],
+        }
 
 
 def _is_value(value: float | int | str, asked: float | int | str) -> bool:

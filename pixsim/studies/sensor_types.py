@@ -126,7 +126,7 @@ def draw_types(
     study = result.study
     sample = asked.sample(study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
-    bases = result.parts or (result,)
+    bases = result.cases
     series: list[Series] = []
     members: list[range] = []  # of each type, the numbers of its series
     samplings: list[Sizes] = []

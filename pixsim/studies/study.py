@@ -49,7 +49,7 @@ from pixsim.studies.keys import light_hash, remember_evaluated
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.pixels import imaging_of, physics_of, technology_of
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, jobs_in_memory, largest_frame_bytes, study_plan
-from pixsim.studies.result import Curve, StudyResult, causes_of_curve, curve_of, few
+from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of, few
 from pixsim.studies.results_file import COLUMNS, ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sampling, Sizes, first_sampling, largest_pixel_um, study_pitches_um
@@ -912,19 +912,30 @@ def run_prepared(
             from pixsim.studies.claims import findings_of_cases
 
             findings = findings_of_cases(found, workers, stage("paper's statements"))
-    result = found[0]
-    irradiance = result.irradiance
-    noise = irradiance.header["render_noise"]
-    changes: dict[str, Any] = {"warned": tuple(notes), "left_out": tuple(reasons), "curves": curves}
+    first, budget = found[0], None
+    irradiance = first.irradiance
+    settings_toml = repeated_settings(prepared, chosen if prepared.cases else first.study, irradiance, asked)
+    if settled is not None:
+        noise, sensors = RenderNoise(**irradiance.header["render_noise"]), int(first.curves[0].sensors.min())
+        budget = settled.budget(noise, irradiance.header["bound_e"], sensors)
+    final = replace(first, warned=tuple(notes), curves=curves, settings_toml=settings_toml, budget=budget)
     if prepared.cases:
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
-        curves = tuple(curve for name in names for part in found for curve in part.curves if curve.technology == name)
-        changes |= {"study": chosen, "curves": curves, "parts": tuple(found), "counts": counts, "findings": findings}
-    changes["settings_toml"] = repeated_settings(prepared, chosen if prepared.cases else result.study, irradiance, asked)
-    if settled is not None:
-        sensors = int(result.curves[0].sensors.min())
-        changes["budget"] = settled.budget(RenderNoise(**noise), irradiance.header["bound_e"], sensors)
-    final = replace(result, **changes)
+        final = CasesResult(
+            chosen,
+            tuple(curve for name in names for part in found for curve in part.curves if curve.technology == name),
+            irradiance,
+            first.camera,
+            film=first.film,
+            view=first.view,
+            settings_toml=settings_toml,
+            warned=tuple(notes),
+            lights=first.lights,
+            parts=tuple(found),
+            counts=counts,
+            left_out=tuple(reasons),
+            findings=findings,
+        )
     if asked is None:
         return final
     from pixsim.studies.sensor_types import draw_types

@@ -18,7 +18,7 @@ from pixsim.base.files import PROVENANCE, publishing, write_made_from
 from pixsim.report import kept, run as report_of_run, study as report_of_study
 from pixsim.report.kept import digest_of_report, keep_or_write
 from pixsim.studies.evaluations import Counts
-from pixsim.studies.result import StudyResult
+from pixsim.studies.result import CasesResult, StudyResult
 
 pytestmark = pytest.mark.usefixtures("unmeasured")
 FILES = {"report.html": "page", "summary.json": "{}", "figures/curve.svg": "<svg/>"}
@@ -89,6 +89,11 @@ def other_curve(result: StudyResult, **changes: Callable[[Any], Any]) -> StudyRe
     return replace(result, curves=(replace(curve, **{name: change(getattr(curve, name)) for name, change in changes.items()}),))
 
 
+def of_cases(result: StudyResult) -> CasesResult:
+    """The result of a study with axes, of one case."""
+    return CasesResult(result.study, result.curves, result.irradiance, result.camera, parts=(result,))
+
+
 CHANGES: dict[str, Callable[[StudyResult], StudyResult]] = {
     "a setting": lambda result: replace(result, study=result.study.model_copy(update={"title": "another"})),
     "a setting of a table": lambda result: replace(
@@ -106,7 +111,7 @@ CHANGES: dict[str, Callable[[StudyResult], StudyResult]] = {
     "settings.toml": lambda result: replace(result, settings_toml=result.settings_toml + "\n"),
     "a warning": lambda result: replace(result, warned=(*result.warned, "mind this")),
     "an error budget": lambda result: replace(result, budget={"tolerance": 0.1}),
-    "the case of an axis": lambda result: replace(result, parts=(result,)),
+    "the case of an axis": lambda result: of_cases(result),
     "sensor types": lambda result: replace(result, uncertainty=(result.curves[0].fit.optimum,)),
 }
 
@@ -120,7 +125,8 @@ def test_keep_or_write_other_content_is_written(name: str, made: tuple[StudyResu
 
 def test_keep_or_write_other_counts_are_kept(made: tuple[StudyResult, Path], report: Report) -> None:
     """What was computed and what was known before is of the run, as its wall times are."""
-    assert not report.of(replace(made[0], counts=Counts(1, 1, 1)))
+    assert report.of(of_cases(made[0]))
+    assert not report.of(replace(of_cases(made[0]), counts=Counts(1, 1, 1)))
 
 
 def forget(folder: Path) -> None:

@@ -34,7 +34,7 @@ from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.optimum import FittedCurve, fit_curve
-from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.result import CasesResult, Curve, StudyResult
 
 pytestmark = pytest.mark.usefixtures("unmeasured")
 PITCH_UM = np.geomspace(2.0, 16.0, 7)
@@ -66,7 +66,7 @@ def result_of(optima_um: Optima, least: Optima = lambda *_: 1.0, **study: Any) -
         curves = tuple(curve_of(name, optima_um(*of, name), least(*of, name), case) for name in case.study.technologies)
         parts.append(StudyResult(case.study, curves, LIGHT, pixsim.Camera(f_number=case.study.camera.f_number or 4.0)))
     curves = tuple(curve for part in parts for curve in part.curves)
-    return StudyResult(plan, curves, LIGHT, parts[0].camera, parts=tuple(parts))
+    return CasesResult(plan, curves, LIGHT, parts[0].camera, parts=tuple(parts))
 
 
 LUMINANCE = {

@@ -26,7 +26,7 @@ from pixsim.studies.cases import cases_of, with_range_ends
 from pixsim.studies.claims import Evidence, findings, scaling_rows, turned_words, verdicts
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.oversampling import measure_film
-from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.result import CasesResult, Curve, StudyResult
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study import check_pitches, load_study
 
@@ -299,7 +299,7 @@ def synthetic() -> StudyResult:
         parts.append(StudyResult(study, tuple(replace(each, at=at, alone=axis) for each in own), light, pixsim.Camera()))
     curves = tuple(part.curves[place] for place in range(3) for part in parts)
     rows = tuple(tuple(scaling_rows(part.curves)) for part in parts)
-    return StudyResult(study, curves, light, pixsim.Camera(), parts=tuple(parts), findings=rows)
+    return CasesResult(study, curves, light, pixsim.Camera(), parts=tuple(parts), findings=rows)
 
 
 def test_verdicts_list_the_cases_that_turn_them() -> None:
