@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from pixsim.measure.sfr import edge_response as edge_response, sfr as sfr
     from pixsim.optics.exchange import read_irradiance as read_irradiance, write_npz as write_npz
     from pixsim.optics.lens import load_lens as load_lens
-    from pixsim.report.compare import write_comparison as write_comparison
-    from pixsim.report.lens import write_lens as write_lens
-    from pixsim.report.study import write_report as write_report
+    from pixsim.report.write import write_report as write_report
     from pixsim.scene import charts as charts
     from pixsim.scene.charts import make_chart as make_chart, write_chart as write_chart
     from pixsim.scene.plan import Plan as Plan, make_plan as make_plan
@@ -76,9 +74,7 @@ _NAMES_OF = {
     "viewer.score": "evaluate",
     "studies.study": "study",
     "studies.compare": "compare",
-    "report.compare": "write_comparison",
-    "report.lens": "write_lens",
-    "report.study": "write_report",
+    "report.write": "write_report",
     "verification.survey": "accuracy",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

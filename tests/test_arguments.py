@@ -154,8 +154,8 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 NOT_CALLED = {
     "pixsim.compare": "its own tests", "pixsim.studies.compare.Comparison": "a whole comparison",
     "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
-    "pixsim.lens": "its own tests below", "pixsim.measure.lens": "a whole trace", "pixsim.write_lens": "its result is one",
-    "pixsim.write_comparison": "its result is a whole comparison", "pixsim.measure.sfr.EdgeResponse.write": "it writes a folder",
+    "pixsim.lens": "its own tests below", "pixsim.measure.lens": "a whole trace",
+    "pixsim.measure.sfr.EdgeResponse.write": "it writes a folder",
     "pixsim.accuracy": "its own tests below", "pixsim.verification": "a whole survey",
     "pixsim.datasheet": "its own tests below", "pixsim.measure.datasheet": "a whole measurement",
     "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
@@ -340,7 +340,7 @@ def test_any_argument_of_a_long_function_gives_an_error_that_names_it(
 
 @pytest.mark.parametrize("label", JUNK)
 def test_write_report_without_a_result_raises(label: str, tmp_path: Path) -> None:
-    with pytest.raises(PixsimError, match=r"result: got .*; allowed: a StudyResult"):
+    with pytest.raises(PixsimError, match=r"result: got .*; allowed: a StudyResult, or a Comparison, or a LensData"):
         pixsim.write_report(JUNK[label], tmp_path / "out")
 
 

@@ -329,7 +329,7 @@ def study(
     from pixsim.report.axes import axes_files, axes_lines, axes_summary, write_axes_report
     from pixsim.report.kept import keep_or_write
     from pixsim.report.outline import long_lines, outline_lines, study_outline
-    from pixsim.report.study import report_files, write_report
+    from pixsim.report.study import report_files, write_study
     from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
     from pixsim.report.wording import budget_lines, film_words, optimum_parts, study_lines
     from pixsim.studies import study as sweep
@@ -384,7 +384,7 @@ def study(
                 if isinstance(result, CasesResult):
                     write = partial(write_axes_report, result, *own, compromises=found)
                 else:
-                    write = partial(write_report, result, *own)
+                    write = partial(write_study, result, *own)
                 report = keep_or_write(result, folder, write)
             warned = set(result.warned)  # they are on stderr
             if isinstance(result, CasesResult):

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
 from pixsim.base.headline import below_headline
@@ -239,12 +238,9 @@ def check_output(prepared: Prepared, folder: str | os.PathLike[str]) -> None:
     check_replaceable(folder, {PAGE, *comparison_files(prepared)})
 
 
-@checks_arguments
 def write_comparison(result: Comparison, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None) -> Path:
     """Write compare.json, settings.toml, the sensors' settings and pictures, report.html and provenance.json.
 
-    result : of `compare`
-    folder : created if missing
     seconds : stage -> wall time in s, for provenance.json
 
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that

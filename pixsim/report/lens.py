@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import one_line
 from pixsim.base.files import output_folder, publishing, versions, write_json
@@ -429,24 +427,19 @@ def lens_lines(data: LensData) -> list[str]:
     return [*lines, f"{loss}; camera.transmittance is what counts"]
 
 
-@checks_arguments
-def write_lens(data: LensData, folder: str | os.PathLike[str]) -> Path:
-    """Write the page of a lens, report.html, its figures and summary.json.
+def write_lens(data: LensData, out: Path) -> Path:
+    """Write the page of a lens, its figures and summary.json into a folder and return the path of the page.
 
-    data : of `lens`
-    folder : created if missing
-
-    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-    pixsim did not write.
+    Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
     """
-    with output_folder(folder) as path, publishing(path, "lens") as unfinished:
-        shown = write_figures(unfinished, [plate.drawn() for plate in lens_plates(data)])
-        write_json(unfinished / "summary.json", data.as_dict())
+    with output_folder(out), publishing(out, "lens") as folder:
+        shown = write_figures(folder, [plate.drawn() for plate in lens_plates(data)])
+        write_json(folder / "summary.json", data.as_dict())
         page = {
             "title": title_of(data), "lens": data.lens, "plates": shown, "first_order": first_order_rows(data),
             "surfaces": surface_rows(data), "fields": field_rows(data), "glasses": data.lens.prescription.glasses,
             "loss": data.loss_percent, "versions": versions(),
             "notes": data.notes, "wavelengths": ", ".join(f"{nm:.5g}" for nm in data.wavelength_nm),
         }  # fmt: skip
-        write_page(unfinished / "report.html", "lens.html.j2", page)
-    return Path(folder) / "report.html"
+        write_page(folder / "report.html", "lens.html.j2", page)
+    return out / "report.html"

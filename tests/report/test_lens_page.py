@@ -113,7 +113,7 @@ def test_json_has_no_nan_and_options_change_the_lens(tmp_path: Path) -> None:
     assert [each["wavelength_nm"] for each in content["first_order"]] == [500.0, 600.0]
     made = pixsim.lens("singlet", object_distance_m=1.0, field_deg=0.0, wavelength_nm=[500.0, 600.0])
     assert content == {"schema": 1} | json.loads(json.dumps(made.as_dict()))
-    assert pixsim.write_lens(made, tmp_path / "python") == tmp_path / "python/report.html"
+    assert pixsim.write_report(made, tmp_path / "python") == tmp_path / "python/report.html"
     names = {path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("*") if path.is_file()}
     assert len(names) > 10
     assert all((tmp_path / "python" / name).read_bytes() == (tmp_path / "out" / name).read_bytes() for name in names)
