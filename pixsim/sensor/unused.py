@@ -23,21 +23,20 @@ from pixsim.base.parameters import (
     Correction,
     Develop,
     Display,
+    Effort,
     Exposure,
     LensOptions,
-    PitchRange,
     PixelOptions,
     Record,
     Run,
     StackOptions,
-    Study,
     efficiencies_of,
 )
 from pixsim.light.spectral import HIGH_NM, SpectralImage
 from pixsim.sensor.pixel import PixelPhysics
 
 WITHIN = 1e-6  # relative, of lengths and temperatures that are equal but for rounding
-NO_LENS, NO_PITCHES = LensOptions(), PitchRange()
+NO_LENS = LensOptions()
 CUT_STEPS = 1001  # wavelengths at which a response beyond the infrared cut is looked for
 
 
@@ -45,7 +44,7 @@ CUT_STEPS = 1001  # wavelengths at which a response beyond the infrared cut is l
 class Configuration:
     """Settings that hold together, as the user gave them, and the pixel that follows from them.
 
-    command : the run or the study, for its fields above all tables; None for a call with records
+    command : the run or the study, whose fields above all tables these are; None for a call with records
     light : of a picture, with bands and a size of its own; None for light that is rendered
     lens_of : the sensor whose lens this one has in a comparison; empty for its own
     """
@@ -58,24 +57,25 @@ class Configuration:
     display: Display
     camera: Camera | CameraOptions
     lens: LensOptions = NO_LENS
-    pitch: PitchRange = NO_PITCHES
-    command: Run | Study | None = None
+    command: Effort | None = None
     light: SpectralImage | None = field(default=None, repr=False)
     lens_of: str = ""
 
     @classmethod
-    def of(cls, command: Run | Study, physics: PixelPhysics, technology: str = "") -> Configuration:
-        """Return that of a run, or of one technology of a study at any of its pixel sizes."""
-        pixel, pitch = (
-            (command.options_of(technology), command.pitch) if isinstance(command, Study) else (command.pixel, NO_PITCHES)
-        )
-        shared = {name: getattr(command, name) for name in TABLES if name not in ("pixel", "pitch")}
-        return cls(physics, pixel, pitch=pitch, command=command, **shared)
+    def of(cls, run: Run, physics: PixelPhysics) -> Configuration:
+        """Return that of a run."""
+        own = run.exposure, run.correction, run.develop, run.display, run.camera, run.lens
+        return cls(physics, run.pixel, *own, run)
 
     @property
-    def study(self) -> Study | None:
-        """The study; None for another command."""
-        return self.command if isinstance(self.command, Study) else None
+    def rules(self) -> tuple[Rule, ...]:
+        """The rules on its settings."""
+        return RULES
+
+    @property
+    def tables(self) -> dict[str, Record]:
+        """Its tables by their names."""
+        return {name: getattr(self, name) for name in TABLES}
 
     @property
     def process(self) -> str:
@@ -90,13 +90,13 @@ class Configuration:
     @property
     def changed(self) -> list[str]:
         """Dotted names of the settings that were set to another value than 0, their default, and that of the technology."""
-        above = changed_of(self.command, "", but=TABLES) if self.command else ()
+        above = changed_of(self.command, "", but=[*self.tables]) if self.command else ()
         same = [f"pixel.{name}" for name, value in self.pixel if value == getattr(self.physics.technology, name, None)]
-        found = [*above, *(name for table in TABLES for name in changed_of(getattr(self, table), f"{table}."))]
+        found = [*above, *(name for table, record in self.tables.items() for name in changed_of(record, f"{table}."))]
         return [name for name in found if name not in same]
 
 
-TABLES = "camera", "lens", "pixel", "pitch", "exposure", "correction", "develop", "display"
+TABLES = "camera", "lens", "pixel", "exposure", "correction", "develop", "display"
 
 
 def changed_of(record: Record, prefix: str, but: Sequence[str] = ()) -> Iterator[str]:
@@ -150,9 +150,7 @@ def of_infrared_cut(c: Configuration) -> str:
 def of_fill_factor_law(c: Configuration) -> str:
     if c.from_sheet:
         return "it is about CMOS processes, and a data sheet has none"
-    study = c.study
-    starts_there = study is not None and study.open_range_um[0] is None and study.pitch.values_um is None
-    return "" if c.pixel.fill_factor is None or starts_there else "pixel.fill_factor states the fill factor"
+    return "" if c.pixel.fill_factor is None else "pixel.fill_factor states the fill factor"
 
 
 def of_data_sheet_pitch(c: Configuration) -> str:
@@ -237,37 +235,6 @@ def of_calibration(c: Configuration) -> str:
     return "a calibration chooses it for tolerance_delta_e" if chosen else ""
 
 
-def of_rounds(c: Configuration) -> str:
-    if c.study is None or c.study.target_ci_um or (c.study.refine and c.study.pitch.values_um is None):
-        return ""
-    why = "refine = false" if not c.study.refine else "a list of sizes"
-    return f"without target_ci_um, and with {why}, no sizes and sensors are added"
-
-
-def of_refining(c: Configuration) -> str:
-    if c.study is None:
-        return ""
-    if c.study.target_ci_um:
-        return "target_ci_um says how far sizes and sensors are added"
-    return "" if c.study.pitch.values_um is None else "sizes and sensors are not added to a list of sizes"
-
-
-def of_listed(c: Configuration) -> str:
-    return "pitch.values_um lists the pixel sizes" if c.pitch.values_um is not None else ""
-
-
-def of_smallest(c: Configuration) -> str:
-    if c.pitch.min_um is not None:
-        return of_listed(c) or "pitch.min_um states the smallest pixel size"
-    of_sheet = c.study is not None and c.study.own_um is not None
-    return of_listed(c) or ("the sizes of a data sheet begin at a part of its own" if of_sheet else "")
-
-
-def of_own_size(c: Configuration) -> str:
-    of_sheet = c.study is None or NO_TECHNOLOGY in c.study.technologies
-    return "" if of_sheet else "it is about a study whose [pixel] is a data sheet"
-
-
 def fields_of(table: str, record: type[Record], *but: str) -> tuple[str, ...]:
     """Return the dotted names of a record's fields, but some."""
     return tuple(f"{table}.{name}" for name in record.model_fields if name not in but)
@@ -319,12 +286,6 @@ RULES = (
         lambda c: "" if c.light is None else "the light of a picture is not rendered",
     ),
     Rule(("tolerance_e", "render_noise", "repeats"), of_calibration),
-    Rule(("max_repeats",), lambda c: "" if of_calibration(c) else of_rounds(c)),
-    Rule(("max_evaluations",), of_rounds),
-    Rule(("refine",), of_refining),
-    Rule(("pitch.min_um", "pitch.max_um", "pitch.count"), of_listed),
-    Rule(("pitch.min_fill_factor",), of_smallest),
-    Rule(("pitch.own_um",), of_own_size),
 )
 
 
@@ -338,7 +299,7 @@ def unused_settings(configuration: Configuration) -> dict[str, str]:
     """
     changed = configuration.changed
     found: dict[str, str] = {}
-    for rule in RULES:
+    for rule in configuration.rules:
         if (names := [name for name in rule.settings if name in changed]) and (why := rule.why(configuration)):
             found |= {name: why for name in names if name not in found}
     return found

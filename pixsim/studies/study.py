@@ -39,7 +39,7 @@ from pixsim.scene.convergence import render_until
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.technology import check_name
-from pixsim.sensor.unused import Configuration, warn_of_unused_settings
+from pixsim.sensor.unused import warn_of_unused_settings
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
 from pixsim.studies.elsewhere import curves_viewed
@@ -55,6 +55,7 @@ from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sampling, Sizes, first_sampling, largest_pixel_um, study_pitches_um
 from pixsim.studies.series import Series, most_channels, scenes_of, series_of
 from pixsim.studies.sight import Sight, clearest
+from pixsim.studies.unused import StudyConfiguration
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.imaging import Imaging
@@ -433,11 +434,11 @@ def warn_of_unused(cases: Sequence[tuple[Study, Study]]) -> None:
 
     cases : each as the user set it, and with what it left open
     """
-    sensors: dict[str, list[Configuration]] = {}
+    sensors: dict[str, list[StudyConfiguration]] = {}
     for given, complete in cases:
         for technology in given.technologies:
             pixel = physics_of(complete, technology, float(study_pitches_um(complete, technology).max()))
-            sensors.setdefault(technology, []).append(Configuration.of(given, pixel, technology))
+            sensors.setdefault(technology, []).append(StudyConfiguration.of_technology(given, pixel, technology))
     warn_of_unused_settings(dict(zip(labels_of(list(sensors)), sensors.values(), strict=True)))
 
 

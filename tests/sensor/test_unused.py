@@ -35,12 +35,13 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.report.outline import run_outline
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.unused import RULES, Configuration, unused_notes, unused_settings
+from pixsim.sensor.unused import Configuration, unused_notes, unused_settings
 from pixsim.studies import compare
 from pixsim.studies.cases import cases_of, with_range_ends
 from pixsim.studies.pixels import physics_of
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study import load_study, prepare
+from pixsim.studies.unused import StudyConfiguration, rules_of
 
 SIDE, SAMPLE_UM, WIDTH_NM = 24, 4.0, 40.0
 DIE_MM = 1e-3 * SIDE * SAMPLE_UM
@@ -245,9 +246,8 @@ def said(command: Run | Study, technology: str = "") -> set[str]:
     if isinstance(command, Study):
         technology = technology or command.technologies[0]
         physics = physics_of(command, technology, float(study_pitches_um(command, technology).max()))
-    else:
-        physics = derive(command.pixel)
-    return set(unused_settings(Configuration.of(command, physics, technology)))
+        return set(unused_settings(StudyConfiguration.of_technology(command, physics, technology)))
+    return set(unused_settings(Configuration.of(command, derive(command.pixel))))
 
 
 def study_of(**settings: Any) -> Study:
@@ -349,4 +349,4 @@ def test_every_command_says_so(tmp_path: Path) -> None:
 def test_rules_name_settings_that_exist() -> None:
     known = {*MOVES, *Run.model_fields, *Study.model_fields, *(f"camera.{name}" for name in CameraOptions.model_fields)}
     known |= {f"pitch.{name}" for name in type(tiny().pitch).model_fields}
-    assert not {name for rule in RULES for name in rule.settings} - known
+    assert not {name for rule in rules_of(study_of()) for name in rule.settings} - known
