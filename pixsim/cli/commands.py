@@ -166,7 +166,7 @@ def run(
     from pixsim.report.run import check_raw, frames_lines, run_and_write
     from pixsim.report.wording import budget_lines, own_notes, score_parts, unsure_lines
 
-    chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
+    chosen = options.settings(effort, display=display, seed=seed, tolerance_e=tolerance_e)
     folder = out or DEFAULT_OUT / Path(scene).stem
     render_options: dict[str, Any] = {"full": full, "sensor": sensor, "variant": variant, "units": units}
     raw_suffixes = [f".{suffix}" for suffix in raw or []]
@@ -341,16 +341,13 @@ def study(
     from pixsim.studies.sensor_types import asked_of, check_types
 
     table = sweep.read_study(study)
-    tables = options.study_tables(
-        scene, display=display, pitch=pitch, seed=seed, refine=refine, tolerance_e=tolerance_e, **vars(effort)
-    )
+    tables = options.study_tables(scene, effort, display=display, pitch=pitch, seed=seed, refine=refine, tolerance_e=tolerance_e)
     if axis:
         tables["axis"] = common.axes_of(axis, table.table.get("axis", []))
     with collected_notes():  # also of what is found before the study begins
         layers = study_layers(table, options.config or [], tables)
         seconds: dict[str, float] = {}
         suffix = "-quick" if quick else ""
-        run_options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
         plan = sweep.checked_study(layers, tables)
         folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
         spreads = sweep.uncertainty_of(study, options.config or [])
@@ -374,7 +371,9 @@ def study(
             common.verbosity.note(line)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
-                result = sweep.run_prepared(prepared, folder, progress=stage, agreed=yes, asked=asked, **run_options)
+                result = sweep.run_prepared(
+                    prepared, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked
+                )
                 more = partial(write_uncertainty, result=result) if result.uncertainty else None
                 stage("report")
                 first = result.cases[0]

@@ -266,26 +266,26 @@ class SceneOptions:
     correction: CorrectionTable = None
     develop: DevelopTable = None
 
-    def settings(self, **others: Any) -> Run:
+    def settings(self, effort: Effort | None = None, **others: Any) -> Run:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""
-        return run_settings(self.config or [], self.tables(**others))
+        return run_settings(self.config or [], self.tables(effort, **others))
 
-    def tables(self, **others: Any) -> dict[str, Any]:
+    def tables(self, effort: Effort | None = None, **others: Any) -> dict[str, Any]:
         """The options without the files, as tables of `Run`.
 
         others : further tables and fields
         """
-        values = {**vars(self), **others}
+        values = {**vars(self), **others, **(vars(effort) if effort else {})}
         del values["config"]
         return given({"scene": definitions(values.pop("define"), values.pop("linear")), **values})
 
-    def study_tables(self, scene: str | None, **others: Any) -> dict[str, Any]:
+    def study_tables(self, scene: str | None, effort: Effort, **others: Any) -> dict[str, Any]:
         """The options as tables of a study, in place of those of its file.
 
         scene : XML file or name of a packaged scene
         others : further tables and fields
         """
-        values = {**vars(self), **others}
+        values = {**vars(self), **others, **vars(effort)}
         del values["config"]
         parameters = definitions(values.pop("define"), values.pop("linear"))
         return given({"scene": given({"file": scene, "parameters": parameters}) or None, **values})

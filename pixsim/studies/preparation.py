@@ -211,8 +211,8 @@ def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
     coloured = [name for name in study.technologies if study.options_of(name).colour is not None]
     pixels = [pixel_of(study, name, study.pitch.largest_um) for name in coloured]
     aperture_um = None if camera.lens is None else finest_pixel(study).aperture_side_um
-    options: dict[str, Any] = {"tolerance_e": study.tolerance_e, "exact": study.tolerance_delta_e is None}
-    return make_render_plan(scene, camera, pixels, aperture_um=aperture_um, **options)
+    exact = study.tolerance_delta_e is None
+    return make_render_plan(scene, camera, pixels, aperture_um=aperture_um, tolerance_e=study.tolerance_e, exact=exact)
 
 
 def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:

@@ -580,10 +580,16 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:
     fill_factor[place] = fill
     fit = fit_curve(pitches, statistics["mean_delta_e"], partial(photodiode_widths_um, study, technology))
     process = technology_of(study, technology)
-    sheet = process.name == NO_TECHNOLOGY
-    from_smallest = study.pitch.values_um is None and study.open_range_um[0] is None
-    more: dict[str, Any] = {"data_sheet": sheet, "from_smallest": from_smallest}
-    return Curve(technology, process.feature_size_um, pitches, fill_factor, statistics, fit, **more)
+    return Curve(
+        technology,
+        process.feature_size_um,
+        pitches,
+        fill_factor,
+        statistics,
+        fit,
+        data_sheet=process.name == NO_TECHNOLOGY,
+        from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
+    )
 
 
 def alike_words(curve: Any) -> str:

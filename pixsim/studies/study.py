@@ -848,8 +848,7 @@ def study(
 
         asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
         prepared = replace(prepare(chosen, variant, quick=quick), uncertainty=spreads)
-        options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "progress": progress, "agreed": agreed}
-        return run_prepared(prepared, out, asked=asked, **options)
+        return run_prepared(prepared, out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, asked=asked)
 
 
 def run_prepared(
