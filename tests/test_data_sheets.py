@@ -25,7 +25,8 @@ from pixsim.measure.datasheet import make_datasheet
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
 from pixsim.studies.pixels import technology_of
-from pixsim.studies.study import check_technologies, load_study, prepare
+from pixsim.studies.preparation import check_technologies, prepare
+from pixsim.studies.study_file import load_study
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 SHEET: dict[str, Any] = {

@@ -332,15 +332,17 @@ def study(
     from pixsim.report.study import report_files, write_study
     from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
     from pixsim.report.wording import budget_lines, film_words, optimum_parts, study_lines
-    from pixsim.studies import study as sweep
     from pixsim.studies.cases import CASE_S, MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.conditions import compromises_of
+    from pixsim.studies.cost import duration_words, fitting_jobs
     from pixsim.studies.engine import Workers, workers_here
-    from pixsim.studies.preparation import duration_words, fitting_jobs
+    from pixsim.studies.preparation import prepare
     from pixsim.studies.result import CasesResult
     from pixsim.studies.sensor_types import asked_of, check_types
+    from pixsim.studies.study import run_prepared
+    from pixsim.studies.study_file import checked_study, read_study, uncertainty_of
 
-    table = sweep.read_study(study)
+    table = read_study(study)
     tables = options.study_tables(scene, effort, display=display, pitch=pitch, seed=seed, refine=refine, tolerance_e=tolerance_e)
     if axis:
         tables["axis"] = common.axes_of(axis, table.table.get("axis", []))
@@ -348,12 +350,12 @@ def study(
         layers = study_layers(table, options.config or [], tables)
         seconds: dict[str, float] = {}
         suffix = "-quick" if quick else ""
-        plan = sweep.checked_study(layers, tables)
+        plan = checked_study(layers, tables)
         folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
-        spreads = sweep.uncertainty_of(study, options.config or [])
+        spreads = uncertainty_of(study, options.config or [])
         if MANY_CASES < (cases := number_of_cases(plan.quickened if quick else plan)) <= MAX_CASES:
             common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration_words(cases * CASE_S)}")
-        prepared = replace(sweep.prepare(plan, variant, quick), uncertainty=spreads)
+        prepared = replace(prepare(plan, variant, quick), uncertainty=spreads)
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
             types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes or dry_run)
@@ -371,9 +373,7 @@ def study(
             common.verbosity.note(line)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
-                result = sweep.run_prepared(
-                    prepared, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked
-                )
+                result = run_prepared(prepared, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
                 more = partial(write_uncertainty, result=result) if result.uncertainty else None
                 stage("report")
                 first = result.cases[0]

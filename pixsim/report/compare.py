@@ -47,9 +47,9 @@ from pixsim.studies.compare import (
     shown_probability,
     verdict,
 )
+from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.keys import rendered_across
 from pixsim.studies.light_level import LightLevel
-from pixsim.studies.preparation import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 
 JSON_FILE, PAGE = "compare.json", "report.html"

@@ -14,11 +14,7 @@ from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
 from pixsim.report.wording import field_words, focal_length_assumption, lens_words, view_words
 from pixsim.sensor.integration import pixels_on
 from pixsim.show.pages import rounded
-from pixsim.studies.extent import columns_on
-from pixsim.studies.keys import rendered_across
-from pixsim.studies.outline import errors_of, film_of, planned_sensors, planned_study
-from pixsim.studies.oversampling import TOLERATED_SHARE
-from pixsim.studies.preparation import (
+from pixsim.studies.cost import (
     COLOUR_S,
     LONG_S,
     MOST_EVALUATIONS,
@@ -31,10 +27,14 @@ from pixsim.studies.preparation import (
     known_film,
     render_cost,
 )
+from pixsim.studies.extent import columns_on
+from pixsim.studies.keys import rendered_across
+from pixsim.studies.outline import errors_of, film_of, planned_sensors, planned_study
+from pixsim.studies.oversampling import TOLERATED_SHARE
 from pixsim.viewer.imaging import Imaging
 
 if TYPE_CHECKING:
-    from pixsim.studies.study import Prepared
+    from pixsim.studies.preparation import Prepared
 
 
 def run_outline(

@@ -13,7 +13,7 @@ from typing import Any
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Condition, Layer, Study, owner_of, paths_of
-from pixsim.studies.study import checked_study, read_study
+from pixsim.studies.study_file import checked_study, read_study
 
 SHARED = (  # as `Run` has them
     *("exposure", "correction", "develop", "display", "seed"),

@@ -55,10 +55,11 @@ from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.pages import html_cell
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.circumstances import Circumstances, circumstances_of
+from pixsim.studies.cost import VIEWED_S_PER_DOT, Cost, dots_on, frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
 from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
-from pixsim.studies.preparation import ALLOWED_DOTS, VIEWED_S_PER_DOT, Cost, View, choose_view, dots_on, frame_cost, jobs_in_memory
+from pixsim.studies.preparation import ALLOWED_DOTS, View, choose_view
 from pixsim.studies.result import NO_VISIBLE_DELTA_E
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS

@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.parameters import Camera, Run, Study
 from pixsim.sensor.integration import pixels_on
+from pixsim.studies.cost import LONG_S, Known, cases_cost, known_film, window_within
 from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.keys import evaluated_before, light_hash, rendered_across
 from pixsim.studies.pixels import imaging_of
-from pixsim.studies.preparation import LONG_S, Known, cases_cost, first_film, known_film, window_within
+from pixsim.studies.preparation import first_film
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.viewer.imaging import Imaging
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
     from pixsim.scene.scene import Scene
-    from pixsim.studies.study import Prepared
+    from pixsim.studies.preparation import Prepared
 
 
 def planned_sensors(study: Study, camera: Camera) -> list[dict[str, Any]]:

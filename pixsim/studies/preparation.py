@@ -1,4 +1,4 @@
-"""What a command decides before its first render: display and chart for a data sheet's sensor, pixel sizes, and their cost.
+"""What a command decides before its first render: display and chart for a data sheet's sensor, pixel sizes, cases.
 
 A sensor given by its data sheet has no display or chart that belongs to it, as the process of Chen et al. (2000) has. Where
 nobody sets them, its display has a dot for each column of pixels, up to 2048, and the CSF chart ends at the highest frequency
@@ -8,33 +8,34 @@ that the sensor, the lens and the display can show. Both are chosen once a comma
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from pixsim.base.arrays import MEASURED
+from pixsim.base.config import Uncertainty
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.labels import label_of
-from pixsim.base.machine import memory
-from pixsim.base.mapped import MOST_BYTES
+from pixsim.base.labels import label_of, labels_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Display, PitchRange, Study
-from pixsim.optics.camera_lens import GROUPS, rendered_camera
+from pixsim.base.parameters import Camera, Display, PitchRange, Study, content_hash
+from pixsim.base.schema import KEY
+from pixsim.optics.camera_lens import rendered_camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
-from pixsim.optics.field_blur import blur_work
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
-from pixsim.scene.film import GREEN_NM, PROGRAM_BYTES, film_bytes, film_memory_bytes
-from pixsim.scene.plan import FEWEST_RENDERS, Plan, decide_oversampling, make_render_plan
+from pixsim.scene.film import GREEN_NM
+from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
-from pixsim.sensor.pixel import PixelPhysics
-from pixsim.studies.engine import workers_here
-from pixsim.studies.pixels import physics_of, pixel_of
-from pixsim.studies.sampling import largest_lens_um, study_pitches_um
-from pixsim.studies.viewing import SENSORS_VIEWED, STUDY_VIEWINGS
-from pixsim.viewer.score import SCENE_CACHE_BYTES
+from pixsim.sensor.pixel import PixelPhysics, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.technology import check_name
+from pixsim.sensor.unused import warn_of_unused_settings
+from pixsim.studies.cases import Case, cases_of, with_range_ends
+from pixsim.studies.pixels import physics_of, pixel_of, technology_of
+from pixsim.studies.results_file import COLUMNS
+from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
+from pixsim.studies.unused import StudyConfiguration
+from pixsim.viewer.display import dot_edges_um
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
 MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
@@ -109,7 +110,6 @@ def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene 
 
 
 MIN_ACROSS = 16  # pixels across the die, of the largest pitch by default
-BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
 MAX_FRAME_BYTES = 1.0 * (1 << 30)
 PITCH_DIGITS = 4
 
@@ -225,236 +225,198 @@ def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]
     return scene, study_plan(scene, camera, study)
 
 
-# Costs on one core of an ordinary machine, for an estimate before a render: tests/benchmarks/estimates.py compares.
-RENDER_S_PER_SAMPLE = 1.6e-7  # of a film cell's samples, both of the two renders that show the noise
-PATH_S_PER_SAMPLE = 6e-7  # with any number of bounces
-KERNEL_S = 2.0  # to compile that of a light
-FILM_S_PER_CELL = 1.0e-6  # its noise, diffraction and ideal image
-EXACT_S_PER_CELL = 1.5e-7  # the same of a chart that is computed, without noise
-KNOWN_S_PER_CELL = 1e-7  # of a light that the cache has
-MOVED_S_PER_CELL = 2.5e-7  # of a picture that a real lens distorts
-WINDOW_S_PER_CELL = 2.8e-8  # of the windows of all tiles of a blur, with those of an even picture
-KNOWN_WINDOW_S_PER_CELL = 4e-8  # the same, with the PSFs' share of the light read
-PSF_S, POINT_S = 1.5e-3, 8e-3  # of a tile's PSF, and of a point along the radius
-PART_S_PER_CELL, PARTS_S = 1.2e-6, 0.5  # of the parts on which a film's error is measured behind a real lens
-FRAME_S = 6e-4  # of an evaluation of few pixels and dots
-FRAME_S_PER_PIXEL = 2.0e-7  # integration, noise and ADC
-SCORE_S_PER_DOT = 1.6e-7  # shown picture and S-CIELAB
-VIEWED_S_PER_DOT = 6e-8  # of a frame that is shown on another display too
-START_S, KNOWN_START_S = 1.4, 0.8  # libraries, scene, plan; where the cache has the light
-PAGE_S, CURVE_S, RUN_PAGE_S = 2.6, 0.6, 0.3  # figures and page; of each curve; of a single frame
-MAPS_S = 5.5  # of axes and conditions
-COLOUR_S, STACK_S = 1.8, 0.6  # the first time that a sensor's colours are calibrated, and its stack is computed
-KNOWN_FRAMES = 0.35  # of the time of an evaluation, where the cache has its frame
-MOST_CURVES = 64  # of which a page has figures of their own
-CALIBRATIONS = 4.0  # renders of a calibration for a tolerance, each with a handful of frames
-MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
-TYPE_S = 0.3  # of a sensor type: its pixels, and the fit of its curve
-FILM_BYTES_PER_CELL = 120.0
-DOT_BYTES = 150.0
-BASE_BYTES = 3.0e8  # the program and its libraries
+def check_technologies(study: Study) -> None:
+    """Raise PixsimError for an unknown technology, one that a study has twice, or numbers of one that it does not have."""
+    processes: dict[str, str] = {}
+    for name in study.process:
+        if name not in study.technologies:
+            raise invalid("process", f"'{name}'", f"technologies of the study: {', '.join(study.technologies)}")
+    for name in study.technologies:
+        check_name(name)
+        sheet = study.sensors[name].model_dump() if name in study.sensors else None
+        content = content_hash([technology_of(study, name).content, sheet])
+        if content in processes:
+            kind = "process" if sheet is None else "data sheet"
+            raise invalid("technologies", f"{name} and {processes[content]}, which are the same {kind}", f"each {kind} once")
+        processes[content] = name
 
 
-@dataclass(frozen=True)
-class Cost:
-    """Estimated wall time, memory of all processes, and their number."""
+def check_pitches(study: Study) -> None:
+    """Raise PixsimError for an impossible pitch or limit, before anything is computed.
 
-    seconds: float
-    memory_bytes: float
-    jobs: int
-
-    def __str__(self) -> str:
-        processes = f" on {self.jobs} processes" if self.jobs > 1 else ""
-        return f"about {duration_words(self.seconds)}{processes}, {self.memory_bytes / 1e9:.2g} GB of memory"
-
-
-def duration_words(seconds: float) -> str:
-    """Return a duration to two digits, as text."""
-    if seconds < 90:
-        return f"{float(f'{seconds:.2g}'):g} s"
-    return f"{float(f'{seconds / 60:.2g}'):g} min" if seconds < 5400 else f"{float(f'{seconds / 3600:.2g}'):g} h"
-
-
-@dataclass(frozen=True)
-class Known:
-    """Whether the cache has a study's first light, and its frames."""
-
-    light: bool = False
-    frames: bool = False
-
-
-UNKNOWN = Known()
-
-
-def known_film(shape: Sequence[int], across: int | None) -> tuple[tuple[int, int], bool]:
-    """Return the film (H, W) on which a render ends, as far as known, and whether the cache has that.
-
-    across : the samples of a render before; None if there was none
+    Of a study without axes.
     """
-    height, width = shape
-    return ((height, width), False) if across is None else ((round(height * across / width), across), True)
+    for technology in study.technologies:
+        pitches_um, process = study_pitches_um(study, technology).tolist(), technology_of(study, technology)
+        try:  # what a pixel is derived from grows or falls with its pitch: sizes between two possible ones are possible
+            smallest, largest = (physics_of(study, technology, pitches_um[end], process).pixel for end in (0, -1))
+        except PixsimError:
+            for pitch_um in pitches_um:  # the message is that of the first impossible one
+                physics_of(study, technology, pitch_um, process)
+            raise
+        warn_of_disagreements(largest, process)
+        # A study tries unusual sizes, whose wells outgrow a given gain or do not fill its range: only the smallest and the largest
+        # tell of a unit.
+        warn_of_implausible_numbers(smallest, process, pitches_um[-1])
+    first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
+    if study.max_evaluations is not None and study.max_evaluations < first:
+        expected = f"at least {first}, with which the study starts"
+        raise invalid("max_evaluations", study.max_evaluations, expected, "Raise it, or lower repeats or pitch.count.")
 
 
-def render_cost(plan: Plan, camera: Camera, shape: tuple[int, int], known: bool, cores: int, begun: bool = False) -> Cost:
-    """Estimate two renders of a film, their noise, the blur of the lens, the film's error, and the ideal image.
+def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] | None = None) -> tuple[Scene, Camera]:
+    """Return the study's scene and the camera of its window. Raises PixsimError for invalid input.
 
-    A film whose error turns out too large is rendered again on a finer one, which nobody knows before.
-
-    shape : (H, W) of the film
-    known : whether the cache has the light
-    begun : whether the command has libraries and scene from another render
+    known : scenes by their settings, to which this one is added
     """
-    cells = math.prod(shape)
-    samples = 2.0 * cells * plan.spp * plan.passes
-    per_sample = RENDER_S_PER_SAMPLE
-    if plan.many_bounces:
-        samples, per_sample = max(samples, float(plan.most_samples)), PATH_S_PER_SAMPLE
-    if known:
-        seconds = (0.0 if begun else KNOWN_START_S) + cells * KNOWN_S_PER_CELL
-    else:
-        seconds = (0.0 if begun else START_S) + (0.0 if plan.exact else len(plan.lights) * KERNEL_S + samples * per_sample / cores)
-        seconds += cells * (EXACT_S_PER_CELL if plan.exact else FILM_S_PER_CELL)
-    seconds += lens_seconds(plan, camera, shape, known, cores)
-    needed = max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.planes) - PROGRAM_BYTES)
-    if 8 * cells * plan.planes > MOST_BYTES:
-        needed = film_memory_bytes(cells, plan.planes) - PROGRAM_BYTES
-    return Cost(seconds, BASE_BYTES + needed, 1)
+    from pixsim.scene.scene import load_scene
 
-
-def lens_seconds(plan: Plan, camera: Camera, shape: tuple[int, int], known: bool, cores: int) -> float:
-    """Estimate what a real lens adds to a render, its film's error and one frame; 0 for a thin one.
-
-    known : whether the cache has the light and the PSFs, so that the blur is left
-    """
-    tiling, cells = plan.tiling, math.prod(shape)
-    if tiling is None:
-        return 0.0
-    moved_s = 0.0 if known else (1 if plan.exact else FEWEST_RENDERS) * plan.planes * cells * MOVED_S_PER_CELL
-    if not tiling.psf_um:
-        return moved_s
-    lights = plan.planes if plan.factored else GROUPS
-    windows, psfs, points = blur_work(shape, *tiling.cells(1e3 * camera.die_mm / shape[1]))
-    if known:
-        return lights * windows * KNOWN_WINDOW_S_PER_CELL / cores
-    blur_s = windows * WINDOW_S_PER_CELL + psfs * PSF_S + points * POINT_S
-    return moved_s + lights * (blur_s + min(cells, MEASURED) * PART_S_PER_CELL + PARTS_S) / cores
-
-
-def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
-    """Estimate one frame of a pitch and its ΔE."""
-    pixels = math.prod(pixels_on(camera.die_um, pitch_um))
-    dots = pixels if display.raster == "one_to_one" else dots_on(camera, display)
-    seconds = FRAME_S + pixels * FRAME_S_PER_PIXEL + dots * SCORE_S_PER_DOT
-    return Cost(seconds, pixels * BYTES_PER_PIXEL + dots * DOT_BYTES, 1)
-
-
-def _frame_costs(study: Study, camera: Camera, known: dict[Any, list[Cost]]) -> list[Cost]:
-    """Return `frame_cost` of each of the `sampled_pitches_um`.
-
-    known : costs by what they depend on, to which these are added
-    """
-    pitches_um = sampled_pitches_um(study)
-    key = (camera.die_um, study.display.raster, study.display.dots, *pitches_um)
+    known = {} if known is None else known
+    key = content_hash([study.scene.model_dump(mode="json"), study.resolution])
     if key not in known:
-        known[key] = [frame_cost(camera, pitch_um, study.display) for pitch_um in pitches_um]
-    return known[key]
+        parameters: dict[str, Any] = dict(study.scene.parameters)
+        loaded = load_scene(study.scene.file, variant=variant, **parameters)
+        known[key] = loaded.with_resolution(study.resolution) if study.resolution else loaded
+    scene = known[key]
+    return scene, scene.camera(study.camera, study.lens).window(study.window_mm)
 
 
-def dots_on(camera: Camera, display: Display) -> int:
-    """Return the number of dots that show a die, with the raster fixed_size."""
-    height_um, width_um = camera.die_um
-    return display.dots * max(1, round(display.dots * height_um / width_um))
+@dataclass(frozen=True)
+class Prepared:
+    """A study with everything that it left open, found and checked before anything is rendered.
 
-
-def sampled_pitches_um(study: Study) -> list[float]:
-    """Return the pitches of all technologies of a study."""
-    return [pitch for name in study.technologies for pitch in study_pitches_um(study, name).tolist()]
-
-
-def fitting_jobs(study: Study, camera: Camera) -> int:
-    """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
-    return jobs_in_memory(largest_frame_bytes(study, camera))
-
-
-def largest_frame_bytes(study: Study, camera: Camera) -> float:
-    """Return the memory of the largest frame of a study."""
-    return max(frame_cost(camera, pitch, study.display).memory_bytes for pitch in sampled_pitches_um(study))
-
-
-def jobs_in_memory(largest_bytes: float) -> int:
-    """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
-    usable = memory().usable
-    cores = workers_here().jobs
-    return cores if usable is None else max(1, min(cores, int(usable // (BASE_BYTES + largest_bytes))))
-
-
-def study_cost(study: Study, camera: Camera, plan: Plan, shape: tuple[int, int], jobs: int | None = None) -> Cost:
-    """Estimate a whole study with its report, without further rounds for a target interval."""
-    return cases_cost([(study, camera)], 1, plan, shape, jobs)
-
-
-def cases_cost(
-    cases: Sequence[tuple[Study, Camera]],
-    lights: int,
-    plan: Plan,
-    shape: tuple[int, int],
-    jobs: int | None = None,
-    types: int = 0,
-    known: Known = UNKNOWN,
-) -> Cost:
-    """Estimate a study with its cases, and a report of the first of them.
-
-    lights : that are rendered for them; the memory holds one of them, and some behind the lens
-    plan, shape : of the first one, and (H, W) of its film
-    types : of sensors for each case, beside the study itself
-    known : what the cache has of them
+    study : with its pixel sizes, display and chart
+    scene, camera : of the study; the camera is that of the window
+    view : display and chart that pixsim chose for the sensor of a data sheet
+    variant : of Mitsuba; None means the fastest that works
+    uncertainty : of the study's [pixel] and data sheets, as its files state it
+    cases : the cases of a study with axes or conditions, and what each of them leaves open; empty for another study
     """
-    (study, first), cells = cases[0], math.prod(shape)
-    render = render_cost(plan, first, shape, known.light, workers_here().jobs, begun=True)
-    frame_costs: dict[Any, list[Cost]] = {}  # thousands of cases differ in little that a frame's cost depends on
-    frames = [_frame_costs(study, camera, frame_costs) for study, camera in cases]
-    jobs = jobs or jobs_in_memory(max(frame.memory_bytes for of_case in frames for frame in of_case))
-    sums_s = [sum(frame.seconds for frame in of_case) for of_case in frames]
-    curves = sum(len(study.technologies) for study, _ in cases)
-    report_s = PAGE_S + MAPS_S * (len(cases) > 1) + CURVE_S * min(curves, MOST_CURVES) + 2 * frames[0][0].seconds + sums_s[0] / jobs
-    calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0
-    renders_s = (KNOWN_START_S if known.light else START_S) + lights * render.seconds
-    evaluations_s = sum(study.repeats * seconds for (study, _), seconds in zip(cases, sums_s, strict=True)) / jobs
-    if len(cases) == 1 and study.own_um is not None and study.display.raster == "fixed_size":  # its optimum on other displays
-        evaluations_s += STUDY_VIEWINGS * min(study.repeats, SENSORS_VIEWED) * sums_s[0] / jobs
-    evaluations_s *= KNOWN_FRAMES if known.frames else 1.0
-    types_s = types * sum(TYPE_S + MOST_EVALUATIONS * seconds / len(of) for of, seconds in zip(frames, sums_s, strict=True)) / jobs
-    largest = max(frame.memory_bytes for of_case in frames for frame in of_case)
-    light = min(4.0 * cells * (plan.planes if plan.factored else plan.bands.width_nm.size), MOST_BYTES)
-    behind_lens = FILM_BYTES_PER_CELL * cells / 2
-    held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))
-    most = max(render.memory_bytes, BASE_BYTES + light + held + jobs * (BASE_BYTES + largest))
-    return Cost(calibration_s + renders_s + evaluations_s + types_s + report_s, most, jobs)
+
+    study: Study
+    scene: Scene
+    camera: Camera
+    view: View
+    variant: str | None = None
+    cases: tuple[tuple[Case, Prepared], ...] = ()
+    uncertainty: Uncertainty = field(default_factory=dict)
+
+    @property
+    def parts(self) -> tuple[tuple[Case, Prepared], ...]:
+        """The cases of any study; one without axes is its own only case."""
+        return self.cases or ((Case(self.study), self),)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations that the study starts with."""
+        return sum(sum(sum(sensors.values()) for sensors in first_sampling(case.study).values()) for case, _ in self.parts)
 
 
-LONG_S = 60.0
-WINDOW_STEP = 0.85  # of the widths that are tried
+def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Prepared:
+    """Choose what a study leaves open, and check everything that can be checked before a render.
 
+    quick : use the values of the study's `quick` table
 
-def window_within(study: Study, camera: Camera, plan: Plan, shape: tuple[int, int], jobs: int | None = None) -> float | None:
-    """Return the widest window of some, in mm, whose study is estimated to take less than a minute; None if none does.
-
-    study : with its own range, before it was fitted to the camera
+    Raises PixsimError for invalid input, and warns of a range of sizes that had to be shortened.
     """
-    width_mm = camera.die_mm
-    while width_mm > camera.die_mm / 100:
-        width_mm *= WINDOW_STEP
-        width = float(f"{width_mm:.2g}")
-        try:
-            with warnings.catch_warnings(action="ignore"):
-                window = camera.window(width)
-                fitted = fitted_range(study, window)
-                if study.own_um is not None:
-                    fitted = fitted.model_copy(
-                        update={"display": choose_view(study.own_um, window, study.display, None).display(study.display)}
-                    )
-                if study_cost(fitted, window, plan, shape, jobs).seconds < LONG_S:
-                    return width
-        except PixsimError:  # too few pixels or dots
-            return None
-    return None
+    has_quick = study.quick or any(axis.quick for axis in study.axis)
+    if quick and not has_quick:
+        if "quick" in study.model_fields_set:  # `study_layers` leaves out of it what files and options set
+            warn(f"the [quick] table of the study {study.name} changes nothing: what it sets was given otherwise")
+        else:
+            warn(f"the study {study.name} has no [quick] table: running it in full")
+    study = with_range_ends(study.quickened if quick else study)
+    if not (study.axis or study.condition):
+        made = _prepare(study, variant)
+        warn_of_unused([(study, made.study)])
+        return made
+    # Display and chart are those of the study itself, so that all of its cases are comparable.
+    if study.tolerance_delta_e:
+        hint = "Leave it out, or run the study for one case."
+        raise invalid("tolerance_delta_e", study.tolerance_delta_e, "no tolerance in a study with axes or conditions", hint)
+    if taken := [axis.name for axis in study.axis if axis.name in (*COLUMNS, KEY)]:
+        raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
+    scenes: dict[str, Scene] = {}
+    own = _without_axes(study)
+    scene, camera = scene_for(own, variant)
+    view = _chosen_view(own, scene, camera)
+    prepared: list[tuple[Case, Prepared]] = []
+    cases = cases_of(study)
+    for case in cases:
+        with _named(case):
+            seen = (
+                view if _same_chart(case.study, own) or scene_for(case.study, variant, scenes)[0].shows_csf else view.without_chart
+            )
+            part = _prepare(_with_view(case.study, seen), variant, view, scenes)
+        prepared.append((replace(case, study=part.study), part))
+    warn_of_unused([(case.study, part.study) for case, (_, part) in zip(cases, prepared, strict=True)])
+    # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
+    kept = view if all(_same_chart(case.study, own) for case, _ in prepared) else view.without_chart
+    return Prepared(_with_view(study, kept), view.scene(scene), camera, view, variant, tuple(prepared))
+
+
+def warn_of_unused(cases: Sequence[tuple[Study, Study]]) -> None:
+    """Warn of the settings that no case of a study uses, and of those that none uses in one of its technologies.
+
+    cases : each as the user set it, and with what it left open
+    """
+    sensors: dict[str, list[StudyConfiguration]] = {}
+    for given, complete in cases:
+        for technology in given.technologies:
+            pixel = physics_of(complete, technology, float(study_pitches_um(complete, technology).max()))
+            sensors.setdefault(technology, []).append(StudyConfiguration.of_technology(given, pixel, technology))
+    warn_of_unused_settings(dict(zip(labels_of(list(sensors)), sensors.values(), strict=True)))
+
+
+def _same_chart(first: Study, second: Study) -> bool:
+    """Return whether two studies show the same scene with the same chart."""
+    files = [(study.scene.file, study.scene.parameters.get("chart")) for study in (first, second)]
+    return files[0] == files[1]
+
+
+def _without_axes(study: Study) -> Study:
+    """Return the study with its own settings alone; an axis over technologies leaves the first of them."""
+    table = study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
+    for axis in study.axis:
+        if "technologies" in axis.points[0].table:
+            table |= axis.points[0].table
+    return Study.model_validate(table)
+
+
+@contextmanager
+def _named(case: Case) -> Iterator[None]:
+    """Name the case in an error."""
+    try:
+        yield
+    except PixsimError as error:
+        raise PixsimError(f"{case.words or 'base'}: {error}") from None
+
+
+def _chosen_view(study: Study, scene: Scene, camera: Camera) -> View:
+    return View() if study.own_um is None else choose_view(study.own_um, camera, study.display, scene)
+
+
+def _with_view(study: Study, view: View) -> Study:
+    """Return the study with the display and the chart of a view, except for what an axis or a condition sets of them."""
+    display = study.display if "dots" in study.display.model_fields_set else view.display(study.display)
+    of_scene = study.scene.model_copy(update={"parameters": view.parameters({}) | study.scene.parameters})
+    return study.model_copy(update={"display": display, "scene": of_scene})
+
+
+def _prepare(study: Study, variant: str | None, view: View | None = None, scenes: dict[str, Scene] | None = None) -> Prepared:
+    """Return `prepare` of a study without axes.
+
+    view : of the study whose case it is, which its settings have already; None means to choose it
+    scenes : of the other cases, by their settings; it is added to
+    """
+    check_technologies(study)
+    scene, camera = scene_for(study, variant, {} if scenes is None else scenes)
+    study = fitted_range(study, camera)
+    if view is None:
+        view = _chosen_view(study, scene, camera)
+        study, scene = _with_view(study, view), view.scene(scene)
+    check_pitches(study)
+    for technology in study.technologies:
+        largest_um = float(study_pitches_um(study, technology).max())
+        dot_edges_um(camera.die_um, largest_um, study.display, study.border_um)
+    return Prepared(study, scene, camera, view, variant)

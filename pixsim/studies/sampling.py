@@ -17,6 +17,7 @@ from pixsim.sensor.technology import with_fill_factor_law
 from pixsim.studies.pixels import technology_of
 
 CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
+BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
 Sizes = dict[float, int]  # pitch in µm -> sensors, in order
 Sampling = dict[str, Sizes]  # technology -> its pixel sizes, in order
 

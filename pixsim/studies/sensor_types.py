@@ -19,9 +19,9 @@ from pixsim.base.parameters import Study, merge
 from pixsim.base.progress import Progress
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.claims import scaling_rows
+from pixsim.studies.cost import MOST_EVALUATIONS
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluations import Evaluations
-from pixsim.studies.preparation import MOST_EVALUATIONS
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sizes, study_pitches_um

@@ -23,6 +23,8 @@ from pixsim.base.arguments import LARGEST, SMALLEST
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, Pixel, PixelOptions, Record, Run, Study
 from pixsim.sensor.pixel import derive
+from pixsim.studies.preparation import prepare
+from pixsim.studies.study_file import load_study
 
 # Bounds that do not stand in the field: of curves in `_check_curve`, `_check_channel` and `_check_chief_rays`; of scenes and axes
 # in `_free_number`; of lenses, some of whose numbers may be infinite, in `prescription._checked` and `check_coefficients`, which
@@ -209,7 +211,7 @@ def test_extremes_in_free_tables_of_a_study_are_refused(setting: str, value: str
     (tmp_path / "s.toml").write_text(f"name = 'x'\n{text}\n", encoding="utf-8")
     start = time.process_time()
     with pytest.raises(PixsimError):
-        pixsim.studies.study.prepare(pixsim.studies.study.load_study(tmp_path / "s.toml"))
+        prepare(load_study(tmp_path / "s.toml"))
     assert time.process_time() - start < MOST_CPU_S
 
 

@@ -16,7 +16,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, CameraOptions, Run, Study
 from pixsim.report.settings import record_rows
 from pixsim.studies.compare import matched_cameras
-from pixsim.studies.study import load_study
+from pixsim.studies.study_file import load_study
 
 CRA = "image_height_mm,deg\n0,0\n1,12\n2,21.5\n"
 ROWS = ((0.0, 0.0), (1.0, 12.0), (2.0, 21.5))

@@ -21,7 +21,7 @@ from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.studies.pixels import pixel_of
 from pixsim.studies.sampling import study_pitches_um
-from pixsim.studies.study import checked_study, load_study, read_study
+from pixsim.studies.study_file import checked_study, load_study, read_study
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 SHEET = """

@@ -27,8 +27,9 @@ from pixsim.studies import evaluations
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.engine import Workers, workers_here
 from pixsim.studies.evaluations import Task
+from pixsim.studies.preparation import prepare
 from pixsim.studies.rows import Row
-from pixsim.studies.study import prepare, run_prepared
+from pixsim.studies.study import run_prepared
 from pixsim.viewer import score
 from pixsim.viewer.score import SharedLight
 

@@ -17,7 +17,7 @@ import numpy as np
 
 import pixsim
 from pixsim.studies.sampling import study_pitches_um
-from pixsim.studies.study import load_study
+from pixsim.studies.study_file import load_study
 
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"
 SENSORS = 8

@@ -32,7 +32,8 @@ import pixsim
 from pixsim.show.figures import COLOURS, new_figure, own_style, svg_text
 from pixsim.studies import evaluations
 from pixsim.studies.evaluations import Task
-from pixsim.studies.study import render_for, study
+from pixsim.studies.lights import render_for
+from pixsim.studies.study import study
 from pixsim.viewer.score import SharedLight
 
 CONSTANT = 0.2  # smaller exponents are noise

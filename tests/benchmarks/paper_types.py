@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pixsim
-from pixsim.studies.study import load_study
+from pixsim.studies.study_file import load_study
 from pixsim.studies.uncertainty import sample_types, settings_of, unknowns_of_study
 
 SMALLER = {"repeats": 4, "target_ci_um": None, "refine": False}

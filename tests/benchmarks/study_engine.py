@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.timing import seconds_of
 
 import pixsim
+from pixsim.studies.lights import render_for
 from pixsim.studies.series import series_of
-from pixsim.studies.study import render_for
 from pixsim.viewer.score import SceneCache
 
 PITCHES_UM = (5.3, 6.0, 7.0, 8.5, 11.0)

@@ -22,7 +22,7 @@ from pixsim.base.arrays import Array
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve
 from pixsim.studies.pixels import photodiode_widths_um
-from pixsim.studies.study import load_study
+from pixsim.studies.study_file import load_study
 
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"
 # Of the sweeps of chen2000; in the others the photodiode width is proportional to the pitch.

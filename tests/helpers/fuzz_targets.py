@@ -27,7 +27,7 @@ from pixsim.scene.plugins import PLUGINS, Rule
 from pixsim.scene.scene import load_scene, packaged_scenes
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.results_file import COLUMNS, ResultsFile
-from pixsim.studies.study import load_study
+from pixsim.studies.study_file import load_study
 
 Reader = Callable[[Path], object]
 PACKAGE = Path(pixsim.__file__).parent

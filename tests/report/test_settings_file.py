@@ -19,7 +19,7 @@ from pixsim.report.wording import study_view_line
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.convergence import NO_TIME_LIMIT_S
 from pixsim.studies.result import StudyResult
-from pixsim.studies.study import load_study
+from pixsim.studies.study_file import load_study
 
 SHEET = """
 [pixel]

@@ -151,7 +151,8 @@ def test_render_cache_other_version_renders_again(package, tmp_path, folder, kep
 
 
 def test_render_cache_is_shared_by_studies(tmp_path, rendered):
-    from pixsim.studies.study import load_study, render_for
+    from pixsim.studies.lights import render_for
+    from pixsim.studies.study_file import load_study
 
     plan = load_study("chen2000")
     # Samples that are asked for: else the cells of the chart are computed.

@@ -39,8 +39,9 @@ from pixsim.sensor.unused import Configuration, unused_notes, unused_settings
 from pixsim.studies import compare
 from pixsim.studies.cases import cases_of, with_range_ends
 from pixsim.studies.pixels import physics_of
+from pixsim.studies.preparation import prepare
 from pixsim.studies.sampling import study_pitches_um
-from pixsim.studies.study import load_study, prepare
+from pixsim.studies.study_file import load_study
 from pixsim.studies.unused import StudyConfiguration, rules_of
 
 SIDE, SAMPLE_UM, WIDTH_NM = 24, 4.0, 40.0

@@ -23,11 +23,13 @@ from pixsim.base import cache
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Axis, Study, merge, nested
 from pixsim.cli.options import axes_of
-from pixsim.studies import evaluations, study as study_module
+from pixsim.studies import evaluations, preparation, study as study_module
 from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number, combinations
 from pixsim.studies.pixels import pixel_of
+from pixsim.studies.preparation import prepare
 from pixsim.studies.result import StudyResult
-from pixsim.studies.study import load_study, prepare, warn_of_idle_axes
+from pixsim.studies.study import warn_of_idle_axes
+from pixsim.studies.study_file import load_study
 from pixsim.viewer.score import ImagingChain
 
 pytestmark = pytest.mark.usefixtures("undrawn", "unpaged", "unmeasured")
@@ -298,13 +300,13 @@ def test_cases_of_very_many_raise_at_once() -> None:
 def test_prepare_of_many_cases_derives_few_pixels_each(monkeypatch: pytest.MonkeyPatch) -> None:
     """A dry run of 1000 cases takes 2 s, and took 6 s when every pixel size of every case was derived."""
     derived: list[float] = []
-    whole = study_module.physics_of
+    whole = preparation.physics_of
 
     def counted(study: Study, technology: str, pitch_um: float, *process: Any) -> Any:
         derived.append(pitch_um)
         return whole(study, technology, pitch_um, *process)
 
-    monkeypatch.setattr(study_module, "physics_of", counted)
+    monkeypatch.setattr(preparation, "physics_of", counted)
     axis = {"name": "noise", "set": "pixel.read_noise_e", "from": 1.0, "to": 20.0, "count": 20}
     assert len(prepare(small(axis=[axis])).cases) == 20
     assert len(derived) == 20 * 3  # the ends of its range, and a pixel for unused settings

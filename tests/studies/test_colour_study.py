@@ -24,7 +24,7 @@ from pixsim.scene.colour_chart import modulation, write_colour_chart
 from pixsim.studies.cases import cases_of
 from pixsim.studies.parts import parts_table
 from pixsim.studies.pixels import physics_of
-from pixsim.studies.study import load_study
+from pixsim.studies.study_file import load_study
 from pixsim.viewer.scielab import XYZ_FROM_OPPONENT
 from pixsim.viewer.score import check_one_ideal
 

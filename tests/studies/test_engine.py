@@ -33,7 +33,7 @@ from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.notes import MachineWarning, collected_notes
 from pixsim.studies import engine, evaluations
 from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
-from pixsim.studies.study import load_study
+from pixsim.studies.study_file import load_study
 from pixsim.viewer.score import ImagingChain
 
 COMMAND = Path(sys.executable).with_name("pixsim")

@@ -52,7 +52,7 @@ from pixsim.studies.merit import (
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.pixels import pixel_of
 from pixsim.studies.result import Curve, StudyResult
-from pixsim.studies.study import load_study
+from pixsim.studies.study_file import load_study
 
 Array = np.ndarray
 # Dots of a hand-made map: whole numbers of the six frequency and the eight contrast bins.

@@ -25,21 +25,13 @@ from pixsim.report.wording import optimum_line
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import packaged_scenes
+from pixsim.studies.cost import Cost, cases_cost, study_cost, window_within
+from pixsim.studies.lights import render_for
 from pixsim.studies.optimum import fit_curve
-from pixsim.studies.preparation import (
-    BYTES_PER_PIXEL,
-    MAX_FRAME_BYTES,
-    Cost,
-    View,
-    cases_cost,
-    choose_view,
-    fitted_range,
-    study_cost,
-    window_within,
-)
+from pixsim.studies.preparation import BYTES_PER_PIXEL, MAX_FRAME_BYTES, View, choose_view, fitted_range, prepare
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, WIDE_RATIO, Curve, best_words
 from pixsim.studies.sampling import study_pitches_um
-from pixsim.studies.study import load_study, prepare, render_for
+from pixsim.studies.study_file import load_study
 from pixsim.viewer.score import SCENE_CACHE_BYTES
 
 SHEET = {"pitch_um": 3.45, "full_well_e": 11000, "read_noise_e": 2.2, "dark_current_e_per_s": 5, "quantum_efficiency": 0.62}

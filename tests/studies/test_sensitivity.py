@@ -26,9 +26,10 @@ from pixsim.studies.cases import cases_of, with_range_ends
 from pixsim.studies.claims import Evidence, findings, scaling_rows, turned_words, verdicts
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.oversampling import measure_film
+from pixsim.studies.preparation import check_pitches
 from pixsim.studies.result import CasesResult, Curve, StudyResult
 from pixsim.studies.sampling import study_pitches_um
-from pixsim.studies.study import check_pitches, load_study
+from pixsim.studies.study_file import load_study
 
 pytestmark = pytest.mark.usefixtures("unmeasured")
 

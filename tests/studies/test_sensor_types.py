@@ -18,7 +18,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Spread, Study, merge
 from pixsim.studies.engine import Workers
 from pixsim.studies.sensor_types import MOST_EVALUATIONS, TYPES_FILE, Asked, check_axes, draw_types, sample_of
-from pixsim.studies.study import load_study, uncertainty_of
+from pixsim.studies.study_file import load_study, uncertainty_of
 from pixsim.studies.uncertainty import settings_of, unknowns_of_study
 
 pytestmark = pytest.mark.usefixtures("undrawn", "unpaged", "unmeasured")

@@ -11,9 +11,9 @@ from pixsim.base.parameters import Study, merge
 from pixsim.studies import study as sweep
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.engine import Workers
+from pixsim.studies.lights import Light, render_all, render_for
 from pixsim.studies.oversampling import SURELY, TOLERATED_DELTA_E, FilmError
 from pixsim.studies.sight import Sight, clearest
-from pixsim.studies.study import Light, render_all, render_for
 
 LIGHT = {"name": "light", "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"], "values": [10.0, 1000.0]}
 LENS = {"name": "lens", "set": "camera.f_number", "values": [2.8, 8.0]}

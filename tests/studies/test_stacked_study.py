@@ -23,7 +23,7 @@ from pixsim.studies.optimum import fit_curve
 from pixsim.studies.pixels import photodiode_widths_um, physics_of
 from pixsim.studies.result import curve_table, delta_e_against_pitch
 from pixsim.studies.sampling import largest_pixel_um
-from pixsim.studies.study import load_study
+from pixsim.studies.study_file import load_study
 from pixsim.viewer.imaging import Imaging
 
 LENS = {"height_um": 100.0, "index": 1.5, "microlens": "square", "shift": "optimal"}

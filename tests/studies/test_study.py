@@ -29,8 +29,9 @@ from pixsim.report.wording import optimum_line
 from pixsim.sensor.readout import Frame
 from pixsim.studies import evaluations as rows_module
 from pixsim.studies.pixels import imaging_of, technology_of
+from pixsim.studies.preparation import prepare
 from pixsim.studies.result import StudyResult
-from pixsim.studies.study import load_study, prepare
+from pixsim.studies.study_file import load_study
 from pixsim.viewer.score import ImagingChain, SceneCache
 
 OWN = {"repeats": 3, "seed": 1}
@@ -449,7 +450,7 @@ def test_study_interrupt_counts_rows_of_its_settings_only(tmp_path: Path, monkey
     pixsim.study(toml, out, jobs=1, seed=2)
     line, render = f"study {toml} --out {out} --jobs 1", Mock(side_effect=KeyboardInterrupt)
     with monkeypatch.context() as patch:
-        patch.setattr("pixsim.studies.study.render_for", render)
+        patch.setattr("pixsim.studies.lights.render_for", render)
         assert command(line) == (130, "", "pixsim: interrupted\n")
     results_of = rows_module.results_of
     monkeypatch.setattr(rows_module, "results_of", lambda *arguments: interrupted(results_of(*arguments)))

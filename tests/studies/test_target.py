@@ -457,7 +457,7 @@ def test_target_notes_of_missed_targets(fit: FittedCurve) -> None:
 
 
 def test_study_max_evaluations_too_low_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pixsim.studies.study.render_for", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.setattr("pixsim.studies.lights.render_for", lambda *_, **__: pytest.fail("rendered"))
     with pytest.raises(pixsim.PixsimError, match=r"max_evaluations: got 11; allowed: at least 12, .*Raise it, or lower repeats"):
         pixsim.study(tiny(max_evaluations=11), tmp_path / "out", jobs=1)
     assert not (tmp_path / "out").exists()

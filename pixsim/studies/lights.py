@@ -1,0 +1,179 @@
+"""The lights of a study: one for all of its cases that see the same, each on a film that is fine enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from pixsim.base.labels import label_of
+from pixsim.base.notes import warn
+from pixsim.base.parameters import Camera, Study
+from pixsim.base.progress import Progress, Stage
+from pixsim.light.spectral import SpectralImage
+from pixsim.scene.convergence import render_until
+from pixsim.studies.cases import Case
+from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.keys import light_hash
+from pixsim.studies.oversampling import FilmError, render_and_measure
+from pixsim.studies.pixels import imaging_of, physics_of
+from pixsim.studies.preparation import first_film, scene_for, study_plan
+from pixsim.studies.sampling import largest_pixel_um, study_pitches_um
+from pixsim.studies.sight import Sight, clearest
+from pixsim.viewer.colour_matrix import AlikeChannelsError
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.score import Seen, white_header
+
+if TYPE_CHECKING:
+    from pixsim.studies.budget import Settled
+
+Light = tuple[SpectralImage, Camera, FilmError]
+
+
+def render_for(
+    study: Study, variant: str | None = None, progress: Progress | None = None, settled: Settled | None = None, words: str = ""
+) -> Light:
+    """Return the study's irradiance, the camera that it was rendered with, and the error of its film.
+
+    Its noise is adequate for the largest pixel that the study allows, the least noisy one, and its film for the smallest
+    photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
+
+    words : of the case, for an error
+    """
+    scene, camera = scene_for(study, variant)
+    first = study.technologies[0]
+    largest, tried = physics_of(study, first, largest_pixel_um(study, first)), measured_pixels(study, camera)
+    coloured = study.options_of(first).colour is not None
+    scene, plan = first_film(study, scene, camera)
+    for note in plan.warnings:
+        warn(note)
+    plan_of = partial(study_plan, camera=camera, study=study)
+    pitches_um = study_pitches_um(study, first).tolist() if coloured else []
+    larger = [imaging_of(study, camera, first, pitch_um) for pitch_um in pitches_um]
+    try:
+        made = render_and_measure(
+            scene, plan, study, largest, tried, plan_of=plan_of, settled=settled, progress=progress, larger=larger
+        )
+    except AlikeChannelsError as error:
+        where = ", ".join(filter(None, (label_of(first), words)))
+        raise AlikeChannelsError(f"{where}: none of its pixel sizes is possible. {error}") from None
+    made.image.header.update(white_header(seen_by_all(study, made.image, camera), study.display))
+    return made.image, camera, made.film
+
+
+def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:
+    """Return a picture as the smallest pixels of each technology of a study see it, for the white that all of them share."""
+    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+    return [Seen(image, camera, physics, study.border_um) for physics in smallest]
+
+
+def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
+    """Return the pixels for which the error of the film is measured: the smallest, a middle and the largest of the study."""
+    first = study.technologies[0]
+    pitches_um = study_pitches_um(study, first)
+    return [imaging_of(study, camera, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
+
+
+def render_all(
+    cases: Sequence[Case],
+    variant: str | None,
+    stage: Stage,
+    workers: Workers,
+    settled: Settled | None = None,
+    *,
+    store: Callable[[SpectralImage], SpectralImage],
+) -> list[Light | str]:
+    """Return the light of each case; cases that differ in nothing that it depends on share one.
+
+    In its place stands the reason why none of a case's pixel sizes is possible.
+    Where Mitsuba traces no rays, which would take all processors by itself, the workers make them.
+
+    store : returns an image that need not stay in memory, where there are several lights
+    """
+    keys = [light_hash(case.study) for case in cases]
+    studies = {key: case.study for case, key in zip(cases, keys, strict=True)}
+    words = {key: case.words for case, key in zip(reversed(cases), reversed(keys), strict=True)}
+    lights: dict[str, Light | str] = {}
+    if len(studies) == 1:
+        lights = {key: _light_or_reason(study, variant, stage("render"), settled, words[key]) for key, study in studies.items()}
+    elif first_film(cases[0].study, *scene_for(cases[0].study, variant))[1].exact:
+        lights = _computed_lights(studies, words, variant, stage("render"), workers, store)
+    else:
+        for key, study in studies.items():
+            progress = stage(f"render {len(lights) + 1} of {len(studies)}")
+            lights[key] = _stored(_light_or_reason(study, variant, progress, words=words[key]), store)
+    return [lights[key] for key in keys]
+
+
+def _computed_lights(
+    studies: Mapping[str, Study],
+    words: Mapping[str, str],
+    variant: str | None,
+    progress: Progress,
+    workers: Workers,
+    store: Callable[[SpectralImage], SpectralImage],
+) -> dict[str, Light | str]:
+    """Return the lights of charts whose film cells are computed.
+
+    Of the films that show the same, the clearest is measured; if it is surely fine enough, so are the others.
+    """
+    seen: dict[str, tuple[SpectralImage, Camera]] = {}
+    sights: dict[str, Sight] = {}
+    calls = [((*each, variant), _nothing) for each in studies.items()]
+    for done, (key, found) in enumerate(results_of(_see_task, calls, workers), 1):
+        if found is not None:
+            image, camera, sights[key] = found
+            seen[key] = store(image), camera
+        progress(done / (2 * len(studies)))
+    measured_in = {key: key for key in studies} | clearest(sights)
+    lights: dict[str, Light | str] = {}
+    left = [key for key in studies if measured_in[key] == key]
+    while left:
+        for key, light in results_of(_render_task, [((key, studies[key], variant, words[key]), _nothing) for key in left], workers):
+            lights[key] = _stored(light, store)
+            progress((len(studies) + len(lights)) / (2 * len(studies)))
+        for key, of in measured_in.items():
+            measured = lights[of]
+            if key not in lights and not isinstance(measured, str) and measured[2].surely_met:
+                lights[key] = *seen[key], measured[2].for_other_noise
+        left = [key for key in studies if key not in lights]
+    return lights
+
+
+def _nothing() -> None:
+    """Return what render tasks share."""
+
+
+def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[SpectralImage, Camera, Sight] | None]:
+    """Return the key of a task, and its light on the first film of `render_for`, with its camera and what pixels see of it.
+
+    None in place of the light if it takes samples, or if the film may be too coarse.
+    """
+    key, study, variant = task
+    scene, camera = scene_for(study, variant)
+    scene, plan = first_film(study, scene, camera)
+    if not plan.exact:
+        return key, None
+    image, _noise = render_until(scene, camera, plan, [], study.exposure, study.seed, render_noise=study.render_noise)
+    image.header.update(white_header(seen_by_all(study, image, camera), study.display))
+    sight = Sight.of(image, measured_pixels(study, camera), plan.chart)
+    return key, (image, camera, sight) if sight else None
+
+
+def _render_task(task: tuple[str, Study, str | None, str], _: None) -> tuple[str, Light | str]:
+    """Return the key of a task, and its light or the reason why there is none."""
+    key, study, variant, words = task
+    return key, _light_or_reason(study, variant, words=words)
+
+
+def _light_or_reason(study: Study, variant: str | None, *args: Any, **options: Any) -> Light | str:
+    """Return `render_for`, or the reason why none of the study's pixel sizes is possible."""
+    try:
+        return render_for(study, variant, *args, **options)
+    except AlikeChannelsError as error:
+        return str(error)
+
+
+def _stored(light: Light | str, store: Callable[[SpectralImage], SpectralImage]) -> Light | str:
+    """Return a light whose image need not stay in memory; a reason as it is."""
+    return light if isinstance(light, str) else (store(light[0]), *light[1:])
