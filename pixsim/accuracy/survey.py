@@ -17,7 +17,7 @@ from pixsim.base.locks import temporary_folder
 from pixsim.base.parameters import Camera, Pixel, Run
 from pixsim.base.progress import Stage
 from pixsim.light.spectral import SpectralImage
-from pixsim.report.run import summary_of, write_all, write_irradiance
+from pixsim.report.run import write_all
 from pixsim.scene.convergence import RENDER_NOISE
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.scene.renderer import Renderer
@@ -25,6 +25,7 @@ from pixsim.scene.scene import Scene, chart_parameters, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.budget import MAX_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe
+from pixsim.studies.run import Prepared, RunResult
 from pixsim.viewer.score import Seen, chain_at_pitch, prepare_scene, white_header
 
 LONG_S = 5.0
@@ -50,8 +51,9 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> tup
     return image, {"compile": max(first - render_s, 0.0), "render": render_s}
 
 
-def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
+def seconds_to_score(image: SpectralImage, setup: Setup, source: str, settings: Run) -> dict[str, float]:
     """Seconds of each stage after the render, as in `pixsim run`; diffraction is timed alone, not in `prepare_scene`."""
+    prepared = Prepared(source, settings, settings, setup.camera, image)
     without_diffraction = copy(image)
     without_diffraction.header = image.header | {"diffraction": False}
     physics, ends = derive(setup.pixel), [time.perf_counter()]
@@ -65,9 +67,7 @@ def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
         ends.append(time.perf_counter())
         score = chain.score_frame(frame)
         ends.append(time.perf_counter())
-        summary = summary_of(score, image, setup.camera, setup.exposure, setup.display, setup.seed, setup.correction)
-        write_irradiance(folder, image)
-        write_all(folder, image, score, summary)
+        write_all(RunResult(prepared, image, chain, score, (score.statistics(),)), folder)
         ends.append(time.perf_counter())
     diffraction, ideal, sensor, shown, report = (end - start for start, end in pairwise(ends))
     return {"diffraction": diffraction, "sensor": sensor, "S-CIELAB": ideal + shown, "report": report}
@@ -105,7 +105,7 @@ def survey(
     stages = {"parse": time.perf_counter() - start}
     setup = Setup.of(settings, camera)
     image, seconds = first_picture(scene, camera, plan, setup)
-    stages |= seconds | seconds_to_score(image, setup)
+    stages |= seconds | seconds_to_score(image, setup, source, settings)
     subject = with_reference(Subject(scene, camera, plan, setup, image, seconds["render"]), depth, progress)
     progress("error budget")
     calibration = calibrate(subject.scene, subject.camera, subject.plan, replace(subject.setup, pitches_um=()))

@@ -3,6 +3,6 @@
 `study` runs a study: `cases` of its axes and conditions, `evaluations` on the workers of `engine`; `optimum` fits the curve,
 `allocation` chooses further evaluations. `budget` estimates errors, `claims` checks the paper's statements in each case.
 `uncertainty` draws all unknown numbers together, and `indices` says which of them matter. `compare` compares sensors, as they
-are, in one field of view.
+are, in one field of view; `run` scores one picture of one sensor.
 May import: base, light, optics, sensor, scene, show, viewer.
 """
