@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pixsim.measure.sfr import edge_response as edge_response
     from pixsim.optics.exchange import read_irradiance as read_irradiance, write_npz as write_npz
     from pixsim.optics.lens import load_lens as load_lens
-    from pixsim.report.study import write_report as write_report
+    from pixsim.report.write import write_report as write_report
     from pixsim.scene import charts as charts
     from pixsim.scene.charts import make_chart as make_chart, write_chart as write_chart
     from pixsim.scene.plan import Plan as Plan, make_plan as make_plan
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from pixsim.sensor.readout import Frame as Frame, capture as capture, make_sensor as make_sensor
     from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
     from pixsim.studies.compare import compare as compare
+    from pixsim.studies.run import run as run
     from pixsim.studies.study import study as study
     from pixsim.viewer import display as display, scielab as scielab
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
@@ -69,7 +70,8 @@ _NAMES_OF = {
     "viewer.score": "evaluate",
     "studies.study": "study",
     "studies.compare": "compare",
-    "report.study": "write_report",
+    "studies.run": "run",
+    "report.write": "write_report",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
 _MODULES = {

@@ -153,6 +153,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 NOT_CALLED = {
     "pixsim.compare": "its own tests", "pixsim.studies.compare.Comparison": "a whole comparison",
     "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
+    "pixsim.run": "its own tests below", "pixsim.studies.run.RunResult": "a whole run",
     "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
     "pixsim.PixsimError": "takes any text",
 }  # fmt: skip
@@ -300,11 +301,14 @@ def test_any_argument_gives_a_right_result_or_an_error_that_names_it(name: str) 
     assert not wrong, "\n".join(wrong)
 
 
-def test_study_any_argument_gives_an_error_that_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("command", [pixsim.study, pixsim.run])
+def test_command_any_argument_gives_an_error_that_names_it(
+    command: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All values of a wrong kind; none of them gets as far as a render."""
     monkeypatch.chdir(tmp_path)
-    base: dict[str, Any] = {"plan": STUDY, "out": "out"}
-    parameters = inspect.signature(pixsim.study).parameters
+    base: dict[str, Any] = {"plan": STUDY, "out": "out"} if command is pixsim.study else {"scene": "csf"}
+    parameters = inspect.signature(command).parameters
     wrong = []
     for argument in [name for name, each in parameters.items() if each.kind is not each.VAR_KEYWORD]:
         for label in ("-1", "nan", "10**30", "object()", "None", "text"):
@@ -313,7 +317,7 @@ def test_study_any_argument_gives_an_error_that_names_it(tmp_path: Path, monkeyp
                 continue
             try:
                 with limited(), warnings.catch_warnings(action="ignore"):
-                    pixsim.study(**base | {argument: JUNK[label]})
+                    command(**base | {argument: JUNK[label]})
             except PixsimError as error:
                 if not names(str(error), argument, JUNK[label]):
                     wrong.append(f"{argument} = {label}: not named in '{error}'")
@@ -326,7 +330,7 @@ def test_study_any_argument_gives_an_error_that_names_it(tmp_path: Path, monkeyp
 
 @pytest.mark.parametrize("label", JUNK)
 def test_write_report_without_a_result_raises(label: str, tmp_path: Path) -> None:
-    with pytest.raises(PixsimError, match=r"result: got .*; allowed: a StudyResult"):
+    with pytest.raises(PixsimError, match=r"result: got .*; allowed: a RunResult, or a StudyResult, or a Comparison"):
         pixsim.write_report(JUNK[label], tmp_path / "out")
 
 

@@ -269,6 +269,17 @@ def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
     warn(f"[pixel] is a mixture of {len(sensors)} files. {'; '.join(parts)}")
 
 
+def run_settings(paths: Sequence[Path], options: dict[str, Any]) -> Run:
+    """Return the settings of a run from defaults, files and options, in order of precedence.
+
+    Raises PixsimError that lists all problems.
+    """
+    files = [settings_layer(path) for path in paths]
+    warn_of_mixed_sensors(files)
+    settings: Run = checked(Run, [*files, Layer(options)])
+    return settings
+
+
 def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
     """Layers of a study: its own table, then the sensor files, then the options.
 

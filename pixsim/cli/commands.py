@@ -328,7 +328,7 @@ def study(
     from pixsim.report.axes import axes_files, axes_lines, axes_summary, write_axes_report
     from pixsim.report.kept import digest_of_report, keep_or_write
     from pixsim.report.outline import long_lines, outline_lines, study_outline
-    from pixsim.report.study import report_files, write_report
+    from pixsim.report.study import report_files, write_study
     from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
     from pixsim.report.wording import budget_lines, film_words, optimum_parts, study_lines
     from pixsim.studies import study as sweep
@@ -384,7 +384,7 @@ def study(
                 first = result.parts[0] if result.parts else result
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
                 found = compromises_of(result.study, result.curves)
-                write = partial(write_axes_report, compromises=found) if result.parts else write_report
+                write = partial(write_axes_report, compromises=found) if result.parts else write_study
                 made_from = digest_of_report(result)
                 report = keep_or_write("study", made_from, folder, lambda: write(result, folder, seconds, drawing, more))
             warned = set(result.warned)  # they are on stderr

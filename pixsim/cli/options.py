@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get
 from cyclopts import App, Parameter
 
 from pixsim.base import progress
-from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_sensors
+from pixsim.base.config import packaged, run_settings
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, printable
 from pixsim.base.files import private_folder
 from pixsim.base.parameters import (
@@ -28,7 +28,6 @@ from pixsim.base.parameters import (
     Develop,
     Display,
     Exposure,
-    Layer,
     LensOptions,
     PitchRange,
     Pixel,
@@ -269,10 +268,7 @@ class SceneOptions:
 
     def settings(self, **others: Any) -> Run:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""
-        files = [settings_layer(path) for path in self.config or []]
-        warn_of_mixed_sensors(files)
-        settings: Run = checked(Run, [*files, Layer(self.tables(**others))])
-        return settings
+        return run_settings(self.config or [], self.tables(**others))
 
     def tables(self, **others: Any) -> dict[str, Any]:
         """The options without the files, as tables of `Run`.

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import SETTINGS_FILE
 from pixsim.base.files import check_replaceable, output_folder, publishing, versions, write_json
 from pixsim.base.parameters import Record, Study
@@ -217,8 +216,7 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
     return [replace(plate, caption=f"Figure {FIGURE_NUMBERS[plate.name]}: {plate.caption}") for plate in plates]
 
 
-@checks_arguments
-def write_report(
+def write_study(
     result: StudyResult,
     folder: str | os.PathLike[str],
     seconds: dict[str, float] | None = None,

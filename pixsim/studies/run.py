@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
+from pixsim.base.config import run_settings
 from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import collected_notes, warn
@@ -341,6 +342,50 @@ class RunResult:
 
 
 # --- the way from the settings to the result -------------------------------------------------------------------------------------
+
+
+@checks_arguments
+def run(
+    scene: str | os.PathLike[str],
+    *,
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    parameters: Mapping[str, float | int | str] | None = None,
+    pixel: Mapping[str, Any] | None = None,
+    frames: int = 1,
+    full: bool = False,
+    sensor: str | None = None,
+    variant: str | None = None,
+    units: str | None = None,
+    progress: Stage | None = None,
+    **settings: Any,
+) -> RunResult:
+    """Render a scene, capture it with one sensor and score the image, with the errors of its light, as `pixsim run` does.
+
+    scene : XML file or name of a packaged scene; or a spectral image of another program (.exr, .npz, .hdr)
+    config : one or more TOML files with a sensor, its camera, exposure and display; later ones take precedence
+    parameters : of the scene, each in its unit
+    pixel : fields of the pixel (`PixelOptions`), each in its unit, which override those of the files
+    frames : number of frames of the sensor, for the result's `further_frames`; the first is scored
+    full : leave out no effect, whatever the plan says of its size
+    sensor : id of the scene's sensor, if it has several
+    variant : Mitsuba variant; None means the fastest that works
+    units : of an image whose file does not state them, such as W.m^-2.nm^-1
+    progress : returns a callback for each named stage
+    settings : other tables and fields of `Run`: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3, window_mm=1.0
+
+    Raises PixsimError for invalid input, before anything is rendered.
+
+    >>> result = run("csf", pixel={"pitch_um": 42.4}, resolution=64, display={"dots": 32})
+    >>> result.score.frame.pixels, result.mean_delta_e > 1  # coarse pixels
+    ((64, 64), True)
+    """
+    paths = [config] if isinstance(config, str | os.PathLike) else config
+    options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
+    options |= ({"scene": dict(parameters)} if parameters else {}) | ({"pixel": dict(pixel)} if pixel else {})
+    with collected_notes():  # also of what is found before the run begins
+        asked = run_settings([Path(path) for path in paths], options)
+        prepared = prepare(str(scene), asked, full=full, frames=frames, sensor=sensor, variant=variant, units=units)
+        return run_prepared(prepared, progress=progress)
 
 
 def run_prepared(prepared: Prepared, *, progress: Stage | None = None) -> RunResult:

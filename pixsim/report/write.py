@@ -1,0 +1,45 @@
+"""Write the report of any result: that of a run, a study or a comparison."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from pathlib import Path
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.report.axes import write_axes_report
+from pixsim.report.compare import write_comparison
+from pixsim.report.run import write_run
+from pixsim.report.study import write_study
+from pixsim.report.uncertainty import write_uncertainty
+from pixsim.studies.compare import Comparison
+from pixsim.studies.conditions import compromises_of
+from pixsim.studies.engine import Workers
+from pixsim.studies.result import StudyResult
+from pixsim.studies.run import RunResult
+
+
+@checks_arguments
+def write_report(
+    result: RunResult | StudyResult | Comparison, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None
+) -> Path:
+    """Write report.html and the other files of a command: those of `pixsim run`, `pixsim study` or `pixsim compare`.
+
+    Only the wall times in the report and in provenance.json vary: everything else is reproducible byte for byte.
+
+    result : of `run`, `study` or `compare`
+    folder : created if missing
+    seconds : stage -> wall time in s, for the report
+
+    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
+    pixsim did not write.
+    """
+    if isinstance(result, RunResult):
+        return write_run(result, folder, seconds)
+    if isinstance(result, Comparison):
+        return write_comparison(result, folder, seconds)
+    more = partial(write_uncertainty, result=result) if result.uncertainty else None
+    if not result.parts:
+        return write_study(result, folder, seconds, more=more)
+    compromises = compromises_of(result.study, result.curves)
+    return write_axes_report(result, Path(folder), seconds or {}, Workers(), more, compromises=compromises)
