@@ -134,6 +134,13 @@ def run(
         list[RawFormat] | None,
         Parameter(help="Also write the raw frame in these formats, as --raw tiff png.", consume_multiple=False),
     ] = None,
+    repeats: Annotated[
+        int,
+        Parameter(
+            help="Number of sensors of this kind, each with a fixed pattern and noise of its own: the answer is the mean of their "
+            "ΔE with its 95 % interval. Pictures and frames are of the first. With --tolerance-delta-e, at least so many."
+        ),
+    ] = 1,
     frames: Annotated[
         int,
         Parameter(
@@ -158,6 +165,8 @@ def run(
 
     Example: pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
 
+    Example: pixsim run csf --repeats 8
+
     Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr, delta_e.png, score.json,
     settings.toml and report.html, or keeps them where they would be the same. `pixsim run SCENE --config settings.toml` repeats it.
     """
@@ -172,7 +181,7 @@ def run(
     files = RunFiles(tuple(raw_suffixes), irradiance)
     if not dry_run:
         check_replaceable(folder, files.names(frames))
-    prepared = prepare(scene, chosen, full=full, frames=frames, sensor=sensor, variant=variant, units=units)
+    prepared = prepare(scene, chosen, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
     if dry_run:
         from pixsim.report.outline import outline_lines, run_outline
 

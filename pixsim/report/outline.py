@@ -49,7 +49,7 @@ LOOKED_UP = 32  # cases of which the cache is asked
 
 def run_outline(prepared: PreparedRun) -> dict[str, Any]:
     """Return what a run would do; nothing is rendered or written."""
-    settings, camera, frames = prepared.settings, prepared.camera, prepared.frames
+    settings, camera, frames, repeats = prepared.settings, prepared.camera, prepared.frames, prepared.repeats
     pitch_um, outline = settings.pixel.pitch_um, dict[str, Any]()
     if isinstance(light := prepared.light, SpectralImage):
         header = light.header
@@ -66,13 +66,13 @@ def run_outline(prepared: PreparedRun) -> dict[str, Any]:
             cost = replace(cost, seconds=cost.seconds + more_s)
         outline["errors"] = errors_of(plan, outline["film"], camera, derive(settings.pixel), settings)
     frame = frame_cost(camera, pitch_um, settings.display)
-    cost = Cost(cost.seconds + RUN_PAGE_S + (1 + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
+    cost = Cost(cost.seconds + RUN_PAGE_S + (repeats + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
     sensors = [
         {
             "technology": settings.pixel.technology,
             "pitch_um": [pitch_um],
             "pixels": [list(pixels_on(camera.die_um, pitch_um))],
-            "sensors": 1,
+            "sensors": repeats,
         }
     ]
     outline |= {"frames": frames} if frames > 1 else {}
@@ -218,6 +218,7 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
         sizes, counts = sensor["pitch_um"], sensor["pixels"]
         if len(sizes) == 1:
             text = f"{counts[0][1]} × {counts[0][0]} pixels of {sizes[0]:g} µm"
+            text += f"; {sensor['sensors']} sensors" if sensor["sensors"] > 1 else ""
         else:
             most, least = (math.prod(count) / 1e6 for count in (counts[0], counts[-1]))
             text = f"{len(sizes)} sizes from {sizes[0]:g} to {sizes[-1]:g} µm, {most:.3g} to {least:.3g} million pixels"

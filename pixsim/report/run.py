@@ -138,6 +138,7 @@ def write_run_page(result: RunResult, folder: Path) -> None:
         "line": "; ".join(filter(None, score_parts(result))),
         "unsure": unsure,
         "view": "; ".join(run_view_words(result)),
+        "sensors": sensors_lines(result),
         "result": result,
         "score": score,
         "pitch_um": physics.pitch_um,
@@ -194,7 +195,8 @@ def run_lines(result: RunResult) -> list[str]:
     head, *rest = headline_lines([*parts, shown])
     unsure = unsure_lines(result)
     notes = [f"note: {note}" for note in result.score_notes if note not in unsure]
-    return [head, *unsure, *rest, *frames_lines(result.prepared.frames), *notes, *budget_lines(result.budget)]
+    several = [*sensors_lines(result), *frames_lines(result.prepared.frames)]
+    return [head, *unsure, *rest, *several, *notes, *budget_lines(result.budget)]
 
 
 def frames_lines(frames: int) -> list[str]:
@@ -206,6 +208,15 @@ def frames_lines(frames: int) -> list[str]:
     between = {2: "", 3: f", {raw_stem(2)}.exr"}.get(frames, f", {raw_stem(2)}.exr, …")
     names = f"raw.exr{between} and {raw_stem(frames)}.exr"
     return [f"{frames} frames of this sensor: {names}; the first is scored"] if frames > 1 else []
+
+
+def sensors_lines(result: RunResult) -> list[str]:
+    """Return a line on the sensors of a run of several; none for one, or those of an error budget."""
+    if result.prepared.repeats == 1 or result.interval_delta_e is None:
+        return []
+    (low, high), each = result.interval_delta_e, result.delta_e
+    interval = f"95 % interval of their mean {low:.4f} to {high:.4f}"
+    return [f"{each.size} sensors: ΔE of {each.min():.4f} to {each.max():.4f}, {interval}; pictures and frames are of the first"]
 
 
 def check_raw(settings: Run, raw_suffixes: Sequence[str]) -> None:
@@ -250,8 +261,8 @@ USUAL = RunFiles()
 def run_settings_text(result: RunResult) -> str:
     """Return the text of settings.toml, from which `pixsim run` makes the same numbers again."""
     prepared, settings = result.prepared, result.settings
-    frames = str(prepared.frames) if prepared.frames > 1 else None
-    given = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units, "frames": frames}
+    given = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units}
+    given |= {name: str(value) for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames)) if value > 1}
     command = ["pixsim", "run", prepared.whole_source, "--config", SETTINGS_FILE, *["--full"] * prepared.full]
     command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
     if isinstance(prepared.light, Planned):

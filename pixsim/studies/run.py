@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
+MAX_REPEATS = 10_000
 BEFORE_FRAME = 0.8  # of the work of "sense and score"
 
 
@@ -67,7 +68,8 @@ class Prepared:
     view : display and chart that pixsim chose for the sensor of a data sheet
     settled : settings that a calibration chose for a tolerance of ΔE; None before it, and without a tolerance
     full : whether no effect is left out
-    frames : number of frames of the sensor
+    repeats : number of sensors of the kind; a tolerance of ΔE may take more
+    frames : number of frames of the first sensor
     sensor, variant, units : id of the scene's sensor, variant of Mitsuba, and units of the picture, as they were given
     """
 
@@ -79,6 +81,7 @@ class Prepared:
     view: View = field(default_factory=View)
     settled: Settled | None = None
     full: bool = False
+    repeats: int = 1
     frames: int = 1
     sensor: str | None = None
     variant: str | None = None
@@ -97,6 +100,7 @@ def prepare(
     settings: Run,
     *,
     full: bool = False,
+    repeats: int = 1,
     frames: int = 1,
     sensor: str | None = None,
     variant: str | None = None,
@@ -110,6 +114,8 @@ def prepare(
     if not 1 <= frames <= MAX_FRAMES:
         hint = f"For more, call run with another {setting('seed')}: another sensor."
         raise invalid(setting("frames"), frames, f"1 to {MAX_FRAMES}", hint)
+    if not 1 <= repeats <= MAX_REPEATS:
+        raise invalid(setting("repeats"), repeats, f"1 to {MAX_REPEATS} sensors")
     if settings.tolerance_delta_e and full:
         allowed = f"one of the two: a tolerance selects cheaper settings, {setting('full')} uses none"
         raise invalid(setting("tolerance_delta_e"), f"with {setting('full')}", allowed)
@@ -139,7 +145,7 @@ def prepare(
         scene = view.scene(scene.with_resolution(settings.resolution) if settings.resolution else scene)
         light = Planned(scene, plan_of(scene, camera, complete, full))
     of_run = source, settings, complete, camera, light, view
-    return Prepared(*of_run, full=full, frames=frames, sensor=sensor, variant=variant, units=units)
+    return Prepared(*of_run, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
 
 
 def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool, *, film_is_known: bool = False) -> Plan:
@@ -202,6 +208,18 @@ class RunResult:
         """Mean ΔE, over all sensors."""
         return float(self.delta_e.mean())
 
+    @property
+    def interval_delta_e(self) -> tuple[float, float] | None:
+        """95 % interval of the expected mean ΔE of such sensors, by Student's t; None of one sensor.
+
+        The errors of the light are not in it: all sensors see the same light.
+        """
+        if len(self.statistics) == 1:
+            return None
+        from pixsim.studies.compare import mean_interval  # which imports studies, that no other run needs
+
+        return mean_interval(self.delta_e)[::2]
+
     @cached_property
     def white_e(self) -> float:
         """Mean electrons of the scene's white on axis in the first frame, of a pixel without a stack."""
@@ -241,13 +259,15 @@ class RunResult:
 
     @property
     def shown_mean(self) -> str:
-        """Mean ΔE as text, as it is known: of all sensors and with its error if there is a budget, else by its light."""
+        """Mean ΔE as text, as it is known: over all sensors, with its error by the budget if there is one, else by its light."""
+        mean = self.mean_delta_e
         if self.budget is None:
-            return self.light.shown(self.mean_delta_e)
+            half = 0.0 if self.interval_delta_e is None else self.interval_delta_e[1] - mean
+            return self.light.shown(mean, half)
         error, sensors = self.budget["total"]["delta_e"], len(self.statistics)
         within = "(error unknown)" if error is None else f"± {error:.1g}"
         unsure = "" if self.budget["met"] else f", {NOT_CONVERGED}"
-        return f"{self.mean_delta_e:.4f}{cause_words(self.causes)} {within} over {sensors} sensor{'s' * (sensors > 1)}{unsure}"
+        return f"{mean:.4f}{cause_words(self.causes)} {within} over {sensors} sensor{'s' * (sensors > 1)}{unsure}"
 
     @property
     def assumption(self) -> str:
@@ -280,11 +300,11 @@ class RunResult:
         return list(dict.fromkeys([*map(str, self.causes), *self.warned, *self.score_notes]))
 
     def further_frames(self) -> Iterator[Frame]:
-        """Yield the frames of the sensor after the first one, which is scored."""
+        """Yield the frames of the first sensor after its first one, which is scored."""
         return self.chain.further_frames(self.prepared.frames, "evaluate", self.settings.seed)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return score.json: the results, then the settings.
+        """Return score.json: the results of the first sensor, then the settings, and what is known of further sensors.
 
         `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the border that is not scored.
         """
@@ -296,6 +316,9 @@ class RunResult:
             more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
         if self.budget is not None:
             more |= {"error_budget": self.budget, "sensors": len(self.statistics), "sensors_mean_delta_e": self.mean_delta_e}
+        if prepared.repeats > 1 and self.interval_delta_e is not None:
+            more |= {"repeats": len(self.statistics), "delta_e": self.delta_e.tolist(), "sensors_mean_delta_e": self.mean_delta_e}
+            more |= {"interval_delta_e": list(self.interval_delta_e)}
         if (colour := self.colour) is not None:
             more |= {"develop": settings.develop.model_dump(), "colour": colour}
         more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
@@ -351,6 +374,7 @@ def run(
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
+    repeats: int = 1,
     frames: int = 1,
     full: bool = False,
     sensor: str | None = None,
@@ -365,7 +389,8 @@ def run(
     config : one or more TOML files with a sensor, its camera, exposure and display; later ones take precedence
     parameters : of the scene, each in its unit
     pixel : fields of the pixel (`PixelOptions`), each in its unit, which override those of the files
-    frames : number of frames of the sensor, for the result's `further_frames`; the first is scored
+    repeats : number of sensors of the kind; of several, the result has `interval_delta_e`. Pictures are those of the first
+    frames : number of frames of the first sensor, for the result's `further_frames`; the first is scored
     full : leave out no effect, whatever the plan says of its size
     sensor : id of the scene's sensor, if it has several
     variant : Mitsuba variant; None means the fastest that works
@@ -384,7 +409,9 @@ def run(
     options |= ({"scene": dict(parameters)} if parameters else {}) | ({"pixel": dict(pixel)} if pixel else {})
     with collected_notes():  # also of what is found before the run begins
         asked = run_settings([Path(path) for path in paths], options)
-        prepared = prepare(str(scene), asked, full=full, frames=frames, sensor=sensor, variant=variant, units=units)
+        prepared = prepare(
+            str(scene), asked, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units
+        )
         return run_prepared(prepared, progress=progress)
 
 
@@ -407,9 +434,12 @@ def run_prepared(prepared: Prepared, *, progress: Stage | None = None) -> RunRes
             chain = make_imaging_chain(image, camera, *of_sensor)
         scored(BEFORE_FRAME)
         score = chain.simulate("evaluate", settings.seed)
-        sensors = prepared.settled.choice.sensors if prepared.settled else 1
-        others = [chain.simulate("evaluate", settings.seed, number).statistics() for number in range(1, sensors)]
-    result = RunResult(prepared, image, chain, score, (score.statistics(), *others), rendered, tuple(notes))
+        statistics = [score.statistics()]
+        sensors = max(prepared.repeats, prepared.settled.choice.sensors if prepared.settled else 1)
+        for number in range(1, sensors):
+            statistics.append(chain.simulate("evaluate", settings.seed, number).statistics())
+            scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
+    result = RunResult(prepared, image, chain, score, tuple(statistics), rendered, tuple(notes))
     return replace(result, score=replace(score, light=result.light))
 
 

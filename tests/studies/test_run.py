@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.commands import command
+from scipy import stats
 
 import pixsim
 from pixsim.base.caller import command_line
@@ -73,3 +75,78 @@ def test_further_frames_are_of_the_same_sensor(made: RunResult) -> None:
     first = made.score.frame
     assert second.dn.shape == first.dn.shape
     assert not np.array_equal(second.dn, first.dn)
+
+
+# --- several sensors ---
+
+MANY = 400
+
+
+@pytest.fixture(scope="module")
+def many() -> RunResult:
+    """Many sensors of a few pixels, which take a millisecond each."""
+    settings = {"camera": {"die_mm": 0.64}, "pixel": {"pitch_um": 40.0}, "resolution": 32, "display": {"dots": 16}}
+    return pixsim.run("flat", variant="scalar_spectral", repeats=MANY, **settings)
+
+
+def test_repeats_are_sensors_of_their_own_and_the_first_is_that_of_one(made: RunResult) -> None:
+    several = pixsim.run("csf", variant="scalar_spectral", repeats=3, **SMALL)
+    alone = [made.score.mean_delta_e, *(made.chain.simulate("evaluate", 3, number).mean_delta_e for number in (1, 2))]
+    np.testing.assert_array_equal(several.delta_e, alone)
+    assert len(set(alone)) == 3
+    np.testing.assert_array_equal(several.score.image, made.score.image)
+    assert made.interval_delta_e is None
+
+
+def test_interval_is_that_of_student(many: RunResult) -> None:
+    values = many.delta_e
+    low, high = stats.t.interval(0.95, MANY - 1, values.mean(), stats.sem(values))
+    assert many.interval_delta_e == pytest.approx((low, high), rel=1e-12)
+    assert many.mean_delta_e == pytest.approx(values.mean(), rel=1e-12)
+
+
+def test_intervals_of_few_sensors_cover_the_mean_of_many(many: RunResult) -> None:
+    """Of 100 groups of 4 sensors 95 contain it; 88 to 100 are within 3.2 σ, and half of their width would leave 79."""
+    groups = [replace(many, statistics=many.statistics[first : first + 4]).interval_delta_e for first in range(0, MANY, 4)]
+    covered = sum(low <= many.mean_delta_e <= high for low, high in filter(None, groups))
+    assert 88 <= covered <= 100
+    mean = many.mean_delta_e
+    halves = sum(abs(low + high - 2 * mean) <= (high - low) / 2 for low, high in filter(None, groups))
+    assert halves < 88
+
+
+def test_repeats_are_in_all_outputs(made: RunResult, tmp_path: Path) -> None:
+    code, out, err = command(f"{LINE} --repeats 3 --frames 2 --raw npz --json --out {tmp_path / 'out'}")
+    assert code == 0, err
+    score = json.loads(out)
+    before = made.as_dict()
+    assert all(score[name] == before[name] for name in ("mean_delta_e", "max_delta_e", "integration_s", "frames"))
+    assert not {"repeats", "delta_e", "interval_delta_e"} & before.keys()
+    low, high = score["interval_delta_e"]
+    assert score["repeats"] == len(score["delta_e"]) == 3
+    assert low < score["sensors_mean_delta_e"] == np.mean(score["delta_e"]) < high
+    assert (tmp_path / "out/raw_002.npz").is_file()
+    line = f"95 % interval of their mean {low:.4f} to {high:.4f}; pictures and frames are of the first"
+    assert line in (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    settings = (tmp_path / "out/settings.toml").read_text(encoding="utf-8")
+    assert "--repeats 3 --frames 2" in settings.splitlines()[1]
+    lines = command(f"{LINE} --repeats 3 --frames 2 --raw npz --out {tmp_path / 'out'}")[1].splitlines()
+    assert "(95 % and film), not converged" in lines[0]
+    assert any(line in each for each in lines)
+    assert "; 3 sensors" in command(f"{LINE} --repeats 3 --dry-run")[1]
+
+
+def test_a_tolerance_takes_more_sensors_than_asked_for_but_not_fewer(tmp_path: Path) -> None:
+    line = "run csf --resolution 64 --tolerance-delta-e 0.5 --pixel.pitch-um 42.4 --display.dots 32 --json"
+    chosen = json.loads(command(f"{line} --out {tmp_path / 'chosen'}")[1])
+    assert "repeats" not in chosen
+    asked = json.loads(command(f"{line} --repeats {chosen['sensors'] + 2} --out {tmp_path / 'asked'}")[1])
+    assert asked["repeats"] == asked["sensors"] == asked["error_budget"]["settings"]["sensors"] == chosen["sensors"] + 2
+    sources = [each["error_budget"]["sources"]["seeds"]["delta_e"] for each in (asked, chosen)]
+    assert sources[0] / sources[1] == pytest.approx((chosen["sensors"] / (chosen["sensors"] + 2)) ** 0.5, rel=0.02)  # 3 digits
+
+
+@pytest.mark.parametrize("number", [0, 10_001])
+def test_run_of_no_or_too_many_sensors_raises(number: int) -> None:
+    with pytest.raises(pixsim.PixsimError, match=rf"repeats: got {number}; allowed: .*1 to"):
+        pixsim.run("csf", repeats=number)
