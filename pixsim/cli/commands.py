@@ -212,16 +212,15 @@ def plan(
     Example: pixsim plan macbeth --tolerance-e 1e-4
     """
     import_less()
-    from pixsim.scene.plan import make_plan
     from pixsim.scene.scene import load_scene
+    from pixsim.studies.run import plan_of
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
     camera = loaded.camera(chosen.camera, chosen.lens)
     if chosen.resolution:
         loaded = loaded.with_resolution(chosen.resolution)
-    render_options: dict[str, Any] = {"exposure": chosen.exposure, "display": chosen.display}
-    made = make_plan(loaded, camera, chosen.pixel, tolerance_e=chosen.tolerance_e, full=full, **render_options)
+    made = plan_of(loaded, camera, chosen, full)
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
     assumed = chosen.pixel.assumption
     show(
