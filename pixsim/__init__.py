@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from pixsim.sensor.readout import Frame as Frame, capture as capture, make_sensor as make_sensor
     from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
     from pixsim.studies.compare import compare as compare
+    from pixsim.studies.run import run as run
     from pixsim.studies.study import study as study
     from pixsim.verification.survey import accuracy as accuracy
     from pixsim.viewer import display as display, scielab as scielab
@@ -75,6 +76,7 @@ _NAMES_OF = {
     "studies.study": "study",
     "studies.compare": "compare",
     "report.write": "write_report",
+    "studies.run": "run",
     "verification.survey": "accuracy",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

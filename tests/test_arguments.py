@@ -158,6 +158,7 @@ NOT_CALLED = {
     "pixsim.measure.sfr.EdgeResponse.write": "it writes a folder",
     "pixsim.accuracy": "its own tests below", "pixsim.verification": "a whole survey",
     "pixsim.datasheet": "its own tests below", "pixsim.measure.datasheet": "a whole measurement",
+    "pixsim.run": "its own tests below", "pixsim.studies.run.RunResult": "a whole run",
     "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
     "pixsim.PixsimError": "takes any text",
 }  # fmt: skip
@@ -308,6 +309,7 @@ def test_any_argument_gives_a_right_result_or_an_error_that_names_it(name: str) 
 
 LONG: dict[str, dict[str, Any]] = {
     "study": {"plan": STUDY, "out": "out"}, "datasheet": {}, "accuracy": {"scene": "csf"}, "lens": {"file": "cooke_triplet"},
+    "run": {"scene": "csf"},
 }  # fmt: skip
 
 
@@ -340,7 +342,9 @@ def test_any_argument_of_a_long_function_gives_an_error_that_names_it(
 
 @pytest.mark.parametrize("label", JUNK)
 def test_write_report_without_a_result_raises(label: str, tmp_path: Path) -> None:
-    with pytest.raises(PixsimError, match=r"result: got .*; allowed: a StudyResult, or a Comparison, or a LensData"):
+    with pytest.raises(
+        PixsimError, match=r"result: got .*; allowed: a RunResult, or a StudyResult, or a Comparison, or a LensData"
+    ):
         pixsim.write_report(JUNK[label], tmp_path / "out")
 
 

@@ -1561,6 +1561,16 @@ class Camera(Record):
         return math.degrees(2 * math.atan(self.die_mm / (2 * self.image_distance_mm)))
 
     @property
+    def field_words(self) -> str:
+        """Full angles that it sees, across and down, as text.
+
+        >>> Camera(focal_length_mm=50.0, die_mm=36.0, die_height_mm=24.0, object_distance_m=1e6).field_words
+        '39.6° × 27°'
+        """
+        across, down = (math.degrees(2 * math.atan(side / (2 * self.image_distance_mm))) for side in (self.die_mm, self.height_mm))
+        return f"{across:.3g}° × {down:.3g}°"
+
+    @property
     def aperture_radius_m(self) -> float:
         """f/2N, half of the entrance pupil's diameter."""
         return 1e-3 * self.focal_length_mm / (2 * self.f_number)
@@ -1669,6 +1679,16 @@ class CameraOptions(Record):
                 )
             die_mm[name] = round(of_pixels_mm, DIE_DIGITS) if given_mm is None else given_mm
         return CameraOptions(**self.model_dump() | die_mm)
+
+    @checks_arguments
+    def assumption(self, camera: Camera) -> str:
+        """Return that nobody gave the focal length behind a given die, with the field that follows; empty if not so.
+
+        camera : that these options make, of a scene
+        """
+        if camera.lens or self.focal_length_mm is not None or self.die_mm is None:
+            return ""
+        return f"focal length {camera.focal_length_mm:.3g} mm assumed, that of the scene: a field of {camera.field_words}"
 
 
 class Exposure(Record):

@@ -135,6 +135,13 @@ def run(
         list[RawFormat] | None,
         Parameter(help="Also write the raw frame in these formats, as --raw tiff png.", consume_multiple=False),
     ] = None,
+    repeats: Annotated[
+        int,
+        Parameter(
+            help="Number of sensors of this kind, each with a fixed pattern and noise of its own: the answer is the mean of their "
+            "ΔE with its 95 % interval. Pictures and frames are of the first. With --tolerance-delta-e, at least so many."
+        ),
+    ] = 1,
     frames: Annotated[
         int,
         Parameter(
@@ -159,35 +166,35 @@ def run(
 
     Example: pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
 
+    Example: pixsim run csf --repeats 8
+
     Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr, delta_e.png, score.json,
     settings.toml and report.html, or keeps them where they would be the same. `pixsim run SCENE --config settings.toml` repeats it.
     """
     import_less()
-    from pixsim.report.run import check_raw, frames_lines, run_and_write
-    from pixsim.report.wording import budget_lines, own_notes, score_parts, unsure_lines
+    from pixsim.report.kept import keep_or_write
+    from pixsim.report.run import RunFiles, check_raw, digest_of_run, run_lines, write_run
+    from pixsim.studies.run import prepare, run_prepared
 
     chosen = options.settings(effort, display=display, seed=seed, tolerance_e=tolerance_e)
-    folder = out or DEFAULT_OUT / Path(scene).stem
-    render_options: dict[str, Any] = {"full": full, "sensor": sensor, "variant": variant, "units": units}
-    raw_suffixes = [f".{suffix}" for suffix in raw or []]
-    check_raw(chosen, raw_suffixes, frames)
+    folder, raw_suffixes = out or DEFAULT_OUT / Path(scene).stem, [f".{suffix}" for suffix in raw or []]
+    check_raw(chosen, raw_suffixes)
+    files = RunFiles(tuple(raw_suffixes), irradiance)
+    if not dry_run:
+        check_replaceable(folder, files.names(frames))
+    prepared = prepare(scene, chosen, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
     if dry_run:
         from pixsim.report.outline import outline_lines, run_outline
 
-        outline = run_outline(scene, chosen, frames=frames, **render_options)
+        outline = run_outline(prepared)
         show(outline, json, "\n".join(outline_lines(outline, folder)))
         return
-    files: dict[str, Any] = {"raw_suffixes": raw_suffixes, "frames": frames, "irradiance": irradiance}
-    with stages() as stage:
-        result = run_and_write(scene, chosen, folder, progress=stage, **render_options, **files)
-    noise = result.get("render_noise")
-    amount = f"render noise {noise['fraction']:.2g} of the sensor's noise" if noise and noise["fraction"] else "no render noise"
-    *parts, shown = score_parts(result)
-    head, *rest = headline_lines([*parts, "; ".join(filter(None, (shown, amount if noise else "")))])
-    unsure = unsure_lines(result)
-    notes = [f"note: {note}" for note in own_notes(result) if note not in unsure]
-    more = [*frames_lines(result), *notes, *budget_lines(result), f"report: {folder / 'report.html'}"]
-    show(result, json, "\n".join([head, *unsure, *rest, *more]))
+    seconds: dict[str, float] = {}
+    with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the render
+        result = run_prepared(prepared, progress=stage)
+        progress, made_from = stage("write"), digest_of_run(result, files)
+        report = keep_or_write("run", made_from, folder, lambda: write_run(result, folder, seconds, files, progress))
+    show(result.as_dict(), json, "\n".join([*run_lines(result), f"report: {report}"]))
 
 
 @app.command
@@ -206,16 +213,15 @@ def plan(
     Example: pixsim plan macbeth --tolerance-e 1e-4
     """
     import_less()
-    from pixsim.scene.plan import make_plan
     from pixsim.scene.scene import load_scene
+    from pixsim.studies.run import plan_of
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
     camera = loaded.camera(chosen.camera, chosen.lens)
     if chosen.resolution:
         loaded = loaded.with_resolution(chosen.resolution)
-    render_options: dict[str, Any] = {"exposure": chosen.exposure, "display": chosen.display}
-    made = make_plan(loaded, camera, chosen.pixel, tolerance_e=chosen.tolerance_e, full=full, **render_options)
+    made = plan_of(loaded, camera, chosen, full)
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
     assumed = chosen.pixel.assumption
     show(
@@ -327,7 +333,7 @@ def study(
     """
     import_less()
     from pixsim.report.axes import axes_files, axes_lines, axes_summary, write_axes_report
-    from pixsim.report.kept import keep_or_write
+    from pixsim.report.kept import digest_of_report, keep_or_write
     from pixsim.report.outline import long_lines, outline_lines, study_outline
     from pixsim.report.study import report_files, write_study
     from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
@@ -384,7 +390,7 @@ def study(
                     write = partial(write_axes_report, result, *own, compromises=found)
                 else:
                     write = partial(write_study, result, *own)
-                report = keep_or_write(result, folder, write)
+                report = keep_or_write("study", digest_of_report(result), folder, write)
             warned = set(result.warned)  # they are on stderr
             if isinstance(result, CasesResult):
                 summary = axes_summary(result, found) | {"counts": asdict(result.counts)}
@@ -397,7 +403,7 @@ def study(
             lines += uncertainty_lines(result.uncertainty)
             summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
             told = warned.union(lines)
-            lines += [*(f"note: {note}" for note in result.notes if note not in told), *budget_lines(summary)]
+            lines += [*(f"note: {note}" for note in result.notes if note not in told), *budget_lines(summary.get("error_budget"))]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
 

@@ -22,7 +22,7 @@ from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, 
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import record_rows, scene_rows
-from pixsim.report.wording import field_words, map_words
+from pixsim.report.wording import map_words
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.show.pages import rounded, shown_value, write_page
 from pixsim.show.pictures import (
@@ -104,7 +104,7 @@ def _study_words(prepared: Prepared) -> list[str]:
 def _common_words(prepared: Prepared) -> list[str]:
     """Return what all sensors of a comparison have in common under one condition, in parts."""
     camera, display = prepared.sensors[0].camera, prepared.settings.display
-    first, field = prepared.sensors[0].name, f"the same field of {field_words(camera)}"
+    first, field = prepared.sensors[0].name, f"the same field of {camera.field_words}"
     lens = {
         "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
         "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
@@ -369,7 +369,7 @@ def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
         "map_words": {c.name: _map_words(c, end) for c in result.sensors},
         "maps": {c.name: (folder / f"pictures/delta_e_{c.name}.png").read_bytes() for c in result.sensors},
         "settings": [("scene", common), *_records(result), *_condition_settings(prepared)],
-        "colours": [(c.name, colour_rows(c.score.statistics() | {"colour": c.colour})) for c in shown.sensors if c.colour],
+        "colours": [(c.name, colour_rows(c.colour, c.score.out_of_gamut)) for c in shown.sensors if c.colour],
         "seed": prepared.settings.seed,
         "files": comparison_files(prepared) | {"provenance.json": "versions and wall times"},
     }

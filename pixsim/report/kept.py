@@ -23,20 +23,21 @@ DRAWING = ("Jinja2", "MarkupSafe", "Pillow", "contourpy", "kiwisolver")  # packa
 LEFT_OUT = ("counts", "lights", "likeliest", "width_um")
 
 
-def keep_or_write(result: StudyResult, folder: Path, write: Callable[[], Path]) -> Path:
-    """Return the report of a study, from `write` unless the folder holds that of an equal result.
+def keep_or_write(command: str, made_from: str, folder: Path, write: Callable[[], Path]) -> Path:
+    """Return the report of a command, from `write` unless the folder holds that of an equal result.
 
     The report is written again if anything differs that it shows or is made with: the result, the settings, the sources and
     the versions of pixsim and what it draws with; or if one of its files is missing or was changed. The wall times in a report
     that is kept are those of the command that wrote it.
+
+    made_from : `digest_of_report` of the result, or its like
     """
     with output_folder(folder):
-        made_from = digest_of_report(result)
-        if are_kept(folder, "study", made_from):
+        if are_kept(folder, command, made_from):
             files_are_finished()
             return folder / "report.html"
         report = write()
-        write_made_from(folder, "study", made_from)
+        write_made_from(folder, command, made_from)
         return report
 
 

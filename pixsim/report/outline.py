@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.labels import label_of
 from pixsim.base.machine import processors
-from pixsim.base.parameters import Camera, CameraOptions, Effort, Run, Study
-from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
-from pixsim.report.wording import field_words, focal_length_assumption, lens_words, view_words
+from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Run, Study
+from pixsim.light.spectral import SpectralImage
+from pixsim.report.wording import lens_words, view_words
 from pixsim.sensor.integration import pixels_on
 from pixsim.show.pages import rounded
 from pixsim.studies.cost import (
@@ -35,38 +35,21 @@ from pixsim.viewer.imaging import Imaging
 
 if TYPE_CHECKING:
     from pixsim.studies.preparation import Prepared
+    from pixsim.studies.run import Prepared as PreparedRun
 
 
-def run_outline(
-    source: str,
-    settings: Run,
-    *,
-    full: bool = False,
-    sensor: str | None = None,
-    variant: str | None = None,
-    units: str | None = None,
-    frames: int = 1,
-) -> dict[str, Any]:
-    """Return what a run would do; nothing is rendered or written. Raises PixsimError for the input that a run refuses.
-
-    frames : of its sensor
-    """
-    from pixsim.scene.plan import make_plan
-
-    pitch_um, given = settings.pixel.pitch_um, settings.camera
-    outline: dict[str, Any] = {}
-    if Path(source).suffix.lower() in PICTURE_SUFFIXES:
-        light = light_of_picture(source, settings, units)
-        camera, settings, header = light.camera, light.settings, light.irradiance.header
-        view, image = light.more["chosen"], light.irradiance
-        cost = Cost(START_S, 4.0 * image.wavelength_nm.size * math.prod(image.shape), 1)
-        outline["film"] = {"samples": list(light.irradiance.shape), "pitch_um": light.irradiance.pitch_um}
+def run_outline(prepared: PreparedRun) -> dict[str, Any]:
+    """Return what a run would do; nothing is rendered or written."""
+    settings, camera, frames, repeats = prepared.settings, prepared.camera, prepared.frames, prepared.repeats
+    pitch_um, outline = settings.pixel.pitch_um, dict[str, Any]()
+    if isinstance(light := prepared.light, SpectralImage):
+        header = light.header
+        cost = Cost(START_S, 4.0 * light.wavelength_nm.size * math.prod(light.shape), 1)
+        outline["film"] = {"samples": list(light.shape), "pitch_um": light.pitch_um}
     else:
-        scene, camera, settings, chosen = prepared_run(source, settings, sensor, variant)
-        options: dict[str, Any] = {"display": settings.display, "tolerance_e": settings.tolerance_e, "full": full}
-        plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, **options)
+        scene, plan = light
         outline["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
-        header, view = {"parameters": scene.parameters}, chosen.as_dict()
+        header = {"parameters": scene.parameters}
         shape, rendered = known_film(outline["film"]["samples"], rendered_across(scene, camera, plan, settings))
         cost = render_cost(plan, camera, shape, rendered, processors().usable)
         if not rendered:
@@ -74,17 +57,18 @@ def run_outline(
             cost = replace(cost, seconds=cost.seconds + more_s)
         outline["errors"] = errors_of(plan, outline["film"], Imaging.of(settings, camera), settings)
     frame = frame_cost(camera, pitch_um, settings.display)
-    cost = Cost(cost.seconds + RUN_PAGE_S + (1 + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
+    cost = Cost(cost.seconds + RUN_PAGE_S + (repeats + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
     sensors = [
         {
             "technology": settings.pixel.technology,
             "pitch_um": [pitch_um],
             "pixels": [list(pixels_on(camera.die_um, pitch_um))],
-            "sensors": 1,
+            "sensors": repeats,
         }
     ]
     outline |= {"frames": frames} if frames > 1 else {}
-    return outline | common(source, header, settings, camera, given, view, sensors) | {"estimate": asdict(cost)}
+    of_run = prepared.source, header, settings, camera, prepared.asked.camera, prepared.view.as_dict(), sensors
+    return outline | common(*of_run) | {"estimate": asdict(cost)}
 
 
 def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
@@ -119,7 +103,7 @@ def common(
         "sensors": sensors,
         "limits": limits,
         "seed": settings.seed,
-        "assumption": focal_length_assumption(camera, given),
+        "assumption": given.assumption(camera),
     } | ({"window_mm": settings.window_mm} if settings.window_mm else {})
 
 
@@ -143,8 +127,8 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
 
     out : folder that would be written
     """
-    camera, film, display, limits = (outline[name] for name in ("camera", "film", "display", "limits"))
-    seen = Camera.model_validate(camera)
+    camera, film, limits = (outline[name] for name in ("camera", "film", "limits"))
+    seen, display = Camera.model_validate(camera), Display.model_validate(outline["display"])
     height_um, width_um = seen.die_um
     assumed = "".join(f"; {words}" for words in (lens_words(seen), outline["assumption"].partition(":")[0]) if words)
     parameters = ", ".join(f"{name} = {value}" for name, value in outline["irradiance"].get("parameters", {}).items())
@@ -158,7 +142,7 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
         (
             "camera",
             f"{camera['focal_length_mm']:g} mm, f/{camera['f_number']:g}, focused at {camera['object_distance_m']:g} m; "
-            f"die of {1e-3 * width_um:.5g} × {1e-3 * height_um:.5g} mm, a field of {field_words(seen)}" + assumed,
+            f"die of {1e-3 * width_um:.5g} × {1e-3 * height_um:.5g} mm, a field of {seen.field_words}" + assumed,
         ),
         ("film", f"{film['samples'][1]} × {film['samples'][0]} samples of {film['pitch_um']:.3g} µm{rays}"),
     ]
@@ -166,6 +150,7 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
         sizes, counts = sensor["pitch_um"], sensor["pixels"]
         if len(sizes) == 1:
             text = f"{counts[0][1]} × {counts[0][0]} pixels of {sizes[0]:g} µm"
+            text += f"; {sensor['sensors']} sensors" if sensor["sensors"] > 1 else ""
         else:
             most, least = (math.prod(count) / 1e6 for count in (counts[0], counts[-1]))
             text = f"{len(sizes)} sizes from {sizes[0]:g} to {sizes[-1]:g} µm, {most:.3g} to {least:.3g} million pixels"
@@ -183,8 +168,8 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
         rows.append(("types", f"{types} sensor types, each at up to {MOST_EVALUATIONS} sensors around the optimum"))
     own_um = outline.get("own_um") or (outline["sensors"][0]["pitch_um"][0] if "study" not in outline else None)
     columns = None if own_um is None else columns_on(seen, own_um)
-    shown = "; ".join(view_words(display, outline, columns)) or "one dot a pixel"
-    rows.append(("display", f"{shown}; {display['samples_per_deg']:g} dots per degree"))
+    view = view_words(display, outline["irradiance"], outline["chosen"], outline.get("window_mm"), columns)
+    rows.append(("display", f"{'; '.join(view) or 'one dot a pixel'}; {display.samples_per_deg:g} dots per degree"))
     rows.append(("limits", ", ".join(f"{name} = {value:g}" for name, value in limits.items())))
     rows.append(("output", f"{out}: nothing is written now"))
     rows.append(("cost", str(Cost(**outline["estimate"]))))

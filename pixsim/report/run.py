@@ -1,39 +1,25 @@
-"""One run from scene to score, its output files (all of them, or none), and its report page."""
+"""The files of a run (all of them, or none), and its report page."""
 
 from __future__ import annotations
 
-import json
+import os
 import shlex
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, replace
-from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
-
-import numpy as np
+from typing import Any, Literal, NamedTuple
 
 from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
 from pixsim.base.errors import invalid
-from pixsim.base.files import (
-    PROVENANCE,
-    are_kept,
-    check_replaceable,
-    digest_of,
-    files_are_finished,
-    output_folder,
-    publishing,
-    write_json,
-    write_made_from,
-)
+from pixsim.base.files import PROVENANCE, check_replaceable, digest_of, output_folder, publishing, write_json
+from pixsim.base.headline import headline_lines
 from pixsim.base.labels import label_of
-from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Correction, Develop, Display, Exposure, Record, Run
-from pixsim.base.progress import Stage, share_of, watched
+from pixsim.base.notes import warn
+from pixsim.base.parameters import NO_TECHNOLOGY, Record, Run
+from pixsim.base.progress import Progress
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
-from pixsim.light.spectral import SpectralImage
 from pixsim.report.kept import digest_of_content
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.settings import FILLED, record_rows, scene_rows
@@ -41,19 +27,14 @@ from pixsim.report.wording import (
     blur_words,
     budget_lines,
     film_words,
-    focal_length_assumption,
     lens_words,
-    light_of,
     map_words,
-    mean_words,
-    own_notes,
+    run_view_words,
     score_parts,
     unsure_lines,
-    view_words,
 )
-from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_along, pixels_on
+from pixsim.scene.convergence import without_clock
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
-from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.pages import compile_page, rounded, write_page
 from pixsim.show.pictures import (
     Picture,
@@ -68,16 +49,7 @@ from pixsim.show.pictures import (
 )
 from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
-from pixsim.viewer.causes import causes_of, lightness_range
-from pixsim.viewer.display import dot_edges_um, white_light, white_rate
-from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.score import Score, Seen, dark_clip, make_imaging_chain, white_header
-
-if TYPE_CHECKING:
-    from pixsim.scene.scene import Scene
-    from pixsim.studies.budget import Settled
-    from pixsim.studies.preparation import View
-
+from pixsim.studies.run import Planned, RunResult
 
 PAGE = "run.html.j2"  # template of report.html
 # Files next to the page, with their descriptions.
@@ -93,8 +65,6 @@ FILES = {
     "provenance.json": "versions and wall times",
 }
 AFTERWARDS = ("score.json", PROVENANCE)
-BEFORE_FRAME = 0.8  # of the work of "sense and score"
-MAX_FRAMES = 999  # of a run: the numbers in the names of their files have three digits
 MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
     "fill_factor": "photodiode area over pixel area",
@@ -116,14 +86,17 @@ IDEALS = {
 }
 
 
-def colour_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return what the page says of a colour sensor and its picture, (meaning, value) each; none for a monochrome one."""
-    if "colour" not in summary:
+def colour_rows(facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, float] | None) -> list[tuple[str, str]]:
+    """Return what the page says of a colour sensor and its picture, (meaning, value) each; none for a monochrome one.
+
+    facts : `ImagingChain.colour_facts`
+    out_of_gamut : of its score
+    """
+    if facts is None or out_of_gamut is None:
         return []
-    facts = summary["colour"]
     letters = list(facts["white_e"])
     gains = ", ".join(f"{gain:.3g}" for gain in facts["noise_gains"])
-    rows = [
+    return [
         ("channels of a frame: rows of the unit cell, or planes", facts["layout"]),
         ("light of white, for white balance, matrix and ideal image", facts["white_spectrum"]),
         (f"electrons of white in {', '.join(letters)}", ", ".join(rounded(value, 4) for value in facts["white_e"].values())),
@@ -134,50 +107,51 @@ def colour_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("sensitivity metamerism index under this lamp (100: no colour error)", f"{facts['sensitivity_metamerism_index']:.4g}"),
         ("mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise", f"{facts['patches_mean_delta_e']:.3g}"),
         ("ideal image", IDEALS[facts["ideal_is_coloured"]]),
-        ("dots outside the display's gamut: ideal image", f"{summary['ideal_out_of_gamut_fraction']:.2%}"),
-        ("dots outside the display's gamut: the sensor's picture", f"{summary['out_of_gamut_fraction']:.2%}"),
+        ("dots outside the display's gamut: ideal image", f"{out_of_gamut[0]:.2%}"),
+        ("dots outside the display's gamut: the sensor's picture", f"{out_of_gamut[1]:.2%}"),
     ]
-    return rows
 
 
-def _row(facts: dict[str, Any], number: int) -> str:
+def _row(facts: Mapping[str, Any], number: int) -> str:
     return ", ".join(f"{value:.4g}" for value in facts["matrix_to_display"][number])
 
 
-def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summary: dict[str, Any]) -> None:
+def write_run_page(result: RunResult, folder: Path) -> None:
     """Write report.html next to the run's other files; it links to them and contains their pictures."""
+    score, settings, camera, irradiance = result.score, result.settings, result.camera, result.irradiance
+    physics, header, time_s = score.physics, irradiance.header, score.frame.integration_s
     window = worst_window([score.delta_e])
     width_mm, height_mm = extent(irradiance)[1:3]
     left_mm, right_mm, bottom_mm, top_mm = extent(irradiance, score.border_um)
-    physics, header = score.physics, irradiance.header
     parameters = header.get("parameters")  # may be anything in a file of another program
-    camera = Camera.model_validate(summary["camera"])
-    display = Display.model_validate(summary["display"])
-    light = LightLevel.of(irradiance, display, [summary["integration_s"]])
+    light = LightLevel.of(irradiance, settings.display, [time_s])
     sheet = physics.technology.name == NO_TECHNOLOGY
-    statistics = {name: summary[name] for name in MEANINGS}
+    statistics = {name: result.statistics[0][name] for name in MEANINGS}
+    end = scale_end(statistics["p99_delta_e"])
     if sheet and statistics["fill_factor"] > FILLED:
         del statistics["fill_factor"]  # the data sheet states none
     numbers = [(MEANINGS[key], rounded(value, 5)) for key, value in statistics.items()]
-    if "render_noise" in summary:
-        numbers.append(("noise of the render relative to the sensor's noise", f"{summary['render_noise']['fraction']:.2g}"))
+    if result.rendered is not None:
+        numbers.append(("noise of the render relative to the sensor's noise", f"{result.rendered.noise.fraction:.2g}"))
     others = {
         path.name: "the frame of raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
     }
-    others |= {path.name: further_words(path, summary["frames"]) for path in sorted(folder.glob(f"{raw_stem(2)}.*"))}
-    exposure = Exposure.model_validate(summary["exposure"])
-    correction = Correction.model_validate(summary["correction"])
-    records: dict[str, Record] = {"camera": camera, "pixel": physics.pixel, "exposure": exposure, "correction": correction}
-    coloured = "develop" in summary
-    records |= {"develop": Develop.model_validate(summary["develop"])} if coloured else {}
-    records["display"] = display
+    others |= {path.name: further_words(path, result.prepared.frames) for path in sorted(folder.glob(f"{raw_stem(2)}.*"))}
+    coloured = result.colour is not None
+    records: dict[str, Record] = {"camera": camera, "pixel": physics.pixel}
+    records |= {"exposure": settings.exposure, "correction": settings.correction}
+    records |= {"develop": settings.develop} if coloured else {}
+    records["display"] = settings.display
+    unsure = unsure_lines(result)
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
-        "line": "; ".join(filter(None, score_parts(summary))),
-        "mean": mean_words(summary),
-        "unsure": (unsure := unsure_lines(summary)),
-        "view": "; ".join(view_words(summary["display"], summary, summary["pixels"][1])),
-        "summary": summary,
+        "line": "; ".join(filter(None, score_parts(result))),
+        "unsure": unsure,
+        "view": "; ".join(run_view_words(result)),
+        "sensors": sensors_lines(result),
+        "result": result,
+        "score": score,
+        "pitch_um": physics.pitch_um,
         "label": label_of(physics.technology.name),
         "die_mm": (width_mm, height_mm),
         "camera": camera,
@@ -187,17 +161,17 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "ideal": shown_picture(folder / "ideal.png", score.ideal, "ideal image"),
         "image": shown_picture(folder / "image.png", score.image, f"{physics.pitch_um:g} µm pixels"),
         "reduced": factor_for(score.ideal),
-        "crops": crops(score, window, "the sensor's picture", scale_end(statistics["p99_delta_e"])),
+        "crops": crops(score, window, "the sensor's picture", end),
         "place_mm": (left_mm + window.centre[0] * (right_mm - left_mm), top_mm + window.centre[1] * (bottom_mm - top_mm)),
-        "scale_bar": scale(scale_end(statistics["p99_delta_e"])),
+        "scale_bar": scale(end),
         "map": (folder / "delta_e.png").read_bytes(),
-        "map_words": map_words("", summary["mean_delta_e"], summary["p99_delta_e"], scale_end(statistics["p99_delta_e"])),
+        "map_words": map_words("", score.mean_delta_e, statistics["p99_delta_e"], end),
         "statistics": numbers,
-        "colour": colour_rows(summary),
-        "notes": [note for note in summary["notes"] if note not in unsure],
-        "blur": blur_words(irradiance, camera, physics, display),
-        "film": film_words(summary["film"]) if "film" in summary else "",
-        "budget": budget_lines(summary),
+        "colour": colour_rows(result.colour, score.out_of_gamut),
+        "notes": [note for note in result.notes if note not in unsure],
+        "blur": blur_words(irradiance, camera, physics, settings.display),
+        "film": film_words(result.film) if result.film else "",
+        "budget": budget_lines(result.budget),
         "light": light,
         "settings": [
             ("scene", scene_rows(irradiance, parameters if isinstance(parameters, dict) else {}, light)),
@@ -221,25 +195,45 @@ def further_words(second: Path, frames: int) -> str:
     return f"frame 2 of the same sensor{last}: the same fixed pattern, temporal noise of its own"
 
 
-def frames_lines(summary: dict[str, Any]) -> list[str]:
+def run_lines(result: RunResult) -> list[str]:
+    """Return mean ΔE, how sure it is, how it was shown and rendered, and notes, as lines of text."""
+    *parts, shown = score_parts(result)
+    if result.rendered is not None:
+        noise = result.rendered.noise.fraction
+        amount = f"render noise {noise:.2g} of the sensor's noise" if noise else "no render noise"
+        shown = "; ".join(filter(None, (shown, amount)))
+    head, *rest = headline_lines([*parts, shown])
+    unsure = unsure_lines(result)
+    notes = [f"note: {note}" for note in result.score_notes if note not in unsure]
+    several = [*sensors_lines(result), *frames_lines(result.prepared.frames)]
+    return [head, *unsure, *rest, *several, *notes, *budget_lines(result.budget)]
+
+
+def frames_lines(frames: int) -> list[str]:
     """Return a line on the frames of a run with several; none for one.
 
-    >>> frames_lines({"frames": 3})
+    >>> frames_lines(3)
     ['3 frames of this sensor: raw.exr, raw_002.exr and raw_003.exr; the first is scored']
     """
-    frames = summary.get("frames", 1)
     between = {2: "", 3: f", {raw_stem(2)}.exr"}.get(frames, f", {raw_stem(2)}.exr, …")
     names = f"raw.exr{between} and {raw_stem(frames)}.exr"
     return [f"{frames} frames of this sensor: {names}; the first is scored"] if frames > 1 else []
 
 
-def check_raw(settings: Run, raw_suffixes: Sequence[str], frames: int) -> None:
-    """Raise PixsimError for raw frames that a run cannot write: of too many bits for their format, or too many."""
+def sensors_lines(result: RunResult) -> list[str]:
+    """Return a line on the sensors of a run of several; none for one, or those of an error budget."""
+    if result.prepared.repeats == 1 or result.interval_delta_e is None:
+        return []
+    (low, high), each = result.interval_delta_e, result.delta_e
+    interval = f"95 % interval of their mean {low:.4f} to {high:.4f}"
+    return [f"{each.size} sensors: ΔE of {each.min():.4f} to {each.max():.4f}, {interval}; pictures and frames are of the first"]
+
+
+def check_raw(settings: Run, raw_suffixes: Sequence[str]) -> None:
+    """Raise PixsimError for raw frames of too many bits for their format."""
     if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(raw_suffixes):
         got = f"tiff or png for an ADC of {settings.pixel.bits} bits"
         raise invalid("--raw", got, f"at most {BITS_OF_PICTURES} bits; use npz for more")
-    if not 1 <= frames <= MAX_FRAMES:
-        raise invalid("--frames", frames, f"1 to {MAX_FRAMES}", "For more, call run with another --seed: another sensor.")
 
 
 def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
@@ -249,297 +243,103 @@ def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     return Picture(display_codes(reduced(luminance)), name)
 
 
-Irradiance = Literal["reduced", "full", "factors", "none"]  # what irradiance.exr holds
-PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
+class RunFiles(NamedTuple):
+    """What is written of a run beside numbers, pictures and the page.
 
-
-def run_and_write(
-    source: str,
-    settings: Run,
-    out: Path,
-    *,
-    full: bool,
-    sensor: str | None,
-    variant: str | None,
-    units: str | None = None,
-    raw_suffixes: Sequence[str] = (),
-    frames: int = 1,
-    irradiance: Irradiance = "reduced",
-    progress: Stage,
-) -> dict[str, Any]:
-    """Render a scene or read a spectral picture, simulate and score a frame, write all files, and return score.json.
-
-    raw_suffixes : further formats of the frame besides raw.exr
-    frames : of the same sensor; the first is scored
+    raw_suffixes : further formats of the frames besides .exr
     irradiance : what irradiance.exr holds: 'reduced', bands of at most 1024 samples across and 60 MB; 'full', what `read_exr`
         gives back bit for bit; 'factors', an image's factors only; 'none', no such file
-
-    `notes` of the result are the warnings meanwhile, and a black level that clips dark noise.
-
-    Raises PixsimError for invalid input; the folder is then unchanged.
-    """
-    from pixsim.sensor.pixel import derive
-
-    physics = derive(settings.pixel)
-    check_raw(settings, raw_suffixes, frames)
-    if settings.tolerance_delta_e and full:
-        allowed = "one of the two: a tolerance selects cheaper settings, --full uses none"
-        raise invalid("--tolerance-delta-e", "with --full", allowed)
-    formats = tuple(dict.fromkeys((".exr", *raw_suffixes)))
-    names = {"report.html", *FILES, *(f"{raw_stem(number)}{suffix}" for number in range(1, frames + 1) for suffix in formats)}
-    names -= {"irradiance.exr"} if irradiance == "none" else set()
-    seconds: dict[str, float] = {}
-    clock = time.perf_counter()
-
-    def lap(name: str) -> None:
-        nonlocal clock
-        seconds[name], clock = time.perf_counter() - clock, time.perf_counter()
-
-    prepared: Callable[[], Light]
-    with collected_notes() as notes:
-        if Path(source).suffix.lower() in PICTURE_SUFFIXES:
-            only_of_scenes = settings.tolerance_delta_e or settings.resolution or settings.window_mm
-            if settings.scene or sensor or variant or only_of_scenes:
-                options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution, --window"
-                raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
-            check_replaceable(out, names)
-            prepared = partial(light_of_picture, source, settings, units)
-        else:
-            if units:
-                raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr); the units of a render are known")
-            with ThreadPoolExecutor(1) as pool:  # files of a run before are read meanwhile
-                replaceable = pool.submit(check_replaceable, out, names)
-                known = prepared_run(source, settings, sensor, variant)
-                replaceable.result()
-            prepared = _prepare(source, settings, *known, full=full, progress=progress)
-        with output_folder(out) as folder:
-            light = prepared()
-            image, camera, settings, more = light.irradiance, light.camera, light.settings, light.more
-            lap("render" if "plan" in more else "read")
-            scored = progress("sense and score")
-            image.header |= white_header([Seen(image, camera, physics)], settings.display)
-            of_files = full, formats, frames, irradiance, sensor, variant, units
-            made_from = digest_of_content(of_files, light, physics.technology)
-            if are_kept(folder, "run", made_from):
-                files_are_finished()
-                return kept_summary(folder, notes)
-            given = {"sensor": sensor, "variant": variant, "units": units, "frames": str(frames) if frames > 1 else None}
-            command = ["pixsim", "run", light.source, "--config", SETTINGS_FILE, *["--full"] * full]
-            command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
-            text = settings_text(light.repeated or settings, shlex.join(command))
-            with publishing(folder, "run", {"seconds": seconds}, keep=[Path(source)]) as partial_folder:
-                with ThreadPoolExecutor(1) as pool:  # the largest file by far is written meanwhile
-                    written = pool.submit(write_irradiance, partial_folder, image, irradiance)
-                    compiled = pool.submit(compile_page, PAGE)
-                    of_sensor = settings.pixel, settings.exposure, settings.display, full, settings.correction, settings.develop
-                    with watched(share_of(scored, 0.0, BEFORE_FRAME)):
-                        chain = make_imaging_chain(image, camera, *of_sensor)
-                    scored(BEFORE_FRAME)
-                    score = chain.simulate("evaluate", settings.seed)
-                    if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
-                        sensors = more["error_budget"]["settings"]["sensors"]
-                        others = [chain.simulate("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
-                        more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
-                    lap("sense and score")
-                    written_share = progress("write")
-                    written.result()
-                    compiled.result()
-                own = settings.exposure, settings.display, settings.seed, settings.correction
-                summary = summary_of(score, image, camera, *own) | more
-                if chain.rendition is not None:
-                    summary |= {"develop": settings.develop.model_dump(), "colour": chain.colour_facts(score.frame.integration_s)}
-                if irradiance == "factors" and not image.factors:
-                    warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
-                summary |= {"frames": frames} if frames > 1 else {}
-                causes = [str(cause) for cause in light_of(summary).causes]
-                summary["notes"] = list(dict.fromkeys([*causes, *notes, *summary["notes"]]))
-                (partial_folder / SETTINGS_FILE).write_text(text, encoding="utf-8")
-                for number, frame in enumerate(chain.further_frames(frames, "evaluate", settings.seed), 2):
-                    for suffix in formats:
-                        write_frame(partial_folder / f"{raw_stem(number)}{suffix}", frame)
-                    written_share(number / frames)
-                write_all(partial_folder, image, score, summary, formats)
-                lap("write")
-            write_made_from(folder, "run", made_from)
-    return summary
-
-
-def kept_summary(folder: Path, notes: Sequence[str]) -> dict[str, Any]:
-    """Return score.json of a folder whose files are kept, and repeat its warnings but those of `notes`, which were given."""
-    summary: dict[str, Any] = json.loads((folder / "score.json").read_bytes())  # which is as it was written
-    for note in summary["notes"]:
-        if note not in notes and note not in own_notes(summary):
-            warn(note)
-    return summary
-
-
-def summary_of(
-    score: Score, irradiance: SpectralImage, camera: Camera, exposure: Exposure, display: Display, seed: int, correction: Correction
-) -> dict[str, Any]:
-    """Return score.json: the results, then the settings.
-
-    `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the border that is not scored.
-    """
-    physics, time_s = score.physics, score.frame.integration_s
-    area_um2 = collecting_area_um2(irradiance, camera, physics)
-    white_e = white_rate(irradiance, camera, physics, display) * area_um2 * physics.bin_side**2 * time_s
-    causes = causes_of(irradiance.header, physics, white_e, time_s, lightness_range(score.ideal))
-    summary = {
-        **score.statistics(),
-        "pixels": list(score.frame.pixels),
-        "scored_dots": list(score.delta_e.shape),
-        "border_um": list(score.border_um),
-        "pixel": physics.pixel.model_dump(),
-        "assumption": physics.pixel.assumption,
-        "white_spectrum": white_light(irradiance)[1],
-        "irradiance": irradiance.header,
-        "dark": dark_clip(physics, time_s, white_e),
-        "causes": [cause.as_dict() for cause in causes],
-        "camera": camera.model_dump(),
-        "exposure": exposure.model_dump(),
-        "correction": correction.model_dump(),
-        "display": display.model_dump(),
-        "seed": seed,
-    }
-    return summary | {"notes": own_notes(summary)}
-
-
-class Light(NamedTuple):
-    """The light of a run and the settings that follow from it.
-
-    source : the scene or picture, for a command in another folder
-    settings : with what pixsim chose
-    more : further entries of score.json
-    repeated : settings that make the same picture again; None for `settings`
     """
 
-    irradiance: SpectralImage
-    camera: Camera
-    source: str
-    settings: Run
-    more: dict[str, Any]
-    repeated: Run | None = None
+    raw_suffixes: tuple[str, ...] = ()
+    irradiance: Literal["reduced", "full", "factors", "none"] = "reduced"
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Suffixes of all files of a frame."""
+        return tuple(dict.fromkeys((".exr", *self.raw_suffixes)))
+
+    def names(self, frames: int) -> set[str]:
+        """Return the names of all files of a run of so many frames."""
+        raw = {f"{raw_stem(number)}{suffix}" for number in range(1, frames + 1) for suffix in self.formats}
+        return {"report.html", *FILES, *raw} - ({"irradiance.exr"} if self.irradiance == "none" else set())
 
 
-def prepared_run(
-    source: str, settings: Run, sensor: str | None = None, variant: str | None = None
-) -> tuple[Scene, Camera, Run, View]:
-    """Return the scene, the camera of the window, and the settings with what they leave open; nothing is rendered.
-
-    Raises PixsimError for invalid input.
-    """
-    from pixsim.scene.scene import load_scene
-    from pixsim.sensor.pixel import derive
-    from pixsim.studies.preparation import View, choose_view
-
-    warn_of_unused_settings({"": [Configuration.of(settings, derive(settings.pixel))]})
-    scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
-    whole = scene.camera(settings.camera, settings.lens)
-    camera, pitch_um = whole.window(settings.window_mm), settings.pixel.pitch_um
-    sheet = settings.pixel.technology == NO_TECHNOLOGY
-    view = choose_view(pitch_um, camera, settings.display, scene) if sheet else View()
-    check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
-    dot_edges_um(camera.die_um, pitch_um, settings.display, pitch_um)
-    chosen = {"camera": whole.options, "display": view.display(settings.display)}
-    scene = scene.with_resolution(settings.resolution) if settings.resolution else scene
-    return view.scene(scene), camera, settings.model_copy(update=chosen | {"scene": view.parameters(settings.scene)}), view
+USUAL = RunFiles()
 
 
-def _prepare(
-    source: str, asked: Run, scene: Scene, camera: Camera, settings: Run, view: View, *, full: bool, progress: Stage
-) -> Callable[[], Light]:
-    """Check everything that can be checked before a render, and return the function that renders.
-
-    asked : settings before `prepared_run`, which returns those that follow
-    """
-    from pixsim.scene.convergence import without_clock
-    from pixsim.scene.plan import Plan, make_plan
-    from pixsim.scene.scene import packaged_scenes
-    from pixsim.studies.oversampling import render_and_measure
-
-    named = source if source in packaged_scenes() else str(scene.path)
-    settled: Settled | None = None
-    if settings.tolerance_delta_e:
-        from pixsim.studies.budget import ProbeDesign, settle
-
-        progress("calibrate")
-        design = ProbeDesign(Imaging.of(settings, camera), settings.seed)
-        settled = settle(scene, camera, design, settings.tolerance_delta_e)
-        chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
-        scene, settings = settled.scene, settings.model_copy(update=chosen | {"resolution": settled.scene.resolution})
-
-    def plan_of(scene: Scene) -> Plan:
-        display = None if settled else settings.display
-        options: dict[str, Any] = {"display": display, "tolerance_e": settings.tolerance_e, "full": full}
-        return make_plan(scene, camera, settings.pixel, exposure=settings.exposure, **options)
-
-    plan = plan_of(scene)
-    for note in plan.warnings:
-        warn(note)
-
-    def render() -> Light:
-        measured, rendering = [Imaging.of(settings, camera)], progress("render")
-        made = render_and_measure(
-            scene, plan, settings, settings.pixel, measured, plan_of=plan_of, settled=settled, progress=rendering
-        )
-        more: dict[str, Any] = {"render_noise": asdict(made.noise), "plan": made.plan.as_dict(), "film": made.film.as_dict()}
-        assumed = settings.pixel.assumption, focal_length_assumption(camera, asked.camera)
-        more |= {"assumption": "; ".join(filter(None, assumed))}
-        more |= {"chosen": view.as_dict()} | ({"window_mm": settings.window_mm} if settings.window_mm else {})
-        repeated = without_clock(asked, settings, made.image)
+def run_settings_text(result: RunResult) -> str:
+    """Return the text of settings.toml, from which `pixsim run` makes the same numbers again."""
+    prepared, settings = result.prepared, result.settings
+    given = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units}
+    given |= {name: str(value) for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames)) if value > 1}
+    command = ["pixsim", "run", prepared.whole_source, "--config", SETTINGS_FILE, *["--full"] * prepared.full]
+    command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
+    if isinstance(prepared.light, Planned):
         # Display and chart, too, may have been chosen; defaults in their place would count as given.
-        of_view = {"display": settings.display, "scene": scene_table(scene.path.parent, settings.scene)}
-        repeated = repeated.model_copy(update=of_view)
-        if settled:
-            bound_e = made.plan.bound_e if made.plan.bounded else None
-            more["error_budget"] = settled.budget(made.noise, bound_e, settled.choice.sensors)
-        return Light(made.image, camera, named, settings, more, repeated)
-
-    return render
+        of_view = {"display": settings.display, "scene": scene_table(prepared.light.scene.path.parent, settings.scene)}
+        settings = without_clock(prepared.asked, settings, result.irradiance).model_copy(update=of_view)
+    return settings_text(settings, shlex.join(command))
 
 
-def light_of_picture(source: str, settings: Run, units: str | None) -> Light:
-    """Return a picture of another program as the light of a run."""
-    from pixsim.optics.exchange import read_with_camera
-    from pixsim.sensor.pixel import derive
-    from pixsim.studies.preparation import View, choose_view
-
-    image, camera = read_with_camera(source, settings.camera, units, settings.lens)
-    warn_of_unused_settings({"": [replace(Configuration.of(settings, derive(settings.pixel)), light=image)]})
-    pixels_along(camera.die_um[1], settings.pixel.pitch_um)
-    sheet = settings.pixel.technology == NO_TECHNOLOGY
-    view = choose_view(settings.pixel.pitch_um, camera, settings.display, None) if sheet else View()
-    chosen = {"camera": camera.options, "display": view.display(settings.display)}
-    return Light(image, camera, str(Path(source).resolve()), settings.model_copy(update=chosen), {"chosen": view.as_dict()})
+def digest_of_run(result: RunResult, files: RunFiles = USUAL) -> str:
+    """Hash of everything that the files of a run are made from, but the wall times."""
+    technology = result.score.physics.technology
+    return digest_of_content(files, run_settings_text(result), result.as_dict(), result.irradiance, technology)
 
 
-def write_irradiance(folder: Path, image: SpectralImage, irradiance: Irradiance = "reduced") -> None:
-    """Write irradiance.exr of a run to a new folder; the last argument is that of `run_and_write`."""
-    if irradiance != "none":
-        path = folder / "irradiance.exr"
-        write_exr(path, reduced_to_fit(image) if irradiance == "reduced" else image, factors_only=irradiance == "factors")
-        digest_of(path, alone=True)  # which the provenance asks for
+def write_run(
+    result: RunResult,
+    folder: str | os.PathLike[str],
+    seconds: dict[str, float] | None = None,
+    files: RunFiles = USUAL,
+    progress: Progress | None = None,
+) -> Path:
+    """Write all files of a run.
 
+    seconds : stage -> wall time in s, for provenance.json
 
-def write_all(
-    folder: Path, image: SpectralImage, score: Score, summary: dict[str, Any], formats: Sequence[str] = (".exr",)
-) -> None:
-    """Write all files of a run but its provenance, irradiance.exr and further frames to a folder.
-
-    formats : of the raw frame
+    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
+    pixsim did not write.
     """
+    prepared = result.prepared
+    with output_folder(folder) as path:
+        check_replaceable(path, files.names(prepared.frames))
+        with publishing(path, "run", {"seconds": seconds or {}}, [Path(prepared.source)]) as unfinished:
+            write_all(result, unfinished, files, progress)
+        return path / "report.html"
+
+
+def write_all(result: RunResult, folder: Path, files: RunFiles = USUAL, progress: Progress | None = None) -> None:
+    """Write all files of a run but its provenance to a new folder."""
+    score, irradiance = result.score, result.irradiance
+    if files.irradiance == "factors" and not irradiance.factors:
+        warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
+
+    def write_light() -> None:
+        if files.irradiance != "none":
+            path, image = folder / "irradiance.exr", irradiance
+            image = reduced_to_fit(image) if files.irradiance == "reduced" else image
+            write_exr(path, image, factors_only=files.irradiance == "factors")
+            digest_of(path, alone=True)  # which the provenance asks for
 
     def write_numbers() -> None:
-        for suffix in formats:
-            write_frame(folder / f"{raw_stem(1)}{suffix}", score.frame)
         write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
+        for number, frame in enumerate(chain([score.frame], result.further_frames()), 1):
+            for suffix in files.formats:
+                write_frame(folder / f"{raw_stem(number)}{suffix}", frame)
+            if progress:
+                progress(number / result.prepared.frames)
 
-    with ThreadPoolExecutor(1) as pool:
-        numbers = pool.submit(write_numbers)
+    with ThreadPoolExecutor(2) as pool:
+        written = [pool.submit(write_light), pool.submit(write_numbers)]  # the largest file by far first
         save_png(folder / "ideal.png", score.ideal)
         save_png(folder / "image.png", score.image)
-        end = scale_end(summary["p99_delta_e"])
-        save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(image, score.border_um), end)
-        numbers.result()
-    write_json(folder / "score.json", summary)
-    write_run_page(folder, score, image, summary)
+        end = scale_end(result.statistics[0]["p99_delta_e"])
+        save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(irradiance, score.border_um), end)
+        compile_page(PAGE)
+        for each in written:
+            each.result()
+    (folder / SETTINGS_FILE).write_text(run_settings_text(result), encoding="utf-8")
+    write_json(folder / "score.json", result.as_dict())
+    write_run_page(result, folder)

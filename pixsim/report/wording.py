@@ -11,15 +11,13 @@ import numpy as np
 
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED, headline_lines
 from pixsim.base.notes import told_apart
-from pixsim.base.parameters import Camera, CameraOptions, Correction, Display
+from pixsim.base.parameters import Camera, Display
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.merit import LENSES, detail_frequency_lp_per_mm, mtf_terms, of_sensor
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, interval_words, viewed_words, within_words
+from pixsim.studies.run import RunResult
 from pixsim.studies.unconverged import study_unconverged_lines, unconverged_lines
-from pixsim.viewer.causes import Cause
-from pixsim.viewer.light_error import LightError, cause_words
-from pixsim.viewer.score import clip_words, clips_dark
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
@@ -116,19 +114,19 @@ def outside_words(curve: Any) -> list[str]:
     return [f"least mean ΔE of the sizes tried {least}", f"{fitted}, which more pixel sizes there would confirm or not"]
 
 
-def score_parts(result: dict[str, Any]) -> list[str]:
+def score_parts(result: RunResult) -> list[str]:
     """Return the mean ΔE of a run, its pixels and its exposure, and how it is shown and rendered, as parts of `with_headline`.
 
     With a tolerance it is the mean over sensors and its error. The last part, which may be empty, is how it is shown and rendered.
     """
-    delta_e = f"mean ΔE {mean_words(result)}"
-    rows, columns = result["pixels"]
-    border_um = result["border_um"][1] if result["display"]["raster"] == "fixed_size" else 0.0
+    frame, settings, delta_e = result.score.frame, result.settings, f"mean ΔE {result.shown_mean}"
+    rows, columns = frame.pixels
+    border_um = result.score.border_um[1] if settings.display.raster == "fixed_size" else 0.0
     border = f"{border_um:.3g} µm on each side not scored" if border_um else ""
-    exposure, time_s, saturated = result["exposure"], result["integration_s"], result["saturated_fraction"]
-    longest = " (the maximum)" if exposure["integration_s"] is None and time_s >= exposure["max_integration_s"] else ""
+    exposure, time_s, saturated = settings.exposure, frame.integration_s, frame.saturated_fraction
+    longest = " (the maximum)" if exposure.integration_s is None and time_s >= exposure.max_integration_s else ""
     full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
-    pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm"
+    pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
     exposed = f"exposed for {1e3 * time_s:.3g} ms{longest}{full}"
     first = f"{delta_e}{',' * (NOT_CONVERGED in delta_e)} with {pixels}"
     parts = [first] if len(first.split()) <= MOST_WORDS else [delta_e, pixels]
@@ -136,60 +134,29 @@ def score_parts(result: dict[str, Any]) -> list[str]:
         parts = [f"{first}, {exposed}"]
     else:
         parts.append(exposed)
-    shown = ", ".join(filter(None, (border, *view_words(result["display"], result, columns))))
-    film = film_words(result["film"]) if "film" in result else LightError.of(result["irradiance"], None).unmeasured
-    more = (shown, film, lens_words(Camera.model_validate(result["camera"])), result["assumption"])
-    return [*parts, "; ".join(filter(None, more))]
+    shown = ", ".join(filter(None, (border, *run_view_words(result))))
+    film = film_words(result.film) if result.film else result.light.unmeasured
+    return [*parts, "; ".join(filter(None, (shown, film, lens_words(result.camera), result.assumption)))]
 
 
-def mean_words(result: dict[str, Any]) -> str:
-    """Return the mean ΔE of a run as it is known: of all sensors and with its error if there is a budget, else by its light."""
-    if "error_budget" not in result:
-        return light_of(result).shown(result["mean_delta_e"])
-    budget, sensors = result["error_budget"], result["sensors"]
-    error = budget["total"]["delta_e"]
-    within = "(error unknown)" if error is None else f"± {error:.1g}"
-    unsure = "" if budget["met"] else f", {NOT_CONVERGED}"
-    cause = cause_words(light_of(result).causes)
-    return f"{result['sensors_mean_delta_e']:.4f}{cause} {within} over {sensors} sensor{'s' * (sensors > 1)}{unsure}"
+def run_view_words(result: RunResult) -> list[str]:
+    """Return `view_words` of a run."""
+    settings, chosen = result.settings, result.prepared.view.as_dict()
+    return view_words(settings.display, result.irradiance.header, chosen, settings.window_mm, result.score.frame.pixels[1])
 
 
-def light_of(result: Mapping[str, Any]) -> LightError:
-    """Return what score.json states of the errors and the causes of its mean ΔE."""
-    return LightError.of(result["irradiance"], result.get("film"), [Cause(**cause) for cause in result.get("causes", ())])
-
-
-def own_notes(result: dict[str, Any]) -> list[str]:
-    """Return the notes on the causes of a run's score and on clipped dark pixels, the largest first."""
-    sized = [(cause.delta_e, str(cause)) for cause in light_of(result).causes]
-    sized += [(result["dark"]["lightness"], note) for note in dark_notes(result)]
-    return [note for _, note in sorted(sized, key=lambda one: -one[0])]
-
-
-def unsure_lines(result: dict[str, Any]) -> list[str]:
+def unsure_lines(result: RunResult) -> list[str]:
     """Return the lines that follow a run's mean ΔE: its causes and the errors of its light, the largest first.
 
     A black level that clips dark noise is among them where it makes more than another one.
     """
-    light = light_of(result)
-    lines = unconverged_lines(result["irradiance"], result.get("film"), result.get("error_budget"), result["mean_delta_e"])
-    sized = [(size, line) for (size, _), line in zip(light.errors(result["mean_delta_e"]), lines, strict=False)]
-    sized += [(cause.delta_e, str(cause)) for cause in light.causes]
+    mean = result.score.mean_delta_e
+    lines = unconverged_lines(result.irradiance.header, result.film, result.budget, mean)
+    sized = [(size, line) for (size, _), line in zip(result.light.errors(mean), lines, strict=False)]
+    sized += [(cause.delta_e, str(cause)) for cause in result.causes]
     least = min((size for size, _ in sized), default=math.inf)
-    sized += [(size, note) for note in dark_notes(result) if (size := result["dark"]["lightness"]) > least]
+    sized += [(size, note) for note in result.dark_notes if (size := result.dark["lightness"]) > least]
     return [line for _, line in sorted(sized, key=lambda one: -one[0])]
-
-
-def field_words(camera: Camera) -> str:
-    """Return the full angles that a camera sees, across and down.
-
-    >>> field_words(Camera(focal_length_mm=50.0, die_mm=36.0, die_height_mm=24.0, object_distance_m=1e6))
-    '39.6° × 27°'
-    """
-    across, down = (
-        math.degrees(2 * math.atan(side / (2 * camera.image_distance_mm))) for side in (camera.die_mm, camera.height_mm)
-    )
-    return f"{across:.3g}° × {down:.3g}°"
 
 
 def lens_words(camera: Camera) -> str:
@@ -197,14 +164,7 @@ def lens_words(camera: Camera) -> str:
     if camera.lens is None:
         return ""
     lens, name = camera.lens, Path(camera.lens.file).stem
-    return f"lens {name} scaled to {lens.focal_length_mm:.4g} mm, f/{lens.f_number:.3g}, a field of {field_words(camera)}"
-
-
-def focal_length_assumption(camera: Camera, given: CameraOptions) -> str:
-    """Return that the focal length of a given die is not given, with the field that follows; empty if it is, or for a real lens."""
-    if camera.lens or given.focal_length_mm is not None or given.die_mm is None:
-        return ""
-    return f"focal length {camera.focal_length_mm:.3g} mm assumed, that of the scene: a field of {field_words(camera)}"
+    return f"lens {name} scaled to {lens.focal_length_mm:.4g} mm, f/{lens.f_number:.3g}, a field of {camera.field_words}"
 
 
 def film_words(film: dict[str, Any]) -> str:
@@ -220,22 +180,25 @@ def film_words(film: dict[str, Any]) -> str:
     return f"{words} at most {error} ΔE, more than the {most} tolerated: {film['limit']}"
 
 
-def view_words(display: dict[str, Any], result: dict[str, Any], columns: float | None = None) -> list[str]:
+def view_words(
+    display: Display, header: Mapping[str, Any], chosen: Mapping[str, Any], window_mm: float | None, columns: float | None = None
+) -> list[str]:
     """Return how a sensor is shown: its pixels a dot, the window, and the end of a chart whose frequencies are not the paper's.
 
-    result : with `irradiance`, and `chosen` and `window_mm` if they apply
+    header : of the irradiance
+    chosen : `View.as_dict`
     columns : of its pixels
     """
-    words, chosen = [], result.get("chosen") or {}
-    if display["raster"] == "fixed_size":
-        dots = f"shown on {display['dots']} dots" + (" (from the sensor's pixels)" if "dots" in chosen else "")
-        a_dot = "" if columns is None else f"{columns / display['dots']:.2g}"
+    words = []
+    if display.raster == "fixed_size":
+        dots = f"shown on {display.dots} dots" + (" (from the sensor's pixels)" if "dots" in chosen else "")
+        a_dot = "" if columns is None else f"{columns / display.dots:.2g}"
         words.append(f"{dots}, {a_dot} pixel{'s' * (a_dot != '1')} a dot" if a_dot else dots)
-    if (end := stated_end_lp_per_mm(result["irradiance"])) is not None:
+    if (end := stated_end_lp_per_mm(header)) is not None:
         limit = f", {chosen['limited_by']}" if "limited_by" in chosen else ""
         words.append(f"chart to {end:.3g} lp/mm{limit}")
-    if result.get("window_mm"):
-        words.append(f"only the central {result['window_mm']:g} mm of the die are shown and scored")
+    if window_mm:
+        words.append(f"only the central {window_mm:g} mm of the die are shown and scored")
     return words
 
 
@@ -245,8 +208,7 @@ def study_view_line(result: Any) -> list[str]:
     if study.own_um is None and study.window_mm is None:
         return []
     columns = None if study.own_um is None else columns_on(result.camera, study.own_um)
-    shown = {"irradiance": result.irradiance.header, "chosen": result.view, "window_mm": study.window_mm}
-    words = "; ".join(view_words(study.display.model_dump(), shown, columns))
+    words = "; ".join(view_words(study.display, result.irradiance.header, result.view, study.window_mm, columns))
     if others := moved_view(study):
         words += f", except where an axis or a condition sets {' or '.join(others)}"
     own = "" if study.own_um is None else f" (pixels of {study.own_um:g} µm, as on the data sheet)"
@@ -261,9 +223,9 @@ def study_light_lines(result: Any) -> list[str]:
         camera = part.camera
         words = (
             lens_words(camera)
-            or f"lens of {camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}, a field of {field_words(camera)}"
+            or f"lens of {camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}, a field of {camera.field_words}"
         )
-        lenses.append("; ".join(filter(None, (words, focal_length_assumption(camera, part.study.camera).partition(":")[0]))))
+        lenses.append("; ".join(filter(None, (words, part.study.camera.assumption(camera).partition(":")[0]))))
         times_s = np.concatenate([curve.mean("integration_s") for curve in part.curves])
         whites.append(LightLevel.of(part.irradiance, part.study.display, times_s))
     light = whites[0]._replace(shortest_s=min(w.shortest_s for w in whites), longest_s=max(w.longest_s for w in whites))
@@ -276,16 +238,8 @@ def study_lines(result: Any) -> list[str]:
     return [*result.cause_notes, *study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result)]
 
 
-def dark_notes(result: dict[str, Any]) -> list[str]:
-    """Return a note on the clipping of dark pixels at 0 DN; none if its effect is not visible, or a correction removes its mean."""
-    if Correction.model_validate(result["correction"]).removes_dark_level:
-        return []
-    return [clip_words(result["dark"], result["pixel"])] if clips_dark(result["dark"]) else []
-
-
-def budget_lines(result: dict[str, Any]) -> list[str]:
-    """Return the lines of a result's error budget, the largest source first; none without a tolerance."""
-    budget = result.get("error_budget")
+def budget_lines(budget: dict[str, Any] | None) -> list[str]:
+    """Return the lines of an error budget, the largest source first; none without a tolerance."""
     if budget is None:
         return []
 

@@ -1,4 +1,4 @@
-"""Write the report of any result: that of a study, a comparison or a lens."""
+"""Write the report of any result: that of a run, a study, a comparison or a lens."""
 
 from __future__ import annotations
 
@@ -11,29 +11,33 @@ from pixsim.measure.lens import LensData
 from pixsim.report.axes import write_axes_report
 from pixsim.report.compare import write_comparison
 from pixsim.report.lens import write_lens
+from pixsim.report.run import write_run
 from pixsim.report.study import write_study
 from pixsim.report.uncertainty import write_uncertainty
 from pixsim.studies.compare import Comparison
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.result import CasesResult, StudyResult
+from pixsim.studies.run import RunResult
 
 
 @checks_arguments
 def write_report(
-    result: StudyResult | Comparison | LensData, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None
+    result: RunResult | StudyResult | Comparison | LensData, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None
 ) -> Path:
-    """Write report.html and the other files of a command: those of `pixsim study`, `pixsim compare` or `pixsim lens`.
+    """Write report.html and the other files of a command: those of `pixsim run`, `study`, `compare` or `lens`.
 
     Only the wall times in the report and in provenance.json vary: everything else is reproducible byte for byte.
 
-    result : of `study`, `compare` or `lens`
+    result : of `run`, `study`, `compare` or `lens`
     folder : created if missing
     seconds : stage -> wall time in s, for the report
 
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
     pixsim did not write.
     """
+    if isinstance(result, RunResult):
+        return write_run(result, folder, seconds)
     if isinstance(result, LensData):
         return write_lens(result, Path(folder))
     if isinstance(result, Comparison):

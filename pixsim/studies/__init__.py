@@ -3,7 +3,8 @@
 `study` runs a study: `cases` of its axes and conditions, `evaluations` on the workers of `engine`; `optimum` fits the curve,
 `allocation` chooses further evaluations. `budget` estimates errors, `claims` checks the paper's statements in each case.
 `uncertainty` draws all unknown numbers together, and `indices` says which of them matter. `compare` compares sensors, as they
-are, in one field of view. What pages show beside the curves: `merit` (MTF of each blur term), `parts` (what errors of colour
-sensors are made of), `extent`, `light_level`, `unconverged`; `outline` is what a study would do.
+are, in one field of view; `run` scores one picture of one sensor. What pages show beside the curves: `merit` (MTF of each
+blur term), `parts` (what errors of colour sensors are made of), `extent`, `light_level`, `unconverged`; `outline` is what a
+study would do.
 May import: base, light, optics, sensor, scene, show, viewer.
 """

@@ -17,7 +17,7 @@ from pixsim.base.locks import temporary_folder
 from pixsim.base.parameters import Camera, Pixel, Run
 from pixsim.base.progress import Stage
 from pixsim.light.spectral import SpectralImage
-from pixsim.report.run import summary_of, write_all, write_irradiance
+from pixsim.report.run import write_all
 from pixsim.scene.convergence import RENDER_NOISE
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.scene.renderer import Renderer
@@ -25,6 +25,7 @@ from pixsim.scene.scene import Scene, chart_parameters, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.budget import MAX_DOTS, ProbeDesign, calibrate, effects, pitches_around_optimum_um, probe
+from pixsim.studies.run import Prepared, RunResult
 from pixsim.verification import ladders, stability
 from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
 from pixsim.verification.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
@@ -57,8 +58,9 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, design: ProbeDesign)
     return image, {"compile": max(first - render_s, 0.0), "render": render_s}
 
 
-def seconds_to_score(image: SpectralImage, design: ProbeDesign) -> dict[str, float]:
+def seconds_to_score(image: SpectralImage, design: ProbeDesign, source: str, settings: Run) -> dict[str, float]:
     """Seconds of each stage after the render, as in `pixsim run`; diffraction is timed alone, not in `prepare_scene`."""
+    prepared = Prepared(source, settings, settings, design.imaging.camera, image)
     without_diffraction = copy(image)
     without_diffraction.header = image.header | {"diffraction": False}
     imaging, ends = design.imaging, [time.perf_counter()]
@@ -72,10 +74,7 @@ def seconds_to_score(image: SpectralImage, design: ProbeDesign) -> dict[str, flo
         ends.append(time.perf_counter())
         score = chain.score_frame(frame)
         ends.append(time.perf_counter())
-        own = imaging.camera, imaging.exposure, imaging.display, design.seed, imaging.correction
-        summary = summary_of(score, image, *own)
-        write_irradiance(folder, image)
-        write_all(folder, image, score, summary)
+        write_all(RunResult(prepared, image, chain, score, (score.statistics(),)), folder)
         ends.append(time.perf_counter())
     diffraction, ideal, sensor, shown, report = (end - start for start, end in pairwise(ends))
     return {"diffraction": diffraction, "sensor": sensor, "S-CIELAB": ideal + shown, "report": report}
@@ -161,7 +160,7 @@ def survey(
     stages = {"parse": time.perf_counter() - start}
     design = ProbeDesign(Imaging.of(settings, camera), settings.seed)
     image, seconds = first_picture(scene, camera, plan, design)
-    stages |= seconds | seconds_to_score(image, design)
+    stages |= seconds | seconds_to_score(image, design, source, settings)
     subject = with_reference(Subject(scene, camera, plan, design, image, seconds["render"]), depth, progress)
     progress("error budget")
     calibration = calibrate(subject.scene, subject.camera, subject.plan, replace(subject.design, pitches_um=()))

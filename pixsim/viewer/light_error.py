@@ -83,19 +83,23 @@ class LightError:
         """Whether no error is known to be above its limit."""
         return self.film_is_met and self.noise_is_met
 
-    def shown(self, mean_delta_e: float) -> str:
-        """Return a mean ΔE as text, with the film's error if that is above its limit, and whether it has converged.
+    def shown(self, mean_delta_e: float, half_delta_e: float = 0.0) -> str:
+        """Return `number`, and whether it has converged.
 
         >>> LightError().shown(0.9731), LightError(0.6, 0.02).shown(0.9731), LightError(noise=2.4, noise_target=0.2).shown(0.9731)
         ('0.973', '1.0 ± 0.6 (film), not converged', '0.973, not converged')
         """
-        return self.number(mean_delta_e) + ("" if self.converged else f", {NOT_CONVERGED}")
+        return self.number(mean_delta_e, half_delta_e) + ("" if self.converged else f", {NOT_CONVERGED}")
 
-    def number(self, mean_delta_e: float) -> str:
+    def number(self, mean_delta_e: float, half_delta_e: float = 0.0) -> str:
         """Return a mean ΔE as text, with the film's error if that is above its limit, and with its largest cause.
+
+        half_delta_e : half of its 95 % interval, of several sensors
 
         "…" stands for smaller causes, which the lines below a headline name.
 
+        >>> LightError().number(0.97312, 0.0021), LightError(0.6, 0.02).number(0.9731, 0.0021)
+        ('0.9731 ± 0.0021 (95 %)', '1.0 ± 0.6 (95 % and film)')
         >>> LightError(3.6, 0.02, causes=(Cause("all codes are equal", 100.0, "more bits"),)).number(76.54)
         '76.5 (all codes are equal) ± 3.6 (film)'
         """
@@ -103,9 +107,9 @@ class LightError:
         value, error = f"{mean_delta_e:.3f}", ""
         if math.isnan(film):
             error = " ± an unknown error (film)"
-        elif film:
-            value, _, error = with_error(mean_delta_e, film).partition(" ")
-            error = f" {error} (film)"
+        elif film or half_delta_e:
+            value, _, error = with_error(mean_delta_e, half_delta_e + film).partition(" ")
+            error = f" {error} ({' and '.join(['95 %'] * (half_delta_e > 0) + ['film'] * (film > 0))})"
         cause = cause_words(self.causes)
         return f"{value}{error}{cause}" if cause and self.causes[0].delta_e < film else f"{value}{cause}{error}"
 

@@ -96,11 +96,11 @@ def test_run_raw_takes_several_formats(line: str, formats: list[str], monkeypatc
     """Before or behind the scene."""
     taken = []
 
-    def run_and_write(*_: object, raw_suffixes: list[str], **__: object) -> None:
+    def check_raw(_: object, raw_suffixes: list[str]) -> None:
         taken.append([suffix.removeprefix(".") for suffix in raw_suffixes])
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pixsim.report.run.run_and_write", run_and_write)
+    monkeypatch.setattr("pixsim.report.run.check_raw", check_raw)
     assert command(f"run csf {line}")[0] == 130
     assert command(f"run {line} csf")[0] == 130
     assert taken == [formats, formats]

@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.runs import run_result
 
 from pixsim.base.headline import MOST_WORDS, with_headline
 from pixsim.measure.sfr import sfr_parts
 from pixsim.report.uncertainty import uncertainty_lines
-from pixsim.report.wording import compromise_lines, mean_words, optimum_line, optimum_parts, score_parts
+from pixsim.report.wording import compromise_lines, optimum_line, optimum_parts, score_parts
 from pixsim.sensor.outside import outside_words
+from pixsim.studies.run import RunResult
 from pixsim.studies.viewing import Viewing
 from pixsim.viewer.causes import Cause
 from pixsim.viewer.light_error import LightError
@@ -31,21 +33,19 @@ CAUSES = [  # the longest words of each kind
     Cause("the lightest dot is 0.99 of a step of the ADC above black", 1.0, "more bits"),
 ]
 NAMED = [[], CAUSES[:1], CAUSES[2:3], CAUSES[3:], CAUSES[2:]]
-DISPLAY = {"raster": "fixed_size", "dots": 512}
+FRAME = {"pixels": (4170, 4170), "integration_s": 0.1, "saturated_fraction": 0.25}
 
 
-def runs() -> Iterator[dict[str, Any]]:
-    """score.json of runs."""
+def runs() -> Iterator[RunResult]:
+    """Runs whose errors are known in all the ways there are."""
     for film, header, causes, budget, longest in product(FILMS, NOISES, NAMED, (None, 0.002, math.nan), (0.1, 1.0)):
-        result = {"mean_delta_e": 76.54, "irradiance": header, "causes": [cause.as_dict() for cause in causes]}
-        result |= {"film": film} if film else {}
-        result |= {"pixels": [4170, 4170], "border_um": [10.6, 10.6], "display": DISPLAY, "pitch_um": 5.857, "camera": {}}
-        result |= {"exposure": {"integration_s": None, "max_integration_s": longest}, "integration_s": 0.1}
-        result |= {"saturated_fraction": 0.25, "assumption": "technology 0.35um assumed, without read_noise_e", "sensors": 12}
+        known: dict[str, Any] = {}
         if budget is not None:
-            total = {"delta_e": None if math.isnan(budget) else budget}
-            result |= {"error_budget": {"met": False, "total": total}, "sensors_mean_delta_e": 76.5432}
-        yield result
+            known["budget"] = {"met": False, "total": {"delta_e": None if math.isnan(budget) else budget}}
+        settings = {"exposure": {"max_integration_s": longest}, "display": {"dots": 512}}
+        of_sensor: dict[str, Any] = {"settings": settings, "frame": FRAME, "pitch_um": 5.857, "border_um": 10.6}
+        for delta_e in ([76.5432] * 12,) if known else ([76.54], [76.1234, 76.5432, 76.9]):
+            yield run_result(delta_e, header, film, causes, **of_sensor, **known)
 
 
 def curves() -> Iterator[Any]:
@@ -79,10 +79,10 @@ def check(parts: list[str], unsure: str = "") -> str:
 def test_headlines_of_runs_are_short_and_name_the_largest_cause() -> None:
     for result in runs():
         head = check(score_parts(result))
-        assert head.startswith(f"mean ΔE {mean_words(result)}")
-        assert not result["causes"] or result["causes"][0]["words"] in head
-        assert ("not converged" in head) == ("not converged" in mean_words(result))
-        assert len(f"Mean ΔE {mean_words(result)} from the ideal image".split()) <= MOST_WORDS  # of the page
+        assert head.startswith(f"mean ΔE {result.shown_mean}")
+        assert not result.causes or result.causes[0].words in head
+        assert ("not converged" in head) == ("not converged" in result.shown_mean)
+        assert len(f"Mean ΔE {result.shown_mean} from the ideal image".split()) <= MOST_WORDS  # of the page
 
 
 def test_headlines_of_studies_are_short() -> None:

@@ -47,7 +47,7 @@ class Report:
     def of(self, result: StudyResult) -> bool:
         """Return whether the report of a result is written now."""
         before = self.written
-        assert keep_or_write(result, self.folder, self.write) == self.folder / "report.html"
+        assert keep_or_write("study", digest_of_report(result), self.folder, self.write) == self.folder / "report.html"
         return self.written > before
 
 
@@ -242,7 +242,7 @@ def files_of(folder: Path) -> dict[Path, tuple[int, int, bytes]]:
 
 
 def unused(*_: object, **__: object) -> None:
-    raise AssertionError("a picture is simulated")
+    raise AssertionError("files are written")
 
 
 @pytest.mark.parametrize("source", ["a scene", "a picture"])
@@ -254,7 +254,7 @@ def test_run_command_again_keeps_all_files(source: str, tmp_path: Path, monkeypa
     assert first[0] == 0, first
     assert ("does not define its white" in first[2]) == (source == "a picture")
     before = files_of(tmp_path / "out")
-    monkeypatch.setattr(report_of_run, "make_imaging_chain", unused)
+    monkeypatch.setattr(report_of_run, "write_all", unused)
     assert command(line) == first
     assert files_of(tmp_path / "out") == before
 

@@ -22,11 +22,12 @@ from pixsim.light.exr import read_channels, write_channels
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.outline import outline_lines, run_outline
 from pixsim.report.run import FILES, colour_rows, shown_picture
-from pixsim.report.wording import focal_length_assumption, lens_words
+from pixsim.report.wording import lens_words
 from pixsim.scene.film import PATH_SAMPLES
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, factor_for, reduced
+from pixsim.studies.run import prepare
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
 LENS = "--camera.f-number 2.8"
@@ -365,7 +366,7 @@ def test_dry_run_foresees_the_least_error_of_a_coarse_film(ran: Path) -> None:
 )
 def test_dry_run_says_what_limits_the_render_noise(more, rays, words):
     run = Run.model_validate({"camera": {"die_mm": 0.64}, "pixel": {"pitch_um": 10.0}, "resolution": 32, **more})
-    outline = run_outline("macbeth", run)
+    outline = run_outline(prepare("macbeth", run))
     assert outline["errors"]["rays_a_pixel"] == (rays and pytest.approx(rays))
     line = next(line for line in outline_lines(outline, Path("out")) if line.startswith("errors"))
     assert words in line
@@ -380,9 +381,9 @@ def test_focal_length_of_a_given_die_is_assumed(given, assumed):
     """3.86 mm was chosen for the small die of the scene: on a large one it is a wide-angle lens, 2 atan(8.4/(2·3.875))."""
     run = Run.model_validate({"camera": given, "pixel": {"pitch_um": 20.0}, "resolution": 32})
     camera = pixsim.load_scene("csf").camera(run.camera)
-    words = focal_length_assumption(camera, run.camera)
+    words = run.camera.assumption(camera)
     assert words == ("focal length 3.86 mm assumed, that of the scene: a field of 94.6° × 94.6°" if assumed else "")
-    line = outline_lines(run_outline("csf", run), Path("out"))[1]
+    line = outline_lines(run_outline(prepare("csf", run)), Path("out"))[1]
     assert line.startswith("camera")
     assert ("assumed" in line) == assumed
 
@@ -391,7 +392,7 @@ def test_lens_is_named_with_its_scale():
     camera = pixsim.load_scene("csf").camera(CameraOptions(die_mm=4.0), LensOptions(file="phone", focal_length_mm=5.0))
     assert lens_words(camera).startswith("lens phone scaled to 5 mm, f/")
     assert not lens_words(pixsim.Camera())
-    assert not focal_length_assumption(camera, CameraOptions(die_mm=4.0)), "the lens has its own"
+    assert not CameraOptions(die_mm=4.0).assumption(camera), "the lens has its own"
 
 
 def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
@@ -544,9 +545,9 @@ def test_colour_rows_are_those_of_score_json() -> None:
         "patches_mean_delta_e": 1.64,
         "sensitivity_metamerism_index": 90.98,
     }
-    rows = dict(colour_rows({"colour": facts, "ideal_out_of_gamut_fraction": 0.036, "out_of_gamut_fraction": 0.05}))
+    rows = dict(colour_rows(facts, (0.036, 0.05)))
     assert rows["electrons of white in R, B, C"] == "1000, 2000, 3000"
     assert rows["the same, row of green"] == "-0.25, 1.25, 0"
     assert rows["noise gains of the matrix in red, green, blue"] == "1.58, 1.27, 1.13"
     assert {"90.98", "1.64", "3.60%", "5.00%"} < set(rows.values())
-    assert colour_rows({}) == []
+    assert colour_rows(None, None) == []

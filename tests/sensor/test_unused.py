@@ -33,13 +33,13 @@ from pixsim.base.parameters import (
 )
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import camera_with_lens
-from pixsim.report.outline import run_outline
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.unused import Configuration, unused_notes, unused_settings
 from pixsim.studies import compare
 from pixsim.studies.cases import cases_of, with_range_ends
 from pixsim.studies.pixels import physics_of
 from pixsim.studies.preparation import prepare
+from pixsim.studies.run import prepare as prepare_run
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study_file import load_study
 from pixsim.studies.unused import StudyConfiguration, rules_of
@@ -332,13 +332,13 @@ def test_every_command_says_so(tmp_path: Path) -> None:
         prepare(tiny(axis=axis, exposure={"well_target": 0.5, "integration_s": 0.01}))
     assert not [warning for warning in caught if "display" in str(warning.message)], "one of its cases uses the dots"
     with pytest.warns(UserWarning, match=r"^correction\.flat_level is not used"):
-        run_outline("csf", Run(correction=Correction(flat_level=0.3)))
+        prepare_run("csf", Run(correction=Correction(flat_level=0.3)))
     pixsim.write_npz(tmp_path / "light.npz", LIGHT)
     asked = Run(
         camera=CameraOptions(die_mm=DIE_MM), display=Display(dots=SIDE), render_noise=0.1, max_seconds=9.0, tolerance_e=1e-4
     )
     with pytest.warns(UserWarning, match=r"^tolerance_e, render_noise, max_seconds are not used: the light of a picture"):
-        run_outline(str(tmp_path / "light.npz"), asked)
+        prepare_run(str(tmp_path / "light.npz"), asked)
     files = [sheet(tmp_path / f"{name}.toml", more=f"f_number = {stop}\n") for name, stop in (("a", 4.0), ("b", 5.6))]
     with pytest.warns(UserWarning, match=r"^b: camera\.f_number is not used: all sensors have the lens of a"):
         compare.prepare(files, match="view", repeats=2)

@@ -30,6 +30,7 @@ from pixsim.studies.lights import render_for
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.preparation import BYTES_PER_PIXEL, MAX_FRAME_BYTES, View, choose_view, fitted_range, prepare
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, WIDE_RATIO, Curve, best_words
+from pixsim.studies.run import prepare as prepare_run
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study_file import load_study
 from pixsim.viewer.score import SCENE_CACHE_BYTES
@@ -430,7 +431,7 @@ def test_dry_run_states_rays_of_the_film_that_is_rendered(
         render_for(study)
     assert rendered == [(film["samples"], film["spp"], film["passes"])]
     run = Run.model_validate({"scene": parameters, "camera": die, "display": study.display, "pixel": {"pitch_um": 6.0}})
-    assert run_outline(scene, run)["film"] == film
+    assert run_outline(prepare_run(scene, run))["film"] == film
     scene_file = make_render_plan(pixsim.load_scene(scene, **parameters))
     assert (0 < film["spp"] < scene_file.spp) if scene == "macbeth" else film["spp"] == 0, "cells of a chart are computed"
     assert film["samples"][1] > 128 or scene == "flat"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.commands import command
+from helpers.runs import run_result
 from helpers.sheets import sheet
 from helpers.tiny import tiny
 from scipy.integrate import quad
@@ -19,7 +20,7 @@ from scipy.integrate import quad
 import pixsim
 from pixsim.base.parameters import Camera, Display, Pixel
 from pixsim.light.spectral import SpectralImage, Spectrum
-from pixsim.report.wording import mean_words, optimum_line, unsure_lines
+from pixsim.report.wording import optimum_line, unsure_lines
 from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.outside import OUTSIDE, outside_header, outside_share
@@ -223,12 +224,12 @@ def test_largest_cause_is_named_first() -> None:
     assert len(named) == 3
     header = {"render_noise": {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}}
     dark = {"lightness": 1.0, "too_bright_e": 50.0, "spread_e": 1.0, "spread_dn": 1.0, "at_zero_fraction": 0.5, "gain_db": 0.0}
-    result = {"mean_delta_e": 4.0, "irradiance": header, "dark": dark | {"least_black_level_dn": 9}, "correction": {}}
-    result |= {"causes": [left_out.as_dict()], "pixel": {"black_level_dn": 0.0, "bits": 10}}
+    dark |= {"least_black_level_dn": 9}
+    result = run_result([4.0], header, causes=[left_out], dark=dark)
     assert [line.split()[0] for line in unsure_lines(result)] == ["not", "light"]  # 2.5 and 2 ΔE, and 1 of the black level
-    more = unsure_lines(result | {"dark": result["dark"] | {"lightness": 2.2}})
+    more = unsure_lines(run_result([4.0], header, causes=[left_out], dark=dark | {"lightness": 2.2}))
     assert [line.split()[0] for line in more] == ["not", "the", "light"]
-    assert mean_words(result) == "4.000 (light left out), not converged"
+    assert result.shown_mean == "4.000 (light left out), not converged"
 
 
 # --- wherever a score is shown ---

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.runs import run_result
 
 import pixsim
 from pixsim.base.caller import command_line
-from pixsim.report.wording import mean_words, optimum_line, score_parts, study_light_lines
+from pixsim.report.wording import optimum_line, score_parts, study_light_lines
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import StudyResult
+from pixsim.studies.run import RunResult
 from pixsim.studies.unconverged import study_unconverged_lines, unconverged_lines
 from pixsim.viewer.light_error import LightError, with_error
 
@@ -22,10 +24,10 @@ FINE = replace(COARSE, delta_e=(0.02, 0.02), limit="")  # at what is tolerated
 UNKNOWN = replace(COARSE, delta_e=(math.nan, math.nan))
 
 
-def of_run(noise: dict[str, Any] | None, film: FilmError | None, **more: Any) -> dict[str, Any]:
-    """Entries of score.json on a mean ΔE of 0.9731."""
+def of_run(noise: dict[str, Any] | None, film: FilmError | None, sensors: int = 1, **known: Any) -> RunResult:
+    """A run of a mean ΔE of 0.9731."""
     header = {"render_noise": noise} if noise else {}
-    return {"mean_delta_e": 0.9731, "irradiance": header, **({"film": film.at(5.0).as_dict()} if film else {}), **more}
+    return run_result([0.9731] * sensors, header, film and film.at(5.0).as_dict(), **known)
 
 
 @pytest.mark.parametrize(
@@ -41,13 +43,11 @@ def of_run(noise: dict[str, Any] | None, film: FilmError | None, **more: Any) ->
 )
 def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
     result = of_run(noise, film)
-    assert mean_words(result) == shown
-    lines = unconverged_lines(result["irradiance"], result.get("film"))
+    assert result.shown_mean == shown
+    lines = unconverged_lines(result.irradiance.header, result.film)
     assert len(lines) == bool(reasons)
     assert all(reason in line for line in lines for reason in reasons)
-    frame = {"pixels": [8, 8], "border_um": [0, 0], "display": {"raster": "one_to_one"}, "integration_s": 0.01, "pitch_um": 5.0}
-    frame |= {"exposure": {"integration_s": 0.01}, "camera": {}, "saturated_fraction": 0.0, "assumption": ""}
-    assert score_parts(result | frame)[0].startswith(f"mean ΔE {shown}{',' * bool(reasons)} with 8 × 8 pixels")
+    assert score_parts(result)[0].startswith(f"mean ΔE {shown}{',' * bool(reasons)} with 8 × 8 pixels")
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
 def test_unconverged_result_says_what_makes_it_surer(noise, limit, means, others):
     result = of_run(noise, replace(COARSE, limit=limit))
     with command_line():
-        (line,) = unconverged_lines(result["irradiance"], result["film"])
+        (line,) = unconverged_lines(result.irradiance.header, result.film)
     assert all(words in line for words in [*means, "(--window, in mm)"])
     assert not any(words in line for words in others)
 
@@ -82,9 +82,9 @@ def test_picture_of_a_render_is_not_made_surer_by_options():
 def test_error_budget_decides_where_there_is_one(met):
     """Its total holds the film's error and the noise, so that their own limits do not count beside it."""
     budget = {"met": met, "total": {"delta_e": 0.03}}
-    result = of_run(NOISY, COARSE, error_budget=budget, sensors=3, sensors_mean_delta_e=0.97312)
-    assert mean_words(result) == "0.9731 ± 0.03 over 3 sensors" + ("" if met else ", not converged")
-    assert len(unconverged_lines(result["irradiance"], result["film"], budget)) == (not met)
+    result = of_run(NOISY, COARSE, 3, budget=budget)
+    assert result.shown_mean == "0.9731 ± 0.03 over 3 sensors" + ("" if met else ", not converged")
+    assert len(unconverged_lines(result.irradiance.header, result.film, budget)) == (not met)
 
 
 @pytest.mark.parametrize("found", ["loud", 1.0, [], {}, {"fraction": "a lot", "target": 0.2}, {"fraction": 3.0}])

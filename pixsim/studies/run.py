@@ -1,0 +1,468 @@
+"""Run a scene, or a picture of another program, through one sensor: from settings to mean ΔE, and what is known of its error."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.caller import setting
+from pixsim.base.config import run_settings
+from pixsim.base.errors import invalid
+from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.notes import collected_notes, warn
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Run
+from pixsim.base.progress import Stage, share_of, watched
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.exchange import read_with_camera
+from pixsim.scene.plan import Plan, make_plan
+from pixsim.scene.scene import Scene, load_scene, packaged_scenes
+from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_on
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.readout import Frame
+from pixsim.sensor.unused import Configuration, warn_of_unused_settings
+from pixsim.show.pages import html_cell, rows_csv
+from pixsim.studies.budget import ProbeDesign, Settled, settle
+from pixsim.studies.oversampling import Rendered, render_and_measure
+from pixsim.studies.preparation import View, choose_view
+from pixsim.viewer.causes import Cause, causes_of, lightness_range
+from pixsim.viewer.display import dot_edges_um, white_light, white_rate
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.light_error import LightError, cause_words
+from pixsim.viewer.score import ImagingChain, Score, Seen, clip_words, clips_dark, dark_clip, make_imaging_chain, white_header
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
+MAX_FRAMES = 999  # the numbers in the names of their files have three digits
+MAX_REPEATS = 10_000
+BEFORE_FRAME = 0.8  # of the work of "sense and score"
+
+
+# --- what is run, before anything is rendered ----------------------------------------------------------------------------------
+
+
+class Planned(NamedTuple):
+    """A scene on the film of its first render, and the plan of that."""
+
+    scene: Scene
+    plan: Plan
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A run with everything that it left open, found and checked before anything is rendered.
+
+    source : scene, or picture of another program
+    light : what is to be rendered, or the light of the picture
+    asked : settings as they were given
+    settings : with what they left open
+    camera : of the window
+    view : display and chart that pixsim chose for the sensor of a data sheet
+    settled : settings that a calibration chose for a tolerance of ΔE; None before it, and without a tolerance
+    full : whether no effect is left out
+    repeats : number of sensors of the kind; a tolerance of ΔE may take more
+    frames : number of frames of the first sensor
+    sensor, variant, units : id of the scene's sensor, variant of Mitsuba, and units of the picture, as they were given
+    """
+
+    source: str
+    asked: Run
+    settings: Run
+    camera: Camera
+    light: SpectralImage | Planned = field(repr=False)
+    view: View = field(default_factory=View)
+    settled: Settled | None = None
+    full: bool = False
+    repeats: int = 1
+    frames: int = 1
+    sensor: str | None = None
+    variant: str | None = None
+    units: str | None = None
+
+    @property
+    def whole_source(self) -> str:
+        """The scene or picture, for a command in another folder."""
+        if isinstance(self.light, SpectralImage):
+            return str(Path(self.source).resolve())
+        return self.source if self.source in packaged_scenes() else str(self.light.scene.path)
+
+
+def prepare(
+    source: str,
+    settings: Run,
+    *,
+    full: bool = False,
+    repeats: int = 1,
+    frames: int = 1,
+    sensor: str | None = None,
+    variant: str | None = None,
+    units: str | None = None,
+) -> Prepared:
+    """Choose what a run leaves open, and check everything that can be checked before a render.
+
+    The arguments are fields of `Prepared`. Raises PixsimError for invalid input.
+    """
+    pitch_um, given = settings.pixel.pitch_um, Configuration.of(settings, derive(settings.pixel))
+    if not 1 <= frames <= MAX_FRAMES:
+        hint = f"For more, call run with another {setting('seed')}: another sensor."
+        raise invalid(setting("frames"), frames, f"1 to {MAX_FRAMES}", hint)
+    if not 1 <= repeats <= MAX_REPEATS:
+        raise invalid(setting("repeats"), repeats, f"1 to {MAX_REPEATS} sensors")
+    if settings.tolerance_delta_e and full:
+        allowed = f"one of the two: a tolerance selects cheaper settings, {setting('full')} uses none"
+        raise invalid(setting("tolerance_delta_e"), f"with {setting('full')}", allowed)
+    light: SpectralImage | Planned
+    scene: Scene | None = None
+    if Path(source).suffix.lower() in PICTURE_SUFFIXES:
+        if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.resolution or settings.window_mm:
+            options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution, --window"
+            raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
+        picture, whole = read_with_camera(source, settings.camera, units, settings.lens)
+        light, given = picture, replace(given, light=picture)
+    else:
+        if units:
+            allowed = "a picture (.exr, .npz, .hdr); the units of a render are known"
+            raise invalid(setting("units"), f"'{source}', a scene", allowed)
+        scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
+        whole = scene.camera(settings.camera, settings.lens)
+    warn_of_unused_settings({"": [given]})
+    camera, view = whole.window(settings.window_mm), View()
+    if settings.pixel.technology == NO_TECHNOLOGY:
+        view = choose_view(pitch_um, camera, settings.display, scene)
+    check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
+    dot_edges_um(camera.die_um, pitch_um, settings.display, pitch_um)
+    chosen = {"camera": whole.options, "display": view.display(settings.display), "scene": view.parameters(settings.scene)}
+    complete = settings.model_copy(update=chosen)
+    if scene is not None:
+        scene = view.scene(scene.with_resolution(settings.resolution) if settings.resolution else scene)
+        light = Planned(scene, plan_of(scene, camera, complete, full))
+    of_run = source, settings, complete, camera, light, view
+    return Prepared(*of_run, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
+
+
+def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool, *, film_is_known: bool = False) -> Plan:
+    """Return the plan of a run's render.
+
+    film_is_known : whether the film of the scene is that of a calibration, in place of the one that suits the display
+    """
+    return make_plan(
+        scene,
+        camera,
+        settings.pixel,
+        exposure=settings.exposure,
+        display=None if film_is_known else settings.display,
+        tolerance_e=settings.tolerance_e,
+        full=full,
+    )
+
+
+# --- the result ------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A scene as one sensor sees it, with its score.
+
+    prepared : what was run: source, settings and camera, with what a tolerance of ΔE chose
+    irradiance : light on the sensor, before diffraction
+    chain : from the light to frames and scores of further sensors of the kind
+    score : of the first frame of the first sensor, with its pictures
+    statistics : `Score.statistics` of the first frame of each sensor
+    rendered : how the light was rendered, with its errors; None for light of another program
+    warned : warnings meanwhile
+    """
+
+    prepared: Prepared = field(repr=False)
+    irradiance: SpectralImage = field(repr=False)
+    chain: ImagingChain = field(repr=False)
+    score: Score = field(repr=False)
+    statistics: tuple[dict[str, float], ...] = field(repr=False)
+    rendered: Rendered | None = field(default=None, repr=False)
+    warned: tuple[str, ...] = ()
+
+    @property
+    def settings(self) -> Run:
+        """The settings, with all that was left open."""
+        return self.prepared.settings
+
+    @property
+    def camera(self) -> Camera:
+        """The camera, of the window."""
+        return self.prepared.camera
+
+    @property
+    def delta_e(self) -> Array:
+        """Mean ΔE of each sensor, (sensors,)."""
+        return np.array([each["mean_delta_e"] for each in self.statistics])
+
+    @property
+    def mean_delta_e(self) -> float:
+        """Mean ΔE, over all sensors."""
+        return float(self.delta_e.mean())
+
+    @property
+    def interval_delta_e(self) -> tuple[float, float] | None:
+        """95 % interval of the expected mean ΔE of such sensors, by Student's t; None of one sensor.
+
+        The errors of the light are not in it: all sensors see the same light.
+        """
+        if len(self.statistics) == 1:
+            return None
+        from pixsim.studies.compare import mean_interval  # which imports studies, that no other run needs
+
+        return mean_interval(self.delta_e)[::2]
+
+    @cached_property
+    def white_e(self) -> float:
+        """Mean electrons of the scene's white on axis in the first frame, of a pixel without a stack."""
+        physics = self.score.physics
+        area_um2 = collecting_area_um2(self.irradiance, self.camera, physics)
+        rate = white_rate(self.irradiance, self.camera, physics, self.settings.display)
+        return rate * area_um2 * physics.bin_side**2 * self.score.frame.integration_s
+
+    @cached_property
+    def dark(self) -> dict[str, float]:
+        """Effect of clipping dark pixels at 0 DN, as `pixsim.viewer.score.dark_clip`."""
+        return dark_clip(self.score.physics, self.score.frame.integration_s, self.white_e)
+
+    @cached_property
+    def causes(self) -> tuple[Cause, ...]:
+        """Causes of the mean ΔE beside the sensor's noise and blur, the largest first."""
+        time_s, lightness = self.score.frame.integration_s, lightness_range(self.score.ideal)
+        return causes_of(self.irradiance.header, self.score.physics, self.white_e, time_s, lightness)
+
+    @property
+    def film(self) -> dict[str, Any] | None:
+        """The film and its error, as in score.json; None for light of another program."""
+        return None if self.rendered is None else self.rendered.film.as_dict()
+
+    @property
+    def light(self) -> LightError:
+        """What is known of the errors of the light."""
+        return LightError.of(self.irradiance.header, self.film, self.causes)
+
+    @cached_property
+    def budget(self) -> dict[str, Any] | None:
+        """The error budget, as in score.json; None without a tolerance of ΔE."""
+        if self.rendered is None or self.prepared.settled is None:
+            return None
+        bound_e = self.rendered.plan.bound_e if self.rendered.plan.bounded else None
+        return self.prepared.settled.budget(self.rendered.noise, bound_e, len(self.statistics))
+
+    @property
+    def shown_mean(self) -> str:
+        """Mean ΔE as text, as it is known: over all sensors, with its error by the budget if there is one, else by its light."""
+        mean = self.mean_delta_e
+        if self.budget is None:
+            half = 0.0 if self.interval_delta_e is None else self.interval_delta_e[1] - mean
+            return self.light.shown(mean, half)
+        error, sensors = self.budget["total"]["delta_e"], len(self.statistics)
+        within = "(error unknown)" if error is None else f"± {error:.1g}"
+        unsure = "" if self.budget["met"] else f", {NOT_CONVERGED}"
+        return f"{mean:.4f}{cause_words(self.causes)} {within} over {sensors} sensor{'s' * (sensors > 1)}{unsure}"
+
+    @property
+    def assumption(self) -> str:
+        """What was assumed of the technology and the lens, which nobody stated; empty for nothing."""
+        of_lens = "" if isinstance(self.prepared.light, SpectralImage) else self.prepared.asked.camera.assumption(self.camera)
+        return "; ".join(filter(None, (self.settings.pixel.assumption, of_lens)))
+
+    @property
+    def colour(self) -> dict[str, Any] | None:
+        """Channels, matrix and noise gains of a colour sensor, as in score.json; None for a monochrome one."""
+        return None if self.chain.rendition is None else self.chain.colour_facts(self.score.frame.integration_s)
+
+    @property
+    def dark_notes(self) -> list[str]:
+        """A note on the clipping of dark pixels at 0 DN; none if its effect is not visible, or a correction removes its mean."""
+        if self.settings.correction.removes_dark_level or not clips_dark(self.dark):
+            return []
+        return [clip_words(self.dark, self.settings.pixel.model_dump())]
+
+    @property
+    def score_notes(self) -> list[str]:
+        """Notes on the causes of the score and on clipped dark pixels, the largest first."""
+        sized = [(cause.delta_e, str(cause)) for cause in self.causes]
+        sized += [(self.dark["lightness"], note) for note in self.dark_notes]
+        return [note for _, note in sorted(sized, key=lambda one: -one[0])]
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader should know besides the score: its causes, warnings, a black level that clips dark noise."""
+        return list(dict.fromkeys([*map(str, self.causes), *self.warned, *self.score_notes]))
+
+    def further_frames(self) -> Iterator[Frame]:
+        """Yield the frames of the first sensor after its first one, which is scored."""
+        return self.chain.further_frames(self.prepared.frames, "evaluate", self.settings.seed)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return score.json: the results of the first sensor, then the settings, and what is known of further sensors.
+
+        `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the border that is not scored.
+        """
+        prepared, settings, score = self.prepared, self.settings, self.score
+        more: dict[str, Any] = {"chosen": prepared.view.as_dict()}
+        if self.rendered is not None:
+            made = self.rendered
+            more |= {"render_noise": asdict(made.noise), "plan": made.plan.as_dict(), "film": self.film}
+            more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
+        if self.budget is not None:
+            more |= {"error_budget": self.budget, "sensors": len(self.statistics), "sensors_mean_delta_e": self.mean_delta_e}
+        if prepared.repeats > 1 and self.interval_delta_e is not None:
+            more |= {"repeats": len(self.statistics), "delta_e": self.delta_e.tolist(), "sensors_mean_delta_e": self.mean_delta_e}
+            more |= {"interval_delta_e": list(self.interval_delta_e)}
+        if (colour := self.colour) is not None:
+            more |= {"develop": settings.develop.model_dump(), "colour": colour}
+        more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
+        return {
+            **self.statistics[0],
+            "pixels": list(score.frame.pixels),
+            "scored_dots": list(score.delta_e.shape),
+            "border_um": list(score.border_um),
+            "pixel": score.physics.pixel.model_dump(),
+            "assumption": self.assumption,
+            "white_spectrum": white_light(self.irradiance)[1],
+            "irradiance": self.irradiance.header,
+            "dark": self.dark,
+            "causes": [cause.as_dict() for cause in self.causes],
+            "camera": self.camera.model_dump(),
+            "exposure": settings.exposure.model_dump(),
+            "correction": settings.correction.model_dump(),
+            "display": settings.display.model_dump(),
+            "seed": settings.seed,
+            "notes": self.notes,
+            **more,
+        }
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map with its scale."""
+        return self.score.plot()
+
+    @checks_arguments
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """Return a row of `statistics` for each sensor as CSV, and write it to `path` if given."""
+        return rows_csv([{"repeat": number} | own for number, own in enumerate(self.statistics)], path)
+
+    def _repr_html_(self) -> str:
+        camera, physics = self.camera, self.score.physics
+        rows = [(name, f"{value:.6g}") for name, value in self.statistics[0].items()]
+        of_run = f"{camera.focal_length_mm:g} mm at f/{camera.f_number:g}, die of {camera.die_mm:g} mm; seed {self.settings.seed}"
+        notes = [f"{self.prepared.source}: {of_run}", *self.notes]
+        return html_cell(f"{physics.pitch_um:g} µm pixels, mean ΔE {self.shown_mean}", ("", ""), rows, self.plot(), notes)
+
+    def __repr__(self) -> str:
+        rows, columns = self.score.frame.pixels
+        pixels = f"{columns} × {rows} pixels of {self.score.physics.pitch_um:g} µm"
+        return f"<RunResult {self.prepared.source}: mean ΔE {self.shown_mean} with {pixels}>"
+
+
+# --- the way from the settings to the result -------------------------------------------------------------------------------------
+
+
+@checks_arguments
+def run(
+    scene: str | os.PathLike[str],
+    *,
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    parameters: Mapping[str, float | int | str] | None = None,
+    pixel: Mapping[str, Any] | None = None,
+    repeats: int = 1,
+    frames: int = 1,
+    full: bool = False,
+    sensor: str | None = None,
+    variant: str | None = None,
+    units: str | None = None,
+    progress: Stage | None = None,
+    **settings: Any,
+) -> RunResult:
+    """Render a scene, capture it with one sensor and score the image, with the errors of its light, as `pixsim run` does.
+
+    scene : XML file or name of a packaged scene; or a spectral image of another program (.exr, .npz, .hdr)
+    config : one or more TOML files with a sensor, its camera, exposure and display; later ones take precedence
+    parameters : of the scene, each in its unit
+    pixel : fields of the pixel (`PixelOptions`), each in its unit, which override those of the files
+    repeats : number of sensors of the kind; of several, the result has `interval_delta_e`. Pictures are those of the first
+    frames : number of frames of the first sensor, for the result's `further_frames`; the first is scored
+    full : leave out no effect, whatever the plan says of its size
+    sensor : id of the scene's sensor, if it has several
+    variant : Mitsuba variant; None means the fastest that works
+    units : of an image whose file does not state them, such as W.m^-2.nm^-1
+    progress : returns a callback for each named stage
+    settings : other tables and fields of `Run`: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3, window_mm=1.0
+
+    Raises PixsimError for invalid input, before anything is rendered.
+
+    >>> result = run("csf", pixel={"pitch_um": 42.4}, resolution=64, display={"dots": 32})
+    >>> result.score.frame.pixels, result.mean_delta_e > 1  # coarse pixels
+    ((64, 64), True)
+    """
+    paths = [config] if isinstance(config, str | os.PathLike) else config
+    options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
+    options |= ({"scene": dict(parameters)} if parameters else {}) | ({"pixel": dict(pixel)} if pixel else {})
+    with collected_notes():  # also of what is found before the run begins
+        asked = run_settings([Path(path) for path in paths], options)
+        prepared = prepare(
+            str(scene), asked, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units
+        )
+        return run_prepared(prepared, progress=progress)
+
+
+def run_prepared(prepared: Prepared, *, progress: Stage | None = None) -> RunResult:
+    """Run what is prepared.
+
+    progress : returns a callback for each named stage
+    """
+    stage = progress or (lambda _: lambda *_: None)
+    with collected_notes() as notes:
+        rendered = None
+        if isinstance(image := prepared.light, Planned):
+            prepared, rendered = _render(prepared, *image, stage)
+            image = rendered.image
+        settings, camera = prepared.settings, prepared.camera
+        image.header |= white_header([Seen(image, camera, derive(settings.pixel))], settings.display)
+        scored = stage("sense and score")
+        of_sensor = settings.pixel, settings.exposure, settings.display, prepared.full, settings.correction, settings.develop
+        with watched(share_of(scored, 0.0, BEFORE_FRAME)):
+            chain = make_imaging_chain(image, camera, *of_sensor)
+        scored(BEFORE_FRAME)
+        score = chain.simulate("evaluate", settings.seed)
+        statistics = [score.statistics()]
+        sensors = max(prepared.repeats, prepared.settled.choice.sensors if prepared.settled else 1)
+        for number in range(1, sensors):
+            statistics.append(chain.simulate("evaluate", settings.seed, number).statistics())
+            scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
+    result = RunResult(prepared, image, chain, score, tuple(statistics), rendered, tuple(notes))
+    return replace(result, score=replace(score, light=result.light))
+
+
+def _render(prepared: Prepared, scene: Scene, plan: Plan, stage: Stage) -> tuple[Prepared, Rendered]:
+    """Return the light of a scene, and the run with the settings that a calibration chose for its tolerance of ΔE."""
+    settings, camera = prepared.settings, prepared.camera
+    if settings.tolerance_delta_e:
+        stage("calibrate")
+        settled = settle(scene, camera, ProbeDesign(Imaging.of(settings, camera), settings.seed), settings.tolerance_delta_e)
+        chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
+        scene, settings = settled.scene, settings.model_copy(update=chosen | {"resolution": settled.scene.resolution})
+        plan = plan_of(scene, camera, settings, prepared.full, film_is_known=True)
+        prepared = replace(prepared, settings=settings, light=Planned(scene, plan), settled=settled)
+    for note in plan.warnings:
+        warn(note)
+    return prepared, render_and_measure(
+        scene,
+        plan,
+        settings,
+        settings.pixel,
+        [Imaging.of(settings, camera)],
+        plan_of=lambda scene: plan_of(scene, camera, settings, prepared.full, film_is_known=bool(prepared.settled)),
+        settled=prepared.settled,
+        progress=stage("render"),
+    )

@@ -1,0 +1,44 @@
+"""Results of runs without a render, for tests of what is said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+from pixsim.base.parameters import Camera, Run
+from pixsim.studies.preparation import View
+from pixsim.studies.run import RunResult
+from pixsim.viewer.causes import Cause
+
+FRAME = {"pixels": (8, 8), "integration_s": 0.01, "saturated_fraction": 0.0}
+
+
+def run_result(
+    delta_e: Sequence[float],
+    header: dict[str, Any],
+    film: dict[str, Any] | None = None,
+    causes: Sequence[Cause] = (),
+    *,
+    settings: dict[str, Any] | None = None,
+    frame: dict[str, Any] = FRAME,
+    pitch_um: float = 5.0,
+    border_um: float = 0.0,
+    **known: Any,
+) -> RunResult:
+    """A run of sensors of these mean ΔE, with the errors of its light.
+
+    film : entry of score.json
+    settings : tables of `Run`
+    known : properties in place of what would be computed
+    """
+    prepared: Any = SimpleNamespace(settings=Run.model_validate(settings or {}), camera=Camera(), view=View(), light=None)
+    prepared.asked = prepared.settings
+    physics, border = SimpleNamespace(pitch_um=pitch_um), (border_um, border_um)
+    score: Any = SimpleNamespace(frame=SimpleNamespace(**frame), physics=physics, border_um=border, mean_delta_e=delta_e[0])
+    rendered: Any = film and SimpleNamespace(film=SimpleNamespace(as_dict=lambda: film))
+    light: Any = SimpleNamespace(header=header)
+    chain: Any = SimpleNamespace(rendition=None)
+    result = RunResult(prepared, light, chain, score, tuple({"mean_delta_e": value} for value in delta_e), rendered)
+    result.__dict__.update({"causes": tuple(causes), "budget": None, **known})
+    return result

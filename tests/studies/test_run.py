@@ -1,0 +1,152 @@
+"""`pixsim.run`: what the command `pixsim run` does, in Python."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from scipy import stats
+
+import pixsim
+from pixsim.base.caller import command_line
+from pixsim.base.files import PROVENANCE
+from pixsim.studies.run import RunResult
+
+SMALL: dict[str, Any] = {"pixel": {"pitch_um": 21.2}, "resolution": 64, "display": {"dots": 64}, "seed": 3}
+LINE = "run csf --variant scalar_spectral --pixel.pitch-um 21.2 --resolution 64 --display.dots 64 --seed 3"
+
+
+@pytest.fixture(scope="module")
+def made() -> RunResult:
+    return pixsim.run("csf", variant="scalar_spectral", frames=2, **SMALL)
+
+
+def test_run_writes_what_the_command_writes(made: RunResult, tmp_path: Path) -> None:
+    code, out, err = command(f"{LINE} --frames 2 --json --out {tmp_path / 'command'}")
+    assert code == 0, err
+    assert json.loads(out) == json.loads(json.dumps(made.as_dict() | {"schema": 1}))
+    with command_line():  # its page names settings as options
+        assert pixsim.write_report(made, tmp_path / "python") == tmp_path / "python/report.html"
+    by_command, by_python = (
+        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir() if path.name != PROVENANCE}
+        for folder in ("command", "python")
+    )
+    assert by_python == by_command
+
+
+def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
+    """A file with the sensor, whose bits are overridden; half of the light gives half of the electrons."""
+    table = "[pixel]\npitch_um = 42.4\nbits = 8\n[exposure]\nintegration_s = 1e-3\n"
+    (tmp_path / "sensor.toml").write_text(table, encoding="utf-8")
+    settings: dict[str, Any] = {"config": tmp_path / "sensor.toml", "pixel": {"bits": 12}}
+    display = {"dots": 32, "white_cd_per_m2": 2000.0}
+    results = []
+    for factor in (1.0, 0.5):
+        data = factor * np.full((64, 64, 3), 1e-3)
+        pixsim.write_npz(tmp_path / "light.npz", pixsim.SpectralImage([450.0, 550.0, 650.0], 100.0, 42.4, data=data))
+        with pytest.warns(UserWarning, match="bands of up to 100 nm"):
+            results.append(pixsim.run(tmp_path / "light.npz", **settings, display=display))
+    full, half = (result.score.frame.mean_e.mean() for result in results)
+    assert half == pytest.approx(full / 2, rel=1e-6)
+    assert results[0].settings.pixel.bits == 12
+    assert results[0].settings.pixel.pitch_um == 42.4
+    assert results[0].film is None, "light of another program"
+
+
+def test_result_is_shown_and_written_as_a_table(made: RunResult, tmp_path: Path) -> None:
+    assert repr(made) == f"<RunResult csf: mean ΔE {made.shown_mean} with 128 × 128 pixels of 21.2 µm>"
+    page = made._repr_html_()
+    assert made.shown_mean in page
+    assert all(note.partition(":")[0] in page for note in made.notes)
+    made.to_csv(tmp_path / "rows.csv")
+    with (tmp_path / "rows.csv").open(newline="", encoding="utf-8") as file:
+        (row,) = csv.DictReader(file)
+    assert float(row["mean_delta_e"]) == made.mean_delta_e == made.score.mean_delta_e
+
+
+def test_further_frames_are_of_the_same_sensor(made: RunResult) -> None:
+    (second,) = made.further_frames()
+    first = made.score.frame
+    assert second.dn.shape == first.dn.shape
+    assert not np.array_equal(second.dn, first.dn)
+
+
+# --- several sensors ---
+
+MANY = 400
+
+
+@pytest.fixture(scope="module")
+def many() -> RunResult:
+    """Many sensors of a few pixels, which take a millisecond each."""
+    settings = {"camera": {"die_mm": 0.64}, "pixel": {"pitch_um": 40.0}, "resolution": 32, "display": {"dots": 16}}
+    return pixsim.run("flat", variant="scalar_spectral", repeats=MANY, **settings)
+
+
+def test_repeats_are_sensors_of_their_own_and_the_first_is_that_of_one(made: RunResult) -> None:
+    several = pixsim.run("csf", variant="scalar_spectral", repeats=3, **SMALL)
+    alone = [made.score.mean_delta_e, *(made.chain.simulate("evaluate", 3, number).mean_delta_e for number in (1, 2))]
+    np.testing.assert_array_equal(several.delta_e, alone)
+    assert len(set(alone)) == 3
+    np.testing.assert_array_equal(several.score.image, made.score.image)
+    assert made.interval_delta_e is None
+
+
+def test_interval_is_that_of_student(many: RunResult) -> None:
+    values = many.delta_e
+    low, high = stats.t.interval(0.95, MANY - 1, values.mean(), stats.sem(values))
+    assert many.interval_delta_e == pytest.approx((low, high), rel=1e-12)
+    assert many.mean_delta_e == pytest.approx(values.mean(), rel=1e-12)
+
+
+def test_intervals_of_few_sensors_cover_the_mean_of_many(many: RunResult) -> None:
+    """Of 100 groups of 4 sensors 95 contain it; 88 to 100 are within 3.2 σ, and half of their width would leave 79."""
+    groups = [replace(many, statistics=many.statistics[first : first + 4]).interval_delta_e for first in range(0, MANY, 4)]
+    covered = sum(low <= many.mean_delta_e <= high for low, high in filter(None, groups))
+    assert 88 <= covered <= 100
+    mean = many.mean_delta_e
+    halves = sum(abs(low + high - 2 * mean) <= (high - low) / 2 for low, high in filter(None, groups))
+    assert halves < 88
+
+
+def test_repeats_are_in_all_outputs(made: RunResult, tmp_path: Path) -> None:
+    code, out, err = command(f"{LINE} --repeats 3 --frames 2 --raw npz --json --out {tmp_path / 'out'}")
+    assert code == 0, err
+    score = json.loads(out)
+    before = made.as_dict()
+    assert all(score[name] == before[name] for name in ("mean_delta_e", "max_delta_e", "integration_s", "frames"))
+    assert not {"repeats", "delta_e", "interval_delta_e"} & before.keys()
+    low, high = score["interval_delta_e"]
+    assert score["repeats"] == len(score["delta_e"]) == 3
+    assert low < score["sensors_mean_delta_e"] == np.mean(score["delta_e"]) < high
+    assert (tmp_path / "out/raw_002.npz").is_file()
+    line = f"95 % interval of their mean {low:.4f} to {high:.4f}; pictures and frames are of the first"
+    assert line in (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    settings = (tmp_path / "out/settings.toml").read_text(encoding="utf-8")
+    assert "--repeats 3 --frames 2" in settings.splitlines()[1]
+    lines = command(f"{LINE} --repeats 3 --frames 2 --raw npz --out {tmp_path / 'out'}")[1].splitlines()
+    assert "(95 % and film), not converged" in lines[0]
+    assert any(line in each for each in lines)
+    assert "; 3 sensors" in command(f"{LINE} --repeats 3 --dry-run")[1]
+
+
+def test_a_tolerance_takes_more_sensors_than_asked_for_but_not_fewer(tmp_path: Path) -> None:
+    line = "run csf --resolution 64 --tolerance-delta-e 0.5 --pixel.pitch-um 42.4 --display.dots 32 --json"
+    chosen = json.loads(command(f"{line} --out {tmp_path / 'chosen'}")[1])
+    assert "repeats" not in chosen
+    asked = json.loads(command(f"{line} --repeats {chosen['sensors'] + 2} --out {tmp_path / 'asked'}")[1])
+    assert asked["repeats"] == asked["sensors"] == asked["error_budget"]["settings"]["sensors"] == chosen["sensors"] + 2
+    sources = [each["error_budget"]["sources"]["seeds"]["delta_e"] for each in (asked, chosen)]
+    assert sources[0] / sources[1] == pytest.approx((chosen["sensors"] / (chosen["sensors"] + 2)) ** 0.5, rel=0.02)  # 3 digits
+
+
+@pytest.mark.parametrize("number", [0, 10_001])
+def test_run_of_no_or_too_many_sensors_raises(number: int) -> None:
+    with pytest.raises(pixsim.PixsimError, match=rf"repeats: got {number}; allowed: .*1 to"):
+        pixsim.run("csf", repeats=number)
