@@ -40,10 +40,7 @@ ALLOWED = {
 }
 # Modules of report that still compute, and the packages that they do it with.
 COMPUTING = {
-    "report.run": {"light", "optics", "scene", "sensor", "viewer"},  # takes a run from its scene to its files
-    "report.outline": {"scene", "sensor"},  # plans a run (`run_outline`)
-    "report.wording": {"viewer"},  # reads the causes and errors of a run from score.json
-    "report.compare": {"scene"},  # reads a parameter of the chart
+    "report.compare": {"scene"}  # reads a parameter of the chart
 }
 # Slow to import: 0.3 s (mitsuba) to 2.6 s (colour). They are imported inside functions.
 HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral", "distributed", "dask"}

@@ -173,8 +173,9 @@ def run(
     """
     import_less()
     from pixsim.report.kept import keep_or_write
-    from pixsim.report.run import RunFiles, check_raw, digest_of_run, run_lines, write_run
+    from pixsim.report.run import RunFiles, digest_of_run, run_lines, write_run
     from pixsim.studies.run import prepare, run_prepared
+    from pixsim.studies.run_arrays import check_raw
 
     chosen = options.settings(effort, display=display, seed=seed, tolerance_e=tolerance_e)
     folder, raw_suffixes = out or DEFAULT_OUT / Path(scene).stem, [f".{suffix}" for suffix in raw or []]

@@ -3,35 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.labels import label_of
-from pixsim.base.machine import processors
 from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Run, Study
-from pixsim.light.spectral import SpectralImage
 from pixsim.report.wording import lens_words, view_words
-from pixsim.sensor.integration import pixels_on
 from pixsim.show.pages import rounded
-from pixsim.studies.cost import (
-    COLOUR_S,
-    LONG_S,
-    MOST_EVALUATIONS,
-    RUN_PAGE_S,
-    STACK_S,
-    START_S,
-    Cost,
-    duration_words,
-    frame_cost,
-    known_film,
-    render_cost,
-)
+from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost, duration_words
 from pixsim.studies.extent import columns_on
-from pixsim.studies.keys import rendered_across
-from pixsim.studies.outline import errors_of, film_of, planned_sensors, planned_study
+from pixsim.studies.outline import planned_run, planned_sensors, planned_study
 from pixsim.studies.oversampling import TOLERATED_SHARE
-from pixsim.viewer.imaging import Imaging
 
 if TYPE_CHECKING:
     from pixsim.studies.preparation import Prepared
@@ -40,35 +22,9 @@ if TYPE_CHECKING:
 
 def run_outline(prepared: PreparedRun) -> dict[str, Any]:
     """Return what a run would do; nothing is rendered or written."""
-    settings, camera, frames, repeats = prepared.settings, prepared.camera, prepared.frames, prepared.repeats
-    pitch_um, outline = settings.pixel.pitch_um, dict[str, Any]()
-    if isinstance(light := prepared.light, SpectralImage):
-        header = light.header
-        cost = Cost(START_S, 4.0 * light.wavelength_nm.size * math.prod(light.shape), 1)
-        outline["film"] = {"samples": list(light.shape), "pitch_um": light.pitch_um}
-    else:
-        scene, plan = light
-        outline["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
-        header = {"parameters": scene.parameters}
-        shape, rendered = known_film(outline["film"]["samples"], rendered_across(scene, camera, plan, settings))
-        cost = render_cost(plan, camera, shape, rendered, processors().usable)
-        if not rendered:
-            more_s = COLOUR_S * (settings.pixel.colour is not None) + STACK_S * (settings.pixel.stack is not None)
-            cost = replace(cost, seconds=cost.seconds + more_s)
-        outline["errors"] = errors_of(plan, outline["film"], Imaging.of(settings, camera), settings)
-    frame = frame_cost(camera, pitch_um, settings.display)
-    cost = Cost(cost.seconds + RUN_PAGE_S + (repeats + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
-    sensors = [
-        {
-            "technology": settings.pixel.technology,
-            "pitch_um": [pitch_um],
-            "pixels": [list(pixels_on(camera.die_um, pitch_um))],
-            "sensors": repeats,
-        }
-    ]
-    outline |= {"frames": frames} if frames > 1 else {}
-    of_run = prepared.source, header, settings, camera, prepared.asked.camera, prepared.view.as_dict(), sensors
-    return outline | common(*of_run) | {"estimate": asdict(cost)}
+    shared = prepared.settings, prepared.camera, prepared.asked.camera, prepared.view.as_dict()
+    planned = planned_run(prepared)
+    return common(prepared.source, prepared.header, *shared, planned["sensors"]) | planned
 
 
 def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from pixsim.base.arrays import Array
-from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
-from pixsim.base.errors import invalid
+from pixsim.base.config import SETTINGS_FILE, settings_text
 from pixsim.base.files import PROVENANCE, check_replaceable, digest_of, output_folder, publishing, write_json
 from pixsim.base.headline import headline_lines
 from pixsim.base.labels import label_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import NO_TECHNOLOGY, Record, Run
+from pixsim.base.parameters import NO_TECHNOLOGY, Record
 from pixsim.base.progress import Progress
-from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.report.kept import digest_of_content
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.settings import FILLED, record_rows, scene_rows
@@ -33,8 +30,6 @@ from pixsim.report.wording import (
     score_parts,
     unsure_lines,
 )
-from pixsim.scene.convergence import without_clock
-from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.show.pages import compile_page, rounded, write_page
 from pixsim.show.pictures import (
     Picture,
@@ -49,7 +44,8 @@ from pixsim.show.pictures import (
 )
 from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
-from pixsim.studies.run import Planned, RunResult
+from pixsim.studies.run import RunResult
+from pixsim.studies.run_arrays import Irradiance, write_irradiance, write_numbers
 
 PAGE = "run.html.j2"  # template of report.html
 # Files next to the page, with their descriptions.
@@ -229,13 +225,6 @@ def sensors_lines(result: RunResult) -> list[str]:
     return [f"{each.size} sensors: ΔE of {each.min():.4f} to {each.max():.4f}, {interval}; pictures and frames are of the first"]
 
 
-def check_raw(settings: Run, raw_suffixes: Sequence[str]) -> None:
-    """Raise PixsimError for raw frames of too many bits for their format."""
-    if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(raw_suffixes):
-        got = f"tiff or png for an ADC of {settings.pixel.bits} bits"
-        raise invalid("--raw", got, f"at most {BITS_OF_PICTURES} bits; use npz for more")
-
-
 def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     """Return a whole picture from its file, or the `reduced` one if it is large."""
     if factor_for(luminance) == 1:
@@ -252,7 +241,7 @@ class RunFiles(NamedTuple):
     """
 
     raw_suffixes: tuple[str, ...] = ()
-    irradiance: Literal["reduced", "full", "factors", "none"] = "reduced"
+    irradiance: Irradiance = "reduced"
 
     @property
     def formats(self) -> tuple[str, ...]:
@@ -270,16 +259,12 @@ USUAL = RunFiles()
 
 def run_settings_text(result: RunResult) -> str:
     """Return the text of settings.toml, from which `pixsim run` makes the same numbers again."""
-    prepared, settings = result.prepared, result.settings
+    prepared = result.prepared
     given = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units}
     given |= {name: str(value) for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames)) if value > 1}
     command = ["pixsim", "run", prepared.whole_source, "--config", SETTINGS_FILE, *["--full"] * prepared.full]
     command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
-    if isinstance(prepared.light, Planned):
-        # Display and chart, too, may have been chosen; defaults in their place would count as given.
-        of_view = {"display": settings.display, "scene": scene_table(prepared.light.scene.path.parent, settings.scene)}
-        settings = without_clock(prepared.asked, settings, result.irradiance).model_copy(update=of_view)
-    return settings_text(settings, shlex.join(command))
+    return settings_text(result.repeating, shlex.join(command))
 
 
 def digest_of_run(result: RunResult, files: RunFiles = USUAL) -> str:
@@ -318,21 +303,16 @@ def write_all(result: RunResult, folder: Path, files: RunFiles = USUAL, progress
 
     def write_light() -> None:
         if files.irradiance != "none":
-            path, image = folder / "irradiance.exr", irradiance
-            image = reduced_to_fit(image) if files.irradiance == "reduced" else image
-            write_exr(path, image, factors_only=files.irradiance == "factors")
-            digest_of(path, alone=True)  # which the provenance asks for
+            write_irradiance(folder / "irradiance.exr", irradiance, files.irradiance)
+            digest_of(folder / "irradiance.exr", alone=True)  # which the provenance asks for
 
-    def write_numbers() -> None:
-        write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
-        for number, frame in enumerate(chain([score.frame], result.further_frames()), 1):
-            for suffix in files.formats:
-                write_frame(folder / f"{raw_stem(number)}{suffix}", frame)
-            if progress:
-                progress(number / result.prepared.frames)
+    def frame_done(number: int) -> None:
+        if progress:
+            progress(number / result.prepared.frames)
 
     with ThreadPoolExecutor(2) as pool:
-        written = [pool.submit(write_light), pool.submit(write_numbers)]  # the largest file by far first
+        # The largest file by far first.
+        written = [pool.submit(write_light), pool.submit(write_numbers, result, folder, raw_stem, files.formats, frame_done)]
         save_png(folder / "ideal.png", score.ideal)
         save_png(folder / "image.png", score.image)
         end = scale_end(result.statistics[0]["p99_delta_e"])

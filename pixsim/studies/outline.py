@@ -1,14 +1,29 @@
-"""What a study would do, in numbers: its film, its pixels, its errors and its cost, all that is found before a render."""
+"""What a run or a study would do, in numbers: its film, its pixels, its errors and its cost, all that is found before a render."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
+from pixsim.base.machine import processors
 from pixsim.base.parameters import Camera, Run, Study
+from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import pixels_on
-from pixsim.studies.cost import LONG_S, Known, cases_cost, known_film, window_within
+from pixsim.studies.cost import (
+    COLOUR_S,
+    LONG_S,
+    RUN_PAGE_S,
+    STACK_S,
+    START_S,
+    Cost,
+    Known,
+    cases_cost,
+    frame_cost,
+    known_film,
+    render_cost,
+    window_within,
+)
 from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.keys import evaluated_before, light_hash, rendered_across
 from pixsim.studies.pixels import imaging_of
@@ -20,6 +35,30 @@ if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
     from pixsim.scene.scene import Scene
     from pixsim.studies.preparation import Prepared
+    from pixsim.studies.run import Prepared as PreparedRun
+
+
+def planned_run(prepared: PreparedRun) -> dict[str, Any]:
+    """Return the film, errors, pixels and cost of a run; nothing is rendered."""
+    settings, camera, frames, repeats = prepared.settings, prepared.camera, prepared.frames, prepared.repeats
+    pitch_um, planned = settings.pixel.pitch_um, dict[str, Any]()
+    if isinstance(light := prepared.light, SpectralImage):
+        cost = Cost(START_S, 4.0 * light.wavelength_nm.size * math.prod(light.shape), 1)
+        planned["film"] = {"samples": list(light.shape), "pitch_um": light.pitch_um}
+    else:
+        scene, plan = light
+        planned["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
+        shape, rendered = known_film(planned["film"]["samples"], rendered_across(scene, camera, plan, settings))
+        cost = render_cost(plan, camera, shape, rendered, processors().usable)
+        if not rendered:
+            more_s = COLOUR_S * (settings.pixel.colour is not None) + STACK_S * (settings.pixel.stack is not None)
+            cost = replace(cost, seconds=cost.seconds + more_s)
+        planned["errors"] = errors_of(plan, planned["film"], Imaging.of(settings, camera), settings)
+    frame = frame_cost(camera, pitch_um, settings.display)
+    cost = Cost(cost.seconds + RUN_PAGE_S + (repeats + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
+    pixels = [list(pixels_on(camera.die_um, pitch_um))]
+    sensors = {"technology": settings.pixel.technology, "pitch_um": [pitch_um], "pixels": pixels, "sensors": repeats}
+    return planned | ({"frames": frames} if frames > 1 else {}) | {"sensors": [sensors], "estimate": asdict(cost)}
 
 
 def planned_sensors(study: Study, camera: Camera) -> list[dict[str, Any]]:

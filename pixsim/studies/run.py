@@ -14,7 +14,7 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.base.config import run_settings
+from pixsim.base.config import run_settings, scene_table
 from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import collected_notes, warn
@@ -22,6 +22,7 @@ from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Run
 from pixsim.base.progress import Stage, share_of, watched
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.exchange import read_with_camera
+from pixsim.scene.convergence import without_clock
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.scene.scene import Scene, load_scene, packaged_scenes
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_on
@@ -87,6 +88,11 @@ class Prepared:
     sensor: str | None = None
     variant: str | None = None
     units: str | None = None
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """What is known of the light before it is rendered: the header of a picture, or the parameters of a scene."""
+        return self.light.header if isinstance(self.light, SpectralImage) else {"parameters": self.light.scene.parameters}
 
     @property
     def whole_source(self) -> str:
@@ -275,6 +281,16 @@ class RunResult:
         """What was assumed of the technology and the lens, which nobody stated; empty for nothing."""
         of_lens = "" if isinstance(self.prepared.light, SpectralImage) else self.prepared.asked.camera.assumption(self.camera)
         return "; ".join(filter(None, (self.settings.pixel.assumption, of_lens)))
+
+    @property
+    def repeating(self) -> Run:
+        """The settings with which `pixsim run` makes the same numbers again."""
+        settings, light = self.settings, self.prepared.light
+        if isinstance(light, SpectralImage):
+            return settings
+        # Display and chart, too, may have been chosen; defaults in their place would count as given.
+        of_view = {"display": settings.display, "scene": scene_table(light.scene.path.parent, settings.scene)}
+        return without_clock(self.prepared.asked, settings, self.irradiance).model_copy(update=of_view)
 
     @property
     def colour(self) -> dict[str, Any] | None:
