@@ -65,7 +65,7 @@ from pixsim.studies.film_error import (
 )
 from pixsim.studies.keys import remember_rendered
 from pixsim.viewer.colour_matrix import AlikeChannelsError
-from pixsim.viewer.score import Seen, chain_at_pitch, prepare_scene, white_header
+from pixsim.viewer.score import ImagingChain, Seen, chain_at_pitch, prepare_scene, white_header
 
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 WORTH_WIDENING = 1.2
@@ -465,14 +465,23 @@ def _mean_delta_e(
 
     lights : of each part behind the lens, where they are known
     """
-    chains = [
-        chain_at_pitch(prepare_scene(part, camera, physics, display, lights=light), physics, exposure, correction, develop)
-        for (part, display), light in zip(parts, lights, strict=True)
-    ]
-    time_s = integration_time_s(exposure, physics, max(float(chain.signal_e_per_s.max()) for chain in chains))
-    exposed = [replace(chain, exposure=exposure.model_copy(update={"integration_s": time_s})) for chain in chains]
+    chains: dict[int, ImagingChain] = {}
+    delta_e, cells = np.empty(len(parts)), sum(math.prod(part.shape) for part, _ in parts)
+
+    def prepare(number: int) -> None:
+        (part, display), light = parts[number], lights[number]
+        prepared = prepare_scene(part, camera, physics, display, lights=light)
+        chains[number] = chain_at_pitch(prepared, physics, exposure, correction, develop)
+
+    def score(number: int) -> None:
+        chain = replace(chains[number], exposure=exposure.model_copy(update={"integration_s": time_s}))
+        delta_e[number] = sensor_delta_e(chain, setup, physics.pitch_um, number)
+
+    in_threads(prepare, range(len(parts)), cells)
+    time_s = integration_time_s(exposure, physics, max(float(chain.signal_e_per_s.max()) for chain in chains.values()))
     setup = Setup(camera, physics.pixel, exposure, parts[0][1])
-    return np.array([sensor_delta_e(chain, setup, physics.pitch_um, number) for number, chain in enumerate(exposed)])
+    in_threads(score, range(len(parts)), cells)
+    return delta_e
 
 
 RENDERING, RENDERING_CHART = 0.9, 0.3  # of the work on a film, before its error is measured
