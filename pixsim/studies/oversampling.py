@@ -54,7 +54,7 @@ from pixsim.studies.film_error import (
 from pixsim.studies.keys import remember_rendered
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.score import Seen, white_header
+from pixsim.viewer.score import ImagingChain, Seen, white_header
 
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 WORTH_WIDENING = 1.2
@@ -431,13 +431,21 @@ def _mean_delta_e(
     lights : of each part behind the lens, where they are known
     """
     own, physics = replace(imaging, border_um=None, single=False), imaging.physics  # each part has the border of its own pixels
-    chains = []
-    for (part, display), known in zip(parts, lights, strict=True):
-        chains.append(own.chain(replace(own, display=display).light(part, physics, known), physics))
-    time_s = integration_time_s(own.exposure, physics, max(float(chain.signal_e_per_s.max()) for chain in chains))
-    exposure = own.exposure.model_copy(update={"integration_s": time_s})
-    exposed = [replace(chain, exposure=exposure) for chain in chains]
-    return np.array([sensor_delta_e(chain, 0, imaging.pixel.pitch_um, number) for number, chain in enumerate(exposed)])
+    chains: dict[int, ImagingChain] = {}
+    delta_e, cells = np.empty(len(parts)), sum(math.prod(part.shape) for part, _ in parts)
+
+    def prepare(number: int) -> None:
+        part, display = parts[number]
+        chains[number] = own.chain(replace(own, display=display).light(part, physics, lights[number]), physics)
+
+    def score(number: int) -> None:
+        delta_e[number] = sensor_delta_e(replace(chains[number], exposure=exposure), 0, physics.pitch_um, number)
+
+    in_threads(prepare, range(len(parts)), cells)
+    brightest = max(float(chain.signal_e_per_s.max()) for chain in chains.values())
+    exposure = own.exposure.model_copy(update={"integration_s": integration_time_s(own.exposure, physics, brightest)})
+    in_threads(score, range(len(parts)), cells)
+    return delta_e
 
 
 RENDERING, RENDERING_CHART = 0.9, 0.3  # of the work on a film, before its error is measured
