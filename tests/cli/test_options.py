@@ -100,7 +100,7 @@ def test_run_raw_takes_several_formats(line: str, formats: list[str], monkeypatc
         taken.append([suffix.removeprefix(".") for suffix in raw_suffixes])
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pixsim.report.run.check_raw", check_raw)
+    monkeypatch.setattr("pixsim.studies.run_arrays.check_raw", check_raw)
     assert command(f"run csf {line}")[0] == 130
     assert command(f"run {line} csf")[0] == 130
     assert taken == [formats, formats]
