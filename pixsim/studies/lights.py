@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pixsim.base.labels import label_of
 from pixsim.base.notes import warn
@@ -27,13 +27,19 @@ from pixsim.viewer.score import Seen, white_header
 if TYPE_CHECKING:
     from pixsim.studies.budget import Settled
 
-Light = tuple[SpectralImage, Camera, FilmError]
+
+class Light(NamedTuple):
+    """The irradiance of a case, the camera that it was rendered with, and the error of its film."""
+
+    image: SpectralImage
+    camera: Camera
+    film: FilmError
 
 
 def render_for(
     study: Study, variant: str | None = None, progress: Progress | None = None, settled: Settled | None = None, words: str = ""
 ) -> Light:
-    """Return the study's irradiance, the camera that it was rendered with, and the error of its film.
+    """Return the light of a study without axes.
 
     Its noise is adequate for the largest pixel that the study allows, the least noisy one, and its film for the smallest
     photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
@@ -58,7 +64,7 @@ def render_for(
         where = ", ".join(filter(None, (label_of(first), words)))
         raise AlikeChannelsError(f"{where}: none of its pixel sizes is possible. {error}") from None
     made.image.header.update(white_header(seen_by_all(study, made.image, camera), study.display))
-    return made.image, camera, made.film
+    return Light(made.image, camera, made.film)
 
 
 def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:
@@ -134,8 +140,8 @@ def _computed_lights(
             progress((len(studies) + len(lights)) / (2 * len(studies)))
         for key, of in measured_in.items():
             measured = lights[of]
-            if key not in lights and not isinstance(measured, str) and measured[2].surely_met:
-                lights[key] = *seen[key], measured[2].for_other_noise
+            if key not in lights and not isinstance(measured, str) and measured.film.surely_met:
+                lights[key] = Light(*seen[key], measured.film.for_other_noise)
         left = [key for key in studies if key not in lights]
     return lights
 
@@ -176,4 +182,4 @@ def _light_or_reason(study: Study, variant: str | None, *args: Any, **options: A
 
 def _stored(light: Light | str, store: Callable[[SpectralImage], SpectralImage]) -> Light | str:
     """Return a light whose image need not stay in memory; a reason as it is."""
-    return light if isinstance(light, str) else (store(light[0]), *light[1:])
+    return light if isinstance(light, str) else light._replace(image=store(light.image))

@@ -354,7 +354,7 @@ def run_prepared(
         lit = [(case, light) for (case, _), light in zip(prepared.parts, lights, strict=True) if not isinstance(light, str)]
         found: list[StudyResult] = []
         if lit:
-            cases = [replace(case, study=case.study.model_copy(update={"resolution": light[0].shape[1]})) for case, light in lit]
+            cases = [replace(case, study=case.study.model_copy(update={"resolution": light.image.shape[1]})) for case, light in lit]
             of_cases = cases, [light for _, light in lit], prepared.view, folder / "results.csv", workers
             made, counts = evaluate_cases(*of_cases, lambda: stage("evaluate"))
             reasons += [each for each in made if isinstance(each, str)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pixsim.base.parameters import Study, merge
-from pixsim.studies import study as sweep
+from pixsim.studies import lights as rendering
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.lights import Light, render_all, render_for
@@ -32,7 +32,7 @@ def lights_of(patch: pytest.MonkeyPatch, **over: Any) -> tuple[list[Case], list[
         measured.append(next(case.words for case in cases if case.study == study))
         return render_for(study, *more, **named)
 
-    patch.setattr(sweep, "render_for", counted)
+    patch.setattr(rendering, "render_for", counted)
     return list(cases), render_all(cases, None, lambda _: lambda *_: None, Workers(1), store=lambda image: image), measured
 
 
