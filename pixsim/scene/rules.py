@@ -472,6 +472,6 @@ def decide_diffraction(chart: Chart | None, camera: Camera, pitch_um: float, tol
     allowed = tolerance_e * DIFFRACTION_SHARE
     effect = diffraction_effect(chart, pitch_um, np.array([HIGH_NM]), np.ones(1), camera.effective_f_number, allowed)
     if effect > allowed:
-        return Decision("diffraction", True, f"{reason}; changes samples of this chart by up to {effect:.1%}")
+        return Decision("diffraction", True, f"{reason}; changes a sample of this chart by {effect:.1%}")
     reason += f"; changes no sample of this chart by more than {effect:.1e}"
     return Decision("diffraction", False, reason, "2 transforms", effect)
