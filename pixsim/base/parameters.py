@@ -61,7 +61,8 @@ else:
 # Documented in the reference; the other names are internal.
 __all__ = [
     "Axis", "AxisValue", "Camera", "CameraOptions", "ColourOptions", "Condition", "Correction", "DarkCurrent", "Develop", "Display",
-    "Effort", "Exposure", "LensOptions", "PitchRange", "Pixel", "PixelOptions", "Run", "StackOptions", "Study", "StudyScene",
+    "Effort", "Exposure", "LensOptions", "PitchRange", "Pixel", "PixelOptions", "Run", "Setting", "StackOptions", "Study",
+    "StudyScene",
 ]  # fmt: skip
 
 
@@ -1854,6 +1855,29 @@ class Effort(Record):
     )
 
 
+class StudyScene(Record):
+    """The scene of a study."""
+
+    file: str = Field("csf", description="XML file or name of a packaged scene")
+    parameters: dict[str, NumberOrText] = Field(default_factory=dict, description="values of the scene's <default> parameters")
+
+
+class Setting(Effort):
+    """All that a frame depends on, for a run and a study alike; a study has the size of its pixel elsewhere."""
+
+    seed: Seed = Field(0, description="seed of the render, of sensors and their noise")
+    scene: StudyScene | dict[str, NumberOrText] = Field(
+        default_factory=dict, description="scene; a run has its parameters here, and its file elsewhere"
+    )
+    camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
+    lens: LensOptions = Field(LensOptions(), description="real lens in place of the camera's thin one")
+    pixel: PixelOptions = Field(PixelOptions(), description="pixel, without technology and pitch")
+    exposure: Exposure = Field(Exposure(), description="exposure of each frame")
+    correction: Correction = Field(Correction(), description="correction of each frame by the camera")
+    develop: Develop = Field(Develop(), description="how frames with colour filters become pictures")
+    display: Display = Field(Display(), description="display, viewer and metric")
+
+
 MOST_PITCHES = 1000  # of a study: a curve of its optimum needs some dozen
 PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
 
@@ -2211,14 +2235,7 @@ class Condition(Record):
     )
 
 
-class StudyScene(Record):
-    """The scene of a study."""
-
-    file: str = Field("csf", description="XML file or name of a packaged scene")
-    parameters: dict[str, NumberOrText] = Field(default_factory=dict, description="values of the scene's <default> parameters")
-
-
-class Study(Effort):
+class Study(Setting):
     """Settings of a study: mean ΔE of many pitches, technologies and sensors."""
 
     name: StudyName = Field(
@@ -2228,7 +2245,6 @@ class Study(Effort):
         None, description="name of the study whose random streams this one has; absent: its own, or that of its base"
     )
     title: str = Field("", description="title of the report")
-    seed: Seed = Field(0, description="seed of the render, the sensors and their noise")
     technologies: Annotated[tuple[str, ...], Field(min_length=1, max_length=AXIS_COUNT)] = Field(
         ("0.35um",),
         description="packaged technologies, or paths of TOML files with a technology or a data sheet ([pixel]); each gives a curve",
@@ -2265,13 +2281,6 @@ class Study(Effort):
         False, description="compare with the statements of Chen et al. (2000); needs the scene csf and the technology 0.35um"
     )
     scene: StudyScene = Field(StudyScene(), description="scene of the study")
-    camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
-    lens: LensOptions = Field(LensOptions(), description="real lens in place of the camera's thin one")
-    pixel: PixelOptions = Field(PixelOptions(), description="pixel, without technology and pitch")
-    exposure: Exposure = Field(Exposure(), description="exposure of every frame")
-    correction: Correction = Field(Correction(), description="correction of every frame by the camera")
-    develop: Develop = Field(Develop(), description="how frames with colour filters become pictures")
-    display: Display = Field(Display(), description="display, viewer and metric")
     axis: Annotated[tuple[Axis, ...], Field(max_length=AXIS_COUNT)] = Field(
         (), description="what the study varies beside the pixel size"
     )
@@ -2427,20 +2436,13 @@ def owner_of(study: Study, path: tuple[str, ...], without_axes: bool = False, wi
     return ""
 
 
-class Run(Effort):
+class Run(Setting):
     """The options of `pixsim run`, as tables."""
 
-    seed: Seed = Field(0, description="seed of the render, the sensor and its noise")
     scene: dict[str, NumberOrText] = Field(
         default_factory=dict, description="values of the scene's <default> parameters, as -D sets them"
     )
-    camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
-    lens: LensOptions = Field(LensOptions(), description="real lens in place of the camera's thin one")
     pixel: Pixel = Field(Pixel(), description="pixel of the sensor")
-    exposure: Exposure = Field(Exposure(), description="exposure of the frame")
-    correction: Correction = Field(Correction(), description="correction of the frame by the camera")
-    develop: Develop = Field(Develop(), description="how a frame with colour filters becomes a picture")
-    display: Display = Field(Display(), description="display, viewer and metric")
 
     @model_validator(mode="after")
     def _frame_can_be_developed(self) -> Self:

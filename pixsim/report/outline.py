@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.labels import label_of
-from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Run, Study
+from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Setting, Study
 from pixsim.report.wording import lens_words, view_words
 from pixsim.show.pages import rounded
 from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost, duration_words
@@ -38,7 +38,7 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
 def common(
     source: str,
     header: dict[str, Any],
-    settings: Run | Study,
+    settings: Setting,
     camera: Camera,
     given: CameraOptions,
     chosen: dict[str, Any],

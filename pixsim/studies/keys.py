@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixsim.base import cache
-from pixsim.base.parameters import Camera, Effort, Pixel, Run, Study, content_hash
+from pixsim.base.parameters import Camera, Effort, Pixel, Setting, Study, content_hash
 from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import pixels_on
@@ -151,7 +151,7 @@ def _evaluated_key(cases: Sequence[Study]) -> str:
 RENDERED = "rendered"  # kind of the cache's entries that tell of a render
 
 
-def rendered_across(scene: Scene, camera: Camera, plan: Plan, settings: Run | Study) -> int | None:
+def rendered_across(scene: Scene, camera: Camera, plan: Plan, settings: Setting) -> int | None:
     """Return the samples across the film that such a render ended with, if the cache has it; for an estimate of its time.
 
     plan : the first one of the render
@@ -159,12 +159,12 @@ def rendered_across(scene: Scene, camera: Camera, plan: Plan, settings: Run | St
     return cache.value_of(RENDERED, _render_key(scene, camera, plan, settings), lambda value: int(value["across"]))
 
 
-def remember_rendered(scene: Scene, camera: Camera, plan: Plan, settings: Run | Study, across: int) -> None:
+def remember_rendered(scene: Scene, camera: Camera, plan: Plan, settings: Setting, across: int) -> None:
     """Note in the cache that it has a render, on a film of so many samples across."""
     cache.store_value(RENDERED, _render_key(scene, camera, plan, settings), {"across": across})
 
 
-def _render_key(scene: Scene, camera: Camera, plan: Plan, settings: Run | Study) -> str:
+def _render_key(scene: Scene, camera: Camera, plan: Plan, settings: Setting) -> str:
     limits = settings.model_dump(mode="json", include={"seed", *Effort.model_fields})
     of_scene = scene.content_hash, scene.choice.variant, camera.model_dump(mode="json")
     return content_hash([*of_scene, plan.as_dict(), limits, cache.version_fingerprint(*COMPUTED_BY)])

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.machine import processors
-from pixsim.base.parameters import Camera, Run, Study
+from pixsim.base.parameters import Camera, Setting, Study
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import pixels_on
 from pixsim.studies.cost import (
@@ -109,7 +109,7 @@ def film_of(scene: Scene, camera: Camera, plan: Plan) -> dict[str, Any]:
     return {"samples": [height, width], "pitch_um": 1e3 * camera.die_mm / width, "spp": plan.spp, "passes": plan.passes}
 
 
-def errors_of(plan: Plan, film: dict[str, Any], smallest: Imaging, settings: Run | Study) -> dict[str, float | None]:
+def errors_of(plan: Plan, film: dict[str, Any], smallest: Imaging, settings: Setting) -> dict[str, float | None]:
     """Return what is known of the errors of the light before there is light.
 
     smallest : of the pixels

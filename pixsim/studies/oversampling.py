@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, Array, in_threads
-from pixsim.base.parameters import Camera, Display, Pixel, Run, Study, content_hash
+from pixsim.base.parameters import Camera, Display, Pixel, Setting, content_hash
 from pixsim.base.progress import Progress, share_of, steps_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import Tiling, tiling_of
@@ -467,7 +467,7 @@ class Rendered:
 def render_and_measure(
     scene: Scene,
     plan: Plan,
-    settings: Run | Study,
+    settings: Setting,
     pixel: Pixel | PixelPhysics,
     measured: Sequence[Imaging],
     *,
