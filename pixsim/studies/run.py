@@ -421,11 +421,9 @@ def run(
     >>> result.score.frame.pixels, result.mean_delta_e > 1  # coarse pixels
     ((64, 64), True)
     """
-    paths = [config] if isinstance(config, str | os.PathLike) else config
-    options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
-    options |= ({"scene": dict(parameters)} if parameters else {}) | ({"pixel": dict(pixel)} if pixel else {})
     with collected_notes():  # also of what is found before the run begins
-        asked = run_settings([Path(path) for path in paths], options)
+        own = {name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table}
+        asked = run_settings(config, settings | own)
         prepared = prepare(
             str(scene), asked, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units
         )
