@@ -486,14 +486,15 @@ def compare(
     """
     import_less()
     from pixsim.report.compare import check_output, comparison_lines, outline, outline_lines, write_comparison
-    from pixsim.studies.compare import prepare, run_prepared
+    from pixsim.studies.compare import run_prepared
+    from pixsim.studies.setup import prepare
 
     shared = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
     given_options: dict[str, Any] = {"config": options.config or [], "options": tables, "sensor": sensor, "variant": variant}
     with collected_notes() as notes:
         prepared = prepare(sensors, scene, study=study, match=match, repeats=repeats, **given_options)
-        folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared.sensors)
+        folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared.shown.sensors)
         if dry_run:
             shown = outline(prepared)
             show(shown, json, "\n".join(outline_lines(prepared, shown, folder)))
