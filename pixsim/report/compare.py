@@ -41,12 +41,19 @@ from pixsim.studies.circumstances import SHARED, Circumstances
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.keys import rendered_across
 from pixsim.studies.light_level import LightLevel
+from pixsim.studies.pair_uncertainty import PairUncertainty
 from pixsim.studies.preparation import PAGE_S, START_S, Cost, known_film, render_cost
+from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.setup import OF_A_SENSOR, Contestant, Prepared, Setup
+from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import answers, conditions_disagree, shown_probability, verdict
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 
-JSON_FILE, ROWS_FILE, PAGE = "compare.json", "results.csv", "report.html"
+JSON_FILE, PAGE = "compare.json", "report.html"
+ROWS_FILES = {
+    "results.csv": "mean ΔE of each frame, with which an interrupted comparison goes on",
+    TYPES_FILE: "the same of the sensor types of --uncertainty",
+}
 
 
 # --- sentences ------------------------------------------------------------------------------------------------------------------
@@ -137,6 +144,7 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
         name = f"{condition.condition} (weight {condition.weight:.3g})"
         agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
         lines += [f"  {name}: {verdict(result.pair(other).conditions[number], other)}" for other in agreed]
+    lines += [f"  {found.words}" for found in result.uncertainty]
     lines.append(conditions_line(result.prepared))
     return lines + [f"note: {note}" for note in (result.notes if notes is None else notes)]
 
@@ -146,7 +154,8 @@ def outline(prepared: Prepared) -> dict[str, Any]:
     setup = prepared.shown
     first = setup.sensors[0]
     setups = dict.fromkeys(each for group in (prepared.setups, *prepared.pairs) for each in group)
-    costs = [_cost_of(each, prepared.repeats) for each in setups]
+    repeats = prepared.repeats + (0 if prepared.types is None else FEW_SENSORS * len(prepared.types.sample.quantiles))
+    costs = [_cost_of(each, repeats) for each in setups]
     cost = Cost(PAGE_S + START_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
     scene = first.scene.with_resolution(setup.film_width)
     more: dict[str, Any] = {}
@@ -155,6 +164,8 @@ def outline(prepared: Prepared) -> dict[str, Any]:
     if prepared.conditions:
         more["shown_condition"] = setup.condition
         more["conditions"] = {part.condition: {"weight": part.weight} for part in prepared.conditions}
+    if prepared.types is not None:
+        more["uncertainty"] = {"draws": len(prepared.types.sample.quantiles), "inputs": list(prepared.types.sample.inputs)}
     return more | {
         "scene": setup.scene,
         "match": prepared.match,
@@ -205,6 +216,8 @@ def outline_lines(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[
     height, across = shown["film"]["samples"]
     where = f", in {setup.condition}" if prepared.conditions else ""
     lines += [conditions_line(prepared), f"film of {across} × {height} samples for all{where}"]
+    if "uncertainty" in shown:
+        lines += [f"{shown['uncertainty']['draws']} sensor types, over {', '.join(shown['uncertainty']['inputs'])}"]
     lines += [
         "the film's error is measured by the renders and part of each ±; render noise stands beside the answer if it is too large"
     ]
@@ -256,8 +269,8 @@ def write_comparison(result: Comparison, folder: str | os.PathLike[str], seconds
             for name, text in settings_files(prepared).items():
                 (partial / name).write_text(text, encoding="utf-8")
             write_json(partial / JSON_FILE, result.as_dict())
-            rows = {ROWS_FILE: "mean ΔE of each frame, with which an interrupted comparison goes on"}
-            write_comparison_page(result, partial, end, rows if (path / ROWS_FILE).is_file() else {})
+            rows = {name: words for name, words in ROWS_FILES.items() if (path / name).is_file()}
+            write_comparison_page(result, partial, end, rows)
         return path / PAGE
 
 
@@ -278,6 +291,7 @@ def settings_files(prepared: Prepared) -> dict[str, str]:
     words += [] if prepared.conditions else ["--scene", whole_path(prepared.shown.scene)]
     words += ["--study" if prepared.conditions else "--config", SETTINGS_FILE]
     words += ["--match", prepared.match, "--repeats", str(prepared.repeats)]
+    words += [] if prepared.types is None else ["--uncertainty", str(prepared.types.asked)]
     for option, value in (("--sensor", prepared.sensor_id), ("--variant", prepared.variant)):
         words += [option, value] if value else []
     command = shlex.join(words)
@@ -290,8 +304,10 @@ def settings_files(prepared: Prepared) -> dict[str, str]:
             "display": first.display.model_dump(mode="json", exclude_none=True, exclude=chosen),
         }
         texts = {SETTINGS_FILE: settings_text(first, command, **tables, camera={}, lens={}, pixel={}, exposure={})}
-    owns = zip(files, prepared.base, strict=True)
-    return texts | {file: settings_text(own, f"(in the folder above) {command}", **_all_but_sensor(own)) for file, own in owns}
+    spreads = [{}] * len(files) if prepared.types is None else prepared.types.spreads
+    for file, own, spread in zip(files, prepared.base, spreads, strict=True):
+        texts[file] = settings_text(own, f"(in the folder above) {command}", {"": spread}, **_all_but_sensor(own))
+    return texts
 
 
 def _all_but_sensor(own: Run) -> dict[str, Any]:
@@ -358,6 +374,7 @@ def write_comparison_page(result: Comparison, folder: Path, end: float, files: d
         "views": [(f"{other} − {result.names[0]}", _view_rows(result, other)) for other in result.names[1:]],
         "viewings": setup.viewing.words,
         "repeats": prepared.repeats,
+        "unknown": [_unknown(found) for found in result.uncertainty],
         "notes": result.notes,
         "first": pictures[0],
         "others": [*pictures[1:], _picture(first.score.ideal, "ideal image")],
@@ -416,6 +433,18 @@ def _pair(result: Averaged, other: str) -> dict[str, str]:
         "interval": f"{low:+.4f} to {high:+.4f}",
         "probability": shown_probability(result.probability_a_better[other]),
         "film": "unknown" if film is None else f"{film:.2g}",
+    }
+
+
+def _unknown(found: PairUncertainty) -> dict[str, str]:
+    """Return a row of the page's table of what is not known of the sensors."""
+    better, ends = found.probability_a_better, found.difference.quantiles
+    return {
+        "name": f"{found.names[1]} − {found.names[0]}",
+        "types": str(better.draws),
+        "probability": f"{better.probability:.2f} ({better.low:.2f} to {better.high:.2f})",
+        **{name: f"{ends[name]:+.4f}" for name in ("p05", "p50", "p95")},
+        "matters": found.matters,
     }
 
 

@@ -33,12 +33,15 @@ from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
 from pixsim.studies.matched_cameras import Match
 from pixsim.studies.oversampling import FilmSteps, Rendered, film_steps, render_and_measure
-from pixsim.studies.preparation import jobs_in_memory
+from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
+from pixsim.studies.preparation import Cost, frame_cost, jobs_in_memory
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sizes
+from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.series import Series
 from pixsim.studies.setup import Contestant, Prepared, Setup, named, prepare
+from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import elsewhere_note
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
@@ -75,6 +78,7 @@ def compare(
     scheduler: Any = None,
     progress: Stage | None = None,
     out: str | os.PathLike[str] | None = None,
+    uncertainty: int | None = None,
     **settings: Any,
 ) -> Comparison:
     """Compare two or more sensors in one scene, by the mean ΔE of their pictures on one display.
@@ -96,6 +100,8 @@ def compare(
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes
     progress : returns a callback for each named stage
     out : folder whose results.csv keeps the mean ΔE of each frame, so that an interrupted comparison goes on; None keeps nothing
+    uncertainty : sensor types to draw from the ranges of technologies and [pixel.uncertainty] of data sheets, for the result's
+        `uncertainty`; rounded up to a power of two. None means none
     settings : tables and fields of `Run` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3. They take
         precedence over the study, but not over its conditions
 
@@ -109,7 +115,7 @@ def compare(
     paths = [config] if isinstance(config, str | os.PathLike) else config
     options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
     options |= {"scene": dict(parameters)} if parameters else {}
-    given: dict[str, Any] = {"config": [Path(path) for path in paths], "options": options}
+    given: dict[str, Any] = {"config": [Path(path) for path in paths], "options": options, "uncertainty": uncertainty}
     with collected_notes():  # also of what is found before the comparison begins
         prepared = prepare(files, scene, study=study, match=match, repeats=repeats, sensor=sensor, variant=variant, **given)
         return run_prepared(prepared, jobs=jobs, scheduler=scheduler, progress=progress, out=out)
@@ -127,9 +133,9 @@ def run_prepared(
     stage = progress or (lambda _: lambda *_: None)
     with collected_notes() as notes, ExitStack() as stack:
         folder = None if out is None else stack.enter_context(output_folder(out))
-        results = None if folder is None else folder / "results.csv"
-        if results is not None:
-            ResultsFile(results).check_replaceable()
+        files = {name: None if folder is None else folder / name for name in ("results.csv", TYPES_FILE)}
+        for file in filter(None, files.values()):
+            ResultsFile(file).check_replaceable()
         if jobs is not None or scheduler is not None:
             workers: Workers | None = stack.enter_context(workers_for(jobs, scheduler))
         else:
@@ -137,12 +143,15 @@ def run_prepared(
         whole = [lit_setup(setup, stage) for setup in prepared.setups]
         pairs = [lit_pair(pair, whole, stage) for pair in prepared.pairs]
         lit = list(dict.fromkeys(each for parts in (whole, *pairs) for each in parts))
-        evaluate_all(lit, prepared.repeats, results, workers, stage("sense and score"))
+        evaluate_all(lit, prepared.repeats, files["results.csv"], workers, stage("sense and score"))
         parts = weighted_parts(prepared.setups, whole)
         found_notes = _notes_of([part for _, part in parts])
         with without_warnings():
             of_pairs = tuple(Averaged(weighted_parts(*pair)) for pair in zip(prepared.pairs, pairs, strict=True))
         result = Comparison(parts, prepared, of_pairs)
+        if prepared.types is not None:
+            drawn = differences_of_types(prepared.types, result, pairs, files[TYPES_FILE], workers, stage("sensor types"))
+            result = replace(result, uncertainty=tuple(drawn))
         elsewhere = [elsewhere_note(result, other) for other in result.names[1:]]
     return replace(result, notes=(*notes, *found_notes, *filter(None, elsewhere)))
 
@@ -326,13 +335,32 @@ def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, worke
     workers : None takes as many processes as are worth it
     """
     series, sizes = [each for part in parts for each in part.series], [each for part in parts for each in part.sizes(repeats)]
+    costs = [part.setup.cost_of_frame(sensor) for part in parts for sensor in part.setup.sensors]
+    left = iter(delta_e_of(series, sizes, costs, results, workers, progress))
+    for part in parts:
+        places = [list(part.setup.displays).index(viewing) for viewing in part.setup.viewing.viewings]
+        for each in part.series:
+            part.viewed[each.name] = next(left).reshape(repeats, -1).T[places]
+
+
+def delta_e_of(
+    series: Sequence[Series],
+    sizes: Sequence[Sizes],
+    costs: Sequence[Cost],
+    results: Path | None,
+    workers: Workers | None,
+    progress: Progress,
+) -> list[Array]:
+    """Return the mean ΔE of all evaluations of each series, (repeats × displays,).
+
+    costs : of a frame of each; the other arguments are those of `evaluate_all`
+    """
     told_by = [name for name in series[0].columns if any(each.columns[name] for each in series)]
     series = [replace(each, columns={name: each.columns[name] for name in told_by}) for each in series]
     if workers is None:
-        costs = [part.setup.cost_of_frame(sensor) for part in parts for sensor in part.setup.sensors]
-        in_all_s = sum(repeats * cost.seconds for cost in costs)
+        in_all_s = sum(sum(own.values()) * cost.seconds for own, cost in zip(sizes, costs, strict=True))
         workers = workers_here(1 if in_all_s < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for cost in costs)))
-    evaluations = Evaluations(series, results, workers, len(parts))
+    evaluations = Evaluations(series, results, workers)
     rows = [NO_ROWS for _ in series]
     with evaluations.resumed(sizes):
         for number, own in evaluations.rows(sizes, progress):
@@ -340,9 +368,35 @@ def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, worke
             for reason in evaluations.left_out(number, sizes[number]).values():
                 raise AlikeChannelsError(f"{series[number].label}: {reason}")
         evaluations.finish(rows)
-    left = iter(rows)
-    for part in parts:
-        places = [list(part.setup.displays).index(viewing) for viewing in part.setup.viewing.viewings]
-        for each in part.series:
-            values = np.array([float(row["mean_delta_e"]) for row in next(left)])
-            part.viewed[each.name] = values.reshape(repeats, -1).T[places]
+    return [np.array([float(row["mean_delta_e"]) for row in own]) for own in rows]
+
+
+def differences_of_types(
+    types: Types, result: Comparison, pairs: Sequence[Sequence[Lit]], file: Path | None, workers: Workers | None, progress: Progress
+) -> list[PairUncertainty]:
+    """Evaluate the sensor types of both sensors of each pair under all conditions, and return what is known of their differences.
+
+    result : with the sensors as they are
+    pairs : the light of each pair
+    file : as `results` of `evaluate_all`
+    """
+    wanted: dict[tuple[int, str], tuple[Lit, Series]] = {}  # light and sensor
+    for pair, lit in zip(result.pairs, pairs, strict=True):
+        for each in lit:
+            own = {series.name: series for series in each.series}
+            wanted |= {(id(each), name): (each, own[name]) for name in pair.names}
+    series = [series_of_types(own, types) for _, own in wanted.values()]
+    costs = [frame_cost(own.imaging.camera, own.imaging.pixel.pitch_um, own.imaging.display) for _, own in wanted.values()]
+    count = len(types.sample.quantiles)
+    flat = [each for of_sensor in series for each in of_sensor]
+    sizes: list[Sizes] = [{each.imaging.pixel.pitch_um: FEW_SENSORS} for each in flat]
+    values = np.array(delta_e_of(flat, sizes, [cost for cost in costs for _ in range(count)], file, workers, progress))
+    of_types = dict(zip(wanted, values.reshape(len(wanted), count, FEW_SENSORS).mean(axis=2), strict=True))
+    found = []
+    for pair, lit in zip(result.pairs, pairs, strict=True):
+        first, other = pair.names
+        weighted = [(weight, each) for (weight, _), each in zip(pair.parts, lit, strict=True) if weight]
+        drawn = sum(weight * (of_types[id(each), other] - of_types[id(each), first]) for weight, each in weighted)
+        as_is = float((pair.delta_e[other] - pair.delta_e[first])[:FEW_SENSORS].mean())
+        found.append(PairUncertainty((first, other), types, pair.difference[other] + (np.asarray(drawn) - as_is)))
+    return found

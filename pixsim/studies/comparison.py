@@ -11,6 +11,7 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.pages import html_cell
 from pixsim.studies.averages import Averaged, Compared
+from pixsim.studies.pair_uncertainty import PairUncertainty
 from pixsim.studies.setup import Prepared
 from pixsim.studies.verdicts import headline, headlines
 from pixsim.viewer.display import white_light
@@ -29,14 +30,17 @@ class Comparison(Averaged):
     other sensors. The mean ΔE of three sensors and more (`delta_e`, `scores`) are those on one display for all. Under conditions,
     both are weighted means, and the sensors are those of the first condition of weight above 0.
 
+    parts : all sensors under each condition, with its weight
     prepared : what was compared: scene, cameras, display and seeds
     pairs : the first sensor and each other one alone
     notes : warnings, and black levels that clip dark noise
+    uncertainty : of each pair, what is known of its difference over sensor types, if they were asked for
     """
 
     prepared: Prepared = field(repr=False)
     pairs: tuple[Averaged, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
+    uncertainty: tuple[PairUncertainty, ...] = field(default=(), repr=False)
 
     @checks_arguments
     def pair(self, other: str) -> Averaged:
@@ -63,6 +67,8 @@ class Comparison(Averaged):
         if len(self.pairs) > 1:
             more["ranking"] = [list(group) for group in self.ranking]
             more["pairs"] = {other: _pair_as_dict(self.pair(other)) for other in self.names[1:]}
+        if self.uncertainty:
+            more["uncertainty"] = {found.names[1]: found.as_dict() for found in self.uncertainty}
         return more | {
             "names": list(self.names),
             "verdicts": {other: headline(self, other) for other in self.names[1:]},
@@ -102,7 +108,8 @@ class Comparison(Averaged):
         counted = ", ".join(f"{part.shown.setup.condition} ({weight:g})" for weight, part in self.counted)
         over = f"; the mean over the conditions {counted}" if counted else ""
         setup, repeats = self.shown.setup, self.prepared.repeats
-        notes = [f"{setup.scene}: {repeats} pairs of frames, seed {setup.settings.seed}{over}", *self.notes]
+        notes = [f"{setup.scene}: {repeats} pairs of frames, seed {setup.settings.seed}{over}"]
+        notes += [*(found.words for found in self.uncertainty), *self.notes]
         return html_cell(title, ("sensor", "pixel size (µm)", "mean ΔE (95 % and the film's error)"), rows, self.plot(), notes)
 
     def __repr__(self) -> str:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pixsim.base.caller import setting
 from pixsim.base.config import checked, packaged, settings_layer, sheet_uncertainty, warn_of_mixed_sensors
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
@@ -43,6 +44,7 @@ from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.circumstances import Circumstances, circumstances_of
 from pixsim.studies.matched_cameras import Match, matched_cameras
+from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.preparation import ALLOWED_DOTS, VIEWED_S_PER_DOT, Cost, View, choose_view, dots_on, frame_cost
 from pixsim.studies.viewing import OF_VIEWING, Viewing, ViewingRange
@@ -170,6 +172,7 @@ class Prepared:
     setups : all sensors under each condition; one without conditions
     pairs : the first sensor and each other one alone, likewise
     circumstances : the study under whose conditions the sensors are compared, if any
+    types : sensor types over which the comparison is repeated, if they are asked for
     """
 
     match: Match
@@ -180,6 +183,7 @@ class Prepared:
     sensor_id: str | None = None
     variant: str | None = None
     circumstances: Circumstances | None = None
+    types: Types | None = None
 
     @property
     def shown(self) -> Setup:
@@ -202,8 +206,6 @@ def sensor_layer(file: str) -> Layer:
             raise invalid("sensor", got, f"a TOML file, or one of {', '.join(known)}", did_you_mean(file, known))
         layer = settings_layer(path)
         if "pixel" in layer.table:
-            if unsure := sheet_uncertainty(path):
-                warn(f"{path.name}: [pixel.uncertainty] of {', '.join(unsure)} is not used: only studies draw sensor types")
             return layer
         if tables := [name for name in layer.table if name in Run.model_fields]:
             got = f"'{file}' with {', '.join(tables)}, but no table [pixel]"
@@ -274,10 +276,12 @@ def prepare(
     options: dict[str, Any] | None = None,
     sensor: str | None = None,
     variant: str | None = None,
+    uncertainty: int | None = None,
 ) -> Prepared:
     """Choose what a comparison leaves open, and check everything that can be checked before a render.
 
     config, options : settings for all sensors, as tables; they take precedence over those of the study, but not of its conditions
+    uncertainty : sensor types to draw
 
     Raises PixsimError for invalid input.
     """
@@ -318,7 +322,19 @@ def prepare(
     else:
         with without_warnings():  # those of all sensors are shown
             pairs = tuple(setups_of(0, other) for other in range(1, len(sources)))
-    return Prepared(match, repeats, tuple(base), setups, pairs, sensor, variant, of_study)
+    types = None
+    if uncertainty is not None:
+        types = Types.of(uncertainty, names, sources, [run.pixel for run in base], base[0].seed)
+    else:
+        warn_of_uncertainty(sources)
+    return Prepared(match, repeats, tuple(base), setups, pairs, sensor, variant, of_study, types)
+
+
+def warn_of_uncertainty(sources: Sequence[str]) -> None:
+    """Warn of the [pixel.uncertainty] of sensor files, where no sensor types are drawn."""
+    for path in map(Path, sources):
+        if path.is_file() and (unsure := sheet_uncertainty(path)):
+            warn(f"{path.name}: [pixel.uncertainty] of {', '.join(unsure)} is not used without {setting('uncertainty')}")
 
 
 class Stated(NamedTuple):
