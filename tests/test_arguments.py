@@ -152,7 +152,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 }  # fmt: skip
 # Built by pixsim only, from parts that are not public, or called above with a whole study.
 NOT_CALLED = {
-    "pixsim.compare": "its own tests", "pixsim.studies.compare.Comparison": "a whole comparison",
+    "pixsim.compare": "its own tests", "pixsim.studies.comparison.Comparison": "a whole comparison",
     "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
     "pixsim.lens": "its own tests below", "pixsim.measure.lens": "a whole trace",
     "pixsim.measure.sfr.EdgeResponse.write": "it writes a folder",

@@ -320,7 +320,7 @@ def test_compare_names_the_sensor_of_an_implausible_number_or_unused_uncertainty
     (note,) = [note for note in result.notes if "clips at" in note]
     assert note.startswith("bad: pixel: with gain_e_per_dn = 0.4, the ADC clips at 1638 of 12000 e-")
     (note,) = [note for note in result.notes if "uncertainty" in note]
-    assert note == "bad.toml: [pixel.uncertainty] of read_noise_e is not used: only studies draw sensor types"
+    assert note == "bad.toml: [pixel.uncertainty] of read_noise_e is not used without uncertainty"
 
 
 @pytest.mark.parametrize(("pitch_um", "hint"), [(3450.0, " 3450 nm is 3.45 µm."), (99.0, "")])

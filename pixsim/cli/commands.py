@@ -464,6 +464,14 @@ def compare(
         ),
     ] = "view",
     repeats: Annotated[int, Parameter(help="Pairs of frames, with the same seeds.")] = 8,
+    uncertainty: Annotated[
+        int | None,
+        Parameter(
+            help="Draw this many sensor types from the ranges of the technologies and [pixel.uncertainty] of data sheets, and "
+            "report the probability that the first sensor is better, the distribution of the difference, and which number matters.",
+            metavar="N",
+        ),
+    ] = None,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
     seed: common.Seed = None,
@@ -487,19 +495,22 @@ def compare(
 
     Example: pixsim compare a.toml b.toml --study day_and_night.toml
 
+    Example: pixsim compare a.toml b.toml --uncertainty 64
+
     Options of cameras, pixels, exposures and displays, and --config, hold for all sensors. Writes compare.json, pictures,
     settings.toml, the settings of each sensor, and report.html.
     """
     import_less()
     from pixsim.report.compare import check_output, comparison_lines, outline, outline_lines, write_comparison
-    from pixsim.studies.compare import prepare, run_prepared
+    from pixsim.studies.compare import run_prepared
+    from pixsim.studies.setup import prepare
 
     shared = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
     given_options: dict[str, Any] = {"config": options.config or [], "options": tables, "sensor": sensor, "variant": variant}
     with collected_notes() as notes:
-        prepared = prepare(sensors, scene, study=study, match=match, repeats=repeats, **given_options)
-        folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared.sensors)
+        prepared = prepare(sensors, scene, study=study, match=match, repeats=repeats, uncertainty=uncertainty, **given_options)
+        folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared.shown.sensors)
         if dry_run:
             shown = outline(prepared)
             show(shown, json, "\n".join(outline_lines(prepared, shown, folder)))

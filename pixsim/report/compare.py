@@ -36,40 +36,40 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
+from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.circumstances import SHARED, Circumstances
-from pixsim.studies.compare import (
-    OF_A_SENSOR,
-    Compared,
-    Comparison,
-    Prepared,
-    answers,
-    conditions_disagree,
-    shown_probability,
-    verdict,
-)
+from pixsim.studies.comparison import Comparison
 from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.keys import rendered_across
 from pixsim.studies.light_level import LightLevel
+from pixsim.studies.pair_uncertainty import PairUncertainty
+from pixsim.studies.sensor_types import TYPES_FILE
+from pixsim.studies.setup import OF_A_SENSOR, Contestant, Prepared, Setup
+from pixsim.studies.uncertainty import FEW_SENSORS
+from pixsim.studies.verdicts import answers, conditions_disagree, shown_probability, verdict
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 
 JSON_FILE, PAGE = "compare.json", "report.html"
+ROWS_FILES = {
+    "results.csv": "mean ΔE of each frame, with which an interrupted comparison goes on",
+    TYPES_FILE: "the same of the sensor types of --uncertainty",
+}
 
 
 # --- sentences ------------------------------------------------------------------------------------------------------------------
 
 
-def sensor_words(prepared: Prepared, number: int) -> str:
+def sensor_words(sensor: Contestant) -> str:
     """Return a sensor's pixels and lens in words."""
-    sensor = prepared.sensors[number]
     rows, columns = sensor.pixels
     technology = "" if sensor.pixel.technology == NO_TECHNOLOGY else f" ({label_of(sensor.pixel.technology)})"
     lens = f"{sensor.camera.focal_length_mm:.4g} mm f/{sensor.camera.f_number:.3g}"
     return f"{columns} × {rows} pixels of {sensor.pixel.pitch_um:g} µm{technology} behind {lens}"
 
 
-def exposure_words(prepared: Prepared) -> str:
+def exposure_words(setup: Setup) -> str:
     """Return the exposure rule of the sensors in words."""
-    exposures = [sensor.exposure for sensor in prepared.sensors]
+    exposures = [sensor.exposure for sensor in setup.sensors]
     if any(exposure != exposures[0] for exposure in exposures):
         return "each sensor's own exposure rule"
     if exposures[0].integration_s is not None:
@@ -80,10 +80,11 @@ def exposure_words(prepared: Prepared) -> str:
 
 def conditions_line(prepared: Prepared) -> str:
     """Return what all sensors of a comparison have in common, in one line; what differs between conditions is that of one."""
-    parts = [_common_words(part) for part in prepared.parts]
-    own = _common_words(prepared)
+    shown = prepared.shown
+    parts = [_common_words(prepared, setup) for setup in prepared.setups]
+    own = _common_words(prepared, shown)
     words = [
-        text if all(part[place] == text for part in parts) else f"{text} in {prepared.condition}" for place, text in enumerate(own)
+        text if all(part[place] == text for part in parts) else f"{text} in {shown.condition}" for place, text in enumerate(own)
     ]
     return "; ".join([*_study_words(prepared), *words, "± is the 95 % interval and the film's error"])
 
@@ -101,30 +102,30 @@ def _study_words(prepared: Prepared) -> list[str]:
     return words
 
 
-def _common_words(prepared: Prepared) -> list[str]:
+def _common_words(prepared: Prepared, setup: Setup) -> list[str]:
     """Return what all sensors of a comparison have in common under one condition, in parts."""
-    camera, display = prepared.sensors[0].camera, prepared.settings.display
-    first, field = prepared.sensors[0].name, f"the same field of {camera.field_words}"
+    camera, display = setup.sensors[0].camera, setup.settings.display
+    first, field = setup.sensors[0].name, f"the same field of {camera.field_words}"
     lens = {
         "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
         "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
         "own": f"each file's own lens, and {field}, which all have",
     }[prepared.match]
-    highest = prepared.sensors[0].scene.parameters.get(MAX_LP_PER_MM)
+    highest = setup.sensors[0].scene.parameters.get(MAX_LP_PER_MM)
     chart = "one scene"
     if highest is not None:
-        limit = prepared.view.limited_by
-        of = f", {limit.replace('the sensor', prepared.finest)}" if limit else ""
+        limit = setup.view.limited_by
+        of = f", {limit.replace('the sensor', setup.finest)}" if limit else ""
         chart = f"one chart, to {float(highest) * camera.die_mm:.4g} cycles across{of}"
-    rows, columns = prepared.scored_dots
-    viewing = prepared.viewing
+    rows, columns = setup.scored_dots
+    viewing = setup.viewing
     stated = ", as stated" if viewing.stated else ""
     shown = f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree{stated}"
     shown += f"; {columns} × {rows} are scored; range of viewing: {viewing.words}"
-    if prepared.pairs:
+    if len(prepared.pairs) > 1:
         shown += "; each difference is that of two sensors alone, with their own field, chart and range of viewing"
-    light = "the same light in each condition" if prepared.condition else "the same light"
-    return [lens, chart, shown, light, exposure_words(prepared), f"{prepared.repeats} pairs of frames with the same seeds"]
+    light = "the same light in each condition" if setup.condition else "the same light"
+    return [lens, chart, shown, light, exposure_words(setup), f"{prepared.repeats} pairs of frames with the same seeds"]
 
 
 def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> list[str]:
@@ -134,41 +135,47 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
     """
     lines = [line for found in answers(result) for line in below_headline(found)]
     width = max(map(len, result.names))
-    where = f" in {result.shown.prepared.condition}" if result.conditions else ""
-    for number, compared in enumerate(result.sensors):
+    where = f" in {result.shown.setup.condition}" if result.conditions else ""
+    for compared in result.sensors:
         time_ms = 1e3 * compared.score.frame.integration_s
-        words = f"{sensor_words(result.prepared, number)}, exposed for {time_ms:.3g} ms{where}"
+        words = f"{sensor_words(compared.sensor)}, exposed for {time_ms:.3g} ms{where}"
         lines.append(f"  {compared.name:{width}}  mean {result.shown_mean(compared.name)}  {words}")
     for number, condition in enumerate(result.prepared.conditions):
         name = f"{condition.condition} (weight {condition.weight:.3g})"
         agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
         lines += [f"  {name}: {verdict(result.pair(other).conditions[number], other)}" for other in agreed]
+    lines += [f"  {found.words}" for found in result.uncertainty]
     lines.append(conditions_line(result.prepared))
     return lines + [f"note: {note}" for note in (result.notes if notes is None else notes)]
 
 
 def outline(prepared: Prepared) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
-    first = prepared.sensors[0]
-    costs = [_cost_of(part) for whole in (prepared, *prepared.pairs) for part in whole.parts]
+    setup = prepared.shown
+    first = setup.sensors[0]
+    setups = dict.fromkeys(each for group in (prepared.setups, *prepared.pairs) for each in group)
+    repeats = prepared.repeats + (0 if prepared.types is None else FEW_SENSORS * len(prepared.types.sample.quantiles))
+    costs = [_cost_of(each, repeats) for each in setups]
     cost = Cost(PAGE_S + START_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
-    scene = first.scene.with_resolution(prepared.film_width)
+    scene = first.scene.with_resolution(setup.film_width)
     more: dict[str, Any] = {}
     if (of_study := prepared.circumstances) is not None:
         more["study"] = {"name": of_study.name, "not_used": list(of_study.not_used)}
     if prepared.conditions:
-        more["shown_condition"] = prepared.condition
+        more["shown_condition"] = setup.condition
         more["conditions"] = {part.condition: {"weight": part.weight} for part in prepared.conditions}
+    if prepared.types is not None:
+        more["uncertainty"] = {"draws": len(prepared.types.sample.quantiles), "inputs": list(prepared.types.sample.inputs)}
     return more | {
-        "scene": prepared.scene,
+        "scene": setup.scene,
         "match": prepared.match,
         "repeats": prepared.repeats,
         "fov_deg": first.camera.fov_deg,
         "film": {"samples": list(scene.film_shape(first.camera, scene.for_camera(first.camera)))},
-        "scored_dots": list(prepared.scored_dots),
-        "chosen": prepared.view.as_dict() | {"finest": prepared.finest},
-        "display": prepared.settings.display.model_dump(),
-        "viewing": prepared.viewing.as_dict(),
+        "scored_dots": list(setup.scored_dots),
+        "chosen": setup.view.as_dict() | {"finest": setup.finest},
+        "display": setup.settings.display.model_dump(),
+        "viewing": setup.viewing.as_dict(),
         "sensors": {
             sensor.name: {
                 "camera": sensor.camera.model_dump(),
@@ -176,24 +183,24 @@ def outline(prepared: Prepared) -> dict[str, Any]:
                 "pixels": list(sensor.pixels),
                 "pixel": sensor.pixel.model_dump(),
             }
-            for sensor in prepared.sensors
+            for sensor in setup.sensors
         },
         "estimate": asdict(cost),
     }
 
 
-def _cost_of(prepared: Prepared) -> Cost:
-    """Estimate the renders and frames of a comparison under one condition."""
-    width = prepared.film_width
+def _cost_of(setup: Setup, repeats: int) -> Cost:
+    """Estimate the renders and frames of the sensors under one condition."""
+    width = setup.film_width
     seconds, largest = 0.0, 0.0
-    for sensor in prepared.sensors:
+    for sensor in setup.sensors:
         scene = sensor.scene.with_resolution(width)
         height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
-        plan, settings = prepared.plan(sensor, scene), prepared.settings_of(sensor)
+        plan, settings = setup.plan(sensor, scene), setup.settings_of(sensor)
         film = known_film((height, width), rendered_across(scene, sensor.camera, plan, settings))
         render = render_cost(plan, sensor.camera, *film, processors().usable, begun=True)
-        frame = prepared.cost_of_frame(sensor)
-        seconds += render.seconds + prepared.repeats * frame.seconds / processors().usable
+        frame = setup.cost_of_frame(sensor)
+        seconds += render.seconds + repeats * frame.seconds / processors().usable
         largest = max(largest, render.memory_bytes + frame.memory_bytes)
     return Cost(seconds, largest, 1)
 
@@ -203,11 +210,14 @@ def outline_lines(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[
 
     out : folder that would be written
     """
-    width = max(len(sensor.name) for sensor in prepared.sensors)
-    lines = [f"{sensor.name:{width}}  {sensor_words(prepared, number)}" for number, sensor in enumerate(prepared.sensors)]
+    setup = prepared.shown
+    width = max(len(sensor.name) for sensor in setup.sensors)
+    lines = [f"{sensor.name:{width}}  {sensor_words(sensor)}" for sensor in setup.sensors]
     height, across = shown["film"]["samples"]
-    where = f", in {prepared.condition}" if prepared.conditions else ""
+    where = f", in {setup.condition}" if prepared.conditions else ""
     lines += [conditions_line(prepared), f"film of {across} × {height} samples for all{where}"]
+    if "uncertainty" in shown:
+        lines += [f"{shown['uncertainty']['draws']} sensor types, over {', '.join(shown['uncertainty']['inputs'])}"]
     lines += [
         "the film's error is measured by the renders and part of each ±; render noise stands beside the answer if it is too large"
     ]
@@ -223,7 +233,7 @@ def comparison_files(prepared: Prepared) -> dict[str, str]:
         JSON_FILE: "all numbers and settings, for programs",
         SETTINGS_FILE: "settings of all sensors; its first lines have the command that makes the same numbers again",
     }
-    for sensor in prepared.sensors:
+    for sensor in prepared.shown.sensors:
         files |= {
             f"sensors/{sensor.name}.toml": f"pixel, camera and exposure of {sensor.name}, as its file and the options have them",
             f"pictures/image_{sensor.name}.png": f"image of {sensor.name}, as shown",
@@ -249,7 +259,7 @@ def write_comparison(result: Comparison, folder: str | os.PathLike[str], seconds
     prepared = result.prepared
     with output_folder(folder) as path:
         check_output(prepared, path)
-        keep = [Path(sensor.source) for sensor in prepared.sensors]
+        keep = [Path(sensor.source) for sensor in prepared.shown.sensors]
         with publishing(path, "compare", {"seconds": seconds or {}}, keep) as partial:
             for name in ("sensors", "pictures"):
                 (partial / name).mkdir()
@@ -259,7 +269,8 @@ def write_comparison(result: Comparison, folder: str | os.PathLike[str], seconds
             for name, text in settings_files(prepared).items():
                 (partial / name).write_text(text, encoding="utf-8")
             write_json(partial / JSON_FILE, result.as_dict())
-            write_comparison_page(result, partial, end)
+            rows = {name: words for name, words in ROWS_FILES.items() if (path / name).is_file()}
+            write_comparison_page(result, partial, end, rows)
         return path / PAGE
 
 
@@ -275,25 +286,28 @@ def settings_files(prepared: Prepared) -> dict[str, str]:
 
     They state what was stated, and leave open what pixsim chose, such as a display: the command chooses the same again.
     """
-    files = [f"sensors/{sensor.name}.toml" for sensor in prepared.sensors]
+    files = [f"sensors/{sensor.name}.toml" for sensor in prepared.shown.sensors]
     words = ["pixsim", "compare", *files]
-    words += [] if prepared.conditions else ["--scene", whole_path(prepared.scene)]
+    words += [] if prepared.conditions else ["--scene", whole_path(prepared.shown.scene)]
     words += ["--study" if prepared.conditions else "--config", SETTINGS_FILE]
     words += ["--match", prepared.match, "--repeats", str(prepared.repeats)]
+    words += [] if prepared.types is None else ["--uncertainty", str(prepared.types.asked)]
     for option, value in (("--sensor", prepared.sensor_id), ("--variant", prepared.variant)):
         words += [option, value] if value else []
     command = shlex.join(words)
     if prepared.conditions and prepared.circumstances is not None:
         texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.circumstances), command)}
     else:
-        first, chosen = prepared.base[0], set(OF_VIEWING) - set(prepared.viewing.stated)
+        first, chosen = prepared.base[0], set(OF_VIEWING) - set(prepared.shown.viewing.stated)
         tables: dict[str, Any] = {
-            "scene": scene_table(prepared.sensors[0].scene.path.parent, first.scene),
+            "scene": scene_table(prepared.shown.sensors[0].scene.path.parent, first.scene),
             "display": first.display.model_dump(mode="json", exclude_none=True, exclude=chosen),
         }
         texts = {SETTINGS_FILE: settings_text(first, command, **tables, camera={}, lens={}, pixel={}, exposure={})}
-    owns = zip(files, prepared.base, strict=True)
-    return texts | {file: settings_text(own, f"(in the folder above) {command}", **_all_but_sensor(own)) for file, own in owns}
+    spreads = [{}] * len(files) if prepared.types is None else prepared.types.spreads
+    for file, own, spread in zip(files, prepared.base, spreads, strict=True):
+        texts[file] = settings_text(own, f"(in the folder above) {command}", {"": spread}, **_all_but_sensor(own))
+    return texts
 
 
 def _all_but_sensor(own: Run) -> dict[str, Any]:
@@ -335,43 +349,45 @@ def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
 # --- the page ---------------------------------------------------------------------------------------------------------------------
 
 
-def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
+def write_comparison_page(result: Comparison, folder: Path, end: float, files: dict[str, str]) -> None:
     """Write report.html next to the comparison's other files; it links to them and contains their pictures.
 
     end : of the colour scale of the ΔE maps
+    files : that are there beside those of `comparison_files`, with their descriptions
     """
     prepared, shown = result.prepared, result.shown
-    first = shown.sensors[0]
+    setup, first, in_shown = shown.setup, shown.sensors[0], Averaged(((1.0, shown),))
     maps = [compared.score.delta_e for compared in result.sensors]
     window = worst_window([np.abs(other - maps[0]) for other in maps[1:]])
     pictures = [_picture(compared.score.image, compared.name) for compared in result.sensors]
-    light = LightLevel.of(first.irradiance, prepared.settings.display, [c.score.frame.integration_s for c in result.sensors])
+    light = LightLevel.of(first.irradiance, setup.settings.display, [c.score.frame.integration_s for c in result.sensors])
     parameters = first.irradiance.header.get("parameters")
     common = scene_rows(first.irradiance, parameters if isinstance(parameters, dict) else {}, light)
     page = {
         "names": result.names,
         "verdicts": answers(result),
         "conditions": conditions_line(prepared),
-        "shown": shown.prepared.condition,
+        "shown": setup.condition,
         "compared": _condition_rows(result),
-        "rows": [_row(shown, number) for number in range(len(result.sensors))],
+        "rows": [_row(compared, in_shown.shown_mean(compared.name)) for compared in shown.sensors],
         "pairs": [_pair(result, other) for other in result.names[1:]],
         "views": [(f"{other} − {result.names[0]}", _view_rows(result, other)) for other in result.names[1:]],
-        "viewings": prepared.viewing.words,
+        "viewings": setup.viewing.words,
         "repeats": prepared.repeats,
+        "unknown": [_unknown(found) for found in result.uncertainty],
         "notes": result.notes,
         "first": pictures[0],
         "others": [*pictures[1:], _picture(first.score.ideal, "ideal image")],
         "reduced": factor_for(first.score.image),
-        "display": prepared.settings.display,
+        "display": setup.settings.display,
         "crops": [(c.name, crops(c.score, window, f"the picture of {c.name}", end)) for c in result.sensors],
         "scale_bar": scale(end),
         "map_words": {c.name: _map_words(c, end) for c in result.sensors},
         "maps": {c.name: (folder / f"pictures/delta_e_{c.name}.png").read_bytes() for c in result.sensors},
         "settings": [("scene", common), *_records(result), *_condition_settings(prepared)],
         "colours": [(c.name, colour_rows(c.colour, c.score.out_of_gamut)) for c in shown.sensors if c.colour],
-        "seed": prepared.settings.seed,
-        "files": comparison_files(prepared) | {"provenance.json": "versions and wall times"},
+        "seed": setup.settings.seed,
+        "files": comparison_files(prepared) | files | {"provenance.json": "versions and wall times"},
     }
     write_page(folder / PAGE, "compare.html.j2", page)
 
@@ -385,14 +401,16 @@ def _map_words(compared: Compared, end: float) -> str:
     return map_words(f"{compared.name}, first frame: ", found["mean_delta_e"], found["p99_delta_e"], end)
 
 
-def _row(result: Comparison, number: int) -> dict[str, Any]:
-    """Return a sensor's row of the page's table of numbers."""
-    compared = result.sensors[number]
+def _row(compared: Compared, mean: str) -> dict[str, Any]:
+    """Return a sensor's row of the page's table of numbers.
+
+    mean : its mean ΔE
+    """
     statistics = compared.score.statistics()
     rows, columns = compared.sensor.pixels
     return {
         "name": compared.name,
-        "delta_e": result.shown_mean(compared.name),
+        "delta_e": mean,
         "p99": f"{statistics['p99_delta_e']:.3g}",
         "pixels": f"{columns} × {rows}",
         "pitch_um": f"{compared.sensor.pixel.pitch_um:g}",
@@ -405,7 +423,7 @@ def _row(result: Comparison, number: int) -> dict[str, Any]:
     }
 
 
-def _pair(result: Comparison, other: str) -> dict[str, str]:
+def _pair(result: Averaged, other: str) -> dict[str, str]:
     """Return a row of the page's table of differences."""
     low, high = result.interval_delta_e[other]
     film = result.film_delta_e[other]
@@ -415,6 +433,18 @@ def _pair(result: Comparison, other: str) -> dict[str, str]:
         "interval": f"{low:+.4f} to {high:+.4f}",
         "probability": shown_probability(result.probability_a_better[other]),
         "film": "unknown" if film is None else f"{film:.2g}",
+    }
+
+
+def _unknown(found: PairUncertainty) -> dict[str, str]:
+    """Return a row of the page's table of what is not known of the sensors."""
+    better, ends = found.probability_a_better, found.difference.quantiles
+    return {
+        "name": f"{found.names[1]} − {found.names[0]}",
+        "types": str(better.draws),
+        "probability": f"{better.probability:.2f} ({better.low:.2f} to {better.high:.2f})",
+        **{name: f"{ends[name]:+.4f}" for name in ("p05", "p50", "p95")},
+        "matters": found.matters,
     }
 
 
@@ -439,7 +469,9 @@ def _view_rows(result: Comparison, other: str) -> list[dict[str, str]]:
 
 def _condition_rows(result: Comparison) -> list[tuple[str, str, list[str], list[dict[str, str]]]]:
     """Return name, weight, mean ΔE of each sensor and differences of each condition, then of the weighted mean; none without."""
-    named = [(part.prepared.condition, f"{part.prepared.weight:.3g}", part) for part in result.conditions]
+    named: list[tuple[str, str, Averaged]] = []
+    for setup, part in zip(result.prepared.conditions, result.conditions, strict=True):
+        named.append((setup.condition, f"{setup.weight:.3g}", part))
     others = result.names[1:]
     pairs = [[_pair(result.pair(other).conditions[number], other) for other in others] for number in range(len(named))]
     if named:
@@ -466,7 +498,7 @@ def _condition_settings(prepared: Prepared) -> list[tuple[str, list[Any]]]:
 
 def _records(result: Comparison) -> list[tuple[str, list[Any]]]:
     """Return the tables of settings: the display of all, then each sensor's own."""
-    settings, coloured = result.prepared.settings, any(compared.sensor.pixel.colour for compared in result.sensors)
+    settings, coloured = result.shown.setup.settings, any(compared.sensor.pixel.colour for compared in result.sensors)
     tables = [("display", record_rows("display", settings.display, False, coloured=coloured))]
     tables += [("develop", record_rows("develop", settings.develop, False))] if coloured else []
     for compared in result.sensors:

@@ -14,7 +14,7 @@ from pixsim.report.lens import write_lens
 from pixsim.report.run import write_run
 from pixsim.report.study import write_study
 from pixsim.report.uncertainty import write_uncertainty
-from pixsim.studies.compare import Comparison
+from pixsim.studies.comparison import Comparison
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.result import CasesResult, StudyResult

@@ -32,6 +32,7 @@ from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.pages import html_cell, rows_csv
 from pixsim.studies.budget import ProbeDesign, Settled, settle
 from pixsim.studies.oversampling import Rendered, render_and_measure
+from pixsim.studies.paired import mean_interval
 from pixsim.studies.preparation import View, choose_view
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
@@ -223,8 +224,6 @@ class RunResult:
         """
         if len(self.statistics) == 1:
             return None
-        from pixsim.studies.compare import mean_interval  # which imports studies, that no other run needs
-
         return mean_interval(self.delta_e)[::2]
 
     @cached_property

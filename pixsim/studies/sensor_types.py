@@ -171,9 +171,9 @@ def draw_types(
     return found
 
 
-def sample_of(sample: Sample, technology: str) -> Sample:
-    """Return the sensor types with the inputs of one technology only: the others do not move its optimum."""
-    kept = [any(unknown.technology in ("", technology) for unknown in members) for members in sample.inputs.values()]
+def sample_of(sample: Sample, *technologies: str) -> Sample:
+    """Return the sensor types with the inputs of some technologies only: the others do not move their results."""
+    kept = [any(unknown.technology in ("", *technologies) for unknown in members) for members in sample.inputs.values()]
     inputs = {name: members for (name, members), keep in zip(sample.inputs.items(), kept, strict=True) if keep}
     return Sample(inputs, sample.quantiles[:, kept])
 

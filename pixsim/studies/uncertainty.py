@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -61,6 +61,7 @@ class Unknown:
     technology : that has the number, as a study names it; empty for one of a data sheet
     allowed : bounds of the quantity, at which the distribution is cut off; None for no bound
     of_sheet : whether a data sheet states it; then it shares its draw with no other sensor
+    process : name of the technology, if several sensors have it and share the draw
 
     Raises PixsimError if more than half of the distribution is out of bounds.
     """
@@ -71,6 +72,7 @@ class Unknown:
     technology: str = ""
     allowed: tuple[float | None, float | None] = (None, None)
     of_sheet: bool = False
+    process: str = ""
 
     def __post_init__(self) -> None:
         if self.spread.kind == "lognormal" and self.value <= 0:
@@ -247,11 +249,18 @@ def unknowns_of_study(study: Study, uncertainty: Mapping[str, Mapping[str, Sprea
     for name in study.technologies:
         if name in study.sensors:
             unknowns += unknowns_of_sheet(study.sensors[name], spreads[name], name)
-        pixel = study.options_of(name)
-        given = {field for field in type(pixel).model_fields if getattr(pixel, field) is not None}
-        given = given.union(study.process.get(name, {}), excluded_by(given), given_for_process(pixel))
-        unknowns += unknowns_of_technology(technology_of(study, name), name, sorted(given))
+        unknowns += unknowns_of_process(study.options_of(name), technology_of(study, name), name, study.process.get(name, {}))
     return unknowns
+
+
+def unknowns_of_process(pixel: PixelOptions, technology: Technology, name: str, known: Iterable[str] = ()) -> list[Unknown]:
+    """Return the numbers of a technology with a range that neither a pixel gives in its place nor are known otherwise.
+
+    name : of the sensor
+    """
+    given = {field for field in type(pixel).model_fields if getattr(pixel, field) is not None}
+    given = given.union(known, excluded_by(given), given_for_process(pixel))
+    return unknowns_of_technology(technology, name, sorted(given))
 
 
 def given_for_process(pixel: PixelOptions) -> set[str]:
@@ -315,7 +324,7 @@ class Sample:
 
 
 def inputs_of(unknowns: Sequence[Unknown], shared: Sequence[str] = SHARED) -> dict[str, tuple[Unknown, ...]]:
-    """Return the independent inputs: technologies' unknowns of a shared quantity together, each other one alone.
+    """Return the independent inputs: technologies' unknowns of a shared quantity together, those of one process, each other alone.
 
     The numbers of data sheets were measured apart.
 
@@ -334,7 +343,8 @@ def inputs_of(unknowns: Sequence[Unknown], shared: Sequence[str] = SHARED) -> di
     groups: dict[tuple[bool, str], list[Unknown]] = {}
     for unknown in unknowns:
         together = unknown.quantity in shared and not unknown.of_sheet
-        groups.setdefault((together, unknown.quantity if together else unknown.name), []).append(unknown)
+        of_process = f"{unknown.process} {unknown.quantity}" if unknown.process else unknown.name
+        groups.setdefault((together, unknown.quantity if together else of_process), []).append(unknown)
     return {members[0].name if len(members) == 1 else name: tuple(members) for (_, name), members in groups.items()}
 
 
@@ -422,8 +432,9 @@ class Probability:
     draws: int
 
     @classmethod
-    def of(cls, holds: Sequence[bool]) -> Probability:
-        n, k = len(holds), sum(map(bool, holds))
+    def of(cls, holds: Sequence[float]) -> Probability:
+        """Return the probability from whether it holds in each draw, as 1, 0, or 0.5 where that is open."""
+        n, k = len(holds), sum(map(float, holds))
         low = float(betaincinv(k + 0.5, n - k + 0.5, 0.025)) if k else 0.0
         high = float(betaincinv(k + 0.5, n - k + 0.5, 0.975)) if k < n else 1.0
         return cls(k / n, low, high, n)

@@ -15,7 +15,7 @@ from pixsim.base.config import checked, settings_layer, settings_text
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, CameraOptions, Run, Study
 from pixsim.report.settings import record_rows
-from pixsim.studies.compare import matched_cameras
+from pixsim.studies.matched_cameras import matched_cameras
 from pixsim.studies.study_file import load_study
 
 CRA = "image_height_mm,deg\n0,0\n1,12\n2,21.5\n"

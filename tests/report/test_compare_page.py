@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from itertools import product
 from pathlib import Path
@@ -16,7 +17,8 @@ from helpers.commands import assert_refused, command
 from helpers.looks import assert_short_headlines, text_of
 
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
-from pixsim.studies.compare import Comparison, answer, elsewhere_note, headline, shown_delta_e, verdict, verdict_parts
+from pixsim.studies.averages import Averaged, Observed, shown_delta_e
+from pixsim.studies.verdicts import answer, elsewhere_note, headline, verdict, verdict_parts
 from pixsim.studies.viewing import Viewing, ViewingRange
 
 SMALL = "--display.dots 120 --resolution 256 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
@@ -271,21 +273,39 @@ def test_compare_study_page_fits_screens(under_study: tuple[Path, str], tmp_path
 CHOSEN = Viewing(600, 23.0)
 
 
-def result_of(first: list[float], other: list[float], film: float | None) -> Comparison:
+def result_of(first: list[float], other: list[float], film: float | None) -> Averaged:
     """A comparison of these ΔE on one display, with this error of the film."""
     return viewed_of({CHOSEN: (first, other)}, film)
 
 
 def viewed_of(
     values: dict[Viewing, tuple[list[float], list[float]]], film: float | None = 0.0, stated: tuple[str, ...] = ()
-) -> Comparison:
+) -> Averaged:
     """A comparison of these ΔE of a and b under some viewings, the chosen one first."""
-    result = Comparison.__new__(Comparison)
-    viewed = {name: np.array([pair[number] for pair in values.values()]) for number, name in enumerate("ab")}
-    given: dict[str, Any] = {"names": ("a", "b"), "unconverged": "", "viewed": viewed}
-    given |= {"film_between": lambda *_: film, "prepared": SimpleNamespace(viewing=ViewingRange(tuple(values), stated))}
-    object.__setattr__(result, "__class__", type("Given", (Comparison,), given))
-    return result
+    return Averaged(((1.0, observed(values, film, stated)),))
+
+
+def observed(
+    values: dict[Viewing, tuple[list[float], list[float]]],
+    film: float | None = 0.0,
+    stated: tuple[str, ...] = (),
+    condition: str = "",
+    noises: tuple[dict[str, float], ...] = ({}, {}),
+) -> Observed:
+    setup = SimpleNamespace(viewing=ViewingRange(tuple(values), stated), condition=condition, weight=0.5 if condition else 1.0)
+    steps = SimpleNamespace(error_of_difference=lambda _: math.nan if film is None else film)
+    sensors = []
+    for number, (name, noise) in enumerate(zip("ab", noises, strict=True)):
+        viewed = np.array([pair[number] for pair in values.values()])
+        image = SimpleNamespace(header={"render_noise": noise} if noise else {})
+        own = {"name": name, "viewed": viewed, "delta_e": viewed[0], "steps": steps, "causes": (), "irradiance": image}
+        sensors.append(SimpleNamespace(**own))
+    return SimpleNamespace(setup=setup, sensors=tuple(sensors))  # type: ignore[return-value]
+
+
+def unsure_of(result: Averaged, words: str) -> Averaged:
+    """The same with these causes and errors beside the sensors."""
+    return type("Given", (Averaged,), {"unconverged": words})(result.parts)  # type: ignore[no-any-return]
 
 
 CERTAIN = " (probability > .999)"
@@ -365,15 +385,12 @@ def test_stated_display_is_no_range_but_a_note_says_whether_the_verdict_turns() 
 )
 def test_headline_names_the_conditions_that_disagree(night: list[float], disagree: bool) -> None:
     """The weighted mean alone would say that one sensor is better, and that nobody sees it."""
-    parts = [result_of([1.0, 1.01], [1.2, 1.21], 0.0), result_of([1.2, 1.21], night, 0.0)]
-    for part, name in zip(parts, ("day", "night"), strict=True):
-        part.__dict__["prepared"] = SimpleNamespace(condition=name, weight=0.5, viewing=part.prepared.viewing)
-    both = result_of([1.1, 1.11], [1.1 + (night[0] - 1) / 2, 1.11 + (night[1] - 1.01) / 2], 0.0)
-    both.__dict__["conditions"] = tuple(parts)
+    day, night_part = ([1.0, 1.01], [1.2, 1.21]), ([1.2, 1.21], night)
+    both = Averaged(tuple((0.5, observed({CHOSEN: own}, condition=name)) for name, own in (("day", day), ("night", night_part))))
     words = headline(both, "b")
     assert (words != verdict(both, "b")) == disagree
     if disagree:
-        named = [f"{name} (weight 0.5): {verdict(part, 'b')}" for part, name in zip(parts, ("day", "night"), strict=True)]
+        named = [f"{name} (weight 0.5): {verdict(part, 'b')}" for part, name in zip(both.conditions, ("day", "night"), strict=True)]
         assert words == "; ".join(["the conditions disagree", *named, f"weighted mean: {verdict(both, 'b')}"])
 
 
@@ -386,8 +403,7 @@ def test_headlines_are_short_whatever_the_result_is() -> None:
         {CHOSEN: A_BY_02, FEWER: NEITHER, FEW: B_BY_02, NEAR: NEITHER, FAR: B_BY_02},
     )  # fmt: skip
     for values, film, unsure in product(shown, (0.0, 0.1, None), ("", noisy, cause, f"{cause}; {noisy}")):
-        given = viewed_of(values, film)
-        object.__setattr__(given, "__class__", type("Given", (type(given),), {"unconverged": unsure}))
+        given = unsure_of(viewed_of(values, film), unsure)
         head, *rest = answer(given, "b")
         assert len(head.split()) <= MOST_WORDS
         assert ("not converged" in head) == (noisy in unsure)
@@ -397,18 +413,15 @@ def test_headlines_are_short_whatever_the_result_is() -> None:
 
 
 def test_headline_says_that_a_render_is_too_noisy() -> None:
-    given = result_of([1.0, 1.01], [1.2, 1.21], 0.0)
-    lights = ({"fraction": fraction, "target": 0.2} for fraction in (0.3, 2.4, 0.1))
-    more = {"name": "a", "causes": (), "delta_e": np.array([1.0, 1.01])}
-    given.__dict__["sensors"] = [
-        SimpleNamespace(irradiance=SimpleNamespace(header={"render_noise": noise}), **more) for noise in lights
-    ]
-    object.__setattr__(given, "__class__", type("Given", (type(given),), {"unconverged": Comparison.unconverged}))
-    given.__dict__["conditions"] = ()
+    pair = [1.0, 1.01], [1.2, 1.21]
+
+    def of(*fractions: float) -> Averaged:
+        noises = tuple({"fraction": fraction, "target": 0.2} for fraction in fractions)
+        return Averaged(((1.0, observed({CHOSEN: pair}, noises=noises)),))
+
     worst = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"
-    assert headline(given, "b") == f"{verdict(given, 'b')}; {worst}"
-    given.__dict__["sensors"] = given.sensors[2:]
-    assert headline(given, "b") == verdict(given, "b")
+    assert headline(of(0.3, 2.4), "b") == f"{verdict(of(0.3, 2.4), 'b')}; {worst}"
+    assert headline(of(0.1, 0.1), "b") == verdict(of(0.1, 0.1), "b")
 
 
 def test_shown_delta_e_has_no_more_digits_than_it_is_sure_of() -> None:

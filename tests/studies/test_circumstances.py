@@ -14,8 +14,11 @@ from scipy import stats
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Study
+from pixsim.studies.averages import Averaged
 from pixsim.studies.circumstances import circumstances_of
-from pixsim.studies.compare import Comparison, headline, prepare
+from pixsim.studies.comparison import Comparison
+from pixsim.studies.setup import prepare
+from pixsim.studies.verdicts import headline
 
 DAY = {"scene": {"parameters": {"luminance_cd_per_m2": 300.0}}, "exposure": {"max_integration_s": 0.02}}
 NIGHT = {"scene": {"parameters": {"luminance_cd_per_m2": 1.0}}, "display": {"white_cd_per_m2": 1.0}, "camera": {"f_number": 2.0}}
@@ -70,8 +73,8 @@ def test_weighted_mean_is_that_of_the_conditions_alone(both: Comparison, alone: 
 def test_conditions_are_those_comparisons_bit_for_bit(both: Comparison, alone: list[Comparison]) -> None:
     day, night = (result.answers() for result in alone)
     assert [part.answers() for part in both.conditions] == [day, night]
-    assert [part.prepared.weight for part in both.conditions] == [0.75, 0.25]
-    assert both.shown.prepared.condition == "day"
+    assert [weight for weight, _ in both.counted] == [0.75, 0.25]
+    assert both.shown.setup.condition == "day"
     assert [sensor.score for sensor in both.sensors] == [sensor.score for sensor in both.conditions[0].sensors]
 
 
@@ -97,7 +100,7 @@ def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison]
 def test_shown_condition_is_the_first_of_weight_above_0(files: list[Path]) -> None:
     never = {"name": "never", "weight": 0.0, "set": DAY}
     made = prepare(files, study=plan(condition=[never, *BOTH[::-1]]), match="view", repeats=2)
-    assert made.condition == "night"
+    assert made.shown.condition == "night"
     assert [part.condition for part in made.conditions] == ["never", "night", "day"]
 
 
@@ -108,8 +111,8 @@ def test_view_of_all_conditions_is_that_of_the_shown_one(files: list[Path]) -> N
     for order, limit in (([slow, fast], "the lens's cut-off"), ([fast, slow], "the sensor's Nyquist frequency")):
         study = Study.model_validate({"name": "lenses", "condition": order})
         made = prepare(files, study=study, match="view", repeats=2)
-        assert {part.view for part in made.conditions} == {made.view}
-        assert made.view.limited_by == limit
+        assert {part.view for part in made.conditions} == {made.shown.view}
+        assert made.shown.view.limited_by == limit
         own = {part.sensors[0].scene.parameters["max_lp_per_mm"] for part in made.conditions}
         assert len(own) == 1
     fewer = {"name": "fewer", "set": {"display": {"dots": 30}}}
@@ -129,7 +132,7 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     assert [each.exposure.max_integration_s for each in day.sensors] == [0.02, 0.02]
     assert [each.exposure.max_integration_s for each in night.sensors] == [0.05, 0.05], "the study's takes precedence over a file's"
     assert {each.exposure.well_target for part in made.conditions for each in part.sensors} == {0.5}
-    assert made.sensors[0].camera.die_mm == 1.28
+    assert made.shown.sensors[0].camera.die_mm == 1.28
     assert made.circumstances is not None
     assert set(made.circumstances.not_used) == {"technologies", "camera.die_mm"}
 
@@ -140,10 +143,10 @@ def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list
     options: dict[str, Any] = {"match": "view", "repeats": 2}
     made = prepare(files, study=plan(**tables, lens={"file": "cooke_triplet"}), **options)
     same = prepare(files, study=plan(), options=tables | {"lens": {"file": "cooke_triplet"}}, **options)
-    assert made.settings == same.settings
-    assert made.settings.correction.dark_frames == 4
-    assert [each.camera for each in made.sensors] == [each.camera for each in same.sensors]
-    assert made.sensors[0].camera.lens is not None
+    assert made.shown.settings == same.shown.settings
+    assert made.shown.settings.correction.dark_frames == 4
+    assert [each.camera for each in made.shown.sensors] == [each.camera for each in same.shown.sensors]
+    assert made.shown.sensors[0].camera.lens is not None
     assert made.circumstances is not None
     assert made.circumstances.not_used == ()
 
@@ -158,10 +161,10 @@ def test_options_that_every_condition_sets_are_named(files: list[Path], recwarn:
 def test_scene_of_option_is_without_the_parameters_of_the_study(files: list[Path]) -> None:
     study = plan(scene={"file": "csf", "parameters": {"max_lp_per_mm": 12.0}})
     made = prepare(files, "flat", study=study, match="view", repeats=2)
-    assert made.scene == "flat"
+    assert made.shown.scene == "flat"
     assert made.circumstances is not None
     assert made.circumstances.not_used == ("scene",)
-    assert prepare(files, study=study, match="view", repeats=2).sensors[0].scene.parameters["max_lp_per_mm"] == "12.0"
+    assert prepare(files, study=study, match="view", repeats=2).shown.sensors[0].scene.parameters["max_lp_per_mm"] == "12.0"
 
 
 def test_condition_with_a_scene_of_its_own(files: list[Path]) -> None:
@@ -173,15 +176,14 @@ def test_condition_with_a_scene_of_its_own(files: list[Path]) -> None:
 # --- synthetic scores -------------------------------------------------------------------------------------------------
 
 
-def weighted_of(day: np.ndarray, night: np.ndarray) -> Comparison:
+def weighted_of(day: np.ndarray, night: np.ndarray) -> Averaged:
     """A comparison of these ΔE, each (2 sensors, repeats), with weights 3 to 1."""
 
-    def of(values: np.ndarray, weight: float) -> Comparison:
+    def of(values: np.ndarray) -> Any:
         sensors = tuple(SimpleNamespace(name=name, viewed=own[None]) for name, own in zip("ab", values, strict=True))
-        return Comparison(SimpleNamespace(weight=weight), sensors)  # type: ignore[arg-type]
+        return SimpleNamespace(sensors=sensors)
 
-    parts = of(day, 0.75), of(night, 0.25)
-    return Comparison(parts[0].prepared, parts[0].sensors, conditions=parts)
+    return Averaged(((0.75, of(day)), (0.25, of(night))))
 
 
 def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:

@@ -22,18 +22,14 @@ from pixsim.base.parameters import Camera
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
 from pixsim.studies import evaluations
-from pixsim.studies.compare import (
-    Comparison,
-    Prepared,
-    matched_cameras,
-    mean_interval,
-    prepare,
-    probability_above_zero,
-    ranking_words,
-    series_of_sensor,
-    verdict,
-)
+from pixsim.studies.averages import Averaged
+from pixsim.studies.compare import series_of_sensor
+from pixsim.studies.comparison import Comparison
 from pixsim.studies.evaluations import evaluate_task, tasks_of
+from pixsim.studies.matched_cameras import matched_cameras
+from pixsim.studies.paired import mean_interval, probability_above_zero
+from pixsim.studies.setup import Setup, prepare
+from pixsim.studies.verdicts import ranking_words, verdict
 from pixsim.studies.viewing import Viewing, ViewingRange
 
 # A chart without samples, few pixels and dots: a comparison takes 0.2 s.
@@ -115,10 +111,10 @@ def test_matched_window_is_of_the_first_die() -> None:
 # --- one scene, one display, one scored frame -------------------------------------------------------------------------
 
 
-def prepared(files: list[Path], **options: Any) -> Prepared:
+def prepared(files: list[Path], **options: Any) -> Setup:
     match = options.pop("match", "view")
     scene = options.pop("scene_file", "csf")
-    return prepare(files, scene, match=match, repeats=2, options=options)
+    return prepare(files, scene, match=match, repeats=2, options=options).shown
 
 
 @pytest.mark.parametrize("match", ["view", "lens", "own"])
@@ -237,7 +233,7 @@ def test_pairing_reduces_variance(tmp_path: Path) -> None:
 def test_frame_of_another_process_is_the_same(noisy: Comparison) -> None:
     """A chain that was sent to a worker gives the same frames, bit for bit."""
     compared = noisy.sensors[2]
-    series = series_of_sensor(noisy.prepared, compared.sensor, compared.irradiance)
+    series = series_of_sensor(noisy.shown.setup, compared.sensor, compared.irradiance)
     (task,) = tasks_of(series, {compared.sensor.pixel.pitch_um: 8})
     rows = evaluate_task(*pickle.loads(pickle.dumps((task, series.light()))))
     of_first_display = [float(row["mean_delta_e"]) for row in rows][:: len(series.displays)]
@@ -253,7 +249,7 @@ def test_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
     whole = pixsim.compare(files, out=tmp_path / "out", **options)
     results = tmp_path / "out/results.csv"
     lines = results.read_text(encoding="utf-8").splitlines(keepends=True)
-    assert len(lines) == 1 + 2 * 2 * 3 * len(whole.prepared.displays)
+    assert len(lines) == 1 + 2 * 2 * 3 * len(whole.shown.setup.displays)
     results.write_text("".join(lines[: len(lines) // 2]), encoding="utf-8")
     made: list[int] = []
     evaluate = evaluations.evaluate_task
@@ -358,12 +354,13 @@ def test_ranking_separates_what_is_sure_under_all_viewings() -> None:
     ranges = ViewingRange((Viewing(512, 23.0), Viewing(256, 23.0)))
     sensors = tuple(SimpleNamespace(name=name, viewed=own, steps=NoFilm()) for name, own in viewed.items())
 
-    def of(viewing: ViewingRange) -> Comparison:
-        return Comparison(SimpleNamespace(viewing=viewing), sensors)  # type: ignore[arg-type]
+    def of(viewing: ViewingRange, left_out: int = 0) -> Averaged:
+        observed = SimpleNamespace(setup=SimpleNamespace(viewing=viewing), sensors=sensors[left_out:])
+        return Averaged(((1.0, observed),))  # type: ignore[arg-type]
 
     assert of(ranges).ranking == (("a", "b", "c", "d"),)
     assert of(replace(ranges, stated=("dots",))).ranking == (("a",), ("b",), ("c",), ("d",))
-    without = replace(of(ranges), sensors=sensors[1:])
+    without = of(ranges, left_out=1)
     assert without.ranking == (("a",), ("b", "c"))
     assert ranking_words(without) == (
         "ranking, the best first, all on one display: a; then b and c (whose order depends on the viewing or is not sure)"

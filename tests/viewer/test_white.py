@@ -20,7 +20,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.exchange import write_npz
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import derive
-from pixsim.studies.compare import Comparison
+from pixsim.studies.comparison import Comparison
 from pixsim.viewer.develop import rendition_of
 from pixsim.viewer.display import XYZ_FROM_RGB
 from pixsim.viewer.score import Seen, fraction_beyond_white, ideal_on_dots, white_header
@@ -133,5 +133,7 @@ def test_sensors_of_a_comparison_share_one_white(tmp_path: Path) -> None:
     first, result = white(files)
     assert first == white(files[::-1])[0]
     for sensor in result.sensors:
-        seen = Seen(sensor.irradiance, sensor.sensor.camera, sensor.score.physics, result.prepared.border_um(sensor.sensor.camera))
-        assert np.mean(seen.luminance_cd_per_m2(result.prepared.settings.display) > first) <= 0.01
+        seen = Seen(
+            sensor.irradiance, sensor.sensor.camera, sensor.score.physics, result.shown.setup.border_um(sensor.sensor.camera)
+        )
+        assert np.mean(seen.luminance_cd_per_m2(result.shown.setup.settings.display) > first) <= 0.01

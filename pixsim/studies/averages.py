@@ -1,0 +1,310 @@
+"""The mean ΔE of the sensors of a comparison, under each condition and as the weighted mean over them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.headline import NOT_CONVERGED
+from pixsim.light.spectral import SpectralImage
+from pixsim.studies.oversampling import FilmError, FilmSteps
+from pixsim.studies.paired import mean_interval, probability_above_zero
+from pixsim.studies.setup import Contestant, Setup
+from pixsim.studies.viewing import Viewed
+from pixsim.viewer.causes import Cause, causes_of, lightness_range
+from pixsim.viewer.light_error import LightError, with_error
+from pixsim.viewer.score import Score, clip_words, clips_dark
+
+if TYPE_CHECKING:
+    from pixsim.scene.convergence import RenderNoise
+
+# Of the film's error on the chosen display, grown with mean ΔE: of 48 viewings of six comparisons, 46 errors are within it.
+ELSEWHERE = 2.0
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A sensor's part of a comparison.
+
+    irradiance : light on the sensor, before diffraction
+    score : of its first frame
+    viewed : (viewings, repeats) mean ΔE of each frame, in the order of `ViewingRange.viewings`
+    dark : effect of clipping dark pixels at 0 DN, as `pixsim.viewer.score.dark_clip`
+    white_e : mean electrons of the scene's white on axis in its first frame
+    steps : on this film and on coarser ones, for the film's error of a difference
+    colour : channels, matrix and noise gains, as in score.json; None for a monochrome sensor
+    """
+
+    sensor: Contestant
+    irradiance: SpectralImage = field(repr=False)
+    noise: RenderNoise
+    film: FilmError
+    score: Score = field(repr=False)
+    viewed: Array = field(repr=False)
+    dark: dict[str, float] = field(repr=False)
+    white_e: float
+    steps: FilmSteps = field(repr=False)
+    colour: dict[str, Any] | None = field(default=None, repr=False)
+
+    @property
+    def name(self) -> str:
+        """Name of the sensor."""
+        return self.sensor.name
+
+    @cached_property
+    def causes(self) -> tuple[Cause, ...]:
+        """Causes of its mean ΔE beside its noise and blur, the largest first."""
+        time_s = self.score.frame.integration_s
+        lightness = lightness_range(self.score.ideal)
+        return causes_of(self.irradiance.header, self.score.physics, self.white_e, time_s, lightness)
+
+    @property
+    def delta_e(self) -> Array:
+        """Mean ΔE of each frame on the chosen display, (repeats,)."""
+        return np.asarray(self.viewed[0])
+
+    @property
+    def film_delta_e(self) -> float | None:
+        """Largest error of mean ΔE that the film may cause; None if it is unknown."""
+        error = self.film.largest_delta_e
+        return None if math.isnan(error) else error
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Sensors of a comparison under one condition, with their light and their frames."""
+
+    setup: Setup
+    sensors: tuple[Compared, ...]
+
+    @property
+    def notes(self) -> list[str]:
+        """Causes, black levels that clip dark noise, and assumptions."""
+        notes = [f"{each.name}: {cause}" for each in self.sensors for cause in each.causes]
+        for each in self.sensors:
+            pixel = each.sensor.pixel
+            notes += [f"{each.name}: {clip_words(each.dark, pixel.model_dump())}"] if clips_dark(each.dark) else []
+            notes += [f"{each.name}: {pixel.assumption}"] if pixel.assumption else []
+        return notes
+
+
+@dataclass(frozen=True)
+class Averaged:
+    """The mean ΔE of sensors: the weighted mean over the conditions of a comparison. The first one is a, each later one is b.
+
+    parts : the sensors under each condition, with the weight; one of weight 1 without conditions
+    """
+
+    parts: tuple[tuple[float, Observed], ...] = field(repr=False)
+
+    @property
+    def shown(self) -> Observed:
+        """The sensors under the first condition of weight above 0, whose pictures are shown."""
+        return next(part for weight, part in self.parts if weight)
+
+    @property
+    def sensors(self) -> tuple[Compared, ...]:
+        """The sensors of `shown`, in the order of their files."""
+        return self.shown.sensors
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sensors, in the order of their files."""
+        return tuple(sensor.name for sensor in self.sensors)
+
+    @property
+    def conditions(self) -> tuple[Averaged, ...]:
+        """The sensors under each condition of a study alone; none without conditions."""
+        return tuple(Averaged(((1.0, part),)) for _, part in self.parts if part.setup.condition)
+
+    @property
+    def counted(self) -> list[tuple[float, Averaged]]:
+        """The weight and the sensors of each condition of weight above 0."""
+        return [(weight, own) for own in self.conditions if (weight := own.shown.setup.weight)]
+
+    @checks_arguments
+    def pair(self, other: str) -> Averaged:
+        """Return the comparison of the first sensor and another one: here among all of these sensors.
+
+        other : name of the other one
+        """
+        return self
+
+    @property
+    def viewed(self) -> dict[str, Array]:
+        """Mean ΔE of each frame of each sensor under each viewing, (viewings, repeats).
+
+        With conditions, that of frame k is the weighted mean over the frames k of all conditions. They have the same seeds, so that
+        the scatter of these means holds what the conditions' frames have in common.
+        """
+        weighted = [(weight, {each.name: each.viewed for each in part.sensors}) for weight, part in self.parts if weight]
+        return {name: np.sum([weight * own[name] for weight, own in weighted], axis=0) for name in self.names}
+
+    @property
+    def delta_e(self) -> dict[str, Array]:
+        """Mean ΔE of each frame of each sensor on the chosen display, (repeats,)."""
+        return {name: np.asarray(values[0]) for name, values in self.viewed.items()}
+
+    @property
+    def scores(self) -> dict[str, tuple[float, float, float]]:
+        """Mean ΔE of each sensor between the ends of its 95 % interval: (low, mean, high)."""
+        return {name: mean_interval(values) for name, values in self.delta_e.items()}
+
+    @property
+    def differences(self) -> dict[str, Array]:
+        """ΔE(b) - ΔE(a) of each pair of frames on the chosen display, (repeats,), of each later sensor."""
+        of_pairs = {other: self.pair(other).delta_e for other in self.names[1:]}
+        return {other: own[other] - own[self.names[0]] for other, own in of_pairs.items()}
+
+    @property
+    def difference(self) -> dict[str, float]:
+        """Mean ΔE(b) - ΔE(a) of each later sensor: above 0, a is better."""
+        return {name: float(values.mean()) for name, values in self.differences.items()}
+
+    @property
+    def interval_delta_e(self) -> dict[str, tuple[float, float]]:
+        """95 % interval of each difference, from its pairs of frames; the film's error is not in it (`film_delta_e`)."""
+        return {name: mean_interval(values)[::2] for name, values in self.differences.items()}
+
+    @property
+    def probability_a_better(self) -> dict[str, float]:
+        """Probability that the expected ΔE of a is below that of b: `probability_above_zero`."""
+        return {name: probability_above_zero(values) for name, values in self.differences.items()}
+
+    @property
+    def film_delta_e(self) -> dict[str, float | None]:
+        """Largest error of each difference that the film may cause; None if it is unknown."""
+        return {other: self.pair(other).film_between(self.names[0], other) for other in self.names[1:]}
+
+    @checks_arguments
+    def film_between(self, one: str, other: str) -> float | None:
+        """Return the largest error (ΔE) of the difference of two sensors that the film may cause; None if it is unknown.
+
+        Both sensors see the same film, so that it is less than the errors of both together. Those of conditions add up, by weight.
+
+        one, other : names of the sensors
+        """
+        errors = []
+        for weight, part in self.parts:
+            steps = {sensor.name: sensor.steps for sensor in part.sensors}
+            errors.append((weight, steps[one].error_of_difference(steps[other])))
+        return sum_if_known(errors)
+
+    @checks_arguments
+    def views(self, other: str) -> tuple[Viewed, ...]:
+        """Return the difference of the first sensor and another one under each viewing, the chosen one first.
+
+        other : name of the other one
+        """
+        return self.pair(other).views_between(self.names[0], other)
+
+    @checks_arguments
+    def views_between(self, one: str, other: str) -> tuple[Viewed, ...]:
+        """Return the difference of two sensors under each viewing of all, the chosen one first.
+
+        The film's error is measured on the chosen display. On others twice it is taken, and more where mean ΔE is larger.
+
+        one, other : names of the sensors
+        """
+        viewed, film, viewing_range = self.viewed, self.film_between(one, other), self.shown.setup.viewing
+        first, second = viewed[one], viewed[other]
+        mean = np.maximum(first.mean(axis=1), second.mean(axis=1))
+        grown = np.append(1.0, ELSEWHERE * np.maximum(mean[1:] / mean[0], 1.0) if mean[0] else np.full(mean.size - 1, ELSEWHERE))
+        views = []
+        for number, (viewing, values) in enumerate(zip(viewing_range.viewings, second - first, strict=True)):
+            numbers = float(values.mean()), mean_interval(values)[::2], probability_above_zero(values)
+            error = None if film is None else film * float(grown[number])
+            views.append(Viewed(viewing, viewing_range.holds(viewing), *numbers, error))
+        return tuple(views)
+
+    @property
+    def ranking(self) -> tuple[tuple[str, ...], ...]:
+        """The sensors by their mean ΔE, the best first, in groups; all of them on one display.
+
+        Each one of a group is surely better than each one of a later group, under all viewings of the range. Within a group, the
+        order depends on the viewing, or is not sure.
+        """
+        means = {name: float(values.mean()) for name, values in self.delta_e.items()}
+        order = sorted(means, key=lambda name: means[name])
+        better = {
+            (one, other)
+            for place, one in enumerate(order)
+            for other in order[place + 1 :]
+            if all(view.sign > 0 for view in self.views_between(one, other) if view.inside)
+        }
+        cuts = [
+            place
+            for place in range(1, len(order))
+            if all((one, other) in better for one in order[:place] for other in order[place:])
+        ]
+        return tuple(tuple(order[first:last]) for first, last in pairwise([0, *cuts, len(order)]))
+
+    @property
+    def film_of_sensors(self) -> dict[str, float | None]:
+        """Largest error of each sensor's mean ΔE that the film may cause; None if it is unknown."""
+        own = [(weight, {sensor.name: sensor.film.largest_delta_e for sensor in part.sensors}) for weight, part in self.parts]
+        return {name: sum_if_known([(weight, errors[name]) for weight, errors in own]) for name in self.names}
+
+    @property
+    def unconverged(self) -> str:
+        """Causes beside the sensors, and renders with more noise than their target, in words, the largest first; empty for none.
+
+        The film's error is in each ±.
+        """
+        found: list[tuple[float, str]] = []
+        for setup, sensor in ((part.setup, sensor) for _, part in self.parts for sensor in part.sensors):
+            where = f" in {setup.condition}" if setup.condition else ""
+            found += [(cause.delta_e, f"{sensor.name}{where}: {cause.words}") for cause in sensor.causes]
+            errors = LightError.of(sensor.irradiance.header).errors(float(sensor.delta_e.mean()))
+            found += [(size, f"{NOT_CONVERGED}: {words}") for size, words in errors]
+        found.sort(key=lambda one: -one[0])
+        # Of several renders, the one with the most noise.
+        noisiest = next((words for _, words in found if words.startswith(NOT_CONVERGED)), "")
+        return "; ".join(dict.fromkeys(words for _, words in found if not words.startswith(NOT_CONVERGED) or words == noisiest))
+
+    @checks_arguments
+    def shown_mean(self, name: str) -> str:
+        """Return a mean ΔE as text, with its uncertainty: half of the 95 % interval, and the film's error.
+
+        name : of a sensor
+        """
+        low, mean, high = self.scores[name]
+        return shown_delta_e(mean, (high - low) / 2, self.film_of_sensors[name])
+
+    def answers(self) -> dict[str, Any]:
+        """Return the numbers that answer the question, as in compare.json."""
+        views = {other: self.views(other) for other in self.names[1:]}
+        return {
+            "scores": {name: list(score) for name, score in self.scores.items()},
+            "difference": self.difference,
+            "interval_delta_e": {name: list(ends) for name, ends in self.interval_delta_e.items()},
+            "probability_a_better": self.probability_a_better,
+            "film_delta_e": self.film_delta_e,
+            "views": {other: [view.as_dict((self.names[0], other)) for view in own] for other, own in views.items()},
+        }
+
+
+def shown_delta_e(value: float, half: float, film: float | None) -> str:
+    """Return a ΔE and its uncertainty as text: half of the 95 % interval and the film's error, to two digits, one above 0.01.
+
+    film : the film's error; None is stated as unknown
+
+    >>> shown_delta_e(0.12345, 0.0021, 0.0), shown_delta_e(0.12345, 0.001, 0.02)
+    ('0.1235 ± 0.0021 ΔE', '0.12 ± 0.02 ΔE')
+    """
+    unknown = " and the film's error, which is unknown" if film is None else ""
+    return f"{with_error(value, half + (film or 0.0))} ΔE{unknown}"
+
+
+def sum_if_known(parts: Sequence[tuple[float, float]]) -> float | None:
+    """Return the sum of weights × numbers, without those of weight 0; None if one of them is NaN."""
+    total = sum(weight * value for weight, value in parts if weight)
+    return None if math.isnan(total) else total

@@ -1,0 +1,154 @@
+"""The result of a comparison of sensors."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.show.figures import literal, new_figure, own_style
+from pixsim.show.pages import html_cell
+from pixsim.studies.averages import Averaged, Compared
+from pixsim.studies.pair_uncertainty import PairUncertainty
+from pixsim.studies.setup import Prepared
+from pixsim.studies.verdicts import headline, headlines
+from pixsim.viewer.display import white_light
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURE_WIDTH_IN, FIGURE_BORDER_IN, ROW_IN = 6.0, 0.8, 0.4
+
+
+@dataclass(frozen=True)
+class Comparison(Averaged):
+    """Sensors in one scene. The first one is a, each later one is b.
+
+    A difference of a and b is that of the two alone, with their own chart, field, dots and border. So it does not depend on the
+    other sensors. The mean ΔE of three sensors and more (`delta_e`, `scores`) are those on one display for all. Under conditions,
+    both are weighted means, and the sensors are those of the first condition of weight above 0.
+
+    parts : all sensors under each condition, with its weight
+    prepared : what was compared: scene, cameras, display and seeds
+    pairs : the first sensor and each other one alone
+    notes : warnings, and black levels that clip dark noise
+    uncertainty : of each pair, what is known of its difference over sensor types, if they were asked for
+    """
+
+    prepared: Prepared = field(repr=False)
+    pairs: tuple[Averaged, ...] = field(repr=False)
+    notes: tuple[str, ...] = ()
+    uncertainty: tuple[PairUncertainty, ...] = field(default=(), repr=False)
+
+    @checks_arguments
+    def pair(self, other: str) -> Averaged:
+        """Return the comparison of the first sensor and another one alone.
+
+        other : name of the other one
+        """
+        return self.pairs[self.names.index(other) - 1]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return compare.json. With conditions the answers are those of the weighted mean, and the rest is `shown`."""
+        prepared, first, setup = self.prepared, self.sensors[0], self.shown.setup
+        more: dict[str, Any] = {}
+        if (of_study := prepared.circumstances) is not None:
+            more["study"] = {"name": of_study.name, "not_used": list(of_study.not_used)}
+        if self.conditions:
+            more["shown_condition"] = setup.condition
+            more["conditions"] = {
+                own.condition: {"weight": own.weight}
+                | part.answers()
+                | {"delta_e": {name: values.tolist() for name, values in part.delta_e.items()}}
+                for own, part in zip(prepared.conditions, self.conditions, strict=True)
+            }
+        if len(self.pairs) > 1:
+            more["ranking"] = [list(group) for group in self.ranking]
+            more["pairs"] = {other: _pair_as_dict(self.pair(other)) for other in self.names[1:]}
+        if self.uncertainty:
+            more["uncertainty"] = {found.names[1]: found.as_dict() for found in self.uncertainty}
+        return more | {
+            "names": list(self.names),
+            "verdicts": {other: headline(self, other) for other in self.names[1:]},
+            **self.answers(),
+            "match": prepared.match,
+            "repeats": prepared.repeats,
+            "scene": setup.scene,
+            "scored_dots": list(first.score.delta_e.shape),
+            "fov_deg": first.sensor.camera.fov_deg,
+            "chosen": setup.view.as_dict() | {"finest": setup.finest},
+            "display": setup.settings.display.model_dump(),
+            "viewing": setup.viewing.as_dict(),
+            "seed": setup.settings.seed,
+            "notes": list(self.notes),
+            "sensors": {
+                sensor.name: _summary_of(sensor) | {"delta_e": self.delta_e[sensor.name].tolist()} for sensor in self.sensors
+            },
+        }
+
+    @own_style()
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of mean ΔE: a row for each sensor, with its frames and the 95 % interval of their mean."""
+        figure = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * len(self.sensors))
+        axes = figure.add_subplot()
+        for row, (name, (low, mean, high)) in enumerate(self.scores.items()):
+            axes.plot(self.delta_e[name], np.full(self.prepared.repeats, row), "o", color="tab:gray", alpha=0.5, markersize=4)
+            axes.errorbar([mean], [row], xerr=[[mean - low], [high - mean]], fmt="D", color=f"C{row}", capsize=5, markersize=5)
+        axes.set_yticks(range(len(self.sensors)), [literal(name) for name in self.names])
+        axes.set_ylim(len(self.sensors) - 0.5, -0.5)  # the first sensor is on top
+        axes.set_xlim(0.0, 1.05 * max(float(values.max()) for values in self.delta_e.values()) or 1.0)
+        axes.set_xlabel("mean ΔE: each frame (grey), and the mean with its 95 % interval")
+        return figure
+
+    def _repr_html_(self) -> str:
+        rows = [(sensor.name, f"{sensor.sensor.pixel.pitch_um:g}", self.shown_mean(sensor.name)) for sensor in self.sensors]
+        title = "; ".join(headlines(self))
+        counted = ", ".join(f"{part.shown.setup.condition} ({weight:g})" for weight, part in self.counted)
+        over = f"; the mean over the conditions {counted}" if counted else ""
+        setup, repeats = self.shown.setup, self.prepared.repeats
+        notes = [f"{setup.scene}: {repeats} pairs of frames, seed {setup.settings.seed}{over}"]
+        notes += [*(found.words for found in self.uncertainty), *self.notes]
+        return html_cell(title, ("sensor", "pixel size (µm)", "mean ΔE (95 % and the film's error)"), rows, self.plot(), notes)
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name} {self.shown_mean(name)}" for name in self.names)
+        conditions = f" under {len(self.conditions)} conditions" if self.conditions else ""
+        words = f"mean ΔE {shown}, {self.prepared.repeats} pairs{conditions}"
+        return f"<Comparison {'; '.join(filter(None, (words, self.unconverged)))}>"
+
+
+def _pair_as_dict(pair: Averaged) -> dict[str, Any]:
+    """Return what compare.json has of the first sensor and another one alone, beside their difference."""
+    setup = pair.shown.setup
+    return {
+        "scores": {name: list(score) for name, score in pair.scores.items()},
+        "fov_deg": setup.sensors[0].camera.fov_deg,
+        "scored_dots": list(setup.scored_dots),
+        "chosen": setup.view.as_dict() | {"finest": setup.finest},
+        "viewing": setup.viewing.as_dict(),
+    }
+
+
+def _summary_of(compared: Compared) -> dict[str, Any]:
+    """Return a sensor's entry of compare.json; `statistics` are those of its first frame, as in score.json."""
+    sensor, score = compared.sensor, compared.score
+    return {
+        "file": sensor.source,
+        "pixels": list(sensor.pixels),
+        "statistics": score.statistics(),
+        "camera": sensor.camera.model_dump(),
+        "fov_deg": sensor.camera.fov_deg,
+        "pixel": sensor.pixel.model_dump(),
+        "assumption": sensor.pixel.assumption,
+        "exposure": sensor.exposure.model_dump(),
+        "border_um": list(score.border_um),
+        "film": compared.film.as_dict(),
+        "render_noise": asdict(compared.noise),
+        "dark": compared.dark,
+        "causes": [cause.as_dict() for cause in compared.causes],
+        **({} if compared.colour is None else {"colour": compared.colour}),
+        "white_spectrum": white_light(compared.irradiance)[1],
+        "irradiance": compared.irradiance.header,
+    }

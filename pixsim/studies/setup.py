@@ -1,0 +1,476 @@
+"""What a comparison of sensors leaves open, found and checked before anything is rendered.
+
+All sensors see the same field, on one display, in the same light.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pixsim.base.caller import setting
+from pixsim.base.config import checked, packaged, settings_layer, sheet_uncertainty, warn_of_mixed_sensors
+from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.files import missing
+from pixsim.base.labels import file_label, labels_of
+from pixsim.base.notes import warn
+from pixsim.base.parameters import (
+    NO_TECHNOLOGY,
+    REGISTERED_BORDER,
+    Camera,
+    CameraOptions,
+    Display,
+    Exposure,
+    Layer,
+    Pixel,
+    Record,
+    Run,
+    Study,
+)
+from pixsim.scene.charts import MAX_LP_PER_MM
+from pixsim.scene.plan import Plan, make_plan
+from pixsim.sensor.integration import check_pixel_count, pixels_on
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.technology import check_name
+from pixsim.sensor.unused import Configuration, warn_of_unused_settings
+from pixsim.studies.budget import without_warnings
+from pixsim.studies.circumstances import Circumstances, circumstances_of
+from pixsim.studies.cost import VIEWED_S_PER_DOT, Cost, dots_on, frame_cost
+from pixsim.studies.matched_cameras import Match, matched_cameras
+from pixsim.studies.pair_uncertainty import Types
+from pixsim.studies.paired import FEWEST_PAIRS
+from pixsim.studies.preparation import ALLOWED_DOTS, View, choose_view
+from pixsim.studies.viewing import OF_VIEWING, Viewing, ViewingRange
+from pixsim.viewer.display import dot_edges_um
+
+if TYPE_CHECKING:
+    from pixsim.scene.scene import Scene
+
+SENSORS = (2, 8)  # of a comparison; the page shows each in full
+REPEATS = (FEWEST_PAIRS, 10_000)
+OF_A_SENSOR = ("camera", "lens", "pixel", "exposure")  # tables that each file has of its own; the others are those of the first
+# Limits by the clock and calibrations differ between sensors: neither their film nor their noise would be the same.
+NOT_COMPARED = {
+    "tolerance_delta_e": "the film's error is measured and stated; --repeats and --render-noise make results surer",
+    "max_seconds": "a number of samples limits each render; --render-noise changes it",
+}
+DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A sensor of a comparison, with the camera through which it sees the common field.
+
+    name : stem of its file, unique in the comparison
+    source : its file, or the name of a packaged technology
+    scene : with its chart, whose frequencies on the sensor go with the die
+    """
+
+    name: str
+    source: str
+    camera: Camera
+    pixel: Pixel
+    exposure: Exposure
+    scene: Scene
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """Its own settings, as tables of `Run`."""
+        return {"camera": self.camera.options, "lens": self.camera.lens_options, "pixel": self.pixel, "exposure": self.exposure}
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Rows and columns of pixels that see the common field."""
+        return pixels_on(self.camera.die_um, self.pixel.pitch_um)
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Sensors of a comparison under one condition, with the display and the chart that they share.
+
+    condition, weight : name and share of the condition; an empty name and 1 without conditions
+    scene : file, or name of a packaged scene
+    settings : what all sensors share, and the first one's camera, pixel and exposure
+    view : display and chart that pixsim chose for data sheets, from the sensor with the most pixels
+    finest : name of that sensor
+    border : width of the border that is not scored, as a fraction of the width of the field
+    viewing : displays on which the frames are scored; the first one is that of `settings`
+    """
+
+    condition: str
+    weight: float
+    scene: str
+    settings: Run
+    sensors: tuple[Contestant, ...]
+    view: View
+    finest: str
+    border: float
+    viewing: ViewingRange
+
+    @property
+    def words(self) -> str:
+        """The condition, for messages; empty without conditions."""
+        return f"condition {self.condition}" if self.condition else ""
+
+    def plan(self, sensor: Contestant, scene: Scene) -> Plan:
+        """Return the plan of a sensor's render on the film of `scene`."""
+        options: dict[str, Any] = {"display": self.settings.display, "tolerance_e": self.settings.tolerance_e}
+        return make_plan(scene, sensor.camera, sensor.pixel, exposure=sensor.exposure, **options)
+
+    def settings_of(self, sensor: Contestant) -> Run:
+        """Return the settings with those of a sensor."""
+        return self.settings.model_copy(update=sensor.own)
+
+    @cached_property
+    def film_width(self) -> int:
+        """Samples across the first film, the most that any of the sensors needs: with one film, all see the same picture."""
+        widths = []
+        for sensor in self.sensors:
+            plan = self.plan(sensor, sensor.scene)
+            shape = sensor.scene.film_shape(sensor.camera, sensor.scene.for_camera(sensor.camera))
+            widths.append(plan.resolution or shape[1])
+        return max(widths)
+
+    @property
+    def scored_dots(self) -> tuple[int, int]:
+        """Rows and columns of the display's dots that are shown and scored."""
+        camera = self.sensors[0].camera
+        rows, columns = dot_edges_um(camera.die_um, self.sensors[0].pixel.pitch_um, self.settings.display, self.border_um(camera))
+        return rows.size - 1, columns.size - 1
+
+    @property
+    def displays(self) -> dict[Viewing, Display]:
+        """The displays on which the frames are scored, that of the settings first."""
+        own = self.settings.display
+        chosen = Viewing(own.dots, own.samples_per_deg)
+        return {viewing: viewing.display(own) for viewing in (chosen, *self.viewing.viewings)}
+
+    def border_um(self, camera: Camera) -> float:
+        """Return the width of the border on a camera's die."""
+        return self.border * camera.die_um[1]
+
+    def cost_of_frame(self, sensor: Contestant) -> Cost:
+        """Estimate a frame of a sensor, and its ΔE under all viewings."""
+        cost = frame_cost(sensor.camera, sensor.pixel.pitch_um, self.settings.display)
+        displays = [each.display(self.settings.display) for each in dict.fromkeys(self.viewing.viewings[1:])]
+        dots = sum(dots_on(sensor.camera, display) for display in displays)
+        return replace(cost, seconds=cost.seconds + dots * VIEWED_S_PER_DOT)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A comparison with everything that it left open.
+
+    base : settings of each sensor, as the files and options have them without a condition
+    setups : all sensors under each condition; one without conditions
+    pairs : the first sensor and each other one alone, likewise
+    circumstances : the study under whose conditions the sensors are compared, if any
+    types : sensor types over which the comparison is repeated, if they are asked for
+    """
+
+    match: Match
+    repeats: int
+    base: tuple[Run, ...]
+    setups: tuple[Setup, ...]
+    pairs: tuple[tuple[Setup, ...], ...]
+    sensor_id: str | None = None
+    variant: str | None = None
+    circumstances: Circumstances | None = None
+    types: Types | None = None
+
+    @property
+    def shown(self) -> Setup:
+        """The first setup of weight above 0, whose pictures are shown."""
+        return next(setup for setup in self.setups if setup.weight)
+
+    @property
+    def conditions(self) -> tuple[Setup, ...]:
+        """The setups that are conditions of a study."""
+        return tuple(setup for setup in self.setups if setup.condition)
+
+
+def sensor_layer(file: str) -> Layer:
+    """Return the table of a sensor: a TOML file with [pixel], such as a data sheet; or a technology, by its file or name."""
+    known = packaged("data/technologies")
+    if file not in known:
+        path = Path(file)
+        if path.suffix != ".toml":
+            got = f"'{file}'" if path.parent == Path() or os.path.lexists(path) else missing(path)
+            raise invalid("sensor", got, f"a TOML file, or one of {', '.join(known)}", did_you_mean(file, known))
+        layer = settings_layer(path)
+        if "pixel" in layer.table:
+            return layer
+        if tables := [name for name in layer.table if name in Run.model_fields]:
+            got = f"'{file}' with {', '.join(tables)}, but no table [pixel]"
+            hint = "`pixsim template sensor -o my_sensor.toml` writes one with every field."
+            raise invalid("sensor", got, "the file of a data sheet, or of a technology", hint)
+    return Layer({"pixel": {"technology": file}}, file)
+
+
+def read_sensors(
+    files: Sequence[str], lens: Layer, config: Sequence[Layer], options: dict[str, Any], condition: Layer | None = None
+) -> list[Run]:
+    """Return the settings of each file, with those of all sensors over them.
+
+    lens : [camera] for files that state none of it
+    config, options, condition : for all sensors; each takes precedence over the one before it, and over a sensor's own file
+
+    Raises PixsimError that lists every problem of a file.
+    """
+    runs: list[Run] = []
+    for file in files:
+        own = sensor_layer(file)
+        warn_of_mixed_sensors([own, *config])
+        run: Run = checked(Run, [lens, own, *config, Layer(options), *([condition] if condition else [])])
+        for name, reason in NOT_COMPARED.items():
+            if getattr(run, name) is not None:
+                raise invalid(name, f"{getattr(run, name):g}", f"no value for a comparison: {reason}")
+        first = runs[0] if runs else run
+        if unused := [n for n in own.table if n not in OF_A_SENSOR and getattr(run, n, None) != getattr(first, n, None)]:
+            warn(
+                f"{file}: only {', '.join(f'[{name}]' for name in OF_A_SENSOR)} are used, not {', '.join(unused)}: the first file's"
+            )
+        runs.append(run)
+    return runs
+
+
+def check_files(files: Sequence[str]) -> None:
+    """Raise PixsimError for too few or too many sensors, and for one that is given twice."""
+    low, high = SENSORS
+    if not low <= len(files) <= high:
+        hint = "" if files else "For example: pixsim compare a.toml b.toml"
+        raise invalid("sensors", f"{len(files)} ({', '.join(files)})" if files else "none", f"{low} to {high} files", hint)
+    for file in files:
+        check_name(file, "sensor")
+    real = [os.path.realpath(file) if Path(file).is_file() else file for file in files]
+    for number, file in enumerate(real):
+        if file in real[:number]:
+            got = f"'{files[number]}' twice"
+            raise invalid("sensors", got, "different files", "A copy of the file may have other numbers, or the same.")
+
+
+@contextmanager
+def named(part: str) -> Iterator[None]:
+    """Name the sensor, or the condition if there is one, in an error about its settings."""
+    try:
+        yield
+    except PixsimError as error:
+        raise PixsimError(f"{part}: {error}" if part else str(error)) from None
+
+
+def prepare(
+    files: Sequence[str | os.PathLike[str]],
+    scene: str | os.PathLike[str] | None = None,
+    *,
+    study: Study | str | os.PathLike[str] | None = None,
+    match: Match,
+    repeats: int,
+    config: Sequence[Path] = (),
+    options: dict[str, Any] | None = None,
+    sensor: str | None = None,
+    variant: str | None = None,
+    uncertainty: int | None = None,
+) -> Prepared:
+    """Choose what a comparison leaves open, and check everything that can be checked before a render.
+
+    config, options : settings for all sensors, as tables; they take precedence over those of the study, but not of its conditions
+    uncertainty : sensor types to draw
+
+    Raises PixsimError for invalid input.
+    """
+    sources = [str(file) for file in files]
+    check_files(sources)
+    if not REPEATS[0] <= repeats <= REPEATS[1]:
+        raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
+    layers, options = [settings_layer(path) for path in config], options or {}
+    names = labels_of([file_label(source) for source in sources])
+    of_study = None if study is None else circumstances_of(study, scene)
+    if of_study is not None:
+        of_study.warn_of_unused(options)
+        layers = [of_study.shared, *layers]
+    lens = Layer({}) if of_study is None else of_study.lens
+    base = read_sensors(sources, lens, layers, options)
+    under = [Stated("", 1.0, str("csf" if scene is None else scene) if of_study is None else of_study.scene, base)]
+    if of_study is not None and of_study.conditions:
+        under, total = [], sum(each.weight for each in of_study.conditions)
+        for each in of_study.conditions:
+            runs = read_sensors(sources, lens, layers, options, of_study.layer_of(each))
+            under.append(Stated(each.name, each.weight / total, of_study.scene_of(each), runs))
+
+    def setups_of(*chosen: int) -> tuple[Setup, ...]:
+        """Return some of the sensors under each condition, as if there were no others."""
+        shown = next(stated for stated in under if stated.weight)
+        of_sensors = [names[number] for number in chosen], [sources[number] for number in chosen]
+        made: dict[str, Setup] = {}
+        for stated in (shown, *(other for other in under if other is not shown)):
+            own = stated._replace(runs=[stated.runs[number] for number in chosen])
+            with named(f"condition {stated.condition}" if stated.condition else ""):
+                made[stated.condition] = setup_of(*of_sensors, own, made.get(shown.condition), match, sensor, variant)
+        return tuple(made[stated.condition] for stated in under)
+
+    setups = setups_of(*range(len(sources)))
+    warn_of_unused(sources, [each.runs for each in under], match)
+    if len(sources) == SENSORS[0]:
+        pairs: tuple[tuple[Setup, ...], ...] = (setups,)
+    else:
+        with without_warnings():  # those of all sensors are shown
+            pairs = tuple(setups_of(0, other) for other in range(1, len(sources)))
+    types = None
+    if uncertainty is not None:
+        types = Types.of(uncertainty, names, sources, [run.pixel for run in base], base[0].seed)
+    else:
+        warn_of_uncertainty(sources)
+    return Prepared(match, repeats, tuple(base), setups, pairs, sensor, variant, of_study, types)
+
+
+def warn_of_uncertainty(sources: Sequence[str]) -> None:
+    """Warn of the [pixel.uncertainty] of sensor files, where no sensor types are drawn."""
+    for path in map(Path, sources):
+        if path.is_file() and (unsure := sheet_uncertainty(path)):
+            warn(f"{path.name}: [pixel.uncertainty] of {', '.join(unsure)} is not used without {setting('uncertainty')}")
+
+
+class Stated(NamedTuple):
+    """What is stated for the sensors under one condition.
+
+    condition, weight : as of `Setup`
+    scene : file, or name of a packaged scene
+    runs : settings of each sensor
+    """
+
+    condition: str
+    weight: float
+    scene: str
+    runs: list[Run]
+
+
+def warn_of_unused(sources: Sequence[str], conditions: Sequence[Sequence[Run]], match: Match) -> None:
+    """Warn of the settings that a comparison uses in none of its conditions, with the sensors that set them.
+
+    conditions : settings of each sensor under each condition
+
+    The display, the correction and the development are those of the first sensor; so is the lens, unless each has its own.
+    """
+    names = labels_of([file_label(source) for source in sources])
+    found: dict[str, list[Configuration]] = {name: [] for name in names}
+    for runs in conditions:
+        for name, run in zip(names, runs, strict=True):
+            shared = {table: getattr(runs[0], table) for table in ("correction", "develop", "display")}
+            lens_of = names[0] if match != "own" and run is not runs[0] else ""
+            if lens_of:  # what is the first one's too is used
+                shared |= {table: differing(getattr(run, table), getattr(runs[0], table)) for table in ("camera", "lens")}
+            given = Configuration.of(run.model_copy(update=shared), derive(run.pixel))
+            found[name].append(replace(given, lens_of=lens_of))
+    warn_of_unused_settings(found)
+
+
+def differing(record: Record, other: Record) -> Record:
+    """Return the fields of a record that another one of its kind has with another value, as one that sets no others."""
+    fields = {name: value for name, value in record if value != getattr(other, name)}
+    return type(record).model_construct(set(fields), **fields)
+
+
+def setup_of(
+    names: Sequence[str],
+    sources: Sequence[str],
+    stated: Stated,
+    common: Setup | None,
+    match: Match,
+    sensor: str | None,
+    variant: str | None,
+) -> Setup:
+    """Return sensors under one condition.
+
+    common : another condition, whose displays and chart this one takes where it leaves them open, so that both can be averaged
+    """
+    from pixsim.scene.scene import load_scene
+
+    scene, runs = stated.scene, stated.runs
+    settings = runs[0]
+    of_viewing = [name for name in OF_VIEWING if name in settings.display.model_fields_set]
+    if settings.display.raster != "fixed_size":
+        got = f"'{settings.display.raster}', which gives each sensor a display of its own"
+        raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
+    if Path(scene).suffix.lower() in (".exr", ".npz", ".hdr"):
+        raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
+    loaded = load_scene(scene, variant=variant, sensor=sensor, **settings.scene)
+    loaded = loaded.with_resolution(settings.resolution) if settings.resolution else loaded
+    whole = _whole_cameras(names, loaded, runs)
+    if settings.window_mm is not None:
+        whole[0].window(settings.window_mm)
+    cameras = matched_cameras(whole, match, settings.window_mm)
+    for name, camera, run in zip(names, cameras, runs, strict=True):
+        with named(name):
+            derive(run.pixel)
+            check_pixel_count(pixels_on(camera.die_um, run.pixel.pitch_um), run.pixel.pitch_um)
+    sizes = [math.prod(pixels_on(camera.die_um, run.pixel.pitch_um)) for camera, run in zip(cameras, runs, strict=True)]
+    finest = int(np.argmax(sizes))
+    view = View()
+    if any(run.pixel.technology == NO_TECHNOLOGY for run in runs):
+        view = choose_view(runs[finest].pixel.pitch_um, cameras[finest], settings.display, loaded)
+    if common is not None:
+        view = view.as_chosen(common.view)
+    parameters = dict(settings.scene)
+    if view.max_lp_per_mm is not None:
+        parameters[MAX_LP_PER_MM] = on_other_die(view.max_lp_per_mm, cameras[finest], cameras[0])
+    settings = settings.model_copy(update={"display": view.display(settings.display), "scene": parameters})
+    border = REGISTERED_BORDER * max(run.pixel.pitch_um / camera.die_um[1] for camera, run in zip(cameras, runs, strict=True))
+    given = parameters.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
+    contestants = []
+    for name, source, camera, run in zip(names, sources, cameras, runs, strict=True):
+        of_sensor = loaded
+        if given is not None:
+            highest = on_other_die(float(given), cameras[0], camera)
+            of_sensor = loaded.with_parameters(**{MAX_LP_PER_MM: repr(highest)})
+        with named(name):
+            dot_edges_um(camera.die_um, run.pixel.pitch_um, settings.display, border * camera.die_um[1])
+        contestants.append(Contestant(name, source, camera, run.pixel, run.exposure, of_sensor))
+    viewing = _viewing(contestants, settings.display, of_viewing, border)
+    if common is not None:
+        viewing = common.viewing.under(settings.display, of_viewing)
+    own = settings, tuple(contestants), view, names[finest], border, viewing
+    return Setup(stated.condition, stated.weight, scene, *own)
+
+
+def _viewing(sensors: Sequence[Contestant], display: Display, stated: Sequence[str], border: float) -> ViewingRange:
+    """Return the range of viewing around a display, without displays that have no dot within the border."""
+    low, high = ALLOWED_DOTS
+    wished = ViewingRange.of(display, stated, [min(max(sensor.pixels[1], low), high) for sensor in sensors])
+
+    def is_possible(viewing: Viewing) -> bool:
+        die_um, pitch_um = sensors[0].camera.die_um, sensors[0].pixel.pitch_um
+        try:
+            dot_edges_um(die_um, pitch_um, viewing.display(display), border * die_um[1])
+        except PixsimError:
+            return False
+        return True
+
+    return replace(wished, viewings=tuple(each for each in wished.viewings if each == wished.chosen or is_possible(each)))
+
+
+def _whole_cameras(names: Sequence[str], scene: Scene, runs: Sequence[Run]) -> list[Camera]:
+    """Return each file's own camera. A file without a die, such as a technology's, has that of the first file which states one."""
+    die = next(
+        (each.model_dump(include={"die_mm", "die_height_mm"}) for each in (run.camera for run in runs) if each.die_mm is not None),
+        None,
+    )
+    cameras = []
+    for name, run in zip(names, runs, strict=True):
+        each = run.camera
+        own = each if die is None or each.die_mm is not None else CameraOptions(**die | each.model_dump(exclude_none=True))
+        with named(name):
+            cameras.append(scene.camera(own, run.lens))
+    return cameras
+
+
+def on_other_die(lp_per_mm: float, camera: Camera, other: Camera) -> float:
+    """Return the frequency on another sensor of detail that has `lp_per_mm` on the first, in the same field of view."""
+    return lp_per_mm if camera.die_mm == other.die_mm else float(f"{lp_per_mm * camera.die_mm / other.die_mm:.{DIGITS}g}")

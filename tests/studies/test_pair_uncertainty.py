@@ -1,0 +1,158 @@
+"""Comparisons over sensor types: the probability that one sensor is better, against closed forms and comparisons of the types."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import assert_refused, command
+from helpers.sheets import sheet
+
+import pixsim
+from pixsim.base.config import SETTINGS_FILE
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Study
+from pixsim.studies import evaluations
+from pixsim.studies.sensor_types import TYPES_FILE
+
+SMALL: dict[str, Any] = {"display": {"dots": 32}, "resolution": 64, "repeats": 3, "jobs": 1}
+DIM = {"luminance_cd_per_m2": 0.05}  # so that read noise decides
+DRAWS = 64
+
+
+def unsure(path: Path, read_noise_e: float, low: float, high: float, **more: Any) -> Path:
+    """A data sheet with a uniform range of its read noise."""
+    made = sheet(path, read_noise_e, **more)
+    with made.open("a", encoding="utf-8") as file:
+        file.write(f"[pixel.uncertainty]\nread_noise_e = {{ range = [{low}, {high}], distribution = 'uniform' }}\n")
+    return made
+
+
+def of(*files: Path, draws: int = DRAWS, **options: Any) -> Any:
+    return pixsim.compare(files, parameters=DIM, uncertainty=draws, **(SMALL | options))
+
+
+@pytest.mark.parametrize(
+    ("range_a", "range_b", "expected"),
+    [
+        ((10.0, 30.0), (10.0, 30.0), 0.5),
+        ((10.0, 30.0), (20.0, 40.0), 0.875),  # 1 - 10² / (2 · 20²): the triangle in which b has less noise
+        ((10.0, 20.0), (25.0, 35.0), 1.0),
+        ((25.0, 35.0), (10.0, 20.0), 0.0),
+    ],
+)
+def test_probability_is_that_of_less_read_noise(
+    range_a: tuple[float, float], range_b: tuple[float, float], expected: float, tmp_path: Path
+) -> None:
+    """With equal random numbers, mean ΔE grows with read noise: a is better where its read noise is smaller."""
+    files = [unsure(tmp_path / f"{name}.toml", sum(ends) / 2, *ends) for name, ends in (("a", range_a), ("b", range_b))]
+    (found,) = of(*files).uncertainty
+    better = found.probability_a_better
+    assert better.low <= expected <= better.high
+    assert better.probability == pytest.approx(expected, abs=2 * np.sqrt(expected * (1 - expected) / DRAWS))
+    noise = {name: np.array([draw[f"{name} read_noise_e"] for draw in found.sample.draws]) for name in "ab"}
+    assert np.array_equal(found.differences > 0, noise["a"] < noise["b"])
+    shares = {name: index.share for name, index in found.first_order.indices.items()}
+    assert sum(shares.values()) == pytest.approx(1.0, abs=0.1)
+    assert found.difference.quantiles["p50"] == pytest.approx(np.median(found.differences), rel=1e-9)
+
+
+def test_type_has_the_difference_of_a_comparison_with_its_numbers(tmp_path: Path) -> None:
+    """Its change from the sensors as they are is that of comparisons of two frames with its numbers, on one film."""
+    files = [unsure(tmp_path / "a.toml", 20.0, 10.0, 30.0), unsure(tmp_path / "b.toml", 25.0, 20.0, 40.0)]
+    result = of(*files, draws=8)
+    (found,) = result.uncertainty
+    draw = found.sample.draws[3]
+    for name in "ab":
+        sheet(tmp_path / f"{name}.toml", draw[f"{name} read_noise_e"])
+    alone = pixsim.compare(files, parameters=DIM, **(SMALL | {"repeats": 2}))
+    as_is = result.differences["b"][:2].mean()
+    assert found.differences[3] == pytest.approx(result.difference["b"] + alone.difference["b"] - as_is, rel=1e-9)
+
+
+def test_sensors_of_one_technology_share_its_numbers(tmp_path: Path) -> None:
+    """What is unknown of the process alone moves two equal sensors alike: they stay equal in every type."""
+    files = [tmp_path / "a.toml", tmp_path / "b.toml"]
+    for file in files:
+        file.write_text("[camera]\ndie_mm = 0.5\n[pixel]\ntechnology = '0.35um'\npitch_um = 10.0\n", encoding="utf-8")
+    (found,) = of(*files, draws=8).uncertainty
+    assert found.sample.inputs
+    assert all({unknown.technology for unknown in members} == {"a", "b"} for members in found.sample.inputs.values())
+    assert np.array_equal(found.differences, np.zeros(8))
+    assert found.probability_a_better.probability == 0.5
+    assert "does not vary" in found.words
+
+
+def test_third_sensor_and_conditions_change_no_type_of_a_pair(tmp_path: Path) -> None:
+    """Types of a pair see what the pair sees; under conditions, their differences are weighted means."""
+    files = [unsure(tmp_path / "a.toml", 20.0, 10.0, 30.0), sheet(tmp_path / "b.toml", 25.0)]
+    pair = of(*files, draws=8).uncertainty[0]
+    among = of(*files, sheet(tmp_path / "c.toml", 9.0, 15.0, "[40, 40]"), draws=8)
+    assert [found.names for found in among.uncertainty] == [("a", "b"), ("a", "c")]
+    np.testing.assert_allclose(among.uncertainty[0].differences, pair.differences, rtol=1e-12)
+    short = {"exposure": {"max_integration_s": 0.02}}
+    conditions = [{"name": "long", "weight": 3.0, "set": {"exposure": {"max_integration_s": 0.1}}}, {"name": "short", "set": short}]
+    study = Study.model_validate({"name": "two", "condition": conditions})
+    (both,) = of(*files, draws=8, study=study).uncertainty
+    (alone,) = of(*files, draws=8, **short).uncertainty
+    np.testing.assert_allclose(both.differences, 0.75 * pair.differences + 0.25 * alone.differences, rtol=1e-9)
+
+
+def test_numbers_that_a_condition_sets_are_known_in_it(tmp_path: Path) -> None:
+    files = [unsure(tmp_path / "a.toml", 20.0, 10.0, 30.0), sheet(tmp_path / "b.toml", 25.0)]
+    study = Study.model_validate({"name": "one", "condition": [{"name": "set", "set": {"pixel": {"read_noise_e": 5.0}}}]})
+    (found,) = of(*files, draws=8, study=study).uncertainty
+    assert np.array_equal(found.differences, np.zeros(8))
+
+
+def test_settings_repeat_the_types_and_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    unsure(Path("a.toml"), 20.0, 10.0, 30.0), sheet(Path("b.toml"), 25.0)
+    small = "--display.dots 32 --resolution 64 --repeats 2 --jobs 1 -D luminance_cd_per_m2=1"
+    _, out, _ = command(f"compare a.toml b.toml --uncertainty 8 {small} --out first")
+    first = json.loads(Path("first/compare.json").read_text(encoding="utf-8"))
+    (words,) = [line for line in out.splitlines() if "over 8 sensor types a is better than b with the probability" in line]
+    assert "a read_noise_e" in words or "not told" in words
+    assert first["uncertainty"]["b"]["draws"] == 8
+    page = Path("first/report.html").read_text(encoding="utf-8")
+    assert f"{first['uncertainty']['b']['difference']['quantiles']['p50']:+.4f}" in page
+    assert TYPES_FILE in page
+
+    repeat = next(
+        line for line in Path("first", SETTINGS_FILE).read_text(encoding="utf-8").splitlines() if "pixsim compare" in line
+    )
+    monkeypatch.chdir("first")
+    command(" ".join(shlex.split(repeat.removeprefix("# "))[1:]) + " --jobs 1 --out ../again")
+    again = json.loads(Path("../again/compare.json").read_text(encoding="utf-8"))
+    assert again["uncertainty"] == first["uncertainty"]
+
+    monkeypatch.chdir(tmp_path)
+    types = Path("first", TYPES_FILE)
+    lines = types.read_text(encoding="utf-8").splitlines(keepends=True)
+    assert len(lines) == 1 + 2 * 8 * 2
+    types.write_text("".join(lines[:9]), encoding="utf-8")
+    made: list[int] = []
+    evaluate = evaluations.evaluate_task
+    monkeypatch.setattr(evaluations, "evaluate_task", lambda task, light: made.append(len(task.keys)) or evaluate(task, light))
+    command(f"compare a.toml b.toml --uncertainty 8 {small} --out first")
+    keys = [line.partition(",")[0] for line in lines[1:]]
+    assert sum(made) == len(set(keys[8:]) - set(keys[:8])) > 0
+    assert json.loads(Path("first/compare.json").read_text(encoding="utf-8")) == first
+
+
+def test_dry_run_says_what_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    unsure(Path("a.toml"), 20.0, 10.0, 30.0), sheet(Path("b.toml"), 25.0)
+    assert "16 sensor types, over a read_noise_e" in command("compare a.toml b.toml --uncertainty 9 --dry-run")[1]
+
+
+def test_nothing_unknown_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", 5.0)]
+    with pytest.raises(PixsimError, match="at least one number with a range or an uncertainty"):
+        of(*files)
+    assert_refused(*command("compare a.toml b.toml --uncertainty 3"), ["--uncertainty", "8 to 65536 sensor types"])
