@@ -24,7 +24,7 @@ from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_fin
 from pixsim.base.headline import headline_lines
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes
-from pixsim.base.parameters import Layer, LensOptions, Run
+from pixsim.base.parameters import Layer, LensOptions, Run, Study
 from pixsim.cli import options as common
 from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, field_option, given, say, show, stages
 from pixsim.cli.process import interruption
@@ -450,8 +450,8 @@ def compare(
     study: Annotated[
         str | None,
         Parameter(
-            help="A TOML file, or the name of a packaged study, without axes: its scene, display, exposure and conditions hold for "
-            "all sensors, its lens for files that state none. Under conditions, their weighted mean is the answer.",
+            help="A TOML file, or the name of a packaged study: its scene, display, exposure and conditions hold for all sensors, "
+            "its lens for files that state none. Under conditions, their weighted mean is the answer; axes have one at each value.",
             metavar="NAME|FILE",
             completer=common.complete_study,
         ),
@@ -501,28 +501,49 @@ def compare(
     settings.toml, the settings of each sensor, and report.html.
     """
     import_less()
-    from pixsim.report.compare import check_output, comparison_lines, outline, outline_lines, write_comparison
+    from pixsim.report.compare import (
+        cases_lines,
+        check_output,
+        comparison_lines,
+        outline,
+        outline_lines,
+        write_cases,
+        write_comparison,
+    )
     from pixsim.studies.compare import run_prepared
+    from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison
     from pixsim.studies.setup import prepare
 
     shared = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
     given_options: dict[str, Any] = {"config": options.config or [], "options": tables, "sensor": sensor, "variant": variant}
+    axes, cases = ((), []) if study is None else cases_of_comparison(study)
+    given_options |= {"match": match, "repeats": repeats, "uncertainty": uncertainty}
     with collected_notes() as notes:
-        prepared = prepare(sensors, scene, study=study, match=match, repeats=repeats, uncertainty=uncertainty, **given_options)
-        folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared.shown.sensors)
+        studies: list[Study | str | None] = [*(case.study for case in cases)] or [study]
+        prepared = [prepare(sensors, scene, study=own, **given_options) for own in studies]
+        folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.sensors)
+        places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))
         if dry_run:
-            shown = outline(prepared)
-            show(shown, json, "\n".join(outline_lines(prepared, shown, folder)))
+            shown = [outline(each) for each in prepared]
+            lines = [line for (each, at), own in zip(places, shown, strict=True) for line in outline_lines(each, own, at)]
+            show({"cases": shown} if cases else shown[0], json, "\n".join(lines))
             return
-        check_output(prepared, folder)
+        for each, at in places:
+            check_output(each, at)
         seconds: dict[str, float] = {}
+        results = []
         with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the renders
-            result = run_prepared(prepared, jobs=jobs, scheduler=scheduler, progress=stage, out=folder)
-            stage("report")
-            report = write_comparison(result, folder, seconds)
-    left = [note for note in result.notes if note not in notes]  # the others are on stderr
-    show(result.as_dict(), json, "\n".join([*comparison_lines(result, left), f"report: {report}"]))
+            for each, at in places:
+                results.append(run_prepared(each, jobs=jobs, scheduler=scheduler, progress=stage, out=at))
+                stage("report")
+                report = write_comparison(results[-1], at, seconds)
+            found = ComparedCases(axes, tuple(zip(cases, results, strict=False)))
+            if cases:
+                report = write_cases(found, folder, seconds)
+    left = [note for note in results[0].notes if note not in notes]  # the others are on stderr
+    lines = cases_lines(found) if cases else comparison_lines(results[0], left)
+    show(found.as_dict() if cases else results[0].as_dict(), json, "\n".join([*lines, f"report: {report}"]))
 
 
 @app.command

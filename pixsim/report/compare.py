@@ -39,6 +39,7 @@ from pixsim.show.pictures import (
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.circumstances import SHARED, Circumstances
 from pixsim.studies.comparison import Comparison
+from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.keys import rendered_across
 from pixsim.studies.light_level import LightLevel
@@ -46,7 +47,7 @@ from pixsim.studies.pair_uncertainty import PairUncertainty
 from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.setup import OF_A_SENSOR, Contestant, Prepared, Setup
 from pixsim.studies.uncertainty import FEW_SENSORS
-from pixsim.studies.verdicts import answers, conditions_disagree, shown_probability, verdict
+from pixsim.studies.verdicts import answers, conditions_disagree, headline, shown_probability, verdict
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 
 JSON_FILE, PAGE = "compare.json", "report.html"
@@ -390,6 +391,30 @@ def write_comparison_page(result: Comparison, folder: Path, end: float, files: d
         "files": comparison_files(prepared) | files | {"provenance.json": "versions and wall times"},
     }
     write_page(folder / PAGE, "compare.html.j2", page)
+
+
+def write_cases(result: ComparedCases, folder: Path, seconds: dict[str, float]) -> Path:
+    """Write compare.json, report.html and provenance.json of comparisons that are written in their own folders already.
+
+    Returns the path of report.html. Raises PixsimError as `write_comparison`.
+    """
+    page = {"names": result.names, "verdicts": [result.headline(other) for other in result.names[1:]], "rows": case_rows(result)}
+    with publishing(folder, "compare", {"seconds": seconds}) as partial:
+        write_json(partial / JSON_FILE, result.as_dict())
+        write_page(partial / PAGE, "compare_cases.html.j2", page)
+    return folder / PAGE
+
+
+def case_rows(result: ComparedCases) -> list[tuple[str, str, list[str]]]:
+    """Return each case in words, its folder, and the answer for each later sensor."""
+    others = result.names[1:]
+    return [(case.words or case.folder, case.folder, [headline(own, other) for other in others]) for case, own in result.results]
+
+
+def cases_lines(result: ComparedCases) -> list[str]:
+    """Return the answer over all cases, and that of each, as lines of text."""
+    lines = [result.headline(other) for other in result.names[1:]]
+    return lines + [f"  {words}: {answer}" for words, _, answers in case_rows(result) for answer in answers]
 
 
 def _picture(luminance: Any, name: str) -> Picture:

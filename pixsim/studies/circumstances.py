@@ -87,6 +87,12 @@ class Circumstances:
         return str(scene.get("file", self.scene)) if isinstance(scene, Mapping) else self.scene
 
 
+def study_of(study: Study | str | os.PathLike[str]) -> tuple[Layer, Study]:
+    """Return a study as its file states it, and checked. Raises PixsimError for an invalid one."""
+    layer = Layer(study.model_dump(mode="json", exclude_unset=True)) if isinstance(study, Study) else read_study(study)
+    return layer, checked_study([layer])
+
+
 def circumstances_of(study: Study | str | os.PathLike[str], scene: str | os.PathLike[str] | None = None) -> Circumstances:
     """Return what a study says to a comparison.
 
@@ -95,11 +101,10 @@ def circumstances_of(study: Study | str | os.PathLike[str], scene: str | os.Path
 
     Raises PixsimError for an invalid study, and for one with axes.
     """
-    layer = Layer(study.model_dump(mode="json", exclude_unset=True)) if isinstance(study, Study) else read_study(study)
+    layer, plan = study_of(study)
     name = study.name if isinstance(study, Study) else str(study)
-    plan = checked_study([layer])
     if plan.axis:
-        hint = "Write each value as a [[condition]], or leave the axis out."
+        hint = "Write each value as a [[condition]], leave the axis out, or use `pixsim compare --study` on the command line."
         got = f"'{name}' with the axis {', '.join(axis.name for axis in plan.axis)}"
         raise invalid("study", got, "a study without axes: sensors are compared under its conditions", hint)
     table = layer.table

@@ -153,7 +153,7 @@ def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
         ("compare {0} {1} --pixel.full-well-e -5", ["full_well_e", "-5"]),
         ("compare {0} {1} --max-seconds 3", ["max-seconds"]),
         ("compare {0} {1} --study cheng2000", ["'cheng2000'", "chen2000"]),
-        ("compare {0} {1} --study chen2000-sensitivity", ["with the axis", "without axes", "[[condition]]"]),
+        ("compare {0} {1} --study chen2000-sensitivity", ["condition raster: one_to_one", "display.raster", "fixed_size"]),
     ],
 )
 def test_compare_invalid_input_raises(line: str, texts: list[str], tmp_path: Path) -> None:

@@ -1,0 +1,131 @@
+"""Comparisons of the same sensors at each value of a study's axes, and at which values which one is better."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+from pixsim.base.parameters import MAX_CASE_NAME, Axis, Study, case_folder, merge
+from pixsim.base.units import unit_of
+from pixsim.studies.averages import Averaged
+from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, with_range_ends
+from pixsim.studies.circumstances import study_of
+from pixsim.studies.comparison import Comparison
+from pixsim.studies.verdicts import headline
+
+
+def cases_of_comparison(study: Study | str | os.PathLike[str]) -> tuple[tuple[Axis, ...], list[Case]]:
+    """Return the axes of a study, and a study without axes for each combination of their values; none without axes.
+
+    A combination's settings are those of a condition, or of each of the study's conditions.
+
+    Raises PixsimError for an invalid study.
+    """
+    plan = with_range_ends(study_of(study)[1])
+    cases_of(plan)  # that its values are allowed
+    own = plan.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
+    cases = []
+    for chosen, alone in combinations(plan.axis) if plan.axis else ():
+        table: dict[str, Any] = {}
+        for point in chosen.values():
+            table = merge(table, point.table)
+        at = {axis.name: chosen[axis.name].value if axis.name in chosen else BASE for axis in plan.axis}
+        conditions = [each.model_dump(mode="json") | {"set": merge(table, each.set)} for each in plan.condition]
+        if table and not conditions:
+            name = case_words(at, "", alone).replace(",", ";")[:MAX_CASE_NAME].strip()
+            conditions = [{"name": name, "set": table}]
+        cases.append(Case(Study.model_validate(own | {"condition": conditions}), at, "", alone))
+    return plan.axis, cases
+
+
+@dataclass(frozen=True)
+class ComparedCases:
+    """Comparisons of the same sensors at each value of the axes of a study.
+
+    axes : of the study
+    results : each case with its comparison; the cases have other light or other settings
+    """
+
+    axes: tuple[Axis, ...]
+    results: tuple[tuple[Case, Comparison], ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sensors, in the order of their files."""
+        return self.results[0][1].names
+
+    def headline(self, other: str) -> str:
+        """Return at which values the first sensor is better, and at which another one.
+
+        other : name of the other one
+        """
+        names = {1: self.names[0], -1: other, 0: "neither"}
+        signs = [(case, sign_of(result, other)) for case, result in self.results]
+        found = {sign for _, sign in signs}
+        if found == {0}:
+            return f"neither {self.names[0]} nor {other} is surely better in any of {len(signs)} cases"
+        if len(found) == 1:
+            better, worse = (self.names[0], other) if found == {1} else (other, self.names[0])
+            return f"{better} is better than {worse} in all {len(signs)} cases"
+        if len(self.axes) == 1 and all(not isinstance(case.at[self.axes[0].name], str) for case, _ in signs):
+            along = [(float(case.at[self.axes[0].name]), sign) for case, sign in signs]
+            return where_along(along, names, self.axes[0].name, unit_along(self.axes[0]))
+        parts: list[str] = []
+        for sign, name in names.items():
+            if where := [case.words or BASE for case, own in signs if own == sign]:
+                parts.append(f"{name}{' is better' if not parts and sign else ''} at {'; '.join(where)}")
+        return ", ".join(parts)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return compare.json."""
+        return {
+            "names": list(self.names),
+            "verdicts": {other: self.headline(other) for other in self.names[1:]},
+            "cases": [
+                {"at": case.at, "folder": case_folder(case.words) or BASE}
+                | {"verdicts": {other: headline(result, other) for other in self.names[1:]}}
+                | result.answers()
+                for case, result in self.results
+            ],
+        }
+
+
+def sign_of(result: Averaged, other: str) -> int:
+    """Return 1 if the first sensor is surely better in the whole range of viewing, -1 if the other one is, else 0."""
+    signs = {view.sign for view in result.views(other) if view.inside}
+    return signs.pop() if len(signs) == 1 else 0
+
+
+def unit_along(axis: Axis) -> str:
+    """Return the unit of an axis; empty if its settings state none, or several."""
+    units = {unit_of(dotted.rpartition(".")[2]) for dotted in axis.set}
+    return units.pop() if len(units) == 1 else ""
+
+
+def where_along(along: Sequence[tuple[float, int]], names: dict[int, str], axis: str, unit: str) -> str:
+    """Return which of two sensors is better where along the numbers of an axis.
+
+    along : (value, sign) as of `sign_of`
+    names : of each sign
+
+    >>> names = {1: "a", -1: "b", 0: "neither"}
+    >>> where_along([(100.0, 1), (1.0, -1), (10.0, 1), (3.0, 0)], names, "light", "cd/m²")
+    'a is better from 10 cd/m² on, neither at 3 cd/m², b up to 1 cd/m² (light)'
+    """
+    runs = [(sign, [value for value, _ in own]) for sign, own in groupby(sorted(along), key=lambda one: one[1])]
+
+    def shown(value: float) -> str:
+        return f"{value:.4g} {unit}".strip()
+
+    words = []
+    for number, (sign, values) in enumerate(reversed(runs)):
+        if number == 0:
+            words.append(f"{names[sign]}{' is better' if sign else ''} from {shown(values[0])} on")
+        elif number == len(runs) - 1:
+            words.append(f"{names[sign]} up to {shown(values[-1])}")
+        else:
+            words.append(f"{names[sign]} at {' to '.join(dict.fromkeys(map(shown, (values[0], values[-1]))))}")
+    return f"{', '.join(words)} ({axis})"

@@ -1,0 +1,101 @@
+"""Comparisons at the values of a study's axes: one at each, and the headline says where which sensor is better."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from helpers.commands import assert_refused, command
+from helpers.sheets import sheet
+
+import pixsim
+from pixsim.base.parameters import Study
+from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison
+
+LIGHT = {"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values": [100.0, 0.05, 1.0]}
+STOP = {"name": "stop", "set": "camera.f_number", "values": [2.8, 8.0]}
+SHORT, LONG = ({"exposure": {"max_integration_s": time_s}} for time_s in (0.01, 0.1))
+TIMES = {"name": "time", "values": [{"label": "short", "set": SHORT}, {"label": "long", "set": LONG}]}
+SMALL = "--display.dots 32 --resolution 64 --repeats 3 --jobs 1"
+
+
+def cases(axes: list[dict[str, Any]], signs: list[int]) -> ComparedCases:
+    """Comparisons of a and b at the values of some axes, with these signs of the difference."""
+    found_axes, found = cases_of_comparison(Study.model_validate({"name": "axes", "axis": axes}))
+    views = [(SimpleNamespace(inside=True, sign=sign),) for sign in signs]
+    results = [SimpleNamespace(names=("a", "b"), views=lambda _, own=own: own) for own in views]
+    return ComparedCases(found_axes, tuple(zip(found, results, strict=True)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("axes", "signs", "words"),
+    [
+        ([LIGHT], [1, -1, 0], "a is better from 100 cd/m² on, neither at 1 cd/m², b up to 0.05 cd/m² (light)"),
+        ([LIGHT], [-1, 1, -1], "b is better from 1 cd/m² on, a up to 0.05 cd/m² (light)"),
+        ([LIGHT], [1, 1, 1], "a is better than b in all 3 cases"),
+        ([LIGHT], [-1, -1, -1], "b is better than a in all 3 cases"),
+        ([LIGHT], [0, 0, 0], "neither a nor b is surely better in any of 3 cases"),
+        ([TIMES], [1, -1], "a is better at short, b at long"),
+        (
+            [STOP, TIMES],
+            [1, -1, 0, 1],
+            "a is better at stop 2.8, short; stop 8, long, b at stop 2.8, long, neither at stop 8, short",
+        ),
+    ],
+)
+def test_headline_says_where_which_is_better(axes: list[dict[str, Any]], signs: list[int], words: str) -> None:
+    assert cases(axes, signs).headline("b") == words
+
+
+def test_conditions_hold_at_each_value() -> None:
+    conditions = [
+        {"name": "day", "weight": 3.0, "set": {"camera": {"f_number": 4.0}}},
+        {"name": "night", "set": {"resolution": 64}},
+    ]
+    _, found = cases_of_comparison(Study.model_validate({"name": "both", "axis": [LIGHT], "condition": conditions}))
+    assert [case.at for case in found] == [{"light": value} for value in (100.0, 0.05, 1.0)]
+    for case in found:
+        day, night = case.study.condition
+        light = {"parameters": {"luminance_cd_per_m2": case.at["light"]}}
+        assert (day.weight, day.set) == (3.0, {"camera": {"f_number": 4.0}, "scene": light})
+        assert night.set == {"resolution": 64, "scene": light}
+
+
+def test_study_without_axes_has_no_cases() -> None:
+    assert cases_of_comparison("pixel-size") == ((), [])
+
+
+def test_each_value_is_a_comparison_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit for bit; its folder has the comparison, and compare.json all cases."""
+    monkeypatch.chdir(tmp_path)
+    files = [sheet(Path("a.toml"), 10.0), sheet(Path("b.toml"), 30.0)]
+    Path("lights.toml").write_text(
+        'name = "lights"\n[[axis]]\nname = "light"\nset = "scene.parameters.luminance_cd_per_m2"\nvalues = [0.05, 100.0]\n',
+        encoding="utf-8",
+    )
+    code, out, err = command(f"compare a.toml b.toml --study lights.toml --out out {SMALL}")
+    assert code == 0, err
+    found = json.loads(Path("out/compare.json").read_text(encoding="utf-8"))
+    assert out.splitlines()[0] == found["verdicts"]["b"]
+    page = Path("out/report.html").read_text(encoding="utf-8")
+    for light, case in zip((0.05, 100.0), found["cases"], strict=True):
+        small: dict[str, Any] = {"display": {"dots": 32}, "resolution": 64, "repeats": 3, "jobs": 1}
+        alone = pixsim.compare(files, parameters={"luminance_cd_per_m2": light}, **small)
+        assert case["at"] == {"light": light}
+        assert {name: case[name] for name in alone.answers()} == json.loads(json.dumps(alone.answers()))
+        own = json.loads(Path("out", case["folder"], "compare.json").read_text(encoding="utf-8"))
+        assert own["difference"] == case["difference"]
+        assert f'href="{case["folder"]}/report.html"' in page
+    code, out, _ = command(f"compare a.toml b.toml --study lights.toml --dry-run --json {SMALL}")
+    assert len(json.loads(out)["cases"]) == 2
+
+
+def test_axis_over_a_range_of_technologies_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    sheet(Path("a.toml")), sheet(Path("b.toml"), 5.0)
+    axis = 'name = "dark"\nrange_of = "dark_current_na_per_cm2"\nalone = true\n'
+    Path("dark.toml").write_text(f'name = "dark"\ntechnologies = ["0.35um"]\n[[axis]]\n{axis}', encoding="utf-8")
+    assert_refused(*command("compare a.toml b.toml --study dark.toml"), ["set.process", "from their own files"])
