@@ -512,7 +512,7 @@ def compare(
     )
     from pixsim.studies.compare import run_prepared
     from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison
-    from pixsim.studies.setup import prepare
+    from pixsim.studies.lineup import prepare
 
     shared = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)

@@ -43,9 +43,9 @@ from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.keys import rendered_across
 from pixsim.studies.light_level import LightLevel
+from pixsim.studies.lineup import OF_A_SENSOR, Contestant, Lineup, Prepared
 from pixsim.studies.pair_uncertainty import PairUncertainty
 from pixsim.studies.sensor_types import TYPES_FILE
-from pixsim.studies.setup import OF_A_SENSOR, Contestant, Prepared, Setup
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import answers, conditions_disagree, headline, shown_probability, verdict
 from pixsim.studies.viewing import OF_VIEWING, Viewed
@@ -68,9 +68,9 @@ def sensor_words(sensor: Contestant) -> str:
     return f"{columns} × {rows} pixels of {sensor.pixel.pitch_um:g} µm{technology} behind {lens}"
 
 
-def exposure_words(setup: Setup) -> str:
+def exposure_words(lineup: Lineup) -> str:
     """Return the exposure rule of the sensors in words."""
-    exposures = [sensor.exposure for sensor in setup.sensors]
+    exposures = [sensor.exposure for sensor in lineup.sensors]
     if any(exposure != exposures[0] for exposure in exposures):
         return "each sensor's own exposure rule"
     if exposures[0].integration_s is not None:
@@ -82,7 +82,7 @@ def exposure_words(setup: Setup) -> str:
 def conditions_line(prepared: Prepared) -> str:
     """Return what all sensors of a comparison have in common, in one line; what differs between conditions is that of one."""
     shown = prepared.shown
-    parts = [_common_words(prepared, setup) for setup in prepared.setups]
+    parts = [_common_words(prepared, lineup) for lineup in prepared.lineups]
     own = _common_words(prepared, shown)
     words = [
         text if all(part[place] == text for part in parts) else f"{text} in {shown.condition}" for place, text in enumerate(own)
@@ -103,30 +103,30 @@ def _study_words(prepared: Prepared) -> list[str]:
     return words
 
 
-def _common_words(prepared: Prepared, setup: Setup) -> list[str]:
+def _common_words(prepared: Prepared, lineup: Lineup) -> list[str]:
     """Return what all sensors of a comparison have in common under one condition, in parts."""
-    camera, display = setup.sensors[0].camera, setup.settings.display
-    first, field = setup.sensors[0].name, f"the same field of {camera.field_words}"
+    camera, display = lineup.sensors[0].camera, lineup.settings.display
+    first, field = lineup.sensors[0].name, f"the same field of {camera.field_words}"
     lens = {
         "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
         "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
         "own": f"each file's own lens, and {field}, which all have",
     }[prepared.match]
-    highest = setup.sensors[0].scene.parameters.get(MAX_LP_PER_MM)
+    highest = lineup.sensors[0].scene.parameters.get(MAX_LP_PER_MM)
     chart = "one scene"
     if highest is not None:
-        limit = setup.view.limited_by
-        of = f", {limit.replace('the sensor', setup.finest)}" if limit else ""
+        limit = lineup.view.limited_by
+        of = f", {limit.replace('the sensor', lineup.finest)}" if limit else ""
         chart = f"one chart, to {float(highest) * camera.die_mm:.4g} cycles across{of}"
-    rows, columns = setup.scored_dots
-    viewing = setup.viewing
+    rows, columns = lineup.scored_dots
+    viewing = lineup.viewing
     stated = ", as stated" if viewing.stated else ""
     shown = f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree{stated}"
     shown += f"; {columns} × {rows} are scored; range of viewing: {viewing.words}"
     if len(prepared.pairs) > 1:
         shown += "; each difference is that of two sensors alone, with their own field, chart and range of viewing"
-    light = "the same light in each condition" if setup.condition else "the same light"
-    return [lens, chart, shown, light, exposure_words(setup), f"{prepared.repeats} pairs of frames with the same seeds"]
+    light = "the same light in each condition" if lineup.condition else "the same light"
+    return [lens, chart, shown, light, exposure_words(lineup), f"{prepared.repeats} pairs of frames with the same seeds"]
 
 
 def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> list[str]:
@@ -136,7 +136,7 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
     """
     lines = [line for found in answers(result) for line in below_headline(found)]
     width = max(map(len, result.names))
-    where = f" in {result.shown.setup.condition}" if result.conditions else ""
+    where = f" in {result.shown.lineup.condition}" if result.conditions else ""
     for compared in result.sensors:
         time_ms = 1e3 * compared.score.frame.integration_s
         words = f"{sensor_words(compared.sensor)}, exposed for {time_ms:.3g} ms{where}"
@@ -152,31 +152,31 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
 
 def outline(prepared: Prepared) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
-    setup = prepared.shown
-    first = setup.sensors[0]
-    setups = dict.fromkeys(each for group in (prepared.setups, *prepared.pairs) for each in group)
+    lineup = prepared.shown
+    first = lineup.sensors[0]
+    lineups = dict.fromkeys(each for group in (prepared.lineups, *prepared.pairs) for each in group)
     repeats = prepared.repeats + (0 if prepared.types is None else FEW_SENSORS * len(prepared.types.sample.quantiles))
-    costs = [_cost_of(each, repeats) for each in setups]
+    costs = [_cost_of(each, repeats) for each in lineups]
     cost = Cost(PAGE_S + START_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
-    scene = first.scene.with_resolution(setup.film_width)
+    scene = first.scene.with_resolution(lineup.film_width)
     more: dict[str, Any] = {}
     if (of_study := prepared.circumstances) is not None:
         more["study"] = {"name": of_study.name, "not_used": list(of_study.not_used)}
     if prepared.conditions:
-        more["shown_condition"] = setup.condition
+        more["shown_condition"] = lineup.condition
         more["conditions"] = {part.condition: {"weight": part.weight} for part in prepared.conditions}
     if prepared.types is not None:
         more["uncertainty"] = {"draws": len(prepared.types.sample.quantiles), "inputs": list(prepared.types.sample.inputs)}
     return more | {
-        "scene": setup.scene,
+        "scene": lineup.scene,
         "match": prepared.match,
         "repeats": prepared.repeats,
         "fov_deg": first.camera.fov_deg,
         "film": {"samples": list(scene.film_shape(first.camera, scene.for_camera(first.camera)))},
-        "scored_dots": list(setup.scored_dots),
-        "chosen": setup.view.as_dict() | {"finest": setup.finest},
-        "display": setup.settings.display.model_dump(),
-        "viewing": setup.viewing.as_dict(),
+        "scored_dots": list(lineup.scored_dots),
+        "chosen": lineup.view.as_dict() | {"finest": lineup.finest},
+        "display": lineup.settings.display.model_dump(),
+        "viewing": lineup.viewing.as_dict(),
         "sensors": {
             sensor.name: {
                 "camera": sensor.camera.model_dump(),
@@ -184,23 +184,23 @@ def outline(prepared: Prepared) -> dict[str, Any]:
                 "pixels": list(sensor.pixels),
                 "pixel": sensor.pixel.model_dump(),
             }
-            for sensor in setup.sensors
+            for sensor in lineup.sensors
         },
         "estimate": asdict(cost),
     }
 
 
-def _cost_of(setup: Setup, repeats: int) -> Cost:
+def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     """Estimate the renders and frames of the sensors under one condition."""
-    width = setup.film_width
+    width = lineup.film_width
     seconds, largest = 0.0, 0.0
-    for sensor in setup.sensors:
+    for sensor in lineup.sensors:
         scene = sensor.scene.with_resolution(width)
         height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
-        plan, settings = setup.plan(sensor, scene), setup.settings_of(sensor)
+        plan, settings = lineup.plan(sensor, scene), lineup.settings_of(sensor)
         film = known_film((height, width), rendered_across(scene, sensor.camera, plan, settings))
         render = render_cost(plan, sensor.camera, *film, processors().usable, begun=True)
-        frame = setup.cost_of_frame(sensor)
+        frame = lineup.cost_of_frame(sensor)
         seconds += render.seconds + repeats * frame.seconds / processors().usable
         largest = max(largest, render.memory_bytes + frame.memory_bytes)
     return Cost(seconds, largest, 1)
@@ -211,11 +211,11 @@ def outline_lines(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[
 
     out : folder that would be written
     """
-    setup = prepared.shown
-    width = max(len(sensor.name) for sensor in setup.sensors)
-    lines = [f"{sensor.name:{width}}  {sensor_words(sensor)}" for sensor in setup.sensors]
+    lineup = prepared.shown
+    width = max(len(sensor.name) for sensor in lineup.sensors)
+    lines = [f"{sensor.name:{width}}  {sensor_words(sensor)}" for sensor in lineup.sensors]
     height, across = shown["film"]["samples"]
-    where = f", in {setup.condition}" if prepared.conditions else ""
+    where = f", in {lineup.condition}" if prepared.conditions else ""
     lines += [conditions_line(prepared), f"film of {across} × {height} samples for all{where}"]
     if "uncertainty" in shown:
         lines += [f"{shown['uncertainty']['draws']} sensor types, over {', '.join(shown['uncertainty']['inputs'])}"]
@@ -357,37 +357,37 @@ def write_comparison_page(result: Comparison, folder: Path, end: float, files: d
     files : that are there beside those of `comparison_files`, with their descriptions
     """
     prepared, shown = result.prepared, result.shown
-    setup, first, in_shown = shown.setup, shown.sensors[0], Averaged(((1.0, shown),))
+    lineup, first, in_shown = shown.lineup, shown.sensors[0], Averaged(((1.0, shown),))
     maps = [compared.score.delta_e for compared in result.sensors]
     window = worst_window([np.abs(other - maps[0]) for other in maps[1:]])
     pictures = [_picture(compared.score.image, compared.name) for compared in result.sensors]
-    light = LightLevel.of(first.irradiance, setup.settings.display, [c.score.frame.integration_s for c in result.sensors])
+    light = LightLevel.of(first.irradiance, lineup.settings.display, [c.score.frame.integration_s for c in result.sensors])
     parameters = first.irradiance.header.get("parameters")
     common = scene_rows(first.irradiance, parameters if isinstance(parameters, dict) else {}, light)
     page = {
         "names": result.names,
         "verdicts": answers(result),
         "conditions": conditions_line(prepared),
-        "shown": setup.condition,
+        "shown": lineup.condition,
         "compared": _condition_rows(result),
         "rows": [_row(compared, in_shown.shown_mean(compared.name)) for compared in shown.sensors],
         "pairs": [_pair(result, other) for other in result.names[1:]],
         "views": [(f"{other} − {result.names[0]}", _view_rows(result, other)) for other in result.names[1:]],
-        "viewings": setup.viewing.words,
+        "viewings": lineup.viewing.words,
         "repeats": prepared.repeats,
         "unknown": [_unknown(found) for found in result.uncertainty],
         "notes": result.notes,
         "first": pictures[0],
         "others": [*pictures[1:], _picture(first.score.ideal, "ideal image")],
         "reduced": factor_for(first.score.image),
-        "display": setup.settings.display,
+        "display": lineup.settings.display,
         "crops": [(c.name, crops(c.score, window, f"the picture of {c.name}", end)) for c in result.sensors],
         "scale_bar": scale(end),
         "map_words": {c.name: _map_words(c, end) for c in result.sensors},
         "maps": {c.name: (folder / f"pictures/delta_e_{c.name}.png").read_bytes() for c in result.sensors},
         "settings": [("scene", common), *_records(result), *_condition_settings(prepared)],
         "colours": [(c.name, colour_rows(c.colour, c.score.out_of_gamut)) for c in shown.sensors if c.colour],
-        "seed": setup.settings.seed,
+        "seed": lineup.settings.seed,
         "files": comparison_files(prepared) | files | {"provenance.json": "versions and wall times"},
     }
     write_page(folder / PAGE, "compare.html.j2", page)
@@ -495,8 +495,8 @@ def _view_rows(result: Comparison, other: str) -> list[dict[str, str]]:
 def _condition_rows(result: Comparison) -> list[tuple[str, str, list[str], list[dict[str, str]]]]:
     """Return name, weight, mean ΔE of each sensor and differences of each condition, then of the weighted mean; none without."""
     named: list[tuple[str, str, Averaged]] = []
-    for setup, part in zip(result.prepared.conditions, result.conditions, strict=True):
-        named.append((setup.condition, f"{setup.weight:.3g}", part))
+    for lineup, part in zip(result.prepared.conditions, result.conditions, strict=True):
+        named.append((lineup.condition, f"{lineup.weight:.3g}", part))
     others = result.names[1:]
     pairs = [[_pair(result.pair(other).conditions[number], other) for other in others] for number in range(len(named))]
     if named:
@@ -523,7 +523,7 @@ def _condition_settings(prepared: Prepared) -> list[tuple[str, list[Any]]]:
 
 def _records(result: Comparison) -> list[tuple[str, list[Any]]]:
     """Return the tables of settings: the display of all, then each sensor's own."""
-    settings, coloured = result.shown.setup.settings, any(compared.sensor.pixel.colour for compared in result.sensors)
+    settings, coloured = result.shown.lineup.settings, any(compared.sensor.pixel.colour for compared in result.sensors)
     tables = [("display", record_rows("display", settings.display, False, coloured=coloured))]
     tables += [("develop", record_rows("develop", settings.develop, False))] if coloured else []
     for compared in result.sensors:

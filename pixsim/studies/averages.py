@@ -15,9 +15,9 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.light.spectral import SpectralImage
+from pixsim.studies.lineup import Contestant, Lineup
 from pixsim.studies.oversampling import FilmError, FilmSteps
 from pixsim.studies.paired import mean_interval, probability_above_zero
-from pixsim.studies.setup import Contestant, Setup
 from pixsim.studies.viewing import Viewed
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.light_error import LightError, with_error
@@ -82,7 +82,7 @@ class Compared:
 class Observed:
     """Sensors of a comparison under one condition, with their light and their frames."""
 
-    setup: Setup
+    lineup: Lineup
     sensors: tuple[Compared, ...]
 
     @property
@@ -123,12 +123,12 @@ class Averaged:
     @property
     def conditions(self) -> tuple[Averaged, ...]:
         """The sensors under each condition of a study alone; none without conditions."""
-        return tuple(Averaged(((1.0, part),)) for _, part in self.parts if part.setup.condition)
+        return tuple(Averaged(((1.0, part),)) for _, part in self.parts if part.lineup.condition)
 
     @property
     def counted(self) -> list[tuple[float, Averaged]]:
         """The weight and the sensors of each condition of weight above 0."""
-        return [(weight, own) for own in self.conditions if (weight := own.shown.setup.weight)]
+        return [(weight, own) for own in self.conditions if (weight := own.shown.lineup.weight)]
 
     @checks_arguments
     def pair(self, other: str) -> Averaged:
@@ -214,7 +214,7 @@ class Averaged:
 
         one, other : names of the sensors
         """
-        viewed, film, viewing_range = self.viewed, self.film_between(one, other), self.shown.setup.viewing
+        viewed, film, viewing_range = self.viewed, self.film_between(one, other), self.shown.lineup.viewing
         first, second = viewed[one], viewed[other]
         mean = np.maximum(first.mean(axis=1), second.mean(axis=1))
         grown = np.append(1.0, ELSEWHERE * np.maximum(mean[1:] / mean[0], 1.0) if mean[0] else np.full(mean.size - 1, ELSEWHERE))
@@ -260,8 +260,8 @@ class Averaged:
         The film's error is in each ±.
         """
         found: list[tuple[float, str]] = []
-        for setup, sensor in ((part.setup, sensor) for _, part in self.parts for sensor in part.sensors):
-            where = f" in {setup.condition}" if setup.condition else ""
+        for lineup, sensor in ((part.lineup, sensor) for _, part in self.parts for sensor in part.sensors):
+            where = f" in {lineup.condition}" if lineup.condition else ""
             found += [(cause.delta_e, f"{sensor.name}{where}: {cause.words}") for cause in sensor.causes]
             errors = LightError.of(sensor.irradiance.header).errors(float(sensor.delta_e.mean()))
             found += [(size, f"{NOT_CONVERGED}: {words}") for size, words in errors]

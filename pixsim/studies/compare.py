@@ -32,6 +32,7 @@ from pixsim.studies.comparison import Comparison
 from pixsim.studies.cost import Cost, frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
+from pixsim.studies.lineup import Contestant, Lineup, Prepared, named, prepare
 from pixsim.studies.matched_cameras import Match
 from pixsim.studies.oversampling import FilmSteps, Rendered, film_steps, render_and_measure
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
@@ -40,7 +41,6 @@ from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sizes
 from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.series import Series
-from pixsim.studies.setup import Contestant, Prepared, Setup, named, prepare
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import elsewhere_note
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -140,11 +140,11 @@ def run_prepared(
             workers: Workers | None = stack.enter_context(workers_for(jobs, scheduler))
         else:
             workers = None
-        whole = [lit_setup(setup, stage) for setup in prepared.setups]
+        whole = [lit_lineup(lineup, stage) for lineup in prepared.lineups]
         pairs = [lit_pair(pair, whole, stage) for pair in prepared.pairs]
         lit = list(dict.fromkeys(each for parts in (whole, *pairs) for each in parts))
         evaluate_all(lit, prepared.repeats, files["results.csv"], workers, stage("sense and score"))
-        parts = weighted_parts(prepared.setups, whole)
+        parts = weighted_parts(prepared.lineups, whole)
         found_notes = _notes_of([part for _, part in parts])
         with without_warnings():
             of_pairs = tuple(Averaged(weighted_parts(*pair)) for pair in zip(prepared.pairs, pairs, strict=True))
@@ -158,26 +158,26 @@ def run_prepared(
 
 @dataclass(eq=False)
 class Lit:
-    """A setup with the light of its sensors, and then with the mean ΔE of their frames.
+    """A lineup with the light of its sensors, and then with the mean ΔE of their frames.
 
     made, series : of each sensor
     viewed : (viewings, repeats) mean ΔE of each sensor, by its name
     """
 
-    setup: Setup
+    lineup: Lineup
     made: list[Rendered]
     series: list[Series]
     viewed: dict[str, Array] = field(default_factory=dict)
 
     def sizes(self, repeats: int) -> list[Sizes]:
         """Return the pixel size of each sensor, and its frames."""
-        return [{sensor.pixel.pitch_um: repeats} for sensor in self.setup.sensors]
+        return [{sensor.pixel.pitch_um: repeats} for sensor in self.lineup.sensors]
 
     @cached_property
     def compared(self) -> dict[str, Compared]:
         """Each sensor with what its frames show, by its name."""
         found = {}
-        for sensor, light, series in zip(self.setup.sensors, self.made, self.series, strict=True):
+        for sensor, light, series in zip(self.lineup.sensors, self.made, self.series, strict=True):
             chain = first_chain(series)
             score = chain.simulate(*series.stream, 0)
             time_s = score.frame.integration_s
@@ -191,19 +191,19 @@ class Lit:
                 self.viewed[sensor.name],
                 dark_clip(score.physics, time_s, white_e),
                 white_e,
-                steps_of(self.setup, sensor, light),
+                steps_of(self.lineup, sensor, light),
                 None if chain.rendition is None else chain.colour_facts(time_s),
             )
         return found
 
 
-def weighted_parts(setups: Sequence[Setup], lit: Sequence[Lit]) -> tuple[tuple[float, Observed], ...]:
-    """Return the sensors of each setup with its weight.
+def weighted_parts(lineups: Sequence[Lineup], lit: Sequence[Lit]) -> tuple[tuple[float, Observed], ...]:
+    """Return the sensors of each lineup with its weight.
 
     lit : their light and frames, perhaps among more sensors
     """
-    pairs = zip(setups, lit, strict=True)
-    return tuple((setup.weight, Observed(setup, tuple(each.compared[s.name] for s in setup.sensors))) for setup, each in pairs)
+    pairs = zip(lineups, lit, strict=True)
+    return tuple((lineup.weight, Observed(lineup, tuple(each.compared[s.name] for s in lineup.sensors))) for lineup, each in pairs)
 
 
 def first_chain(series: Series) -> ImagingChain:
@@ -211,46 +211,46 @@ def first_chain(series: Series) -> ImagingChain:
     return series.imaging.chain(series.light(), series.imaging.registered(0))
 
 
-def lit_setup(setup: Setup, stage: Stage, pair: str = "") -> Lit:
-    """Return a setup with the light of its sensors.
+def lit_lineup(lineup: Lineup, stage: Stage, pair: str = "") -> Lit:
+    """Return a lineup with the light of its sensors.
 
     pair : names of its sensors, if they are compared as if there were no others
     """
 
     def part(name: str) -> Progress:
-        return stage(": ".join(filter(None, (pair, setup.condition, name))))
+        return stage(": ".join(filter(None, (pair, lineup.condition, name))))
 
-    with named(setup.words):
-        made = render_all(setup, part)
-        lights = zip(setup.sensors, made, strict=True)
-        series = [series_of_sensor(setup, sensor, light.image, pair) for sensor, light in lights]
+    with named(lineup.words):
+        made = render_all(lineup, part)
+        lights = zip(lineup.sensors, made, strict=True)
+        series = [series_of_sensor(lineup, sensor, light.image, pair) for sensor, light in lights]
         chains = {each.name: first_chain(each) for each in series}
         grey = [name for name, chain in chains.items() if chain.rendition is None]
         check_one_ideal(grey, {name: chain.screen.ideal for name, chain in chains.items() if chain.rendition is not None})
-    return Lit(setup, made, series)
+    return Lit(lineup, made, series)
 
 
-def lit_pair(setups: Sequence[Setup], whole: Sequence[Lit], stage: Stage) -> list[Lit]:
+def lit_pair(lineups: Sequence[Lineup], whole: Sequence[Lit], stage: Stage) -> list[Lit]:
     """Return two of the sensors alone under each condition, with their light: that of all of them, if it is the same."""
     found = []
-    for setup, of_all in zip(setups, whole, strict=True):
-        if setup is of_all.setup or is_alike(setup, of_all):
+    for lineup, of_all in zip(lineups, whole, strict=True):
+        if lineup is of_all.lineup or is_alike(lineup, of_all):
             found.append(of_all)
             continue
-        pair = " and ".join(sensor.name for sensor in setup.sensors)
+        pair = " and ".join(sensor.name for sensor in lineup.sensors)
         with without_warnings(), named(f"{pair} alone"):
-            found.append(lit_setup(setup, stage, pair))
+            found.append(lit_lineup(lineup, stage, pair))
     return found
 
 
-def is_alike(setup: Setup, of_all: Lit) -> bool:
+def is_alike(lineup: Lineup, of_all: Lit) -> bool:
     """Return whether the comparison of two sensors is the same among more: field, chart, film and displays."""
-    among = of_all.setup
+    among = of_all.lineup
     alike = ("settings", "border", "viewing", "film_width")
-    if any(getattr(setup, name) != getattr(among, name) for name in alike):
+    if any(getattr(lineup, name) != getattr(among, name) for name in alike):
         return False
     # Another sensor may have asked for a finer film.
-    return all(sensor in among.sensors for sensor in setup.sensors) and of_all.made[0].image.shape[1] == among.film_width
+    return all(sensor in among.sensors for sensor in lineup.sensors) and of_all.made[0].image.shape[1] == among.film_width
 
 
 def _notes_of(parts: Sequence[Observed]) -> tuple[str, ...]:
@@ -258,62 +258,62 @@ def _notes_of(parts: Sequence[Observed]) -> tuple[str, ...]:
     notes = [part.notes for part in parts]
     of_all = [note for note in notes[0] if all(note in own for own in notes)]
     named_notes = zip(parts, notes, strict=True)
-    return *of_all, *(f"{part.setup.condition}: {note}" for part, own in named_notes for note in own if note not in of_all)
+    return *of_all, *(f"{part.lineup.condition}: {note}" for part, own in named_notes for note in own if note not in of_all)
 
 
-def render_all(setup: Setup, stage: Stage) -> list[Rendered]:
+def render_all(lineup: Lineup, stage: Stage) -> list[Rendered]:
     """Return the light of every sensor on one film, fine enough for all."""
-    width = setup.film_width
+    width = lineup.film_width
     while True:
         made: list[Rendered] = []
-        for sensor in setup.sensors:
-            light = render_one(setup, sensor, width, stage(f"render {sensor.name}"))
+        for sensor in lineup.sensors:
+            light = render_one(lineup, sensor, width, stage(f"render {sensor.name}"))
             if light.image.shape[1] > width:  # its film had to be finer: the others take that one too
                 width = light.image.shape[1]
                 break
             made.append(light)
         else:
-            pairs = list(zip(setup.sensors, made, strict=True))
-            seen = [Seen(light.image, s.camera, derive(s.pixel), setup.border_um(s.camera)) for s, light in pairs]
-            white = white_header(seen, setup.settings.display)
+            pairs = list(zip(lineup.sensors, made, strict=True))
+            seen = [Seen(light.image, s.camera, derive(s.pixel), lineup.border_um(s.camera)) for s, light in pairs]
+            white = white_header(seen, lineup.settings.display)
             for light in made:
                 light.image.header |= white
             return made
 
 
-def render_one(setup: Setup, sensor: Contestant, width: int, progress: Progress) -> Rendered:
+def render_one(lineup: Lineup, sensor: Contestant, width: int, progress: Progress) -> Rendered:
     """Return the light of a sensor on a film of so many samples across, or more if the film's error asks for them."""
     scene = sensor.scene.with_resolution(width)
     with named(sensor.name):
-        plan = setup.plan(sensor, scene)
+        plan = lineup.plan(sensor, scene)
         for note in plan.warnings:
             warn(note)
-        settings = setup.settings_of(sensor)
+        settings = lineup.settings_of(sensor)
 
         def plan_of(scene: Scene) -> Plan:
-            return setup.plan(sensor, scene)
+            return lineup.plan(sensor, scene)
 
         measured = [Imaging.of(settings, sensor.camera)]
         return render_and_measure(scene, plan, settings, sensor.pixel, measured, plan_of=plan_of, progress=progress)
 
 
-def series_of_sensor(setup: Setup, sensor: Contestant, image: SpectralImage, pair: str = "") -> Series:
+def series_of_sensor(lineup: Lineup, sensor: Contestant, image: SpectralImage, pair: str = "") -> Series:
     """Return the series of a sensor, which show and score the same part of the scene as those of the others.
 
     Its random streams do not name the sensor, so that equal sensors give equal frames.
 
-    pair : of `lit_setup`
+    pair : of `lit_lineup`
     """
     with named(sensor.name):
-        settings = setup.settings
+        settings = lineup.settings
         shared = settings.display, settings.correction, settings.develop
-        imaging = Imaging(sensor.camera, sensor.pixel, sensor.exposure, *shared, None, setup.border_um(sensor.camera), True)
+        imaging = Imaging(sensor.camera, sensor.pixel, sensor.exposure, *shared, None, lineup.border_um(sensor.camera), True)
         for text in (*sheet_disagreements(sensor.pixel), *implausible_numbers(sensor.pixel)):
             warn(f"{sensor.name}: {text}")
-        first, *others = setup.displays.values()
+        first, *others = lineup.displays.values()
         scenes = SceneCache(image, sensor.camera, first, len(imaging.physics.channels), single=True, others=others)
-        columns = {"pair": pair, "condition": setup.condition}
-        series = Series(sensor.name, imaging, scenes, ("compare", settings.seed), False, columns, setup.condition, False)
+        columns = {"pair": pair, "condition": lineup.condition}
+        series = Series(sensor.name, imaging, scenes, ("compare", settings.seed), False, columns, lineup.condition, False)
         light = series.light()
         assert isinstance(light, PreparedScene)
         warn_of_clipping(light.beyond_white)
@@ -321,11 +321,11 @@ def series_of_sensor(setup: Setup, sensor: Contestant, image: SpectralImage, pai
         return series
 
 
-def steps_of(setup: Setup, sensor: Contestant, light: Rendered) -> FilmSteps:
+def steps_of(lineup: Lineup, sensor: Contestant, light: Rendered) -> FilmSteps:
     """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
     with without_warnings():  # the result itself warns
-        imaging = Imaging.of(setup.settings_of(sensor), sensor.camera)
-        return film_steps(light.image, imaging, light.plan.chart, setup.border_um(sensor.camera) / REGISTERED_BORDER)
+        imaging = Imaging.of(lineup.settings_of(sensor), sensor.camera)
+        return film_steps(light.image, imaging, light.plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
 
 
 def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, workers: Workers | None, progress: Progress) -> None:
@@ -335,10 +335,10 @@ def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, worke
     workers : None takes as many processes as are worth it
     """
     series, sizes = [each for part in parts for each in part.series], [each for part in parts for each in part.sizes(repeats)]
-    costs = [part.setup.cost_of_frame(sensor) for part in parts for sensor in part.setup.sensors]
+    costs = [part.lineup.cost_of_frame(sensor) for part in parts for sensor in part.lineup.sensors]
     left = iter(delta_e_of(series, sizes, costs, results, workers, progress))
     for part in parts:
-        places = [list(part.setup.displays).index(viewing) for viewing in part.setup.viewing.viewings]
+        places = [list(part.lineup.displays).index(viewing) for viewing in part.lineup.viewing.viewings]
         for each in part.series:
             part.viewed[each.name] = next(left).reshape(repeats, -1).T[places]
 

@@ -11,8 +11,8 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.pages import html_cell
 from pixsim.studies.averages import Averaged, Compared
+from pixsim.studies.lineup import Prepared
 from pixsim.studies.pair_uncertainty import PairUncertainty
-from pixsim.studies.setup import Prepared
 from pixsim.studies.verdicts import headline, headlines
 from pixsim.viewer.display import white_light
 
@@ -52,12 +52,12 @@ class Comparison(Averaged):
 
     def as_dict(self) -> dict[str, Any]:
         """Return compare.json. With conditions the answers are those of the weighted mean, and the rest is `shown`."""
-        prepared, first, setup = self.prepared, self.sensors[0], self.shown.setup
+        prepared, first, lineup = self.prepared, self.sensors[0], self.shown.lineup
         more: dict[str, Any] = {}
         if (of_study := prepared.circumstances) is not None:
             more["study"] = {"name": of_study.name, "not_used": list(of_study.not_used)}
         if self.conditions:
-            more["shown_condition"] = setup.condition
+            more["shown_condition"] = lineup.condition
             more["conditions"] = {
                 own.condition: {"weight": own.weight}
                 | part.answers()
@@ -75,13 +75,13 @@ class Comparison(Averaged):
             **self.answers(),
             "match": prepared.match,
             "repeats": prepared.repeats,
-            "scene": setup.scene,
+            "scene": lineup.scene,
             "scored_dots": list(first.score.delta_e.shape),
             "fov_deg": first.sensor.camera.fov_deg,
-            "chosen": setup.view.as_dict() | {"finest": setup.finest},
-            "display": setup.settings.display.model_dump(),
-            "viewing": setup.viewing.as_dict(),
-            "seed": setup.settings.seed,
+            "chosen": lineup.view.as_dict() | {"finest": lineup.finest},
+            "display": lineup.settings.display.model_dump(),
+            "viewing": lineup.viewing.as_dict(),
+            "seed": lineup.settings.seed,
             "notes": list(self.notes),
             "sensors": {
                 sensor.name: _summary_of(sensor) | {"delta_e": self.delta_e[sensor.name].tolist()} for sensor in self.sensors
@@ -105,10 +105,10 @@ class Comparison(Averaged):
     def _repr_html_(self) -> str:
         rows = [(sensor.name, f"{sensor.sensor.pixel.pitch_um:g}", self.shown_mean(sensor.name)) for sensor in self.sensors]
         title = "; ".join(headlines(self))
-        counted = ", ".join(f"{part.shown.setup.condition} ({weight:g})" for weight, part in self.counted)
+        counted = ", ".join(f"{part.shown.lineup.condition} ({weight:g})" for weight, part in self.counted)
         over = f"; the mean over the conditions {counted}" if counted else ""
-        setup, repeats = self.shown.setup, self.prepared.repeats
-        notes = [f"{setup.scene}: {repeats} pairs of frames, seed {setup.settings.seed}{over}"]
+        lineup, repeats = self.shown.lineup, self.prepared.repeats
+        notes = [f"{lineup.scene}: {repeats} pairs of frames, seed {lineup.settings.seed}{over}"]
         notes += [*(found.words for found in self.uncertainty), *self.notes]
         return html_cell(title, ("sensor", "pixel size (µm)", "mean ΔE (95 % and the film's error)"), rows, self.plot(), notes)
 
@@ -121,13 +121,13 @@ class Comparison(Averaged):
 
 def _pair_as_dict(pair: Averaged) -> dict[str, Any]:
     """Return what compare.json has of the first sensor and another one alone, beside their difference."""
-    setup = pair.shown.setup
+    lineup = pair.shown.lineup
     return {
         "scores": {name: list(score) for name, score in pair.scores.items()},
-        "fov_deg": setup.sensors[0].camera.fov_deg,
-        "scored_dots": list(setup.scored_dots),
-        "chosen": setup.view.as_dict() | {"finest": setup.finest},
-        "viewing": setup.viewing.as_dict(),
+        "fov_deg": lineup.sensors[0].camera.fov_deg,
+        "scored_dots": list(lineup.scored_dots),
+        "chosen": lineup.view.as_dict() | {"finest": lineup.finest},
+        "viewing": lineup.viewing.as_dict(),
     }
 
 

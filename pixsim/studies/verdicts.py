@@ -117,7 +117,7 @@ def headline(result: Averaged, other: str) -> str:
 
 
 def _answers_of_conditions(pair: Averaged, other: str) -> list[str]:
-    return [f"{part.shown.setup.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in pair.counted]
+    return [f"{part.shown.lineup.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in pair.counted]
 
 
 def answer(result: Averaged, other: str) -> list[str]:

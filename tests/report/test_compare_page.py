@@ -292,7 +292,7 @@ def observed(
     condition: str = "",
     noises: tuple[dict[str, float], ...] = ({}, {}),
 ) -> Observed:
-    setup = SimpleNamespace(viewing=ViewingRange(tuple(values), stated), condition=condition, weight=0.5 if condition else 1.0)
+    lineup = SimpleNamespace(viewing=ViewingRange(tuple(values), stated), condition=condition, weight=0.5 if condition else 1.0)
     steps = SimpleNamespace(error_of_difference=lambda _: math.nan if film is None else film)
     sensors = []
     for number, (name, noise) in enumerate(zip("ab", noises, strict=True)):
@@ -300,7 +300,7 @@ def observed(
         image = SimpleNamespace(header={"render_noise": noise} if noise else {})
         own = {"name": name, "viewed": viewed, "delta_e": viewed[0], "steps": steps, "causes": (), "irradiance": image}
         sensors.append(SimpleNamespace(**own))
-    return SimpleNamespace(setup=setup, sensors=tuple(sensors))  # type: ignore[return-value]
+    return SimpleNamespace(lineup=lineup, sensors=tuple(sensors))  # type: ignore[return-value]
 
 
 def unsure_of(result: Averaged, words: str) -> Averaged:

@@ -35,7 +35,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.unused import Configuration, unused_notes, unused_settings
-from pixsim.studies import setup
+from pixsim.studies import lineup
 from pixsim.studies.cases import cases_of, with_range_ends
 from pixsim.studies.pixels import physics_of
 from pixsim.studies.preparation import prepare
@@ -341,10 +341,10 @@ def test_every_command_says_so(tmp_path: Path) -> None:
         prepare_run(str(tmp_path / "light.npz"), asked)
     files = [sheet(tmp_path / f"{name}.toml", more=f"f_number = {stop}\n") for name, stop in (("a", 4.0), ("b", 5.6))]
     with pytest.warns(UserWarning, match=r"^b: camera\.f_number is not used: all sensors have the lens of a"):
-        setup.prepare(files, match="view", repeats=2)
+        lineup.prepare(files, match="view", repeats=2)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        setup.prepare(files, match="own", repeats=2, options={"camera": {"transmittance": 0.5}})
+        lineup.prepare(files, match="own", repeats=2, options={"camera": {"transmittance": 0.5}})
 
 
 def test_rules_name_settings_that_exist() -> None:

@@ -17,7 +17,7 @@ from pixsim.base.parameters import Study
 from pixsim.studies.averages import Averaged
 from pixsim.studies.circumstances import circumstances_of
 from pixsim.studies.comparison import Comparison
-from pixsim.studies.setup import prepare
+from pixsim.studies.lineup import prepare
 from pixsim.studies.verdicts import headline
 
 DAY = {"scene": {"parameters": {"luminance_cd_per_m2": 300.0}}, "exposure": {"max_integration_s": 0.02}}
@@ -74,7 +74,7 @@ def test_conditions_are_those_comparisons_bit_for_bit(both: Comparison, alone: l
     day, night = (result.answers() for result in alone)
     assert [part.answers() for part in both.conditions] == [day, night]
     assert [weight for weight, _ in both.counted] == [0.75, 0.25]
-    assert both.shown.setup.condition == "day"
+    assert both.shown.lineup.condition == "day"
     assert [sensor.score for sensor in both.sensors] == [sensor.score for sensor in both.conditions[0].sensors]
 
 

@@ -26,9 +26,9 @@ from pixsim.studies.averages import Averaged
 from pixsim.studies.compare import series_of_sensor
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.evaluations import evaluate_task, tasks_of
+from pixsim.studies.lineup import Lineup, prepare
 from pixsim.studies.matched_cameras import matched_cameras
 from pixsim.studies.paired import mean_interval, probability_above_zero
-from pixsim.studies.setup import Setup, prepare
 from pixsim.studies.verdicts import ranking_words, verdict
 from pixsim.studies.viewing import Viewing, ViewingRange
 
@@ -111,7 +111,7 @@ def test_matched_window_is_of_the_first_die() -> None:
 # --- one scene, one display, one scored frame -------------------------------------------------------------------------
 
 
-def prepared(files: list[Path], **options: Any) -> Setup:
+def prepared(files: list[Path], **options: Any) -> Lineup:
     match = options.pop("match", "view")
     scene = options.pop("scene_file", "csf")
     return prepare(files, scene, match=match, repeats=2, options=options).shown
@@ -233,7 +233,7 @@ def test_pairing_reduces_variance(tmp_path: Path) -> None:
 def test_frame_of_another_process_is_the_same(noisy: Comparison) -> None:
     """A chain that was sent to a worker gives the same frames, bit for bit."""
     compared = noisy.sensors[2]
-    series = series_of_sensor(noisy.shown.setup, compared.sensor, compared.irradiance)
+    series = series_of_sensor(noisy.shown.lineup, compared.sensor, compared.irradiance)
     (task,) = tasks_of(series, {compared.sensor.pixel.pitch_um: 8})
     rows = evaluate_task(*pickle.loads(pickle.dumps((task, series.light()))))
     of_first_display = [float(row["mean_delta_e"]) for row in rows][:: len(series.displays)]
@@ -249,7 +249,7 @@ def test_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
     whole = pixsim.compare(files, out=tmp_path / "out", **options)
     results = tmp_path / "out/results.csv"
     lines = results.read_text(encoding="utf-8").splitlines(keepends=True)
-    assert len(lines) == 1 + 2 * 2 * 3 * len(whole.shown.setup.displays)
+    assert len(lines) == 1 + 2 * 2 * 3 * len(whole.shown.lineup.displays)
     results.write_text("".join(lines[: len(lines) // 2]), encoding="utf-8")
     made: list[int] = []
     evaluate = evaluations.evaluate_task
@@ -355,7 +355,7 @@ def test_ranking_separates_what_is_sure_under_all_viewings() -> None:
     sensors = tuple(SimpleNamespace(name=name, viewed=own, steps=NoFilm()) for name, own in viewed.items())
 
     def of(viewing: ViewingRange, left_out: int = 0) -> Averaged:
-        observed = SimpleNamespace(setup=SimpleNamespace(viewing=viewing), sensors=sensors[left_out:])
+        observed = SimpleNamespace(lineup=SimpleNamespace(viewing=viewing), sensors=sensors[left_out:])
         return Averaged(((1.0, observed),))  # type: ignore[arg-type]
 
     assert of(ranges).ranking == (("a", "b", "c", "d"),)

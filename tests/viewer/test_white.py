@@ -134,6 +134,6 @@ def test_sensors_of_a_comparison_share_one_white(tmp_path: Path) -> None:
     assert first == white(files[::-1])[0]
     for sensor in result.sensors:
         seen = Seen(
-            sensor.irradiance, sensor.sensor.camera, sensor.score.physics, result.shown.setup.border_um(sensor.sensor.camera)
+            sensor.irradiance, sensor.sensor.camera, sensor.score.physics, result.shown.lineup.border_um(sensor.sensor.camera)
         )
-        assert np.mean(seen.luminance_cd_per_m2(result.shown.setup.settings.display) > first) <= 0.01
+        assert np.mean(seen.luminance_cd_per_m2(result.shown.lineup.settings.display) > first) <= 0.01

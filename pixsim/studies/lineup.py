@@ -93,7 +93,7 @@ class Contestant:
 
 
 @dataclass(frozen=True, eq=False)
-class Setup:
+class Lineup:
     """Sensors of a comparison under one condition, with the display and the chart that they share.
 
     condition, weight : name and share of the condition; an empty name and 1 without conditions
@@ -170,7 +170,7 @@ class Prepared:
     """A comparison with everything that it left open.
 
     base : settings of each sensor, as the files and options have them without a condition
-    setups : all sensors under each condition; one without conditions
+    lineups : all sensors under each condition; one without conditions
     pairs : the first sensor and each other one alone, likewise
     circumstances : the study under whose conditions the sensors are compared, if any
     types : sensor types over which the comparison is repeated, if they are asked for
@@ -179,22 +179,22 @@ class Prepared:
     match: Match
     repeats: int
     base: tuple[Run, ...]
-    setups: tuple[Setup, ...]
-    pairs: tuple[tuple[Setup, ...], ...]
+    lineups: tuple[Lineup, ...]
+    pairs: tuple[tuple[Lineup, ...], ...]
     sensor_id: str | None = None
     variant: str | None = None
     circumstances: Circumstances | None = None
     types: Types | None = None
 
     @property
-    def shown(self) -> Setup:
-        """The first setup of weight above 0, whose pictures are shown."""
-        return next(setup for setup in self.setups if setup.weight)
+    def shown(self) -> Lineup:
+        """The first lineup of weight above 0, whose pictures are shown."""
+        return next(lineup for lineup in self.lineups if lineup.weight)
 
     @property
-    def conditions(self) -> tuple[Setup, ...]:
-        """The setups that are conditions of a study."""
-        return tuple(setup for setup in self.setups if setup.condition)
+    def conditions(self) -> tuple[Lineup, ...]:
+        """The lineups that are conditions of a study."""
+        return tuple(lineup for lineup in self.lineups if lineup.condition)
 
 
 def sensor_layer(file: str) -> Layer:
@@ -305,21 +305,21 @@ def prepare(
             runs = read_sensors(sources, lens, layers, options, of_study.layer_of(each))
             under.append(Stated(each.name, each.weight / total, of_study.scene_of(each), runs))
 
-    def setups_of(*chosen: int) -> tuple[Setup, ...]:
+    def setups_of(*chosen: int) -> tuple[Lineup, ...]:
         """Return some of the sensors under each condition, as if there were no others."""
         shown = next(stated for stated in under if stated.weight)
         of_sensors = [names[number] for number in chosen], [sources[number] for number in chosen]
-        made: dict[str, Setup] = {}
+        made: dict[str, Lineup] = {}
         for stated in (shown, *(other for other in under if other is not shown)):
             own = stated._replace(runs=[stated.runs[number] for number in chosen])
             with named(f"condition {stated.condition}" if stated.condition else ""):
-                made[stated.condition] = setup_of(*of_sensors, own, made.get(shown.condition), match, sensor, variant)
+                made[stated.condition] = lineup_of(*of_sensors, own, made.get(shown.condition), match, sensor, variant)
         return tuple(made[stated.condition] for stated in under)
 
-    setups = setups_of(*range(len(sources)))
+    lineups = setups_of(*range(len(sources)))
     warn_of_unused(sources, [each.runs for each in under], match)
     if len(sources) == SENSORS[0]:
-        pairs: tuple[tuple[Setup, ...], ...] = (setups,)
+        pairs: tuple[tuple[Lineup, ...], ...] = (lineups,)
     else:
         with without_warnings():  # those of all sensors are shown
             pairs = tuple(setups_of(0, other) for other in range(1, len(sources)))
@@ -328,7 +328,7 @@ def prepare(
         types = Types.of(uncertainty, names, sources, [run.pixel for run in base], base[0].seed)
     else:
         warn_of_uncertainty(sources)
-    return Prepared(match, repeats, tuple(base), setups, pairs, sensor, variant, of_study, types)
+    return Prepared(match, repeats, tuple(base), lineups, pairs, sensor, variant, of_study, types)
 
 
 def warn_of_uncertainty(sources: Sequence[str]) -> None:
@@ -341,7 +341,7 @@ def warn_of_uncertainty(sources: Sequence[str]) -> None:
 class Stated(NamedTuple):
     """What is stated for the sensors under one condition.
 
-    condition, weight : as of `Setup`
+    condition, weight : as of `Lineup`
     scene : file, or name of a packaged scene
     runs : settings of each sensor
     """
@@ -378,15 +378,15 @@ def differing(record: Record, other: Record) -> Record:
     return type(record).model_construct(set(fields), **fields)
 
 
-def setup_of(
+def lineup_of(
     names: Sequence[str],
     sources: Sequence[str],
     stated: Stated,
-    common: Setup | None,
+    common: Lineup | None,
     match: Match,
     sensor: str | None,
     variant: str | None,
-) -> Setup:
+) -> Lineup:
     """Return sensors under one condition.
 
     common : another condition, whose displays and chart this one takes where it leaves them open, so that both can be averaged
@@ -437,7 +437,7 @@ def setup_of(
     if common is not None:
         viewing = common.viewing.under(settings.display, of_viewing)
     own = settings, tuple(contestants), view, names[finest], border, viewing
-    return Setup(stated.condition, stated.weight, scene, *own)
+    return Lineup(stated.condition, stated.weight, scene, *own)
 
 
 def _viewing(sensors: Sequence[Contestant], display: Display, stated: Sequence[str], border: float) -> ViewingRange:
