@@ -468,6 +468,7 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
 
 
 MADE_FROM = "made_from"  # in provenance.json: command -> hash of all that its files were made from
+SAID = "said"  # in provenance.json: what the command said of them
 
 
 def are_kept(folder: Path, command: str, made_from: str) -> bool:
@@ -481,9 +482,19 @@ def are_kept(folder: Path, command: str, made_from: str) -> bool:
     return all(len(entry["digests"]) == 1 and is_own(folder / name, entry) for name, entry in own.items())
 
 
-def write_made_from(folder: Path, command: str, made_from: str) -> None:
-    """State in the provenance of files that a command has just published what they were made from, for `are_kept`."""
-    write_json(folder / PROVENANCE, _provenance(folder) | {MADE_FROM: {command: made_from}}, named=False)
+def write_made_from(folder: Path, command: str, made_from: str, said: dict[str, list[str]] | None = None) -> None:
+    """State in the provenance of files that a command has just published what they were made from, for `are_kept`.
+
+    said : what the command said of them, for `said_with`
+    """
+    stated = {MADE_FROM: {command: made_from}} | ({SAID: said} if said else {})
+    write_json(folder / PROVENANCE, _provenance(folder) | stated, named=False)
+
+
+def said_with(folder: Path) -> dict[str, list[str]]:
+    """Return what a command said of the files of a folder that are kept."""
+    said: dict[str, list[str]] = _provenance(folder)[SAID]
+    return said
 
 
 def write_new(path: Path, text: str) -> None:

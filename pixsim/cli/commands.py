@@ -20,10 +20,10 @@ from cyclopts import Parameter
 from pixsim.base.caller import command_line
 from pixsim.base.config import checked, study_layers
 from pixsim.base.errors import UnwritableError, invalid
-from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files
+from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files, write_made_from
 from pixsim.base.headline import headline_lines
 from pixsim.base.lazy import import_less
-from pixsim.base.notes import collected_notes
+from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Layer, LensOptions, Run, Study
 from pixsim.cli import options as common
 from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, field_option, given, say, show, stages
@@ -172,9 +172,9 @@ def run(
     settings.toml and report.html, or keeps them where they would be the same. `pixsim run SCENE --config settings.toml` repeats it.
     """
     import_less()
-    from pixsim.report.kept import keep_or_write
+    from pixsim.report.kept import kept_run
     from pixsim.report.run import RunFiles, digest_of_run, run_lines, write_run
-    from pixsim.studies.run import prepare, run_prepared
+    from pixsim.studies.run import light_run, prepare, score_run
     from pixsim.studies.run_arrays import check_raw
 
     chosen = options.settings(effort, display=display, seed=seed, tolerance_e=tolerance_e)
@@ -192,10 +192,19 @@ def run(
         return
     seconds: dict[str, float] = {}
     with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the render
-        result = run_prepared(prepared, progress=stage)
-        progress, made_from = stage("write"), digest_of_run(result, files)
-        report = keep_or_write("run", made_from, folder, lambda: write_run(result, folder, seconds, files, progress))
-    show(result.as_dict(), json, "\n".join([*run_lines(result), f"report: {report}"]))
+        lit = light_run(prepared, stage)
+        made_from = digest_of_run(lit, files)
+        if kept := kept_run(folder, made_from):
+            summary, lines, warned = kept
+            for note in warned:
+                if note not in lit.warned:  # the others were given now
+                    warn(note)
+        else:
+            result = score_run(lit, stage)
+            write_run(result, folder, seconds, files, stage("write"))
+            summary, lines = result.as_dict(), run_lines(result)
+            write_made_from(folder, "run", made_from, {"lines": lines, "warned": list(result.warned)})
+    show(summary, json, "\n".join([*lines, f"report: {folder / 'report.html'}"]))
 
 
 @app.command

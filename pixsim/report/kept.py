@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
@@ -14,7 +15,16 @@ import numpy as np
 from pydantic import BaseModel
 
 from pixsim.base import cache
-from pixsim.base.files import DEPENDENCIES, are_kept, digest_of, files_are_finished, output_folder, versions, write_made_from
+from pixsim.base.files import (
+    DEPENDENCIES,
+    are_kept,
+    digest_of,
+    files_are_finished,
+    output_folder,
+    said_with,
+    versions,
+    write_made_from,
+)
 from pixsim.base.mapped import update_with_array
 from pixsim.studies.result import StudyResult
 
@@ -39,6 +49,15 @@ def keep_or_write(command: str, made_from: str, folder: Path, write: Callable[[]
         report = write()
         write_made_from(folder, command, made_from)
         return report
+
+
+def kept_run(folder: Path, made_from: str) -> tuple[dict[str, Any], list[str], list[str]] | None:
+    """Return score.json of a run whose files are kept, the lines that it said, and its warnings; None if they are not kept."""
+    if not are_kept(folder, "run", made_from):
+        return None
+    files_are_finished()
+    said = said_with(folder)
+    return json.loads((folder / "score.json").read_bytes()), said["lines"], said["warned"]
 
 
 def digest_of_report(result: StudyResult) -> str:

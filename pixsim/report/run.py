@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, settings_text
@@ -44,8 +44,11 @@ from pixsim.show.pictures import (
 )
 from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
-from pixsim.studies.run import RunResult
+from pixsim.studies.run import LitRun, Prepared, RunResult
 from pixsim.studies.run_arrays import Irradiance, write_irradiance, write_numbers
+
+if TYPE_CHECKING:
+    from pixsim.light.spectral import SpectralImage
 
 PAGE = "run.html.j2"  # template of report.html
 # Files next to the page, with their descriptions.
@@ -257,20 +260,21 @@ class RunFiles(NamedTuple):
 USUAL = RunFiles()
 
 
-def run_settings_text(result: RunResult) -> str:
+def run_settings_text(prepared: Prepared, irradiance: SpectralImage) -> str:
     """Return the text of settings.toml, from which `pixsim run` makes the same numbers again."""
-    prepared = result.prepared
     given = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units}
     given |= {name: str(value) for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames)) if value > 1}
     command = ["pixsim", "run", prepared.whole_source, "--config", SETTINGS_FILE, *["--full"] * prepared.full]
     command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
-    return settings_text(result.repeating, shlex.join(command))
+    return settings_text(prepared.repeating(irradiance), shlex.join(command))
 
 
-def digest_of_run(result: RunResult, files: RunFiles = USUAL) -> str:
+def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     """Hash of everything that the files of a run are made from, but the wall times."""
-    technology = result.score.physics.technology
-    return digest_of_content(files, run_settings_text(result), result.as_dict(), result.irradiance, technology)
+    prepared, light = lit.prepared, lit.irradiance
+    film = lit.rendered and lit.rendered.film.as_dict()
+    own = prepared.settings, prepared.camera, prepared.asked.camera, prepared.repeats, prepared.frames, prepared.settled is None
+    return digest_of_content(files, run_settings_text(prepared, light), light, film, lit.technology, own)
 
 
 def write_run(
@@ -320,6 +324,6 @@ def write_all(result: RunResult, folder: Path, files: RunFiles = USUAL, progress
         compile_page(PAGE)
         for each in written:
             each.result()
-    (folder / SETTINGS_FILE).write_text(run_settings_text(result), encoding="utf-8")
+    (folder / SETTINGS_FILE).write_text(run_settings_text(result.prepared, irradiance), encoding="utf-8")
     write_json(folder / "score.json", result.as_dict())
     write_run_page(result, folder)

@@ -28,6 +28,7 @@ from pixsim.scene.scene import Scene, load_scene, packaged_scenes
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_on
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import Frame
+from pixsim.sensor.technology import Technology, load_technology
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.pages import html_cell, rows_csv
 from pixsim.studies.budget import ProbeDesign, Settled, settle
@@ -94,6 +95,17 @@ class Prepared:
     def header(self) -> dict[str, Any]:
         """What is known of the light before it is rendered: the header of a picture, or the parameters of a scene."""
         return self.light.header if isinstance(self.light, SpectralImage) else {"parameters": self.light.scene.parameters}
+
+    def repeating(self, irradiance: SpectralImage) -> Run:
+        """Return the settings with which `pixsim run` makes the same numbers again.
+
+        irradiance : of this run
+        """
+        if isinstance(self.light, SpectralImage):
+            return self.settings
+        # Display and chart, too, may have been chosen; defaults in their place would count as given.
+        of_view = {"display": self.settings.display, "scene": scene_table(self.light.scene.path.parent, self.settings.scene)}
+        return without_clock(self.asked, self.settings, irradiance).model_copy(update=of_view)
 
     @property
     def whole_source(self) -> str:
@@ -282,16 +294,6 @@ class RunResult:
         return "; ".join(filter(None, (self.settings.pixel.assumption, of_lens)))
 
     @property
-    def repeating(self) -> Run:
-        """The settings with which `pixsim run` makes the same numbers again."""
-        settings, light = self.settings, self.prepared.light
-        if isinstance(light, SpectralImage):
-            return settings
-        # Display and chart, too, may have been chosen; defaults in their place would count as given.
-        of_view = {"display": settings.display, "scene": scene_table(light.scene.path.parent, settings.scene)}
-        return without_clock(self.prepared.asked, settings, self.irradiance).model_copy(update=of_view)
-
-    @property
     def colour(self) -> dict[str, Any] | None:
         """Channels, matrix and noise gains of a colour sensor, as in score.json; None for a monochrome one."""
         return None if self.chain.rendition is None else self.chain.colour_facts(self.score.frame.integration_s)
@@ -429,23 +431,50 @@ def run(
         return run_prepared(prepared, progress=progress)
 
 
+@dataclass(frozen=True)
+class LitRun:
+    """A run whose light is known. The fields are those of `RunResult`."""
+
+    prepared: Prepared
+    irradiance: SpectralImage = field(repr=False)
+    rendered: Rendered | None = field(default=None, repr=False)
+    warned: tuple[str, ...] = ()
+
+    @property
+    def technology(self) -> Technology:
+        """The process of the pixel, as its file has it."""
+        return load_technology(self.prepared.settings.pixel.technology)
+
+
 def run_prepared(prepared: Prepared, *, progress: Stage | None = None) -> RunResult:
     """Run what is prepared.
 
     progress : returns a callback for each named stage
     """
     stage = progress or (lambda _: lambda *_: None)
+    return score_run(light_run(prepared, stage), stage)
+
+
+def light_run(prepared: Prepared, stage: Stage) -> LitRun:
+    """Return a run with its light, with the white that it is shown with."""
     with collected_notes() as notes:
         rendered = None
         if isinstance(image := prepared.light, Planned):
             prepared, rendered = _render(prepared, *image, stage)
             image = rendered.image
-        settings, camera = prepared.settings, prepared.camera
-        image.header |= white_header([Seen(image, camera, derive(settings.pixel))], settings.display)
+        seen = Seen(image, prepared.camera, derive(prepared.settings.pixel))
+        image.header |= white_header([seen], prepared.settings.display)
+    return LitRun(prepared, image, rendered, tuple(notes))
+
+
+def score_run(lit: LitRun, stage: Stage) -> RunResult:
+    """Return the result of a run whose light is known."""
+    prepared, image, settings = lit.prepared, lit.irradiance, lit.prepared.settings
+    with collected_notes() as notes:
         scored = stage("sense and score")
         of_sensor = settings.pixel, settings.exposure, settings.display, prepared.full, settings.correction, settings.develop
         with watched(share_of(scored, 0.0, BEFORE_FRAME)):
-            chain = make_imaging_chain(image, camera, *of_sensor)
+            chain = make_imaging_chain(image, prepared.camera, *of_sensor)
         scored(BEFORE_FRAME)
         score = chain.simulate("evaluate", settings.seed)
         statistics = [score.statistics()]
@@ -453,7 +482,8 @@ def run_prepared(prepared: Prepared, *, progress: Stage | None = None) -> RunRes
         for number in range(1, sensors):
             statistics.append(chain.simulate("evaluate", settings.seed, number).statistics())
             scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
-    result = RunResult(prepared, image, chain, score, tuple(statistics), rendered, tuple(notes))
+    warned = tuple(dict.fromkeys([*lit.warned, *notes]))
+    result = RunResult(prepared, image, chain, score, tuple(statistics), lit.rendered, warned)
     return replace(result, score=replace(score, light=result.light))
 
 
