@@ -719,7 +719,7 @@ def test_study_full_disk_at_the_report_names_file_and_what_is_kept(tmp_path: Pat
 def test_compare_full_disk_names_file_and_leaves_the_folder_as_it_was(
     max_bytes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At the rows, at a picture and at the page; a comparison of before stays whole, beside the rows from which this one goes on."""
+    """At the rows, at a picture and at the page; a comparison of before stays whole, beside the rows of this one."""
     monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
     line = f"compare 0.35um 4t-bsi {SMALL} --pixel.pitch-um 40 --jobs 1 --repeats 2 --out out"
     with output_folder(tmp_path / "out") as out_folder, publishing(out_folder, "compare") as folder:
