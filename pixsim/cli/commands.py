@@ -525,12 +525,24 @@ def compare(
 
     shared = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
-    given_options: dict[str, Any] = {"config": options.config or [], "options": tables, "sensor": sensor, "variant": variant}
     axes, cases = ((), []) if study is None else cases_of_comparison(study)
-    given_options |= {"match": match, "repeats": repeats, "uncertainty": uncertainty}
     with collected_notes() as notes:
         studies: list[Study | str | None] = [*(case.study for case in cases)] or [study]
-        prepared = [prepare(sensors, scene, study=own, **given_options) for own in studies]
+        prepared = [
+            prepare(
+                sensors,
+                scene,
+                study=own,
+                match=match,
+                repeats=repeats,
+                config=options.config or [],
+                options=tables,
+                sensor=sensor,
+                variant=variant,
+                uncertainty=uncertainty,
+            )
+            for own in studies
+        ]
         folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.sensors)
         places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))
         if dry_run:

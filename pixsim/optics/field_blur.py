@@ -675,6 +675,7 @@ class FieldBlur:
     pitch_um: float
     spacing: int
     psfs: dict[tuple[int, int], Psf] = field(repr=False)
+    known_even: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)  # from a cache, in place of computing
     _last: dict[tuple[int, bytes], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -807,6 +808,8 @@ class FieldBlur:
 
         All windows have the same light: what is beyond the picture does not reach it.
         """
+        if self.known_even is not None:
+            return self.known_even
         spectrum, reach = rfft2(self._window[None], self._transformed), self.cells // 2
         before, inside = self._before, [n - 2 * reach for n in self.shape]
         light = self._added_up(lambda _: spectrum)[_part(before[0] + 2 * reach, before[1] + 2 * reach, *inside)]
@@ -897,9 +900,8 @@ def blur_from_arrays(
     even = stored.get("even", np.empty(0))
     if kernels.shape != (len(places), cells, cells) or even.shape != shape or not kernels.dtype == even.dtype == np.float32:
         return None
-    blur = FieldBlur(wide, pitch_um, spacing, {place: Psf(kernel) for place, kernel in zip(places, kernels, strict=True)})
-    blur.__dict__["even"] = even  # as `cached_property` keeps it
-    return blur
+    psfs = {place: Psf(kernel) for place, kernel in zip(places, kernels, strict=True)}
+    return FieldBlur(wide, pitch_um, spacing, psfs, even)
 
 
 def picture_error(

@@ -300,11 +300,10 @@ def settings_files(prepared: Prepared) -> dict[str, str]:
         texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.circumstances), command)}
     else:
         first, chosen = prepared.base[0], set(OF_VIEWING) - set(prepared.shown.viewing.stated)
-        tables: dict[str, Any] = {
-            "scene": scene_table(prepared.shown.sensors[0].scene.path.parent, first.scene),
-            "display": first.display.model_dump(mode="json", exclude_none=True, exclude=chosen),
-        }
-        texts = {SETTINGS_FILE: settings_text(first, command, **tables, camera={}, lens={}, pixel={}, exposure={})}
+        scene = scene_table(prepared.shown.sensors[0].scene.path.parent, first.scene)
+        display = first.display.model_dump(mode="json", exclude_none=True, exclude=chosen)
+        text = settings_text(first, command, scene=scene, display=display, camera={}, lens={}, pixel={}, exposure={})
+        texts = {SETTINGS_FILE: text}
     spreads = [{}] * len(files) if prepared.types is None else prepared.types.spreads
     for file, own, spread in zip(files, prepared.base, spreads, strict=True):
         texts[file] = settings_text(own, f"(in the folder above) {command}", {"": spread}, **_all_but_sensor(own))

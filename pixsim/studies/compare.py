@@ -115,9 +115,19 @@ def compare(
     paths = [config] if isinstance(config, str | os.PathLike) else config
     options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
     options |= {"scene": dict(parameters)} if parameters else {}
-    given: dict[str, Any] = {"config": [Path(path) for path in paths], "options": options, "uncertainty": uncertainty}
     with collected_notes():  # also of what is found before the comparison begins
-        prepared = prepare(files, scene, study=study, match=match, repeats=repeats, sensor=sensor, variant=variant, **given)
+        prepared = prepare(
+            files,
+            scene,
+            study=study,
+            match=match,
+            repeats=repeats,
+            config=[Path(path) for path in paths],
+            options=options,
+            sensor=sensor,
+            variant=variant,
+            uncertainty=uncertainty,
+        )
         return run_prepared(prepared, jobs=jobs, scheduler=scheduler, progress=progress, out=out)
 
 

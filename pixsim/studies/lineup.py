@@ -122,8 +122,8 @@ class Lineup:
 
     def plan(self, sensor: Contestant, scene: Scene) -> Plan:
         """Return the plan of a sensor's render on the film of `scene`."""
-        options: dict[str, Any] = {"display": self.settings.display, "tolerance_e": self.settings.tolerance_e}
-        return make_plan(scene, sensor.camera, sensor.pixel, exposure=sensor.exposure, **options)
+        display, tolerance_e = self.settings.display, self.settings.tolerance_e
+        return make_plan(scene, sensor.camera, sensor.pixel, exposure=sensor.exposure, display=display, tolerance_e=tolerance_e)
 
     def settings_of(self, sensor: Contestant) -> Run:
         """Return the settings with those of a sensor."""

@@ -17,6 +17,7 @@ from pixsim.cli.commands import app
 
 # Command -> its function, and the record whose fields it takes as further keywords.
 FUNCTIONS: dict[str, tuple[Callable[..., Any], type[BaseModel] | None]] = {
+    "run": (pixsim.run, Run),
     "study": (pixsim.study, Study),
     "compare": (pixsim.compare, Run),
     "datasheet": (pixsim.datasheet, None),
@@ -30,6 +31,8 @@ RENAMED |= {"define": "parameters", "linear": "parameters", "yes": "agreed"}
 FOR_THE_TERMINAL = {
     "json": "the result has `as_dict`",
     "out": "the result is written where one likes, by `write` or `pixsim.write_report`; tested below",
+    "raw": "`pixsim.write_frame` writes the frame of `result.score` in any of its formats",
+    "irradiance": "`pixsim.write_exr` writes `result.irradiance`, or what its `box_reduced` returns",
     "dry_run": "tells a person what a command would take, before it begins",
 }
 
