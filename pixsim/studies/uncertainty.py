@@ -1,7 +1,7 @@
 """What is not known: the distribution of the optimum over sensor types whose numbers are drawn from their plausible ranges.
 
 A technology's numbers have ranges, a data sheet's a spread (`Unknown`). Each draw of all of them is a sensor *type*, which a study
-takes through as it does the base (`propagate`): its optimum, its least ΔE, and whether each statement (verdict) holds. All types
+takes through as it does the base: its optimum, its least ΔE, and whether each statement (verdict) holds. All types
 have the same random numbers, so that they differ by their inputs only. The draws are scrambled Sobol' points (A. B. Owen, J.
 Complexity 14 (1998) 466), which fill the space of the inputs more evenly than independent draws.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -634,27 +634,6 @@ class UncertaintyResult:
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """Return `rows` as CSV, an open end as an empty cell, and write it to `path` if given."""
         return rows_csv(self.rows(), path)
-
-
-Evaluate = Callable[[list[dict[str, float]]], Sequence[Outcome]]
-
-
-@checks_arguments
-def propagate(
-    unknowns: Sequence[Unknown], evaluate: Evaluate, n: int, seed: int = 0, shared: Sequence[str] = SHARED
-) -> UncertaintyResult:
-    """Return the distribution of an optimum over sensor types.
-
-    unknowns : the numbers that are not known exactly
-    evaluate : returns the outcome of each sensor type, in order, from their values (`Unknown.name` -> value)
-    n : number of types, rounded up to a power of two
-    seed : of the draws and the bootstrap
-    shared : quantities with one draw in all technologies
-
-    Raises PixsimError as `sample_types`, and for outcomes that are not one for each type with the same verdicts.
-    """
-    sample = sample_types(unknowns, n, seed, shared)
-    return summarise(sample, evaluate(sample.draws), n, seed)
 
 
 def summarise(

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,6 @@ from pixsim.studies.uncertainty import (
     indices_plate,
     input_labels,
     inputs_of,
-    propagate,
     quantile_of,
     sample_types,
     settings_of,
@@ -50,6 +49,14 @@ WIDE_UM = (1e-3, 1e3)
 NAMES = ("p05", "p25", "p50", "p75", "p95")
 SHARES = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
 Z = stats.norm.ppf(SHARES)
+
+
+Evaluate = Callable[[list[dict[str, float]]], list[Outcome]]  # of the values of each sensor type
+
+
+def propagate(unknowns: Sequence[Unknown], evaluate: Evaluate, n: int, seed: int = 0) -> UncertaintyResult:
+    sample = sample_types(unknowns, n, seed)
+    return summarise(sample, evaluate(sample.draws), n, seed)
 
 
 def sensor(
@@ -567,10 +574,9 @@ JUDGED = replace(OUTCOME, verdicts={"a": True})
         (lambda: propagate(ONE, sensor(linear), 10**9), "n: got 1000000000"),
         (lambda: propagate(ONE, sensor(linear), 16.5), r"n: got 16\.5; allowed: a .*whole number"),
         (lambda: propagate(ONE, sensor(linear), 16, -1), "seed: got -1"),
-        (lambda: propagate(ONE, None, 16), "evaluate: got None; allowed: a function"),
         (lambda: propagate([3], sensor(linear), 16), r"unknowns\[0\]: got 3; allowed: a Unknown"),
-        (lambda: propagate(ONE, sensor(linear), 16, shared=["dnsu"]), "shared: got 'dnsu'; .*Did you mean 'dsnu'"),
-        (lambda: propagate(ONE, sensor(linear), 16, shared="dsnu"), "shared: got 'dsnu'; allowed: a list"),
+        (lambda: sample_types(ONE, 16, shared=["dnsu"]), "shared: got 'dnsu'; .*Did you mean 'dsnu'"),
+        (lambda: sample_types(ONE, 16, shared="dsnu"), "shared: got 'dsnu'; allowed: a list"),
         (lambda: propagate(ONE, lambda draws: [OUTCOME] * 15, 16), "outcomes: got .*allowed: a list of 16 Outcome"),
         (lambda: propagate(ONE, lambda draws: [3.0] * 16, 16), "outcomes: got"),
         (lambda: propagate(ONE, lambda draws: [JUDGED] + [OUTCOME] * 15, 16), "verdicts: got none; .* a"),
