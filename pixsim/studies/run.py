@@ -419,7 +419,7 @@ def run(
     Raises PixsimError for invalid input, before anything is rendered.
 
     >>> result = run("csf", pixel={"pitch_um": 42.4}, resolution=64, display={"dots": 32})
-    >>> result.score.frame.pixels, result.mean_delta_e > 1  # coarse pixels
+    >>> result.score.frame.pixels, result.mean_delta_e < 0.5  # two pixels a dot of the display
     ((64, 64), True)
     """
     with collected_notes():  # also of what is found before the run begins
