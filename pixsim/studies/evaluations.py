@@ -116,11 +116,14 @@ class Task:
         return found
 
 
-def task_of(series: Series, pitch_um: float, block: int, keys: Mapping[int, str]) -> Task:
-    """Return the task of some evaluations of a block of repeats, whose frames share a file of the cache."""
-    hashes = series.fingerprints
+def task_of(series: Series, imaging: Imaging, block: int, keys: Mapping[int, str]) -> Task:
+    """Return the task of some evaluations of a block of repeats, whose frames share a file of the cache.
+
+    imaging : of the series, at the pitch
+    """
+    hashes, pitch_um = series.fingerprints, imaging.pixel.pitch_um
     frames_key = block_key(hashes.frames_of_pitch(pitch_um), block)
-    own = series.imaging.at(pitch_um), series.displays, series.stream_at(pitch_um), hashes.light, frames_key
+    own = imaging, series.displays, series.stream_at(pitch_um), hashes.light, frames_key
     return Task(series.name, *own, keys, dict(series.columns))
 
 
@@ -135,9 +138,10 @@ def tasks_of(series: Series, sizes: Sizes, is_done: Callable[[str], bool] = lamb
     """Yield the tasks that are missing of a series, small pixels first, since they take longest."""
     for pitch_um, count in sizes.items():
         keys = series.fingerprints.keys(pitch_um, count)
+        imaging = series.imaging.at(pitch_um)  # one for thousands of tasks
         for block, numbers in blocks_of(series, count):
             if missing := {number: keys[number] for number in numbers if not is_done(keys[number])}:
-                yield task_of(series, pitch_um, block, missing)
+                yield task_of(series, imaging, block, missing)
 
 
 # A thread's last chain and last sensors: they are expensive, and the tasks of a pitch follow one another.

@@ -86,11 +86,15 @@ class Fingerprints:
 
     def keys(self, pitch_um: float, count: int) -> Sequence[str]:
         """Return the key of each evaluation of a pitch: for each of `count` repeats, that on each display."""
+        return self._known(pitch_um, count)[: count * len(self.shown)]
+
+    def _known(self, pitch_um: float, count: int) -> list[str]:
+        """Return the keys of a pitch of `count` repeats or more, not to be written to."""
         known, displays = self._keys.setdefault(pitch_um, []), len(self.shown)
         for number in range(len(known), count * displays):
             repeat, display = divmod(number, displays)
             known.append(content_hash([self.pixel(pitch_um), self.shown[display], repeat]))
-        return known[: count * displays]
+        return known
 
     def is_expected_row(self, row: Row, pitches_um: Collection[float]) -> bool:
         """Return whether a row of results.csv may belong to the series and has the key of its pitch and repeat.
@@ -102,7 +106,8 @@ class Fingerprints:
             return False
         if not min(pitches_um) <= pitch_um <= max(pitches_um):
             return False
-        return row["key"] in self.keys(pitch_um, int(repeat) + 1)[-len(self.shown) :]
+        first, displays = int(repeat) * len(self.shown), len(self.shown)
+        return row["key"] in self._known(pitch_um, int(repeat) + 1)[first : first + displays]
 
     def frames_of_pitch(self, pitch_um: float) -> str:
         """Return the cache key of the frames of a pitch; empty if the frames of the series are not stored."""

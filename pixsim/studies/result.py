@@ -366,7 +366,7 @@ class StudyResult:
         light, count = series.light(), self.sensors_at(technology, pitch_um) if repeats is None else repeats
         scores: list[Score] = []
         for block, own in blocks_of(series, count):
-            frames = frames_of(task_of(series, pitch_um, block, {}), light, own, shown=shown)
+            frames = frames_of(task_of(series, series.imaging.at(pitch_um), block, {}), light, own, shown=shown)
             scores += [chain.score_frame(frame) for _, chain, frame, _ in frames]
         # Figures sum over the maps, for which float32 has too few digits.
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
@@ -381,7 +381,7 @@ class StudyResult:
         part : cuts it out of the whole picture
         """
         series = self.series[technology]
-        _, chain, frame, _ = next(frames_of(task_of(series, pitch_um, 0, {}), series.light(), [0], shown=True))
+        _, chain, frame, _ = next(frames_of(task_of(series, series.imaging.at(pitch_um), 0, {}), series.light(), [0], shown=True))
         return shown(chain.light(frame, part), self.study.display)
 
     @checks_arguments
