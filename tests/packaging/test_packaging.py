@@ -77,7 +77,8 @@ def shipped(hatchling: str, tmp_path_factory: pytest.TempPathFactory) -> dict[st
     folder = tmp_path_factory.mktemp("shipped")
     wheel, sdist = (build(f"build_{kind}", ROOT, folder / kind, hatchling) for kind in ("wheel", "sdist"))
     with tarfile.open(sdist) as archive:
-        archive.extractall(folder / "unpacked", filter="data")
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)  # Python 3.11.2 has no filters
+        archive.extractall(folder / "unpacked")
     (source,) = (folder / "unpacked").iterdir()
     for path in source.rglob("*"):
         os.utime(path, (AN_AGE_AGO_S, AN_AGE_AGO_S))
