@@ -350,6 +350,10 @@ def periodic_psf(light: Light, x_um: float, y_um: float, pitch_um: float, window
     # A sample of the pupil is a mean over its square, which dims the outer parts of the PSF.
     along = (np.sinc(np.fft.fftfreq(fine)) ** -2).astype(np.float32)
     unboxed = along[:rows, None] * along
+    frequency = np.zeros(())
+    if light.transfer is not None:
+        down, across = np.fft.fftfreq(2 * most + 1, 1 / (2 * most + 1)), np.arange(most + 1)
+        frequency = np.hypot(down[:, None], across) / (size_um * 1e-3)
     for front, number, share in zip(light.fronts, numbers, light.share, strict=True):
         pupil, area = pupil_function(number, front.wavelength_nm, azimuth, front.wavelength_nm * UM_PER_NM / size_um)
         if rows < fine:
@@ -365,9 +369,7 @@ def periodic_psf(light: Light, x_um: float, y_um: float, pitch_um: float, window
         if light.transfer is None:
             pending += intensity
         else:
-            down, across = np.fft.fftfreq(2 * most + 1, 1 / (2 * most + 1)), np.arange(most + 1)
-            mtf = light.transfer(np.hypot(down[:, None], across) / (size_um * 1e-3), front.wavelength_nm)
-            total = total + _low_frequencies(intensity * unboxed, most) * mtf
+            total = total + _low_frequencies(intensity * unboxed, most) * light.transfer(frequency, front.wavelength_nm)
     if light.transfer is None:
         total = _low_frequencies(pending * unboxed, most)
     return np.asarray(irfft2(np.asarray(_on_film(total, (window, window)), complex), (window, window)))
