@@ -23,7 +23,6 @@ from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import record_rows, scene_rows
 from pixsim.report.wording import map_words
-from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.show.pages import rounded, shown_value, write_page
 from pixsim.show.pictures import (
     Picture,
@@ -41,6 +40,7 @@ from pixsim.studies.circumstances import SHARED, Circumstances
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
+from pixsim.studies.extent import stated_end_lp_per_mm
 from pixsim.studies.keys import rendered_across
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.lineup import OF_A_SENSOR, Contestant, Lineup, Prepared
@@ -112,12 +112,12 @@ def _common_words(prepared: Prepared, lineup: Lineup) -> list[str]:
         "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
         "own": f"each file's own lens, and {field}, which all have",
     }[prepared.match]
-    highest = lineup.sensors[0].scene.parameters.get(MAX_LP_PER_MM)
+    highest = stated_end_lp_per_mm({"parameters": lineup.sensors[0].scene.parameters})
     chart = "one scene"
     if highest is not None:
         limit = lineup.view.limited_by
         of = f", {limit.replace('the sensor', lineup.finest)}" if limit else ""
-        chart = f"one chart, to {float(highest) * camera.die_mm:.4g} cycles across{of}"
+        chart = f"one chart, to {highest * camera.die_mm:.4g} cycles across{of}"
     rows, columns = lineup.scored_dots
     viewing = lineup.viewing
     stated = ", as stated" if viewing.stated else ""
@@ -141,9 +141,9 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
         time_ms = 1e3 * compared.score.frame.integration_s
         words = f"{sensor_words(compared.sensor)}, exposed for {time_ms:.3g} ms{where}"
         lines.append(f"  {compared.name:{width}}  mean {result.shown_mean(compared.name)}  {words}")
+    agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
     for number, condition in enumerate(result.prepared.conditions):
         name = f"{condition.condition} (weight {condition.weight:.3g})"
-        agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
         lines += [f"  {name}: {verdict(result.pair(other).conditions[number], other)}" for other in agreed]
     lines += [f"  {found.words}" for found in result.uncertainty]
     lines.append(conditions_line(result.prepared))
@@ -171,12 +171,9 @@ def outline(prepared: Prepared) -> dict[str, Any]:
         "scene": lineup.scene,
         "match": prepared.match,
         "repeats": prepared.repeats,
-        "fov_deg": first.camera.fov_deg,
+        **lineup.as_dict(),
         "film": {"samples": list(scene.film_shape(first.camera, scene.for_camera(first.camera)))},
-        "scored_dots": list(lineup.scored_dots),
-        "chosen": lineup.view.as_dict() | {"finest": lineup.finest},
         "display": lineup.settings.display.model_dump(),
-        "viewing": lineup.viewing.as_dict(),
         "sensors": {
             sensor.name: {
                 "camera": sensor.camera.model_dump(),

@@ -76,11 +76,9 @@ class Comparison(Averaged):
             "match": prepared.match,
             "repeats": prepared.repeats,
             "scene": lineup.scene,
+            **lineup.as_dict(),
             "scored_dots": list(first.score.delta_e.shape),
-            "fov_deg": first.sensor.camera.fov_deg,
-            "chosen": lineup.view.as_dict() | {"finest": lineup.finest},
             "display": lineup.settings.display.model_dump(),
-            "viewing": lineup.viewing.as_dict(),
             "seed": lineup.settings.seed,
             "notes": list(self.notes),
             "sensors": {
@@ -121,14 +119,7 @@ class Comparison(Averaged):
 
 def _pair_as_dict(pair: Averaged) -> dict[str, Any]:
     """Return what compare.json has of the first sensor and another one alone, beside their difference."""
-    lineup = pair.shown.lineup
-    return {
-        "scores": {name: list(score) for name, score in pair.scores.items()},
-        "fov_deg": lineup.sensors[0].camera.fov_deg,
-        "scored_dots": list(lineup.scored_dots),
-        "chosen": lineup.view.as_dict() | {"finest": lineup.finest},
-        "viewing": lineup.viewing.as_dict(),
-    }
+    return {"scores": {name: list(score) for name, score in pair.scores.items()}, **pair.shown.lineup.as_dict()}
 
 
 def _summary_of(compared: Compared) -> dict[str, Any]:

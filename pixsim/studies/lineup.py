@@ -146,6 +146,15 @@ class Lineup:
         rows, columns = dot_edges_um(camera.die_um, self.sensors[0].pixel.pitch_um, self.settings.display, self.border_um(camera))
         return rows.size - 1, columns.size - 1
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the field, the scored dots and the displays for JSON."""
+        return {
+            "fov_deg": self.sensors[0].camera.fov_deg,
+            "scored_dots": list(self.scored_dots),
+            "chosen": self.view.as_dict() | {"finest": self.finest},
+            "viewing": self.viewing.as_dict(),
+        }
+
     @property
     def displays(self) -> dict[Viewing, Display]:
         """The displays on which the frames are scored, that of the settings first."""
