@@ -270,17 +270,25 @@ def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
     warn(f"[pixel] is a mixture of {len(sensors)} files. {'; '.join(parts)}")
 
 
+def listed(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> list[str | os.PathLike[str]]:
+    """Return one or more files as a list."""
+    return [config] if isinstance(config, str | os.PathLike) else list(config)
+
+
+def plain_tables(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return tables and fields of settings with each table as a dict of its own."""
+    return {name: dict(value) if isinstance(value, Mapping) else value for name, value in options.items()}
+
+
 def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: Mapping[str, Any]) -> Run:
     """Return settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems.
 
     config : one or more TOML files; later ones take precedence
     options : tables and fields of `Run`
     """
-    paths = [config] if isinstance(config, str | os.PathLike) else config
-    files = [settings_layer(Path(path)) for path in paths]
+    files = [settings_layer(Path(path)) for path in listed(config)]
     warn_of_mixed_sensors(files)
-    tables = {name: dict(value) if isinstance(value, Mapping) else value for name, value in options.items()}
-    settings: Run = checked(Run, [*files, Layer(tables)])
+    settings: Run = checked(Run, [*files, Layer(plain_tables(options))])
     return settings
 
 

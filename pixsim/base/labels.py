@@ -16,6 +16,11 @@ def label_of(technology: str) -> str:
     return one_line(Path(technology).stem if technology.endswith(".toml") else technology)
 
 
+def label_in(technology: str, words: str) -> str:
+    """Return the display name of a technology with the words of its case, for messages."""
+    return ", ".join(filter(None, (label_of(technology), words)))
+
+
 def file_label(label: str) -> str:
     """Return a label without spaces, for file names."""
     return label.replace(" ", "_")

@@ -20,6 +20,11 @@ SURE = 0.1  # done, before the time left is told
 LOOK_S = 0.5  # between two looks at the clock
 
 
+def no_stage(_: str) -> Progress:
+    """A `Stage` that tells nobody."""
+    return lambda *_: None
+
+
 def share_of(progress: Progress | None, first: float, last: float, note: str = "") -> Progress | None:
     """Return a function that takes the fraction done of a part of some work, for one that takes that of all of it.
 

@@ -19,10 +19,10 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.base.config import read_toml, run_settings
+from pixsim.base.config import listed, read_toml, run_settings
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import NO_TECHNOLOGY, Exposure, Pixel, Run
-from pixsim.base.progress import Stage
+from pixsim.base.progress import Stage, no_stage
 from pixsim.measure import colour as colours, estimators
 from pixsim.measure.colour import Colour, measure_colour
 from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, Series, Stack, root
@@ -338,7 +338,7 @@ def datasheet_settings(
     seed: int | str | None,
 ) -> Run:
     """Return the settings of `datasheet`, whose arguments these are. Raises PixsimError that lists all problems."""
-    files = [config] if isinstance(config, str | os.PathLike) else list(config)
+    files = listed(config)
     if isinstance(pixel, Pixel) and (given := [name for name, value in (("file", file), ("config", files)) if value]):
         raise invalid(", ".join(given), "with a Pixel", "fields of a pixel beside a file", "Set these values in the Pixel instead.")
     name = None if file is None else os.fspath(file)
@@ -367,7 +367,7 @@ def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: f
 
     Raises PixsimError if codes are so coarse that no frame shows noise.
     """
-    report_progress = stage or (lambda name: lambda done, note="": None)
+    report_progress = stage or no_stage
     p = experiment.physics
     largest_dn2 = float(frame_variance_dn2(p.saturation_e, experiment.integration_s, p, fixed_pattern=False)) - QUANTISATION_DN2
     if largest_dn2 < LEAST_NOISE_DN**2:

@@ -7,7 +7,7 @@ from io import StringIO
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from pixsim.base.labels import file_label, label_of
 from pixsim.base.parameters import Pixel
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
-from pixsim.show.figures import COLOURS, LOOKS, Look, new_figure, own_style, plain_powers
+from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
 from pixsim.show.pages import Plate, rounded, shown_value, write_figures, write_page
 
 if TYPE_CHECKING:
@@ -53,14 +53,6 @@ def plate(name: str, caption: str, figure: Figure, table: dict[str, Array]) -> P
 
 def photon_axis(sheet: DataSheet) -> str:
     return f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)"
-
-
-def finish(axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] = "best") -> None:
-    axes.set_xlabel(x)
-    axes.set_ylabel(y)
-    axes.grid(alpha=0.25)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, fontsize=8, loc=legend)
 
 
 @own_style()

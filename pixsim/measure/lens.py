@@ -477,7 +477,7 @@ def chosen_lens(
     focal_length_mm: float | None,
     f_number: float | None,
     field_deg: float | None,
-    refocus: str | None,
+    refocus: Literal["paraxial", "axis", "field"] | None,
     object_distance_m: float | None,
 ) -> Lens:
     """Return a lens as the options of `pixsim lens` change it; None leaves it as its file has it.
@@ -493,5 +493,5 @@ def chosen_lens(
         lens = lens.with_same_rays(max_field_deg=field_deg)
     if refocus is not None or object_distance_m is not None:
         distance = lens.object_distance_mm if object_distance_m is None else 1e3 * object_distance_m
-        lens = lens.refocused(refocus or "axis", distance)  # type: ignore[arg-type]
+        lens = lens.refocused(refocus or "axis", distance)
     return lens

@@ -31,7 +31,7 @@ from pixsim.base.notes import collected_notes, warn
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, layout_of, number_of, read_picture
 from pixsim.show.figures import COLOURS, new_figure, own_style
-from pixsim.show.pages import Column, Plate, html_cell, table_csv, write_text
+from pixsim.show.pages import Column, Plate, html_cell, table_csv
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -167,10 +167,7 @@ class EdgeResponse:
     @checks_arguments
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """Return the SFR and its interval at each frequency as CSV, and write it to `path` if given."""
-        text = table_csv(self._table)
-        if path is not None:
-            write_text(Path(path), text)
-        return text
+        return table_csv(self._table, path)
 
     @checks_arguments
     def write(self, folder: str | os.PathLike[str]) -> Path:
@@ -182,7 +179,7 @@ class EdgeResponse:
         pixsim did not write.
         """
         with output_folder(folder) as path, publishing(path, "sfr") as unfinished:
-            for plate in (sfr_plate(self), edge_plate(self, "above black")):
+            for plate in (sfr_plate(self), edge_plate(self)):
                 plate.drawn().write(unfinished)
             write_json(unfinished / "summary.json", self.as_dict())
         return Path(folder) / "summary.json"
@@ -1047,12 +1044,12 @@ def sfr_plate(edge: EdgeResponse) -> Plate:
 
 
 @own_style()
-def edge_plate(edge: EdgeResponse, unit: str) -> Plate:
+def edge_plate(edge: EdgeResponse) -> Plate:
     """Plot of the edge spread function."""
     figure = new_figure(5.2, 3.0)
     axes = figure.subplots()
     axes.plot(edge.distance_px, edge.edge_spread, color=COLOURS[0], lw=1.2)
-    axes.set(xlabel="distance from the edge along its normal (pixels)", ylabel=f"mean of bins ({unit})")
+    axes.set(xlabel="distance from the edge along its normal (pixels)", ylabel="mean of bins (above black)")
     axes.set_xlim(-edge.half_window_px, edge.half_window_px)
     table = {"distance_px": edge.distance_px.tolist(), "mean": edge.edge_spread.tolist()}
     return Plate("edge_spread", "Edge spread function.", figure, table)

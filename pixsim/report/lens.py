@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import one_line
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure, own_style
 from pixsim.show.pages import Column, Plate, coarse_table, write_figures, write_page
 
 if TYPE_CHECKING:
@@ -55,13 +55,6 @@ def panels_of(count: int, height_in: float, shared: bool = False, legend_below: 
     for axes in row:
         axes.locator_params(nbins=TICKS_SHARED if shared else TICKS // 2 if count > 1 else TICKS)
     return figure, list(row)
-
-
-def finish(axes: Axes, x: str, y: str, legend: Literal["best"] | None = "best") -> None:
-    axes.set(xlabel=x, ylabel=y)
-    axes.grid(alpha=0.25)
-    if legend and axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, fontsize=8, loc=legend, handlelength=LEGEND_LINE)
 
 
 def below(figure: Figure, axes: Axes, columns: int) -> None:
@@ -269,7 +262,7 @@ def mtf_over_field(data: LensData) -> Plate:
 
 @own_style()
 def curve_figure(
-    data: LensData, panels: Sequence[tuple[str, Sequence[tuple[str, Array, str]]]], across: tuple[str, Array]
+    panels: Sequence[tuple[str, Sequence[tuple[str, Array, str]]]], across: tuple[str, Array]
 ) -> tuple[Figure, list[Axes]]:
     """Draw panels side by side: (label of y, [(name, values, style)]) against one quantity."""
     figure, axes_row = panels_of(len(panels), 3.2)
@@ -277,7 +270,7 @@ def curve_figure(
         for (name, values, style), look in zip(lines, LOOKS, strict=False):
             axes.plot(across[1], values, color=look.colour, ls=style, marker=look.marker, markevery=8, ms=4, label=name or None)
         axes.axhline(0.0, color="0.6", lw=0.7)
-        finish(axes, across[0], label)
+        finish(axes, across[0], label, handlelength=LEGEND_LINE)
     return figure, axes_row
 
 
@@ -287,7 +280,7 @@ def curvature_plate(data: LensData) -> Plate:
     percent = 100 * c["distortion"]
     lines = [("tangential", c["tangential_focus_mm"], "-"), ("sagittal", c["sagittal_focus_mm"], "--")]
     panels = [("focus behind the image plane (mm)", lines), ("distortion (%)", [("", percent, "-")])]
-    figure, _ = curve_figure(data, panels, ("field angle (degrees)", data.curve_deg))
+    figure, _ = curve_figure(panels, ("field angle (degrees)", data.curve_deg))
     foci_mm = np.concatenate([c["tangential_focus_mm"], c["sagittal_focus_mm"]])
     caption = (
         f"Distortion goes from {percent.min():.2f} to {percent.max():.2f} %, and the foci lie from {foci_mm.min():.3f} to "
@@ -306,7 +299,7 @@ def illumination_plate(data: LensData) -> Plate:
     fourth = np.cos(np.radians(data.curve_deg)) ** 4
     light = [("traced", c["relative_illumination"], "-"), ("cos⁴ of the field angle", fourth, "--")]
     panels = [("relative illumination", light), ("chief ray angle (degrees)", [("", c["chief_ray_angle_deg"], "-")])]
-    figure, row = curve_figure(data, panels, ("image height (mm)", c["image_height_mm"]))
+    figure, row = curve_figure(panels, ("image height (mm)", c["image_height_mm"]))
     row[0].set_ylim(0, 1.05)
     corner, angle = 100 * c["relative_illumination"][-1], c["chief_ray_angle_deg"][-1]
     caption = (

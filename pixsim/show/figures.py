@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -173,6 +173,19 @@ def _reduced_png(encoded: str) -> str:
 
     codes = np.asarray(Image.open(io.BytesIO(base64.b64decode(encoded))).convert("RGBA"))
     return base64.b64encode(smallest_png(codes[:, :, :3])).decode() if (codes[:, :, 3] == 255).all() else encoded
+
+
+def finish(
+    axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] | None = "best", handlelength: float | None = None
+) -> None:
+    """Label axes, draw their grid, and put a legend of their named lines into them.
+
+    handlelength : of a line in the legend, in font sizes; None leaves it to Matplotlib
+    """
+    axes.set(xlabel=x, ylabel=y)
+    axes.grid(alpha=0.25)
+    if legend and axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize=8, loc=legend, handlelength=handlelength)
 
 
 def draw_picture(axes: Axes, luminance: Array, where: PictureAxes) -> None:

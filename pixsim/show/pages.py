@@ -108,7 +108,7 @@ class Plate:
 
     @property
     def csv(self) -> str:
-        return csv_text([self.table, *zip(*self.table.values(), strict=True)])
+        return table_csv(self.table)
 
     def drawn(self) -> Drawn:
         return Drawn(self.name, self.caption, svg_text(self.figure), self.csv)
@@ -191,24 +191,24 @@ def set_words(settings: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} = {shown_value(value, name)}" for name, value in settings.items())
 
 
-def table_csv(table: dict[str, Column]) -> str:
-    """Return a table as CSV text."""
-    return csv_text([table, *zip(*table.values(), strict=True)])
+def table_csv(table: dict[str, Column], path: str | os.PathLike[str] | None = None) -> str:
+    """Return a table as CSV text, and write it to `path` if given."""
+    return csv_text([table, *zip(*table.values(), strict=True)], path)
 
 
-def csv_text(lines: Iterable[Iterable[Any]]) -> str:
-    """Return the lines of a table, the column names first, as CSV with numbers in full precision."""
-    text = io.StringIO(newline="")
-    csv.writer(text).writerows(lines)
-    return text.getvalue()
+def csv_text(lines: Iterable[Iterable[Any]], path: str | os.PathLike[str] | None = None) -> str:
+    """Return the lines of a table, the column names first, as CSV with numbers in full precision; write it to `path` if given."""
+    stream = io.StringIO(newline="")
+    csv.writer(stream).writerows(lines)
+    text = stream.getvalue()
+    if path is not None:
+        write_text(Path(path), text)
+    return text
 
 
 def rows_csv(rows: Sequence[dict[str, Any]], path: str | os.PathLike[str] | None = None) -> str:
     """Return rows with the same keys as CSV, and write it to `path` if given."""
-    text = csv_text([*rows[:1], *(row.values() for row in rows)])
-    if path is not None:
-        write_text(Path(path), text)
-    return text
+    return csv_text([*rows[:1], *(row.values() for row in rows)], path)
 
 
 def plain(values: dict[str, Any]) -> dict[str, Any]:

@@ -85,7 +85,7 @@ def cases_of(study: Study) -> tuple[Case, ...]:
         table = base
         for point in chosen.values():
             table = _with_settings(table, point.table)
-        at = {axis.name: chosen[axis.name].value if axis.name in chosen else BASE for axis in study.axis}
+        at = values_at(study.axis, chosen)
         where = [f"axis {name}, value {point.label}" for name, point in chosen.items()]
         if not study.condition:
             cases.append(Case(_study(table, where), at, "", alone))
@@ -141,6 +141,11 @@ def of_technology(study: Study, technology: str) -> dict[str, Any]:
     table = study.model_dump(mode="json", exclude={"quick", "axis", "condition", "title", "sources"})
     kept = {"technologies": [technology]}
     return table | kept | {name: {technology: table[name].get(technology)} for name in ("process", "sensors")}
+
+
+def values_at(axes: Sequence[Axis], chosen: Mapping[str, AxisPoint]) -> dict[str, float | int | str]:
+    """Return the value of each axis in a combination, `BASE` where the study's own settings hold."""
+    return {axis.name: chosen[axis.name].value if axis.name in chosen else BASE for axis in axes}
 
 
 def combinations(axes: Sequence[Axis]) -> Iterator[tuple[dict[str, AxisPoint], str]]:

@@ -18,10 +18,11 @@ import numpy as np
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.config import listed, plain_tables
 from pixsim.base.files import output_folder
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import REGISTERED_BORDER, Study
-from pixsim.base.progress import Progress, Stage
+from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
 from pixsim.sensor.collection import warn_of_stack_limits
@@ -112,8 +113,7 @@ def compare(
     >>> sorted(result.scores), result.difference["4t-bsi"] < 0  # a quieter pixel
     (['0.35um', '4t-bsi'], True)
     """
-    paths = [config] if isinstance(config, str | os.PathLike) else config
-    options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
+    options = plain_tables(settings)
     options |= {"scene": dict(parameters)} if parameters else {}
     with collected_notes():  # also of what is found before the comparison begins
         prepared = prepare(
@@ -122,7 +122,7 @@ def compare(
             study=study,
             match=match,
             repeats=repeats,
-            config=[Path(path) for path in paths],
+            config=[Path(path) for path in listed(config)],
             options=options,
             sensor=sensor,
             variant=variant,
@@ -140,7 +140,7 @@ def run_prepared(
     out: str | os.PathLike[str] | None = None,
 ) -> Comparison:
     """Run a prepared comparison; the other arguments are those of `compare`."""
-    stage = progress or (lambda _: lambda *_: None)
+    stage = progress or no_stage
     with collected_notes() as notes, ExitStack() as stack:
         folder = None if out is None else stack.enter_context(output_folder(out))
         files = {name: None if folder is None else folder / name for name in ("results.csv", TYPES_FILE)}

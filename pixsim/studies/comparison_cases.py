@@ -11,7 +11,7 @@ from typing import Any
 from pixsim.base.parameters import MAX_CASE_NAME, Axis, Study, case_folder, merge
 from pixsim.base.units import unit_of
 from pixsim.studies.averages import Averaged
-from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, with_range_ends
+from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, values_at, with_range_ends
 from pixsim.studies.circumstances import study_of
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.verdicts import headline
@@ -32,7 +32,7 @@ def cases_of_comparison(study: Study | str | os.PathLike[str]) -> tuple[tuple[Ax
         table: dict[str, Any] = {}
         for point in chosen.values():
             table = merge(table, point.table)
-        at = {axis.name: chosen[axis.name].value if axis.name in chosen else BASE for axis in plan.axis}
+        at = values_at(plan.axis, chosen)
         conditions = [each.model_dump(mode="json") | {"set": merge(table, each.set)} for each in plan.condition]
         if table and not conditions:
             name = case_words(at, "", alone).replace(",", ";")[:MAX_CASE_NAME].strip()

@@ -172,12 +172,13 @@ def sampled_pitches_um(study: Study) -> list[float]:
 
 def fitting_jobs(study: Study, camera: Camera) -> int:
     """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
-    return jobs_in_memory(largest_frame_bytes(study, camera))
+    return jobs_in_memory(largest_frame_bytes([(study, camera)]))
 
 
-def largest_frame_bytes(study: Study, camera: Camera) -> float:
-    """Return the memory of the largest frame of a study."""
-    return max(frame_cost(camera, pitch, study.display).memory_bytes for pitch in sampled_pitches_um(study))
+def largest_frame_bytes(cases: Sequence[tuple[Study, Camera]]) -> float:
+    """Return the memory of the largest frame of a study's cases."""
+    known: dict[Any, list[Cost]] = {}
+    return max(frame.memory_bytes for study, camera in cases for frame in _frame_costs(study, camera, known))
 
 
 def jobs_in_memory(largest_bytes: float) -> int:
@@ -212,7 +213,8 @@ def cases_cost(
     render = render_cost(plan, first, shape, known.light, workers_here().jobs, begun=True)
     frame_costs: dict[Any, list[Cost]] = {}  # thousands of cases differ in little that a frame's cost depends on
     frames = [_frame_costs(study, camera, frame_costs) for study, camera in cases]
-    jobs = jobs or jobs_in_memory(max(frame.memory_bytes for of_case in frames for frame in of_case))
+    largest = max(frame.memory_bytes for of_case in frames for frame in of_case)
+    jobs = jobs or jobs_in_memory(largest)
     sums_s = [sum(frame.seconds for frame in of_case) for of_case in frames]
     curves = sum(len(study.technologies) for study, _ in cases)
     report_s = PAGE_S + MAPS_S * (len(cases) > 1) + CURVE_S * min(curves, MOST_CURVES) + 2 * frames[0][0].seconds + sums_s[0] / jobs
@@ -223,7 +225,6 @@ def cases_cost(
         evaluations_s += STUDY_VIEWINGS * min(study.repeats, SENSORS_VIEWED) * sums_s[0] / jobs
     evaluations_s *= KNOWN_FRAMES if known.frames else 1.0
     types_s = types * sum(TYPE_S + MOST_EVALUATIONS * seconds / len(of) for of, seconds in zip(frames, sums_s, strict=True)) / jobs
-    largest = max(frame.memory_bytes for of_case in frames for frame in of_case)
     light = min(4.0 * cells * (plan.planes if plan.factored else plan.bands.width_nm.size), MOST_BYTES)
     behind_lens = FILM_BYTES_PER_CELL * cells / 2
     held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache as cache_once, partial
+from functools import cache as cache_once, cached_property, partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -34,16 +34,7 @@ from pixsim.studies.sampling import Sizes
 from pixsim.studies.series import Series
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.score import (
-    IdealFacts,
-    ImagingChain,
-    PreparedScene,
-    SharedLight,
-    chain_of_frames,
-    check_one_ideal,
-    shown,
-    warn_of_clipping,
-)
+from pixsim.viewer.score import IdealFacts, ImagingChain, PreparedScene, SharedLight, chain_of_frames, check_one_ideal, shown
 
 FEW_SERIES = 64
 FROM_CACHE, LEFT_OUT = "frame from cache", "left out"  # in the rows of a worker only; the second holds the reason
@@ -256,7 +247,7 @@ def frames_of(
     known = kept_frames(task.frames_key)
     frames = dict(known)
     for repeat in repeats:
-        chain = (shown_chain(task, light, repeat, known) if shown else None) or chain_of(task, light, repeat)
+        chain = (shown_chain(task, light, repeat, known) if shown and known else None) or chain_of(task, light, repeat)
         if chain.rendition is not None:
             chain.matrix  # noqa: B018 – raises an error before a frame is made
         shape = chain.signal_e_per_s.shape
@@ -294,11 +285,6 @@ def ideal_facts(series: Series, smallest_um: float) -> IdealFacts:
 
     compute = partial(series.scenes.ideal_facts, series.light_key, smallest, series.border_um)
     return cache.load_or_compute("ideal", content_hash(seen), read, compute, lambda facts: facts._asdict())
-
-
-def warn_of_clipped_white(series: Series, smallest_um: float) -> None:
-    """Warn if the display clips the ideal image."""
-    warn_of_clipping(ideal_facts(series, smallest_um).beyond_white)
 
 
 @dataclass
@@ -502,7 +488,7 @@ class Evaluations:
         for series in self.series:
             series.scenes.clear()
 
-    @property
+    @cached_property
     def _capacity(self) -> int:
         """Number of lights behind the lens that fit into memory together."""
         return min(series.scenes.capacity for series in self.series)

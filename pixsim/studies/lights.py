@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pixsim.base.labels import label_of
+from pixsim.base.labels import label_in
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Study
 from pixsim.base.progress import Progress, Stage
@@ -17,7 +17,7 @@ from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.keys import light_hash
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.pixels import imaging_of, physics_of
-from pixsim.studies.preparation import first_film, scene_for, study_plan
+from pixsim.studies.preparation import first_film, scene_for, smallest_pixels, study_plan
 from pixsim.studies.sampling import largest_pixel_um, study_pitches_um
 from pixsim.studies.sight import Sight, clearest
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -61,16 +61,14 @@ def render_for(
             scene, plan, study, largest, tried, plan_of=plan_of, settled=settled, progress=progress, larger=larger
         )
     except AlikeChannelsError as error:
-        where = ", ".join(filter(None, (label_of(first), words)))
-        raise AlikeChannelsError(f"{where}: none of its pixel sizes is possible. {error}") from None
+        raise AlikeChannelsError(f"{label_in(first, words)}: none of its pixel sizes is possible. {error}") from None
     made.image.header.update(white_header(seen_by_all(study, made.image, camera), study.display))
     return Light(made.image, camera, made.film)
 
 
 def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:
     """Return a picture as the smallest pixels of each technology of a study see it, for the white that all of them share."""
-    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
-    return [Seen(image, camera, physics, study.border_um) for physics in smallest]
+    return [Seen(image, camera, physics, study.border_um) for physics in smallest_pixels(study)]
 
 
 def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:

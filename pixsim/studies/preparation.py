@@ -198,9 +198,14 @@ def up_to_pitch_digits(pitch_um: float) -> float:
     return math.ceil(pitch_um * 10**PITCH_DIGITS) / 10**PITCH_DIGITS
 
 
+def smallest_pixels(study: Study) -> list[PixelPhysics]:
+    """Return the smallest pixel of each technology of a study."""
+    return [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+
+
 def finest_pixel(study: Study) -> PixelPhysics:
     """Return the pixel with the smallest photodiode of a study. Raises PixsimError if a stack passes less light than it detects."""
-    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+    smallest = smallest_pixels(study)
     for physics in smallest:
         check_efficiency(physics)
     return min(smallest, key=lambda physics: physics.aperture_side_um)

@@ -26,7 +26,7 @@ from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, html_cell, rows_csv, set_words
 from pixsim.studies.cases import BASE, case_words
-from pixsim.studies.evaluations import Counts, blocks_of, frames_of, ideal_facts, task_of
+from pixsim.studies.evaluations import Counts, blocks_of, frames_of, task_of
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.pixels import photodiode_widths_um, physics_of, technology_of
@@ -100,7 +100,12 @@ class Curve:
     @property
     def file_label(self) -> str:
         """The technology's name for file names."""
-        return file_label(self.label.removesuffix(f", {self.words}") if self.words else self.label)
+        return file_label(self.plain_label)
+
+    @property
+    def plain_label(self) -> str:
+        """The label without the words of its case."""
+        return self.label.removesuffix(f", {self.words}") if self.words else self.label
 
     @property
     def words(self) -> str:
@@ -552,18 +557,18 @@ def few(notes: Sequence[Sequence[str]]) -> list[str]:
     return [*each[: SHOWN_NOTES - 1], f"and {len(each) - SHOWN_NOTES + 1} more notes of this kind, of other cases"]
 
 
-def causes_of_curve(series: Series, curve: Curve, smallest_um: float) -> tuple[Cause, ...]:
+def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float]) -> tuple[Cause, ...]:
     """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the largest first.
 
     series : of the curve
-    smallest_um : pixels of the series
+    lightness : the ideal image's, lowest and highest
     """
     image, place = series.scenes.irradiance, int(np.argmin(curve.mean()))
     time_s, at_best = curve.mean("integration_s")[place], series.imaging.at(float(curve.pitch_um[place]))
     read = at_best.physics.as_read
     area_um2 = collecting_area_um2(image, at_best.camera, at_best.physics) * read.bin_side**2
     white_e = white_rate(image, at_best.camera, at_best.physics, at_best.display) * area_um2 * float(time_s)
-    return causes_of(image.header, read, white_e, float(time_s), ideal_facts(series, smallest_um).lightness)
+    return causes_of(image.header, read, white_e, float(time_s), lightness)
 
 
 def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:

@@ -19,7 +19,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Run
-from pixsim.base.progress import Stage, share_of, watched
+from pixsim.base.progress import Stage, no_stage, share_of, watched
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.exchange import read_with_camera
 from pixsim.scene.convergence import without_clock
@@ -451,7 +451,7 @@ def run_prepared(prepared: Prepared, *, progress: Stage | None = None) -> RunRes
 
     progress : returns a callback for each named stage
     """
-    stage = progress or (lambda _: lambda *_: None)
+    stage = progress or no_stage
     return score_run(light_run(prepared, stage), stage)
 
 

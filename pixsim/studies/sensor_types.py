@@ -193,7 +193,7 @@ def _outcome(curves: Sequence[Curve], place: int, base: StudyResult, asked: Aske
     # One at the smallest size tried is there or below; of one at the largest size nothing is known above it.
     is_known = best.inside or best.pitch_um == curve.pitch_um[0]
     verdicts = {f"the optimum is smaller than {size:g} µm": is_known and best.pitch_um < size for size in asked.smaller_than_um}
-    labels = [each.label.removesuffix(f", {each.words}") if each.words else each.label for each in base.curves]
+    labels = [each.plain_label for each in base.curves]
     for other, name in enumerate(labels):
         if other != place:
             verdicts[f"{labels[place]} is better than {name}"] = best.mean_delta_e < curves[other].optimum.mean_delta_e

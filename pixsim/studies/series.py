@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from pixsim.base.labels import label_of
+from pixsim.base.labels import label_in
 from pixsim.base.parameters import Camera, Display, Study, channels_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.colour import Layout
@@ -43,7 +43,7 @@ class Series:
     @property
     def label(self) -> str:
         """Sensor and case, for messages."""
-        return ", ".join(filter(None, (label_of(self.name), self.words)))
+        return label_in(self.name, self.words)
 
     @property
     def displays(self) -> tuple[Display, ...]:

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text, spreads_of_study
+from pixsim.base.config import SETTINGS_FILE, listed, scene_table, settings_text, spreads_of_study
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder
-from pixsim.base.labels import label_of
+from pixsim.base.labels import label_in
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Study, content_hash
-from pixsim.base.progress import Progress, Stage
+from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.scene.scene import packaged_scenes
@@ -25,7 +25,7 @@ from pixsim.studies.cases import Case, check_number
 from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
 from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, warn_of_clipped_white, warn_of_stacks
+from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
 from pixsim.studies.keys import remember_evaluated
 from pixsim.studies.lights import Light, render_all
 from pixsim.studies.preparation import Prepared, View, prepare
@@ -35,7 +35,7 @@ from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sampling, Sizes, first_sampling, study_pitches_um
 from pixsim.studies.series import Series, most_channels, scenes_of, series_of
 from pixsim.studies.study_file import load_study, uncertainty_of
-from pixsim.viewer.score import SceneCache
+from pixsim.viewer.score import SceneCache, warn_of_clipping
 
 if TYPE_CHECKING:
     from pixsim.studies.budget import Settled
@@ -191,8 +191,9 @@ def evaluate_cases(
         if reason:
             found.append(reason)
             continue
+        facts = {number: ideal_facts(series[number], smallest_um[number]) for number in numbers}
         for number in numbers:
-            warn_of_clipped_white(series[number], smallest_um[number])
+            warn_of_clipping(facts[number].beyond_white)
         for number in numbers:
             warn_of_stacks(series[number], smallest_um[number])
         complete = tuple(
@@ -202,7 +203,7 @@ def evaluate_cases(
                 condition=case.condition,
                 alone=case.alone,
                 left_out=tuple(left_out[number].items()),
-                causes=causes_of_curve(series[number], curves[number], smallest_um[number]),
+                causes=causes_of_curve(series[number], curves[number], facts[number].lightness),
             )
             for number in numbers
         )
@@ -215,7 +216,7 @@ def warn_of_left_out(cases: Sequence[Case], left_out: Sequence[Mapping[str, Mapp
     notes = []
     for case, own in zip(cases, left_out, strict=True):
         for name, sizes in own.items():
-            which = ", ".join(filter(None, (label_of(name), case.words)))
+            which = label_in(name, case.words)
             listed = ", ".join(f"{pitch_um:g}" for pitch_um in sorted(sizes))
             notes.append(f"{which}: {listed} µm left out: {sizes[max(sizes)]}")
     for note in few([notes]):
@@ -302,8 +303,7 @@ def study(
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
     with collected_notes():  # also of what is found before the study begins
         chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
-        files = [config] if isinstance(config, str | os.PathLike) else config
-        spreads = uncertainty_of(plan, files) if isinstance(plan, str | os.PathLike) else {}
+        spreads = uncertainty_of(plan, listed(config)) if isinstance(plan, str | os.PathLike) else {}
         from pixsim.studies.sensor_types import asked_of
 
         asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
@@ -334,10 +334,10 @@ def run_prepared(
         check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, agreed)
 
     chosen, variant = prepared.study, prepared.variant
-    stage = progress or (lambda _: lambda *_: None)
+    stage = progress or no_stage
     settled: Settled | None = None
     if jobs is None and scheduler is None:
-        jobs = jobs_in_memory(max(largest_frame_bytes(case.study, part.camera) for case, part in prepared.parts))
+        jobs = jobs_in_memory(largest_frame_bytes([(case.study, part.camera) for case, part in prepared.parts]))
     with collected_notes() as notes, ExitStack() as stack:
         ResultsFile(Path(out) / "results.csv").check_replaceable()
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))

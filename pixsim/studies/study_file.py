@@ -10,7 +10,9 @@ from typing import Any
 from pixsim.base.config import (
     FILES,
     checked,
+    listed,
     packaged,
+    plain_tables,
     read_toml,
     resolve_file,
     sheet_uncertainty,
@@ -166,12 +168,11 @@ def load_study(
     scene : XML file or name of a packaged scene
     settings : other fields of `Study`, tables as dicts: camera={"f_number": 2.8}, pitch={"min_um": 2.0}, window_mm=1.0
     """
-    paths = [config] if isinstance(config, str | os.PathLike) else config
-    options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
+    options = plain_tables(settings)
     of_scene = {"file": None if scene is None else str(scene), "parameters": dict(parameters) if parameters else None}
     options |= {"scene": {name: value for name, value in of_scene.items() if value is not None}} if scene or parameters else {}
     options |= {"pixel": dict(pixel)} if pixel else {}
-    return checked_study(study_layers(read_study(name), [Path(path) for path in paths], options), options)
+    return checked_study(study_layers(read_study(name), [Path(path) for path in listed(config)], options), options)
 
 
 def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = None) -> Study:

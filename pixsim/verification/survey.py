@@ -15,7 +15,7 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import run_settings
 from pixsim.base.locks import temporary_folder
 from pixsim.base.parameters import Camera, Pixel, Run
-from pixsim.base.progress import Stage
+from pixsim.base.progress import Stage, no_stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.run import write_all
 from pixsim.scene.convergence import RENDER_NOISE
@@ -136,7 +136,7 @@ def accuracy(
     tables = {"camera": camera, "lens": lens, "pixel": pixel, "exposure": exposure, "correction": correction}
     tables |= {"develop": develop, "display": display, "scene": parameters}
     settings = run_settings(config, {name: value for name, value in (tables | {"seed": seed}).items() if value is not None})
-    stage = progress or (lambda _: lambda *_: None)
+    stage = progress or no_stage
     return survey(os.fspath(scene), settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
 
 

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
+from helpers.lenses import triplet
 
 import pixsim
-from pixsim.measure.lens import LensData, cross_section, lens_data, line_mtf, ray_spreads, spot_points
+from pixsim.measure.lens import cross_section, lens_data, line_mtf, ray_spreads, spot_points
 from pixsim.optics.diffraction import diffraction_otf
-
-
-@cache
-def triplet() -> LensData:
-    return lens_data(pixsim.load_lens("cooke_triplet"), [550.0], 4.0)
 
 
 def test_mtf_of_a_lens_without_aberrations_is_that_of_diffraction() -> None:

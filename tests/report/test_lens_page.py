@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +11,12 @@ import numpy as np
 import pytest
 from helpers.browser import assert_fits, needs_browser
 from helpers.commands import command
+from helpers.lenses import triplet
 from helpers.looks import Elements, text_of
 
 import pixsim
-from pixsim.measure.lens import LensData, lens_data
+from pixsim.measure.lens import lens_data
 from pixsim.report.lens import FIGURES, lens_plates
-
-
-@cache
-def triplet() -> LensData:
-    return lens_data(pixsim.load_lens("cooke_triplet"), [550.0], 4.0)
 
 
 @pytest.mark.parametrize("name", ["triplet", "singlet", "double_gauss"])

@@ -24,12 +24,10 @@ DIM = {"luminance_cd_per_m2": 0.05}  # so that read noise decides
 DRAWS = 64
 
 
-def unsure(path: Path, read_noise_e: float, low: float, high: float, **more: Any) -> Path:
+def unsure(path: Path, read_noise_e: float, low: float, high: float) -> Path:
     """A data sheet with a uniform range of its read noise."""
-    made = sheet(path, read_noise_e, **more)
-    with made.open("a", encoding="utf-8") as file:
-        file.write(f"[pixel.uncertainty]\nread_noise_e = {{ range = [{low}, {high}], distribution = 'uniform' }}\n")
-    return made
+    spread = f"read_noise_e = {{ range = [{low}, {high}], distribution = 'uniform' }}"
+    return sheet(path, read_noise_e, more=f"[pixel.uncertainty]\n{spread}\n")
 
 
 def of(*files: Path, draws: int = DRAWS, **options: Any) -> Any:
