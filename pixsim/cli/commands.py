@@ -371,16 +371,16 @@ def study(
         spreads = uncertainty_of(study, options.config or [])
         if MANY_CASES < (cases := number_of_cases(plan.quickened if quick else plan)) <= MAX_CASES:
             common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration_words(cases * CASE_S)}")
-        prepared = replace(prepare(plan, variant, quick), uncertainty=spreads)
+        job = replace(prepare(plan, variant, quick), uncertainty=spreads)
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
-            types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes or dry_run)
-        outline = study_outline(prepared, jobs, plan.quickened if quick else plan, types)
+            types, evaluations = check_types(job.study, [case.settings for case in job.cases], asked, yes or dry_run)
+        outline = study_outline(job, jobs, plan.quickened if quick else plan, types)
         if dry_run:
             show(outline, json, "\n".join(outline_lines(outline, folder)))
             return
-        check_number(len(prepared.cases), prepared.evaluations, yes)
-        names = (axes_files if prepared.cases else report_files)(prepared.study)
+        check_number(len(job.cases), job.evaluations, yes)
+        names = (axes_files if job.has_cases else report_files)(job.study)
         if asked is not None:
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
@@ -389,7 +389,7 @@ def study(
             common.verbosity.note(line)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
-                result = run_prepared(prepared, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
+                result = run_prepared(job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
                 more = partial(write_uncertainty, result=result) if result.uncertainty else None
                 stage("report")
                 first = result.cases[0]
@@ -527,7 +527,7 @@ def compare(
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
     axes, cases = ((), []) if study is None else cases_of_comparison(study)
     with collected_notes() as notes:
-        studies: list[Study | str | None] = [*(case.study for case in cases)] or [study]
+        studies: list[Study | str | None] = [*(case.settings for case in cases)] or [study]
         prepared = [
             prepare(
                 sensors,

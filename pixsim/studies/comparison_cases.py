@@ -17,7 +17,7 @@ from pixsim.studies.comparison import Comparison
 from pixsim.studies.verdicts import headline
 
 
-def cases_of_comparison(study: Study | str | os.PathLike[str]) -> tuple[tuple[Axis, ...], list[Case]]:
+def cases_of_comparison(study: Study | str | os.PathLike[str]) -> tuple[tuple[Axis, ...], list[Case[Study]]]:
     """Return the axes of a study, and a study without axes for each combination of their values; none without axes.
 
     A combination's settings are those of a condition, or of each of the study's conditions.
@@ -50,7 +50,7 @@ class ComparedCases:
     """
 
     axes: tuple[Axis, ...]
-    results: tuple[tuple[Case, Comparison], ...]
+    results: tuple[tuple[Case[Study], Comparison], ...]
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -79,7 +79,7 @@ def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
 
 
 def render_all(
-    cases: Sequence[Case],
+    cases: Sequence[Case[Study]],
     variant: str | None,
     stage: Stage,
     workers: Workers,
@@ -94,13 +94,13 @@ def render_all(
 
     store : returns an image that need not stay in memory, where there are several lights
     """
-    keys = [light_hash(case.study) for case in cases]
-    studies = {key: case.study for case, key in zip(cases, keys, strict=True)}
+    keys = [light_hash(case.settings) for case in cases]
+    studies = {key: case.settings for case, key in zip(cases, keys, strict=True)}
     words = {key: case.words for case, key in zip(reversed(cases), reversed(keys), strict=True)}
     lights: dict[str, Light | str] = {}
     if len(studies) == 1:
         lights = {key: _light_or_reason(study, variant, stage("render"), settled, words[key]) for key, study in studies.items()}
-    elif first_film(cases[0].study, *scene_for(cases[0].study, variant))[1].exact:
+    elif first_film(cases[0].settings, *scene_for(cases[0].settings, variant))[1].exact:
         lights = _computed_lights(studies, words, variant, stage("render"), workers, store)
     else:
         for key, study in studies.items():

@@ -58,7 +58,7 @@ def test_conditions_hold_at_each_value() -> None:
     _, found = cases_of_comparison(Study.model_validate({"name": "both", "axis": [LIGHT], "condition": conditions}))
     assert [case.at for case in found] == [{"light": value} for value in (100.0, 0.05, 1.0)]
     for case in found:
-        day, night = case.study.condition
+        day, night = case.settings.condition
         light = {"parameters": {"luminance_cd_per_m2": case.at["light"]}}
         assert (day.weight, day.set) == (3.0, {"camera": {"f_number": 4.0}, "scene": light})
         assert night.set == {"resolution": 64, "scene": light}

@@ -345,12 +345,12 @@ def test_packaged_cases_are_valid_and_distinct(shipped: pixsim.Study) -> None:
     base, *moved = cases_of(shipped)
     assert len(moved) == 89
     for case in moved:
-        check_pitches(case.study)
-        assert case.study.model_dump() != base.study.model_dump(), f"{case.words} is the base"
-        assert (case.study.seed, case.study.stream_name) == (2000, "chen2000"), "its random streams are others"
-        assert case.study.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
+        check_pitches(case.settings)
+        assert case.settings.model_dump() != base.settings.model_dump(), f"{case.words} is the base"
+        assert (case.settings.seed, case.settings.stream_name) == (2000, "chen2000"), "its random streams are others"
+        assert case.settings.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
     assert len({case.folder for case in moved}) == len(moved), "labels read alike"
-    assert len({case.study.content_hash for case in moved}) == len(moved), "two cases are the same"
+    assert len({case.settings.content_hash for case in moved}) == len(moved), "two cases are the same"
 
 
 # Assumptions that the paper does not state, with their plausible range; None: any value other than the base's.
@@ -370,7 +370,7 @@ def test_packaged_cases_cover_assumptions(name: str, shipped: pixsim.Study) -> N
             here = here.get(part)
         return here
 
-    values = {value(case.study) for case in cases_of(shipped)}
+    values = {value(case.settings) for case in cases_of(shipped)}
     assert len(values) > 1
     if ASSUMED[name]:
         given = values - {None}  # None: the technology's own

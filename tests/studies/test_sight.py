@@ -29,7 +29,7 @@ def lights_of(patch: pytest.MonkeyPatch, **over: Any) -> tuple[list[Case], list[
     cases = cases_of(Study.model_validate(merge(SMALL, over)))
 
     def counted(study: Study, *more: Any, **named: Any) -> Light:
-        measured.append(next(case.words for case in cases if case.study == study))
+        measured.append(next(case.words for case in cases if case.settings == study))
         return render_for(study, *more, **named)
 
     patch.setattr(rendering, "render_for", counted)
@@ -41,7 +41,7 @@ def test_film_is_measured_for_the_brightest_light_and_the_sharpest_lens(monkeypa
     assert measured == ["light 1000, lens 2.8"]
     assert [film.delta_e == (SURELY * TOLERATED_DELTA_E,) * 3 for _, _, film in lights] == [True, True, False, True]
     for case, (image, _, film) in zip(cases, lights, strict=True):
-        alone, _, own = render_for(case.study)
+        alone, _, own = render_for(case.settings)
         assert image.header == alone.header
         assert (image.planes == alone.planes).all()
         # What is stated in place of a measurement. On so few dots the measured error scatters by a factor of two.
