@@ -34,7 +34,7 @@ class Case(Generic[Settings]):
     at : axis -> value: the number, or its label; `BASE` where the study's own settings hold
     condition : its name; empty without conditions
     alone : the axis that is moved alone, or empty
-    sensor : its name in a comparison, where it is unique; else empty
+    sensor, source : of a comparison, the sensor's name, which is unique there, and its file or technology; else empty
     """
 
     settings: Settings = field(repr=False)
@@ -42,6 +42,7 @@ class Case(Generic[Settings]):
     condition: str = ""
     alone: str = ""
     sensor: str = ""
+    source: str = ""
 
     @property
     def words(self) -> str:

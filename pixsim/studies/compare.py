@@ -21,7 +21,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.config import listed, plain_tables
 from pixsim.base.files import output_folder
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import REGISTERED_BORDER, Study
+from pixsim.base.parameters import REGISTERED_BORDER, Run, Study
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
@@ -33,10 +33,11 @@ from pixsim.studies.comparison import Comparison
 from pixsim.studies.cost import Cost, frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
-from pixsim.studies.lineup import Contestant, Lineup, Prepared, named, prepare
+from pixsim.studies.lineup import ComparisonJob, Lineup, named, prepare
 from pixsim.studies.matched_cameras import Match
 from pixsim.studies.oversampling import FilmSteps, Rendered, film_steps, render_and_measure
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
+from pixsim.studies.prepared import Prepared
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sizes
@@ -132,7 +133,7 @@ def compare(
 
 
 def run_prepared(
-    prepared: Prepared,
+    prepared: ComparisonJob,
     *,
     jobs: int | None = None,
     scheduler: Any = None,
@@ -181,7 +182,7 @@ class Lit:
 
     def sizes(self, repeats: int) -> list[Sizes]:
         """Return the pixel size of each sensor, and its frames."""
-        return [{sensor.pixel.pitch_um: repeats} for sensor in self.lineup.sensors]
+        return [{sensor.settings.pixel.pitch_um: repeats} for sensor in self.lineup.sensors]
 
     @cached_property
     def compared(self) -> dict[str, Compared]:
@@ -284,30 +285,30 @@ def render_all(lineup: Lineup, stage: Stage) -> list[Rendered]:
             made.append(light)
         else:
             pairs = list(zip(lineup.sensors, made, strict=True))
-            seen = [Seen(light.image, s.camera, derive(s.pixel), lineup.border_um(s.camera)) for s, light in pairs]
+            seen = [Seen(light.image, s.camera, derive(s.settings.pixel), lineup.border_um(s.camera)) for s, light in pairs]
             white = white_header(seen, lineup.settings.display)
             for light in made:
                 light.image.header |= white
             return made
 
 
-def render_one(lineup: Lineup, sensor: Contestant, width: int, progress: Progress) -> Rendered:
+def render_one(lineup: Lineup, sensor: Prepared[Run], width: int, progress: Progress) -> Rendered:
     """Return the light of a sensor on a film of so many samples across, or more if the film's error asks for them."""
     scene = sensor.scene.with_resolution(width)
     with named(sensor.name):
         plan = lineup.plan(sensor, scene)
         for note in plan.warnings:
             warn(note)
-        settings = lineup.settings_of(sensor)
+        settings = sensor.settings
 
         def plan_of(scene: Scene) -> Plan:
             return lineup.plan(sensor, scene)
 
         measured = [Imaging.of(settings, sensor.camera)]
-        return render_and_measure(scene, plan, settings, sensor.pixel, measured, plan_of=plan_of, progress=progress)
+        return render_and_measure(scene, plan, settings, settings.pixel, measured, plan_of=plan_of, progress=progress)
 
 
-def series_of_sensor(lineup: Lineup, sensor: Contestant, image: SpectralImage, pair: str = "") -> Series:
+def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], image: SpectralImage, pair: str = "") -> Series:
     """Return the series of a sensor, which show and score the same part of the scene as those of the others.
 
     Its random streams do not name the sensor, so that equal sensors give equal frames.
@@ -317,8 +318,9 @@ def series_of_sensor(lineup: Lineup, sensor: Contestant, image: SpectralImage, p
     with named(sensor.name):
         settings = lineup.settings
         shared = settings.display, settings.correction, settings.develop
-        imaging = Imaging(sensor.camera, sensor.pixel, sensor.exposure, *shared, None, lineup.border_um(sensor.camera), True)
-        for text in (*sheet_disagreements(sensor.pixel), *implausible_numbers(sensor.pixel)):
+        pixel, exposure = sensor.settings.pixel, sensor.settings.exposure
+        imaging = Imaging(sensor.camera, pixel, exposure, *shared, None, lineup.border_um(sensor.camera), True)
+        for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
             warn(f"{sensor.name}: {text}")
         first, *others = lineup.displays.values()
         scenes = SceneCache(image, sensor.camera, first, len(imaging.physics.channels), single=True, others=others)
@@ -331,10 +333,10 @@ def series_of_sensor(lineup: Lineup, sensor: Contestant, image: SpectralImage, p
         return series
 
 
-def steps_of(lineup: Lineup, sensor: Contestant, light: Rendered) -> FilmSteps:
+def steps_of(lineup: Lineup, sensor: Prepared[Run], light: Rendered) -> FilmSteps:
     """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
     with without_warnings():  # the result itself warns
-        imaging = Imaging.of(lineup.settings_of(sensor), sensor.camera)
+        imaging = Imaging.of(sensor.settings, sensor.camera)
         return film_steps(light.image, imaging, light.plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
 
 

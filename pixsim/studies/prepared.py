@@ -31,6 +31,11 @@ class Prepared(Generic[Settings]):
         """The complete settings."""
         return self.case.settings
 
+    @property
+    def name(self) -> str:
+        """Name of its sensor in a comparison."""
+        return self.case.sensor
+
 
 def loaded_scene(
     file: str,

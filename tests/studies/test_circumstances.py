@@ -129,9 +129,9 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     day, night = made.conditions
     assert [each.camera.f_number for each in day.sensors] == [2.0, 8.0], "the study's lens is for files that state none"
     assert [each.camera.f_number for each in night.sensors] == [2.0, 2.0], "a condition's is for all"
-    assert [each.exposure.max_integration_s for each in day.sensors] == [0.02, 0.02]
-    assert [each.exposure.max_integration_s for each in night.sensors] == [0.05, 0.05], "the study's takes precedence over a file's"
-    assert {each.exposure.well_target for part in made.conditions for each in part.sensors} == {0.5}
+    assert [each.settings.exposure.max_integration_s for each in day.sensors] == [0.02, 0.02]
+    assert [each.settings.exposure.max_integration_s for each in night.sensors] == [0.05, 0.05], "the study's takes precedence over a file's"
+    assert {each.settings.exposure.well_target for part in made.conditions for each in part.sensors} == {0.5}
     assert made.shown.sensors[0].camera.die_mm == 1.28
     assert made.circumstances is not None
     assert set(made.circumstances.not_used) == {"technologies", "camera.die_mm"}

@@ -154,7 +154,7 @@ def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
         "peak": ["0.25um 0.2", "0.25um 0.37"],
     }
     (high,) = [case for case in cases_of(study) if case.words == "dark current: all high"]
-    assert high.study.process == {"0.35um": {"dark_current_na_per_cm2": 3.0}, "0.25um": {"dark_current_na_per_cm2": 9.0}}
+    assert high.settings.process == {"0.35um": {"dark_current_na_per_cm2": 3.0}, "0.25um": {"dark_current_na_per_cm2": 9.0}}
     assert {case.alone for case in cases_of(study)} == {"", "PRNU", "light", "dark current", "peak"}
 
 
@@ -379,7 +379,7 @@ def test_packaged_cases_cover_assumptions(name: str, shipped: pixsim.Study) -> N
 
 def test_packaged_base_is_chen2000(shipped: pixsim.Study) -> None:
     """The settings that change a verdict stand next to the verdicts of chen2000, which must be those of the base."""
-    own, base = (study.model_dump(exclude={"quick"}) for study in (cases_of(shipped)[0].study, load_study("chen2000")))
+    own, base = (study.model_dump(exclude={"quick"}) for study in (cases_of(shipped)[0].settings, load_study("chen2000")))
     assert own | {"name": "chen2000", "streams": None, "title": base["title"]} == base
 
 
