@@ -17,10 +17,10 @@ from pixsim.studies.oversampling import TOLERATED_SHARE
 
 if TYPE_CHECKING:
     from pixsim.studies.preparation import StudyJob
-    from pixsim.studies.run import Prepared as PreparedRun
+    from pixsim.studies.run import RunJob
 
 
-def run_outline(prepared: PreparedRun) -> dict[str, Any]:
+def run_outline(prepared: RunJob) -> dict[str, Any]:
     """Return what a run would do; nothing is rendered or written."""
     shared = prepared.settings, prepared.camera, prepared.asked.camera, prepared.view.as_dict()
     planned = planned_run(prepared)

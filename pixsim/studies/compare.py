@@ -10,7 +10,7 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +35,7 @@ from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
 from pixsim.studies.lineup import ComparisonJob, Lineup, named, prepare
 from pixsim.studies.matched_cameras import Match
-from pixsim.studies.oversampling import FilmSteps, Rendered, film_steps, render_and_measure
+from pixsim.studies.oversampling import Demand, FilmSteps, Light, film_steps, light_of
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
 from pixsim.studies.prepared import Prepared
 from pixsim.studies.results_file import ResultsFile
@@ -59,7 +59,7 @@ from pixsim.viewer.score import (
 )
 
 if TYPE_CHECKING:
-    from pixsim.scene.scene import Scene
+    pass
 
 FEW_SECONDS = 3.0  # of all frames: processes take a second to start
 
@@ -171,12 +171,13 @@ def run_prepared(
 class Lit:
     """A lineup with the light of its sensors, and then with the mean ΔE of their frames.
 
-    made, series : of each sensor
+    made, plans, series : of each sensor
     viewed : (viewings, repeats) mean ΔE of each sensor, by its name
     """
 
     lineup: Lineup
-    made: list[Rendered]
+    made: list[Light]
+    plans: list[Plan]
     series: list[Series]
     viewed: dict[str, Array] = field(default_factory=dict)
 
@@ -188,7 +189,7 @@ class Lit:
     def compared(self) -> dict[str, Compared]:
         """Each sensor with what its frames show, by its name."""
         found = {}
-        for sensor, light, series in zip(self.lineup.sensors, self.made, self.series, strict=True):
+        for sensor, light, plan, series in zip(self.lineup.sensors, self.made, self.plans, self.series, strict=True):
             chain = first_chain(series)
             score = chain.simulate(*series.stream, 0)
             time_s = score.frame.integration_s
@@ -202,7 +203,7 @@ class Lit:
                 self.viewed[sensor.name],
                 dark_clip(score.physics, time_s, white_e),
                 white_e,
-                steps_of(self.lineup, sensor, light),
+                steps_of(self.lineup, sensor, light, plan),
                 None if chain.rendition is None else chain.colour_facts(time_s),
             )
         return found
@@ -232,13 +233,13 @@ def lit_lineup(lineup: Lineup, stage: Stage, pair: str = "") -> Lit:
         return stage(": ".join(filter(None, (pair, lineup.condition, name))))
 
     with named(lineup.words):
-        made = render_all(lineup, part)
+        made, plans = render_all(lineup, part)
         lights = zip(lineup.sensors, made, strict=True)
         series = [series_of_sensor(lineup, sensor, light.image, pair) for sensor, light in lights]
         chains = {each.name: first_chain(each) for each in series}
         grey = [name for name, chain in chains.items() if chain.rendition is None]
         check_one_ideal(grey, {name: chain.screen.ideal for name, chain in chains.items() if chain.rendition is not None})
-    return Lit(lineup, made, series)
+    return Lit(lineup, made, plans, series)
 
 
 def lit_pair(lineups: Sequence[Lineup], whole: Sequence[Lit], stage: Stage) -> list[Lit]:
@@ -272,40 +273,34 @@ def _notes_of(parts: Sequence[Observed]) -> tuple[str, ...]:
     return *of_all, *(f"{part.lineup.condition}: {note}" for part, own in named_notes for note in own if note not in of_all)
 
 
-def render_all(lineup: Lineup, stage: Stage) -> list[Rendered]:
-    """Return the light of every sensor on one film, fine enough for all."""
+def render_all(lineup: Lineup, stage: Stage) -> tuple[list[Light], list[Plan]]:
+    """Return the light of every sensor on one film, fine enough for all, and the plans of that film."""
     width = lineup.film_width
     while True:
-        made: list[Rendered] = []
+        made: list[Light] = []
+        plans: list[Plan] = []
         for sensor in lineup.sensors:
-            light = render_one(lineup, sensor, width, stage(f"render {sensor.name}"))
+            light, plan = render_one(lineup, sensor, width, stage(f"render {sensor.name}"))
             if light.image.shape[1] > width:  # its film had to be finer: the others take that one too
                 width = light.image.shape[1]
                 break
             made.append(light)
+            plans.append(plan)
         else:
             pairs = list(zip(lineup.sensors, made, strict=True))
             seen = [Seen(light.image, s.camera, derive(s.settings.pixel), lineup.border_um(s.camera)) for s, light in pairs]
             white = white_header(seen, lineup.settings.display)
             for light in made:
                 light.image.header |= white
-            return made
+            return made, plans
 
 
-def render_one(lineup: Lineup, sensor: Prepared[Run], width: int, progress: Progress) -> Rendered:
+def render_one(lineup: Lineup, sensor: Prepared[Run], width: int, progress: Progress) -> tuple[Light, Plan]:
     """Return the light of a sensor on a film of so many samples across, or more if the film's error asks for them."""
-    scene = sensor.scene.with_resolution(width)
     with named(sensor.name):
-        plan = lineup.plan(sensor, scene)
-        for note in plan.warnings:
-            warn(note)
-        settings = sensor.settings
-
-        def plan_of(scene: Scene) -> Plan:
-            return lineup.plan(sensor, scene)
-
-        measured = [Imaging.of(settings, sensor.camera)]
-        return render_and_measure(scene, plan, settings, settings.pixel, measured, plan_of=plan_of, progress=progress)
+        scene, plan_of = sensor.scene.with_resolution(width), partial(lineup.plan, sensor)
+        measured = [Imaging.of(sensor.settings, sensor.camera)]
+        return light_of(Demand(scene, plan_of(scene), plan_of, sensor.settings, sensor.settings.pixel, measured), progress)
 
 
 def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], image: SpectralImage, pair: str = "") -> Series:
@@ -333,11 +328,11 @@ def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], image: SpectralImage
         return series
 
 
-def steps_of(lineup: Lineup, sensor: Prepared[Run], light: Rendered) -> FilmSteps:
+def steps_of(lineup: Lineup, sensor: Prepared[Run], light: Light, plan: Plan) -> FilmSteps:
     """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
     with without_warnings():  # the result itself warns
         imaging = Imaging.of(sensor.settings, sensor.camera)
-        return film_steps(light.image, imaging, light.plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
+        return film_steps(light.image, imaging, plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
 
 
 def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, workers: Workers | None, progress: Progress) -> None:

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
     from pixsim.scene.scene import Scene
     from pixsim.studies.preparation import StudyJob
-    from pixsim.studies.run import Prepared as PreparedRun
+    from pixsim.studies.run import RunJob
 
 
-def planned_run(prepared: PreparedRun) -> dict[str, Any]:
+def planned_run(prepared: RunJob) -> dict[str, Any]:
     """Return the film, errors, pixels and cost of a run; nothing is rendered."""
     settings, camera, frames, repeats = prepared.settings, prepared.camera, prepared.frames, prepared.repeats
     pitch_um, planned = settings.pixel.pitch_um, dict[str, Any]()
@@ -46,7 +46,7 @@ def planned_run(prepared: PreparedRun) -> dict[str, Any]:
         cost = Cost(START_S, 4.0 * light.wavelength_nm.size * math.prod(light.shape), 1)
         planned["film"] = {"samples": list(light.shape), "pitch_um": light.pitch_um}
     else:
-        scene, plan = light
+        scene, plan = light.scene, light.plan
         planned["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
         shape, rendered = known_film(planned["film"]["samples"], rendered_across(scene, camera, plan, settings))
         cost = render_cost(plan, camera, shape, rendered, processors().usable)

@@ -27,7 +27,8 @@ from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
 from pixsim.studies.keys import remember_evaluated
-from pixsim.studies.lights import Light, render_all
+from pixsim.studies.lights import render_all
+from pixsim.studies.oversampling import Light
 from pixsim.studies.preparation import StudyJob, View, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of, few
 from pixsim.studies.results_file import ResultsFile
@@ -121,7 +122,8 @@ def evaluate_cases(
     lit: list[SceneCache] = []
     series: list[Series] = []
     members: list[range] = []  # of each case, the numbers of its series
-    for case, (irradiance, camera, _) in zip(cases, lights, strict=True):
+    for case, light in zip(cases, lights, strict=True):
+        irradiance, camera = light.image, light.camera
         # The header states everything that a render depends on, so that cases of other pixels may have equal ones.
         of_light = [irradiance.header, irradiance.shape, irradiance.pitch_um, camera.model_dump()]
         key = content_hash([*of_light, case.settings.display.content_hash])
@@ -187,7 +189,7 @@ def evaluate_cases(
     left_of_cases = [{series[number].name: left_out[number] for number in numbers if left_out[number]} for numbers in members]
     reasons = [next((impossible[number] for number in numbers if number in impossible), "") for numbers in members]
     warn_of_left_out(cases, [{} if reason else left for left, reason in zip(left_of_cases, reasons, strict=True)])
-    for case, numbers, reason, scenes, (irradiance, camera, film) in zip(cases, members, reasons, lit, lights, strict=True):
+    for case, numbers, reason, scenes, light in zip(cases, members, reasons, lit, lights, strict=True):
         if reason:
             found.append(reason)
             continue
@@ -207,7 +209,9 @@ def evaluate_cases(
             )
             for number in numbers
         )
-        found.append(StudyResult(case.settings, complete, irradiance, camera, film=film, view=view.as_dict(), lights=scenes))
+        found.append(
+            StudyResult(case.settings, complete, light.image, light.camera, light.film, view=view.as_dict(), lights=scenes)
+        )
     return found, evaluations.counts
 
 
