@@ -24,7 +24,7 @@ from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_fin
 from pixsim.base.headline import headline_lines
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import Layer, LensOptions, Run, Study
+from pixsim.base.parameters import Layer, LensOptions, Run
 from pixsim.cli import options as common
 from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, field_option, given, say, show, stages
 from pixsim.cli.process import interruption
@@ -520,14 +520,13 @@ def compare(
         write_comparison,
     )
     from pixsim.studies.compare import run_prepared
-    from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison
+    from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, studies_of
     from pixsim.studies.lineup import prepare
 
     shared = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
-    axes, cases = ((), []) if study is None else cases_of_comparison(study)
+    axes, cases = cases_of_comparison(study)
     with collected_notes() as notes:
-        studies: list[Study | str | None] = [*(case.settings for case in cases)] or [study]
         prepared = [
             prepare(
                 sensors,
@@ -541,7 +540,7 @@ def compare(
                 variant=variant,
                 uncertainty=uncertainty,
             )
-            for own in studies
+            for own in studies_of(study, cases)
         ]
         folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.sensors)
         places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))

@@ -48,7 +48,7 @@ from pixsim.studies.pair_uncertainty import PairUncertainty
 from pixsim.studies.prepared import Prepared
 from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.uncertainty import FEW_SENSORS
-from pixsim.studies.verdicts import answers, conditions_disagree, headline, shown_probability, verdict
+from pixsim.studies.verdicts import answers, conditions_disagree, shown_probability, verdict
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 
 JSON_FILE, PAGE = "compare.json", "report.html"
@@ -390,13 +390,24 @@ def write_comparison_page(result: Comparison, folder: Path, end: float, files: d
     write_page(folder / PAGE, "compare.html.j2", page)
 
 
-def write_cases(result: ComparedCases, folder: Path, seconds: dict[str, float]) -> Path:
+def write_compared_cases(result: ComparedCases, out: str | os.PathLike[str], seconds: dict[str, float] | None = None) -> Path:
+    """Write each comparison into a folder of its own, and the page of all beside them.
+
+    Returns the path of report.html. Raises PixsimError as `write_comparison`.
+    """
+    with output_folder(out) as folder:
+        for case, own in result.results:
+            write_comparison(own, folder / case.folder, seconds)
+        return write_cases(result, folder, seconds)
+
+
+def write_cases(result: ComparedCases, folder: Path, seconds: dict[str, float] | None = None) -> Path:
     """Write compare.json, report.html and provenance.json of comparisons that are written in their own folders already.
 
     Returns the path of report.html. Raises PixsimError as `write_comparison`.
     """
     page = {"names": result.names, "verdicts": [result.headline(other) for other in result.names[1:]], "rows": case_rows(result)}
-    with publishing(folder, "compare", {"seconds": seconds}) as partial:
+    with publishing(folder, "compare", {"seconds": seconds or {}}) as partial:
         write_json(partial / JSON_FILE, result.as_dict())
         write_page(partial / PAGE, "compare_cases.html.j2", page)
     return folder / PAGE
@@ -404,8 +415,7 @@ def write_cases(result: ComparedCases, folder: Path, seconds: dict[str, float]) 
 
 def case_rows(result: ComparedCases) -> list[tuple[str, str, list[str]]]:
     """Return each case in words, its folder, and the answer for each later sensor."""
-    others = result.names[1:]
-    return [(case.words or case.folder, case.folder, [headline(own, other) for other in others]) for case, own in result.results]
+    return [(case.words or case.folder, case.folder, answers) for case, answers in result.answers]
 
 
 def cases_lines(result: ComparedCases) -> list[str]:

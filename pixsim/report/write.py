@@ -9,12 +9,13 @@ from pathlib import Path
 from pixsim.base.arguments import checks_arguments
 from pixsim.measure.lens import LensData
 from pixsim.report.axes import write_axes_report
-from pixsim.report.compare import write_comparison
+from pixsim.report.compare import write_compared_cases, write_comparison
 from pixsim.report.lens import write_lens
 from pixsim.report.run import write_run
 from pixsim.report.study import write_study
 from pixsim.report.uncertainty import write_uncertainty
 from pixsim.studies.comparison import Comparison
+from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.result import CasesResult, StudyResult
@@ -23,7 +24,9 @@ from pixsim.studies.run import RunResult
 
 @checks_arguments
 def write_report(
-    result: RunResult | StudyResult | Comparison | LensData, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None
+    result: RunResult | StudyResult | Comparison | ComparedCases | LensData,
+    folder: str | os.PathLike[str],
+    seconds: dict[str, float] | None = None,
 ) -> Path:
     """Write report.html and the other files of a command: those of `pixsim run`, `study`, `compare` or `lens`.
 
@@ -42,6 +45,8 @@ def write_report(
         return write_lens(result, Path(folder))
     if isinstance(result, Comparison):
         return write_comparison(result, folder, seconds)
+    if isinstance(result, ComparedCases):
+        return write_compared_cases(result, folder, seconds)
     more = partial(write_uncertainty, result=result) if result.uncertainty else None
     if not isinstance(result, CasesResult):
         return write_study(result, folder, seconds, more=more)

@@ -30,6 +30,7 @@ from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
 from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.comparison import Comparison
+from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, folders_of, studies_of
 from pixsim.studies.cost import Cost, frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
@@ -82,15 +83,15 @@ def compare(
     out: str | os.PathLike[str] | None = None,
     uncertainty: int | None = None,
     **settings: Any,
-) -> Comparison:
+) -> Comparison | ComparedCases:
     """Compare two or more sensors in one scene, by the mean ΔE of their pictures on one display.
 
     files : of the sensors: TOML files with a table [pixel], such as data sheets; files of technologies, or names of packaged ones.
         The first is the reference
     scene : XML file or name of a packaged scene; None means that of the study, or csf
-    study : a Study without axes, the name of a packaged one, or a TOML file. Its scene, display, exposure and conditions hold for
-        all sensors, and its lens for files that state none. Under conditions, the result is that of the weighted mean over them,
-        and has `conditions`. Its pixels, technologies and pixel sizes are not used
+    study : a Study, the name of a packaged one, or a TOML file. Its scene, display, exposure and conditions hold for all sensors,
+        and its lens for files that state none. Under conditions, the result is that of the weighted mean over them, and has
+        `conditions`. With axes, it is a comparison at each of their values. Its pixels, technologies and pixel sizes are not used
     match : 'view': the same field of view, f-number and object distance, those of the first file's camera; 'lens': the same focal
         length; 'own': each file's own camera. Only the central field that all have in common is compared
     repeats : pairs of frames; frames of one number have the same seeds
@@ -101,7 +102,8 @@ def compare(
     jobs : processes; None means one per core, where they are worth it. The results do not depend on it
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes
     progress : returns a callback for each named stage
-    out : folder whose results.csv keeps the mean ΔE of each frame, so that an interrupted comparison goes on; None keeps nothing
+    out : folder whose results.csv keeps the mean ΔE of each frame, so that an interrupted comparison goes on; with axes, a folder
+        in it for each value. None keeps nothing
     uncertainty : sensor types to draw from the ranges of technologies and [pixel.uncertainty] of data sheets, for the result's
         `uncertainty`; rounded up to a power of two. None means none
     settings : tables and fields of `Run` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3. They take
@@ -117,19 +119,28 @@ def compare(
     options = plain_tables(settings)
     options |= {"scene": dict(parameters)} if parameters else {}
     with collected_notes():  # also of what is found before the comparison begins
-        prepared = prepare(
-            files,
-            scene,
-            study=study,
-            match=match,
-            repeats=repeats,
-            config=[Path(path) for path in listed(config)],
-            options=options,
-            sensor=sensor,
-            variant=variant,
-            uncertainty=uncertainty,
-        )
-        return run_prepared(prepared, jobs=jobs, scheduler=scheduler, progress=progress, out=out)
+        axes, cases = cases_of_comparison(study)
+        prepared = [
+            prepare(
+                files,
+                scene,
+                study=own,
+                match=match,
+                repeats=repeats,
+                config=[Path(path) for path in listed(config)],
+                options=options,
+                sensor=sensor,
+                variant=variant,
+                uncertainty=uncertainty,
+            )
+            for own in studies_of(study, cases)
+        ]
+        folders = folders_of(out, cases)
+        results = [
+            run_prepared(each, jobs=jobs, scheduler=scheduler, progress=progress, out=folder)
+            for each, folder in zip(prepared, folders, strict=True)
+        ]
+        return ComparedCases(axes, tuple(zip(cases, results, strict=True))) if cases else results[0]
 
 
 def run_prepared(

@@ -219,7 +219,6 @@ def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:
 @pytest.mark.parametrize(
     ("table", "texts"),
     [
-        ({"axis": [{"name": "N", "set": "camera.f_number", "values": [2, 4]}]}, ["the axis N", "without axes", "[[condition]]"]),
         ({"condition": [{"name": "x", "set": {"camera": {"f_nmber": 2}}}]}, ["condition x", "camera.f_nmber", "f_number"]),
         ({"condition": [{"name": "x", "set": {"camera": {"f_number": -2}}}]}, ["condition x", "camera.f_number", "-2"]),
         ({"condition": [{"name": "x", "set": {"camera": {"die_mm": 2}}}]}, ["condition x", "set.camera.die_mm", "own die"]),
@@ -248,7 +247,6 @@ def test_compare_invalid_study_raises(
 @pytest.mark.parametrize(
     ("study", "texts"),
     [
-        ("chen2000-sensitivity", ["with the axis", "without axes", "[[condition]]"]),
         ("pixel-siz", ["'pixel-siz'", "Did you mean 'pixel-size'?"]),
         ("none.toml", ["none.toml", "does not exist"]),
         (".", ["study", "'.'", "a TOML file"]),

@@ -89,6 +89,13 @@ def test_each_value_is_a_comparison_of_its_own(tmp_path: Path, monkeypatch: pyte
         own = json.loads(Path("out", case["folder"], "compare.json").read_text(encoding="utf-8"))
         assert own["difference"] == case["difference"]
         assert f'href="{case["folder"]}/report.html"' in page
+    whole = pixsim.compare(files, study="lights.toml", out="here", **small)
+    assert isinstance(whole, ComparedCases)
+    assert json.loads(json.dumps(whole.as_dict())) | {"schema": found["schema"]} == found, "the Python form is the command's"
+    assert whole.headline("b") in whole._repr_html_()
+    pixsim.write_report(whole, "here")
+    for name in ("report.html", f"{found['cases'][0]['folder']}/compare.json"):
+        assert Path("here", name).read_bytes() == Path("out", name).read_bytes()
     code, out, _ = command(f"compare a.toml b.toml --study lights.toml --dry-run --json {SMALL}")
     assert len(json.loads(out)["cases"]) == 2
 
