@@ -153,7 +153,8 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 # Built by pixsim only, from parts that are not public, or called above with a whole study.
 NOT_CALLED = {
     "pixsim.compare": "its own tests", "pixsim.studies.comparison.Comparison": "a whole comparison",
-    "pixsim.studies.comparison_cases.ComparedCases": "whole comparisons", "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
+    "pixsim.studies.comparison_cases.ComparedCases": "whole comparisons",
+    "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
     "pixsim.lens": "its own tests below", "pixsim.measure.lens": "a whole trace",
     "pixsim.measure.sfr.EdgeResponse.write": "it writes a folder",
     "pixsim.accuracy": "its own tests below", "pixsim.verification": "a whole survey",

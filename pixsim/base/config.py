@@ -21,6 +21,7 @@ from pixsim.base.parameters import (
     AS_CURVES,
     DATA_SHEET,
     NO_TECHNOLOGY,
+    NUMBERS,
     RESPONSES,
     STANDS_FOR,
     Layer,
@@ -139,10 +140,7 @@ def checked(record: type[BaseModel], layers: Sequence[Layer]) -> Any:
 
 
 # A data sheet states them for its pitch only.
-SCALED_WITH_AREA = (
-    *("full_well_e", "saturation_capacity_e", "gain_e_per_dn", "dn_per_e", "adc_full_scale_e"),
-    *("dark_current_e_per_s", "dark_current"),
-)
+SCALED_WITH_AREA = tuple(name for name, number in NUMBERS.items() if number.scales_with_area)
 SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
 # Fields of a range of pitches, and those of an earlier layer that they replace.
 REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}
@@ -179,10 +177,10 @@ def settings_layer(path: Path) -> Layer:
     return Layer(table, str(path))
 
 
-# Numbers of a pixel that are not uncertain: set by the study or the user, or a check only.
-CERTAIN = ("data_sheet_pitch_um", "black_level_dn", "dynamic_range_db", "snr_max_db")
 MAY_BE_UNCERTAIN = tuple(
-    name for name, field in PixelOptions.model_fields.items() if name not in CERTAIN and "float" in str(field.annotation)
+    name
+    for name, field in PixelOptions.model_fields.items()
+    if "float" in str(field.annotation) and not (name in NUMBERS and NUMBERS[name].is_certain)
 )
 
 

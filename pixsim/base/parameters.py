@@ -691,19 +691,37 @@ AS_CURVES: dict[str, Callable[[Any], Any]] = {
 NO_TECHNOLOGY = "none"
 # Required of a data sheet without a technology; non-uniformities and offsets that it does not give are 0.
 DATA_SHEET = ("full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency")
-# Other words for a quantity, of data sheets or of the layout, and the fields that each of them stands for.
-STANDS_FOR = {
-    "saturation_capacity_e": ("full_well_e",),
-    "dn_per_e": ("gain_e_per_dn",),
-    "adc_full_scale_e": ("gain_e_per_dn",),
-    "temporal_dark_noise_e": ("read_noise_e", "read_noise_after_gain_e", "reset_noise_factor"),
-    "dark_current": ("dark_current_e_per_s",),
-    "prnu_percent": ("prnu",),
-    "prnu_um": ("prnu",),
-    "dsnu_e": ("offset_fpn", "column_fpn"),
-    "a_vt_mv_um": ("offset_fpn",),
-    "follower_area_um2": ("offset_fpn",),
-}
+
+
+@dataclass(frozen=True)
+class Number:
+    """What there is to know of a field of [pixel] beside its type, its unit (in its name) and its words.
+
+    example : plausible value, for templates
+    stands_for : fields in whose place it may be given: it is another word for them, of data sheets or of the layout
+    part_of : words of data sheets for a sum that holds it, and in whose place it may be given
+    of_technology : whether a technology may have it, where the pixel does not state it
+    otherwise : value of a technology that does not state it; None: the technology's record declares it
+    scales_with_area : whether a data sheet states it for its own pitch, and that of other pitches follows from their area
+    is_certain : whether it can have no [pixel.uncertainty]: the user sets it, or it is a check only
+    """
+
+    example: Any = None
+    stands_for: tuple[str, ...] = ()
+    part_of: tuple[str, ...] = ()
+    of_technology: bool = False
+    otherwise: float | None = None
+    scales_with_area: bool = False
+    is_certain: bool = False
+
+
+def numbers_of(record: type[BaseModel]) -> dict[str, Number]:
+    """Return what is known of the fields of a record that have a `Number`."""
+    found = {name: [each for each in field.metadata if isinstance(each, Number)] for name, field in record.model_fields.items()}
+    return {name: of_field[0] for name, of_field in found.items() if of_field}
+
+
+TEMPORAL = ("temporal_dark_noise_e",)  # the word for all temporal noise in the dark
 MISMATCH = {"a_vt_mv_um", "follower_area_um2"}  # two words that state the offsets together
 
 
@@ -1096,8 +1114,8 @@ class PixelOptions(Record):
     """A pixel without its technology and pitch. Values of None are derived from the technology.
 
     A data sheet's own words can stand for some fields, but not beside them: `saturation_capacity_e` for `full_well_e`, `dn_per_e`
-    and `adc_full_scale_e` for `gain_e_per_dn`, `temporal_dark_noise_e` for `read_noise_e`, `read_noise_after_gain_e` and
-    `reset_noise_factor`, `dark_current` for `dark_current_e_per_s`, `prnu_percent` for `prnu`, and `dsnu_e` for `offset_fpn` and
+    and `adc_full_scale_e` for `gain_e_per_dn`, `temporal_dark_noise_e` for `read_noise_e` and all other temporal noise in the
+    dark, `dark_current` for `dark_current_e_per_s`, `prnu_percent` for `prnu`, and `dsnu_e` for `offset_fpn` and
     `column_fpn`. So can mismatch that depends on the layout: `prnu_um` for `prnu`, and `a_vt_mv_um` with `follower_area_um2` for
     `offset_fpn`.
     """
@@ -1118,121 +1136,143 @@ class PixelOptions(Record):
         "scaled",
         description="meaning of the response curve: 'scaled', A/W scaled to the measured peak; 'literal', quantum efficiency",
     )
-    quantum_efficiency: QuantumEfficiency | None = Field(
+    quantum_efficiency: Annotated[QuantumEfficiency | None, Number(0.62, of_technology=True)] = Field(
         None, description="number, CSV file or pairs of (wavelength in nm, value); replaces the technology's response curve"
     )
-    quantum_efficiency_includes: Literal["photodiode", "microlens"] | None = Field(
+    quantum_efficiency_includes: Annotated[Literal["photodiode", "microlens"] | None, Number("microlens")] = Field(
         None,
         description="with a stack, where the quantum efficiency was measured: 'photodiode', on its area; 'microlens', on the whole "
         "pixel under a microlens (absent: the technology's; for a data sheet with a microlens, microlens)",
     )
-    quantum_efficiency_f_number: FNumber | None = Field(
+    quantum_efficiency_f_number: Annotated[FNumber | None, Number(8.0)] = Field(
         None, description="f-number of the light of that measurement, for 'microlens' (absent: the technology's, or 8)"
     )
-    quantum_efficiency_pitch_um: Pitch | None = Field(
+    quantum_efficiency_pitch_um: Annotated[Pitch | None, Number(1.4)] = Field(
         None,
         description="pitch of the pixel of that measurement, for 'microlens' (absent: data_sheet_pitch_um for that of a data "
         "sheet, else the technology's, or that of each pixel)",
     )
-    infrared_cut_nm: Wavelength | None = Field(
+    infrared_cut_nm: Annotated[Wavelength | None, Number(650.0)] = Field(
         None, description="wavelength beyond which the response is zero (absent: no infrared cut)"
     )
     fill_factor_law: Literal["technology", "inset", "inset_unlimited"] = Field(
         "technology", description="fill factor against pitch: the technology's law, or one of two other fits to Chen et al. (2000)"
     )
-    stack: StackOptions | None = Field(None, description="stack between the surface and the photodiode (absent: none)")
-    colour: ColourOptions | None = Field(None, description="colour filters and their responses (absent: none, a monochrome sensor)")
-    fill_factor: Fraction | None = Field(None, description="photodiode area over pixel area (absent: from fill_factor_law)")
-    full_well_e: Well | None = Field(
+    stack: Annotated[StackOptions | None, Number({"height_um": 5.0, "index": 1.5, "microlens": "square", "shift": "optimal"})] = (
+        Field(None, description="stack between the surface and the photodiode (absent: none)")
+    )
+    colour: Annotated[
+        ColourOptions | None, Number({"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5})
+    ] = Field(None, description="colour filters and their responses (absent: none, a monochrome sensor)")
+    fill_factor: Annotated[Fraction | None, Number(0.8)] = Field(
+        None, description="photodiode area over pixel area (absent: from fill_factor_law)"
+    )
+    full_well_e: Annotated[Well | None, Number(10500.0, of_technology=True, scales_with_area=True)] = Field(
         None, description="full well: charge that the pixel holds, at the highest ADC code unless gain_e_per_dn is given"
     )
-    saturation_capacity_e: Well | None = Field(
+    saturation_capacity_e: Annotated[Well | None, Number(10500.0, ("full_well_e",), scales_with_area=True)] = Field(
         None,
         description="in place of full_well_e: saturation capacity (μ_e.sat of EMVA 1288), signal at the peak of the temporal "
         "variance; the full well is chosen such that the simulated test returns it",
     )
-    gain_e_per_dn: Annotated[float, Field(ge=1e-9, le=1e15)] | None = Field(
+    gain_e_per_dn: Annotated[Annotated[float, Field(ge=1e-9, le=1e15)] | None, Number(2.57, scales_with_area=True)] = Field(
         None,
         description="electrons per ADC code at 0 dB, 1/K of EMVA 1288; signals saturate at the lower of the full well and the "
         "highest code (absent: the codes above the black level span the full well)",
     )
-    dn_per_e: Annotated[float, Field(ge=1e-15, le=1e9)] | None = Field(
-        None, description="in place of gain_e_per_dn: ADC codes per electron at 0 dB, K of EMVA 1288"
-    )
-    adc_full_scale_e: Well | None = Field(
+    dn_per_e: Annotated[
+        Annotated[float, Field(ge=1e-15, le=1e9)] | None, Number(0.39, ("gain_e_per_dn",), scales_with_area=True)
+    ] = Field(None, description="in place of gain_e_per_dn: ADC codes per electron at 0 dB, K of EMVA 1288")
+    adc_full_scale_e: Annotated[Well | None, Number(10500.0, ("gain_e_per_dn",), scales_with_area=True)] = Field(
         None, description="in place of gain_e_per_dn: signal at 0 dB that the codes above the black level span, up to the highest"
     )
-    dark_current_e_per_s: Current | None = Field(None, description="dark current of one pixel")
-    dark_current: DarkCurrent | None = Field(
+    dark_current_e_per_s: Annotated[Current | None, Number(3.0, of_technology=True, scales_with_area=True)] = Field(
+        None, description="dark current of one pixel"
+    )
+    dark_current: Annotated[
+        DarkCurrent | None,
+        Number({"e_per_s": 3.0, "at_c": 27.0, "doubling_k": 8.0}, ("dark_current_e_per_s",), scales_with_area=True),
+    ] = Field(
         None,
         description="in place of dark_current_e_per_s: dark current at a temperature, from which that at temperature_k follows",
     )
-    data_sheet_pitch_um: Pitch | None = Field(
+    data_sheet_pitch_um: Annotated[Pitch | None, Number(3.75, is_certain=True)] = Field(
         None, description="pitch at which full well, gain and dark current were measured; they scale with the photodiode area"
     )
-    read_noise_e: NoiseElectrons | None = Field(
+    read_noise_e: Annotated[NoiseElectrons | None, Number(2.3, part_of=TEMPORAL, of_technology=True)] = Field(
         None, description="temporal read noise before the amplifier, which gain_db does not change; without reset noise"
     )
-    read_noise_after_gain_e: NoiseElectrons | None = Field(
-        None,
-        description="temporal read noise after the amplifier, in electrons at 0 dB; gain_db divides it by the amplification "
-        "(absent: the technology's, or 0 beside read_noise_e)",
+    read_noise_after_gain_e: Annotated[NoiseElectrons | None, Number(4.0, part_of=TEMPORAL, of_technology=True, otherwise=0.0)] = (
+        Field(
+            None,
+            description="temporal read noise after the amplifier, in electrons at 0 dB; gain_db divides it by the amplification "
+            "(absent: the technology's, or 0 beside read_noise_e)",
+        )
     )
-    temporal_dark_noise_e: NoiseElectrons | None = Field(
-        None,
-        description="in place of read_noise_e, read_noise_after_gain_e and reset_noise_factor: temporal dark noise (σ_d of EMVA "
-        "1288), the same at every gain_db, without quantisation noise, at an exposure so short that dark current adds none",
+    row_noise_e: Annotated[NoiseElectrons | None, Number(0.5, part_of=TEMPORAL, of_technology=True, otherwise=0.0)] = Field(
+        None, description="temporal noise before the amplifier that all pixels of a row share, one value for each row of each frame"
     )
-    reset_noise_factor: ResetFactor | None = Field(
+    temporal_dark_noise_e: Annotated[NoiseElectrons | None, Number(2.3)] = Field(
+        None,
+        description="in place of read_noise_e and of all other temporal noise: temporal dark noise (σ_d of EMVA 1288), the same at "
+        "every gain_db, without quantisation noise, at an exposure so short that dark current adds none",
+    )
+    reset_noise_factor: Annotated[ResetFactor | None, Number(0.0, part_of=TEMPORAL, of_technology=True, otherwise=1.0)] = Field(
         None, description="n in the reset noise variance n kTC/q²: hard reset 1, soft reset 0.5, delta double sampling 2"
     )
-    prnu: GainSpread | None = Field(None, description="standard deviation of the gain over its mean (PRNU)")
-    prnu_percent: Annotated[float, Field(ge=0, le=30)] | None = Field(None, description="in place of prnu: the same in per cent")
-    prnu_um: AreaMismatch | None = Field(
+    prnu: Annotated[GainSpread | None, Number(0.005, of_technology=True)] = Field(
+        None, description="standard deviation of the gain over its mean (PRNU)"
+    )
+    prnu_percent: Annotated[Annotated[float, Field(ge=0, le=30)] | None, Number(0.5, ("prnu",))] = Field(
+        None, description="in place of prnu: the same in per cent"
+    )
+    prnu_um: Annotated[AreaMismatch | None, Number(0.02, ("prnu",))] = Field(
         None, description="in place of prnu: prnu times the side of the square photodiode, so that prnu is this at 1 µm²"
     )
-    dsnu: DarkSpread | None = Field(
+    dsnu: Annotated[DarkSpread | None, Number(0.2, of_technology=True)] = Field(
         None,
         description="standard deviation of the dark current over its mean, without hot pixels (DSNU in electrons, as in EMVA 1288, "
         "is dsnu_e)",
     )
-    hot_pixel_fraction: UnitInterval | None = Field(
+    hot_pixel_fraction: Annotated[UnitInterval | None, Number(0.001, of_technology=True, otherwise=0.0)] = Field(
         None, description="fraction of pixels that are hot; the dark current remains the mean of all pixels"
     )
-    hot_pixel_median: HotMedian | None = Field(None, description="median dark current of hot pixels, over the mean of the others")
-    hot_pixel_spread: HotSpread | None = Field(
+    hot_pixel_median: Annotated[HotMedian | None, Number(30.0, of_technology=True, otherwise=1.0)] = Field(
+        None, description="median dark current of hot pixels, over the mean of the others"
+    )
+    hot_pixel_spread: Annotated[HotSpread | None, Number(1.0, of_technology=True, otherwise=0.0)] = Field(
         None, description="standard deviation of the natural logarithm of the dark current of hot pixels"
     )
-    dsnu_e: NoiseElectrons | None = Field(
+    dsnu_e: Annotated[NoiseElectrons | None, Number(2.0, ("offset_fpn", "column_fpn"))] = Field(
         None,
         description="in place of offset_fpn and column_fpn: standard deviation of the pixel offsets (DSNU1288 of EMVA 1288); "
         "none of it is spread of the dark current (dsnu)",
     )
-    offset_fpn: OffsetSpread | None = Field(
+    offset_fpn: Annotated[OffsetSpread | None, Number(0.0002, of_technology=True)] = Field(
         None, description="standard deviation of the pixel offsets, as a fraction of the full well"
     )
-    a_vt_mv_um: VoltageMismatch | None = Field(
+    a_vt_mv_um: Annotated[VoltageMismatch | None, Number(8.0, ("offset_fpn",))] = Field(
         None,
         description="in place of offset_fpn, with follower_area_um2: standard deviation of the threshold voltage of the source "
         "followers, times √follower_area_um2 (A_Vt of one transistor, 1/√2 of a pair's), for a 3T pixel without double sampling",
     )
-    follower_area_um2: GateArea | None = Field(
+    follower_area_um2: Annotated[GateArea | None, Number(0.5, ("offset_fpn",))] = Field(
         None, description="with a_vt_mv_um: gate area W·L of the source follower, the same at every pitch"
     )
-    column_fpn: OffsetSpread | None = Field(
+    column_fpn: Annotated[OffsetSpread | None, Number(0.0001, of_technology=True)] = Field(
         None, description="standard deviation of the column offsets, as a fraction of the full well"
     )
-    bits: Annotated[int, Field(ge=1, le=24)] = Field(10, description="bits of the ADC")
-    black_level_dn: Annotated[float, Field(ge=0, lt=2**24)] = Field(
+    bits: Annotated[Annotated[int, Field(ge=1, le=24)], Number(12)] = Field(10, description="bits of the ADC")
+    black_level_dn: Annotated[Annotated[float, Field(ge=0, lt=2**24)], Number(is_certain=True)] = Field(
         0.0, description="offset added before the ADC; `pixsim datasheet` uses at least 6 standard deviations of the dark signal"
     )
     temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(
         300.15, description="temperature of the sensor, which sets dark current and reset noise"
     )
-    dynamic_range_db: Annotated[float, Field(ge=0, le=400)] | None = Field(
+    dynamic_range_db: Annotated[Annotated[float, Field(ge=0, le=400)] | None, Number(71.0, is_certain=True)] = Field(
         None, description="dynamic range of the data sheet: only a check, with a warning if the other numbers give another"
     )
-    snr_max_db: Annotated[float, Field(ge=0, le=200)] | None = Field(
+    snr_max_db: Annotated[Annotated[float, Field(ge=0, le=200)] | None, Number(40.2, is_certain=True)] = Field(
         None, description="largest signal-to-noise ratio of the data sheet: only a check, as dynamic_range_db"
     )
 
@@ -1260,6 +1300,15 @@ class PixelOptions(Record):
     def codes_dn(self) -> float:
         """The codes above the black level."""
         return 2**self.bits - 1 - self.black_level_dn
+
+
+NUMBERS = numbers_of(PixelOptions)
+# Words of data sheets or of the layout, and the fields that each of them stands for.
+STANDS_FOR = {
+    word: (*number.stands_for, *(name for name, part in NUMBERS.items() if word in part.part_of))
+    for word, number in NUMBERS.items()
+}
+STANDS_FOR = {word: fields for word, fields in STANDS_FOR.items() if fields}
 
 
 PartOfPixel = Annotated[float, Field(ge=0, lt=1)]

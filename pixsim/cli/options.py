@@ -20,8 +20,8 @@ from pixsim.base.config import packaged, run_settings
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, printable
 from pixsim.base.files import private_folder
 from pixsim.base.parameters import (
-    DATA_SHEET,
     NO_TECHNOLOGY,
+    NUMBERS,
     Camera,
     CameraOptions,
     Correction,
@@ -96,10 +96,6 @@ def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
 
 
 OF_A_TECHNOLOGY = "from the technology"
-FROM_TECHNOLOGY = (
-    *(*DATA_SHEET, "reset_noise_factor", "read_noise_after_gain_e", "prnu", "dsnu", "offset_fpn", "column_fpn"),
-    *("hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"),
-)
 NAMES = {float: "FLOAT", int: "INT", bool: "BOOL", str: "TEXT"}
 
 
@@ -135,7 +131,9 @@ def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
     default: Any = None if info.is_required() else info.default
     if default is None and not info.is_required() and "absent" not in (info.description or ""):
         of_scene = record is CameraOptions and name in Camera.model_fields
-        default = "that of the scene" if of_scene else OF_A_TECHNOLOGY if name in FROM_TECHNOLOGY else "none"
+        default = (
+            "that of the scene" if of_scene else OF_A_TECHNOLOGY if name in NUMBERS and NUMBERS[name].of_technology else "none"
+        )
     shown = f" [default: {default:g}]" if isinstance(default, float) else f" [default: {default}]" if default is not None else ""
     choices = choices_of(info.annotation)
     how = {"help": f"{info.description or ''}{shown}".strip(), "metavar": value_name(info.annotation), "show_default": False}

@@ -9,30 +9,21 @@ from typing import Any
 
 from pixsim.base.config import MAY_BE_UNCERTAIN, packaged
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.parameters import DATA_SHEET, Camera, Record, Run, Spread, Study
+from pixsim.base.parameters import DATA_SHEET, NUMBERS, Camera, Record, Run, Spread, Study
 from pixsim.base.units import unit_of
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110
-# Plausible values for fields without a default, by name or by table and name.
+# Plausible values for fields without a default, by name or by table and name; those of [pixel] stand in its record.
 EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "name": "my-study", "streams": "chen2000", "title": "How small should my pixel be?",
     "technologies": ["0.35um", "4t-bsi"], "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
-    "values_um": [4.0, 5.0, 6.0, 8.0, 12.0], "pitch_um": 3.75, "data_sheet_pitch_um": 3.75, "min_um": 2.0, "own_um": 3.75,
+    "values_um": [4.0, 5.0, 6.0, 8.0, 12.0], "pitch_um": 3.75, "min_um": 2.0, "own_um": 3.75,
     "window_mm": 1.0, "registration": [0.0, 0.5],
     "tolerance_delta_e": 0.01, "target_ci_um": 0.1, "max_evaluations": 1000, "max_seconds": 60.0, "resolution": 1024,
-    "full_well_e": 10500.0, "read_noise_e": 2.3, "dark_current_e_per_s": 3.0, "quantum_efficiency": 0.62, "bits": 12,
-    "prnu": 0.005, "dsnu": 0.2, "offset_fpn": 0.0002, "column_fpn": 0.0001, "reset_noise_factor": 0.0,
-    "gain_e_per_dn": 2.57, "dn_per_e": 0.39, "adc_full_scale_e": 10500.0, "read_noise_after_gain_e": 4.0, "prnu_um": 0.02,
-    "hot_pixel_fraction": 0.001, "hot_pixel_median": 30.0, "hot_pixel_spread": 1.0, "a_vt_mv_um": 8.0, "follower_area_um2": 0.5,
-    "saturation_capacity_e": 10500.0, "temporal_dark_noise_e": 2.3, "prnu_percent": 0.5, "dsnu_e": 2.0,
-    "dark_current": {"e_per_s": 3.0, "at_c": 27.0, "doubling_k": 8.0}, "dynamic_range_db": 71.0, "snr_max_db": 40.2,
-    "die_height_mm": 2.4, "pixels": [640, 640], "die_mm": 2.4, "infrared_cut_nm": 650.0, "fill_factor": 0.8,
+    "die_height_mm": 2.4, "pixels": [640, 640], "die_mm": 2.4,
     "f_number": 2.8, "chief_ray_angle": [[0.0, 0.0], [1.0, 16.0], [2.0, 30.0]], "integration_s": 0.02,
-    "stack": {"height_um": 5.0, "index": 1.5, "microlens": "square", "shift": "optimal"},
-    "colour": {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5},
     "demosaic": "bilinear",
-    "quantum_efficiency_includes": "microlens", "quantum_efficiency_f_number": 8.0, "quantum_efficiency_pitch_um": 1.4,
     "white_cd_per_m2": 1000.0, "lens.file": "phone", "configuration": 1, "vignetting_factors": "use",
     "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],
     "sensors": {"my_sensor.toml": {"pitch_um": 3.75, "technology": "4t-bsi"}},
@@ -127,7 +118,7 @@ def _fields(properties: dict[str, Any], shown: tuple[str, ...], table: str) -> I
         unit = unit_of(name) and f"in {unit_of(name)}"
         comment = "; ".join(filter(None, [field.get("description", ""), unit, allowed(field), default]))
         yield from textwrap.wrap(comment, WIDTH, initial_indent="## ", subsequent_indent="##   ")
-        example = EXAMPLES.get(table + name, EXAMPLES.get(name))
+        example = NUMBERS[name].example if table == "pixel." and name in NUMBERS else EXAMPLES.get(table + name, EXAMPLES.get(name))
         if example is not None and (is_set or optional or value is ...):
             value = example
         yield ("" if is_set else "# ") + f"{name} = {toml_value(value)}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,8 +25,9 @@ from pixsim.base.parameters import NO_TECHNOLOGY, Exposure, Pixel, Run
 from pixsim.base.progress import Stage, no_stage
 from pixsim.measure import colour as colours, estimators
 from pixsim.measure.colour import Colour, measure_colour
-from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, Series, Stack, root
+from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, RowNoise, Series, Stack, root
 from pixsim.measure.experiment import Experiment, make_experiment
+from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import frame_variance_dn2
@@ -49,7 +50,7 @@ def expected_moments(mean_e: float, integration_s: float, physics: PixelPhysics)
     p, dark_e = physics, physics.dark_current_e_per_s * integration_s
     mean, variance = level_moments(
         mean_e, dark_e, p.adc_range_e, lambda generated: stored_signal_e(generated, integration_s, p),
-        noise_e=p.noise_floor_e, gain_spread=p.prnu, offset_spread_e=math.hypot(p.offset_fpn_e, p.column_fpn_e),
+        noise_e=p.noise_floor_e, gain_spread=p.prnu, offset_spread_e=p.offset_e,
     )  # fmt: skip
     return mean * p.dn_per_e + p.pixel.black_level_dn, variance * p.dn_per_e**2 + 1 / 12
 
@@ -63,6 +64,12 @@ def expected_curve(mean_e: Array, integration_s: float, physics: PixelPhysics) -
 def variance_peak_e(physics: PixelPhysics, integration_s: float, brightest_e: float) -> float:
     """Mean photo-electrons at which the temporal variance peaks: the saturation of EMVA 1288."""
     return peak_e(lambda electrons: expected_moments(electrons, integration_s, physics)[1], brightest_e)
+
+
+def row_noise(experiment: Experiment) -> RowNoise:
+    """Temporal noise that the pixels of a row of the device share, by the pixel's parameters."""
+    physics = experiment.physics
+    return RowNoise((physics.dn_per_e * constant_e(physics, is_temporal=True, along="row")) ** 2, experiment.sensor.shape[0])
 
 
 def dark_map_e(experiment: Experiment) -> Array:
@@ -112,11 +119,16 @@ class DataSheet:
         """Number of pixels of the device."""
         return math.prod(self.experiment.sensor.shape)
 
+    @property
+    def of_rows(self) -> RowNoise:
+        """Temporal noise that the pixels of a row share, by the pixel's parameters."""
+        return row_noise(self.experiment)
+
     @cached_property
     def transfer(self) -> PhotonTransfer:
         """Gain, responsivity, dark noise and saturation from the light series."""
         spread = 0.0 if math.isnan(self.prnu.value) else self.prnu.value  # NaN: too small to be seen
-        return estimators.photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, spread)
+        return estimators.photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, spread, self.of_rows)
 
     @property
     def signal_dn(self) -> Array:
@@ -147,19 +159,20 @@ class DataSheet:
     @cached_property
     def dark_currents(self) -> tuple[Estimate, Estimate]:
         """Dark current from the mean and from the variance, e-/s."""
-        return estimators.dark_current(self.dark_series, self.transfer.gain_dn_per_e, self.pixels)
+        return estimators.dark_current(self.dark_series, self.transfer.gain_dn_per_e, self.pixels, self.of_rows)
 
     @cached_property
     def warm_currents(self) -> tuple[Array, list[Estimate]]:
         """(temperatures in K, dark currents from the mean); their errors exclude that of K, which they share."""
         gain = Estimate(self.transfer.gain_dn_per_e.value)
-        return np.array(list(self.warm)), [estimators.dark_current(series_, gain, self.pixels)[0] for series_ in self.warm.values()]
+        currents = [estimators.dark_current(warm, gain, self.pixels, self.of_rows)[0] for warm in self.warm.values()]
+        return np.array(list(self.warm)), currents
 
     @property
     def true_dark_noise_e(self) -> float:
         """Temporal dark noise by the pixel's parameters."""
         p = self.experiment.physics
-        return math.sqrt(p.reset_noise_e**2 + p.read_noise_at_gain_e**2 + p.dark_current_e_per_s * self.experiment.integration_s)
+        return math.sqrt(variance_e2(p, is_temporal=True) + p.dark_current_e_per_s * self.experiment.integration_s)
 
     @cached_property
     def true_prnu(self) -> float:
@@ -399,7 +412,10 @@ def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: f
     for letter in (each for each in others if each != experiment.physics.channel):
         own = experiment.of_channel(letter, wavelength_nm)
         series_ = pairs(f"channel {letter}", own.photons, own)
-        channels[letter] = (own, estimators.photon_transfer(series_, dark.mean_dn, dark.variance_dn2, pixels, spread))
+        channels[letter] = (
+            own,
+            estimators.photon_transfer(series_, dark.mean_dn, dark.variance_dn2, pixels, spread, row_noise(own)),
+        )
     report_progress("dark series")
     return DataSheet(
         experiment,
@@ -432,6 +448,7 @@ EMVA, NOISE, SPEED = "EMVA 1288", "ISO 15739", "ISO 12232"
 COLOUR = f"ISO 17321-1 and noise in colour, illuminant {colours.LAMP}"
 ROUNDING = 1e-9
 PRIMARIES = "red", "green", "blue"
+SPLIT = "from this device's maps, split in the same way"
 PARTS = ("of columns", "col"), ("of rows", "row"), ("of single pixels", "pixel")
 
 
@@ -573,15 +590,22 @@ def spatial(sheet: DataSheet) -> list[Entry]:
     """DSNU1288, its parts from columns, rows and single pixels (0 if the variance estimate is not positive), and PRNU1288."""
     p, map_e, k = sheet.experiment.physics, dark_map_e(sheet.experiment), sheet.transfer.gain_dn_per_e
     dark_e = p.dark_current_e_per_s * sheet.experiment.integration_s
-    nominal = math.sqrt(p.offset_fpn_e**2 + p.column_fpn_e**2 + (p.dark_spread.deviation * dark_e) ** 2)
+    nominal = math.sqrt(variance_e2(p, dark_e=dark_e, is_temporal=False))
     dsnu = f"from this device's maps; the parameters give √(offset² + column² + (σ_DSNU · dark)²) = {nominal:.4g}"
     of_gain = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
-    split = zip(PARTS, estimators.parts(sheet.dark_stack), estimators.parts(Stack(1, map_e, np.zeros_like(map_e))), strict=True)
+    whole = estimators.parts(Stack(1, map_e, np.zeros_like(map_e)))
+    # A mean of frames keeps a part of their row noise, which EMVA 1288 takes for a fixed pattern.
+    left_e2 = constant_e(p, is_temporal=True, along="row") ** 2 / sheet.dark_stack.frames
+    true_e2 = [
+        replace(part, value=part.value + left_e2 * (name == "of rows")) for part, (name, _) in zip(whole, PARTS, strict=True)
+    ]
+    split = zip(PARTS, estimators.parts(sheet.dark_stack, sheet.of_rows), true_e2, strict=True)
+    kept = f"{SPLIT}, and the row noise that {sheet.dark_stack.frames} frames leave"
     return [
         line(EMVA, "dark signal non-uniformity", "DSNU_1288", "e-", sheet.dsnu_e, float(map_e.std(ddof=1)), dsnu),
         *(
             line(EMVA, f"DSNU, {name}", f"DSNU_1288.{short}", "e-", root(variance, 0.0) / k, root(true, 0.0).value,
-                 "from this device's maps, split in the same way")
+                 kept if left_e2 and name == "of rows" else SPLIT)
             for (name, short), variance, true in split
         ),
         line(EMVA, "photo response non-uniformity", "PRNU_1288", "%", sheet.prnu * 100, 100 * sheet.true_prnu, of_gain)
@@ -637,16 +661,18 @@ def largest_light_e(experiment: Experiment) -> float:
 def noise(sheet: DataSheet) -> list[Entry]:
     """ISO 15739: noise and S/N at 13 % of saturation, and dynamic range."""
     e, p, k = sheet.experiment, sheet.experiment.physics, sheet.experiment.physics.dn_per_e
-    (temporal, fixed, total), signal_e = estimators.noise_15739(sheet.grey), sheet.grey_photons * e.efficiency
+    (temporal, fixed, total), signal_e = estimators.noise_15739(sheet.grey, sheet.of_rows), sheet.grey_photons * e.efficiency
     pattern_e = dark_map_e(e) + (0.0 if e.sensor.gain is None else signal_e * e.sensor.gain)
     dark_e = p.dark_current_e_per_s * e.integration_s
-    temporal_dn2 = k**2 * (signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_at_gain_e**2) + QUANTISATION_DN2
+    temporal_dn2 = k**2 * float(variance_e2(p, signal_e + dark_e, is_temporal=True)) + QUANTISATION_DN2
     fixed_dn2 = k**2 * float(pattern_e.var(ddof=1))
-    signal = Estimate(float(sheet.grey.mean()) - sheet.dark.mean_dn, math.sqrt(temporal_dn2 / sheet.pixels))
+    row_dn2, rows = sheet.of_rows.variance_dn2, sheet.of_rows.rows
+    of_mean_dn = math.sqrt((temporal_dn2 - row_dn2) / sheet.pixels + row_dn2 / rows)
+    signal = Estimate(float(sheet.grey.mean()) - sheet.dark.mean_dn, of_mean_dn)
     dark_dn2 = temporal_dn2 - k**2 * signal_e
-    dark_noise = Estimate(
-        math.sqrt(sheet.dark_stack.temporal_dn2), math.sqrt(dark_dn2 / 2 / sheet.pixels / (sheet.dark_stack.frames - 1))
-    )
+    more = sheet.dark_stack.frames - 1
+    of_variance_dn2 = float(estimators.variance_error(dark_dn2, sheet.pixels * more, sheet.of_rows.in_frames(more)))
+    dark_noise = Estimate(math.sqrt(sheet.dark_stack.temporal_dn2), of_variance_dn2 / (2 * math.sqrt(dark_dn2)))
     full_dn = Estimate(highest_dn(e) - sheet.dark.mean_dn)
     at = "from the parameters, at 13 % of saturation"
     return [

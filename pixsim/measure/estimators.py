@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -122,9 +122,44 @@ def root(square: Estimate, of_none: float = math.nan) -> Estimate:
     return Estimate(value, square.error / (2 * value))
 
 
-def variance_error(variance: float | Array, pixels: int) -> Array:
-    """Standard error of the temporal variance from one pair of frames."""
-    return np.asarray(variance * math.sqrt(2 / pixels))
+@dataclass(frozen=True)
+class RowNoise:
+    """Temporal noise that the pixels of a row share: fewer values of a frame are independent than it has pixels.
+
+    variance_dn2 : of it
+    rows : of the frame
+    """
+
+    variance_dn2: float = 0.0
+    rows: int = 1
+
+    def in_frames(self, count: int) -> RowNoise:
+        """Return that of the rows of several frames together."""
+        return replace(self, rows=count * self.rows)
+
+    def in_mean(self, frames: int) -> RowNoise:
+        """Return what a mean of frames keeps of it."""
+        return replace(self, variance_dn2=self.variance_dn2 / frames)
+
+
+NO_ROW_NOISE = RowNoise()
+
+
+def variance_error(variance: float | Array, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> Array:
+    """Standard error of the temporal variance from one pair of frames: √(2 [(o² + 2 o r)/pixels + r²/rows]) of the own part o.
+
+    of_rows : with its variance r
+    """
+    if not of_rows.variance_dn2:
+        return np.asarray(variance * math.sqrt(2 / pixels))
+    row, own = of_rows.variance_dn2, np.maximum(variance - of_rows.variance_dn2, 0.0)
+    return np.asarray(np.sqrt(2 * (own**2 + 2 * own * row) / pixels + 2 * row**2 / of_rows.rows))
+
+
+def mean_error(variance: float | Array, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> Array:
+    """Standard error of the mean of one pair of frames. The arguments are those of `variance_error`."""
+    row = of_rows.variance_dn2
+    return np.asarray(np.sqrt(np.maximum(variance - row, 0.0) / (2 * pixels) + row / (2 * of_rows.rows)))
 
 
 def slope_through_origin(x: Array, y: Array, y_error: Array, common_error: float = 0.0) -> Estimate:
@@ -193,10 +228,16 @@ def saturation_index(variance_dn2: Array) -> int:
 
 
 def photon_transfer(
-    light: Series, dark_mean_dn: float, dark_variance_dn2: float, pixels: int, gain_spread: float = 0.0
+    light: Series,
+    dark_mean_dn: float,
+    dark_variance_dn2: float,
+    pixels: int,
+    gain_spread: float = 0.0,
+    of_rows: RowNoise = NO_ROW_NOISE,
 ) -> PhotonTransfer:
     """K, R, η, σ_d, saturation and threshold from a light series and a dark pair of a sensor with that many pixels.
 
+    of_rows : for the standard errors
     gain_spread : PRNU. A sensor's mean gain differs from that of its type by gain_spread/√pixels, which the standard errors of
         R and η include
     """
@@ -205,10 +246,10 @@ def photon_transfer(
     fitted = signal <= SENSITIVITY_SHARE * signal[saturated]
     fitted[saturated:] = False
     x, y, p = signal[fitted], excess[fitted], light.at[fitted]
-    dark_error = float(variance_error(dark_variance_dn2, pixels))
-    gain = slope_through_origin(x, y, variance_error(light.variance_dn2[fitted], pixels), dark_error)
-    mean_error = np.sqrt(light.variance_dn2[fitted] / (2 * pixels))
-    response = slope_through_origin(p, x, mean_error, math.sqrt(dark_variance_dn2 / (2 * pixels)))
+    dark_error = float(variance_error(dark_variance_dn2, pixels, of_rows))
+    gain = slope_through_origin(x, y, variance_error(light.variance_dn2[fitted], pixels, of_rows), dark_error)
+    of_means = mean_error(light.variance_dn2[fitted], pixels, of_rows)
+    response = slope_through_origin(p, x, of_means, float(mean_error(dark_variance_dn2, pixels, of_rows)))
     efficiency = response / gain
     limited = dark_variance_dn2 < LIMITED_DN2
     dark_variance = Estimate(max(dark_variance_dn2, LIMITED_DN2), dark_error)
@@ -285,32 +326,38 @@ def prnu(dark: Stack, bright: Stack) -> Estimate:
     return root(Estimate(bright.spatial_dn2 - dark.spatial_dn2, error_dn2)) * (1 / signal)
 
 
-def parts(images: Stack) -> tuple[Estimate, Estimate, Estimate]:
+def parts(images: Stack, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate, Estimate]:
     """Spatial variances of a stack due to columns, rows and single pixels, DN² (Release 4.0, section 8.3).
 
     The three add up to the spatial variance; each is corrected for the others and for temporal noise. Standard errors come
     from the residual temporal noise in the means of columns, rows and pixels.
+
+    of_rows : of a frame, for the standard errors. The standard takes what the mean image keeps of it for a fixed pattern
     """
     rows, columns = images.mean_dn.shape
     mean, noise = images.mean_dn, images.temporal_dn2 / images.frames
     of_columns = float(mean.mean(axis=0).var()) - noise / rows
-    of_rows = float(mean.mean(axis=1).var()) - noise / columns
+    rows_dn2 = float(mean.mean(axis=1).var()) - noise / columns
+    kept_dn2 = of_rows.in_mean(images.frames).variance_dn2
     total, rest = images.spatial_dn2, rows * columns - rows - columns
-    column_dn2 = ((rows * columns - rows) * of_columns - columns * (total - of_rows)) / rest
-    row_dn2 = ((rows * columns - columns) * of_rows - rows * (total - of_columns)) / rest
-    pixel_dn2 = rows * columns * (total - of_columns - of_rows) / rest
+    column_dn2 = ((rows * columns - rows) * of_columns - columns * (total - rows_dn2)) / rest
+    row_dn2 = ((rows * columns - columns) * rows_dn2 - rows * (total - of_columns)) / rest
+    pixel_dn2 = rows * columns * (total - of_columns - rows_dn2) / rest
     return (
         # Temporal noise adds to the means themselves, with what single pixels leave in them.
         Estimate(column_dn2, spatial_error(of_columns, noise / rows, columns)),
-        Estimate(row_dn2, spatial_error(of_rows, noise / columns, rows)),
+        Estimate(row_dn2, spatial_error(rows_dn2, noise / columns + kept_dn2, rows)),
         Estimate(pixel_dn2, spatial_error(pixel_dn2, noise, rows * columns)),
     )
 
 
-def dark_current(dark: Series, gain: Estimate, pixels: int) -> tuple[Estimate, Estimate]:
-    """Dark current (e-/s per pixel) from the mean and from the variance: slopes over time, divided by K and K² (section 7.1)."""
-    of_mean, _ = straight_line(dark.at, dark.mean_dn, np.sqrt(dark.variance_dn2 / (2 * pixels)))
-    of_variance, _ = straight_line(dark.at, dark.variance_dn2, variance_error(dark.variance_dn2, pixels))
+def dark_current(dark: Series, gain: Estimate, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate]:
+    """Dark current (e-/s per pixel) from the mean and from the variance: slopes over time, divided by K and K² (section 7.1).
+
+    of_rows : for the standard errors
+    """
+    of_mean, _ = straight_line(dark.at, dark.mean_dn, mean_error(dark.variance_dn2, pixels, of_rows))
+    of_variance, _ = straight_line(dark.at, dark.variance_dn2, variance_error(dark.variance_dn2, pixels, of_rows))
     variance = of_variance / gain
     # K² doubles the relative error of K.
     error = math.hypot(of_variance.error / gain.value**2, 2 * variance.value / gain.value * gain.error / gain.value)
@@ -333,12 +380,16 @@ TINY = 1e-300
 DAYLIGHT_NM = np.arange(360.0, 831.0)
 
 
-def noise_15739(frames: Array) -> tuple[Estimate, Estimate, Estimate]:
+def noise_15739(frames: Array, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate, Estimate]:
     """Temporal, fixed-pattern and total noise (DN) from (n, rows, columns) frames of a patch (ISO 15739, section 6.2.3).
 
     σ_diff² is the mean variance of a frame minus the average frame, σ_ave² the variance of the average frame:
     temporal² = n/(n - 1) σ_diff², fixed² = σ_ave² - σ_diff²/(n - 1). Standard errors come from temporal noise alone, for a
-    given fixed pattern. Raises PixsimError for n < 8.
+    given fixed pattern.
+
+    of_rows : for the standard errors
+
+    Raises PixsimError for n < 8.
     """
     n = len(frames)
     if n < MIN_FRAMES:
@@ -348,7 +399,7 @@ def noise_15739(frames: Array) -> tuple[Estimate, Estimate, Estimate]:
     difference_dn2 = float(np.mean([(frame - average).var() for frame in frames]))
     temporal_dn2 = n / (n - 1) * difference_dn2
     fixed_dn2 = float(average.var(ddof=1)) - difference_dn2 / (n - 1)
-    temporal_error = temporal_dn2 * math.sqrt(2 / (pixels * (n - 1)))
+    temporal_error = float(variance_error(temporal_dn2, pixels * (n - 1), of_rows.in_frames(n - 1)))
     fixed_error = spatial_error(fixed_dn2, temporal_dn2 / n, pixels)
     total = Estimate(temporal_dn2 + fixed_dn2, math.hypot(temporal_error, fixed_error))
     return root(Estimate(temporal_dn2, temporal_error), 0.0), root(Estimate(fixed_dn2, fixed_error), 0.0), root(total, 0.0)

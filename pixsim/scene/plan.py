@@ -39,6 +39,7 @@ from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
 from pixsim.sensor.integration import pixels_on
+from pixsim.sensor.noise import SOURCES
 from pixsim.sensor.outside import SHOWN_SHARE, outside_header, outside_hint, outside_share, outside_words
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
@@ -605,9 +606,11 @@ def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:
 def decide_noise(physics: PixelPhysics, full: bool) -> Decision:
     """List the noise sources that are zero."""
     p, dark = physics, physics.dark_current_e_per_s
-    sources = {"PRNU": p.prnu, "dark current": dark, "DSNU": p.dsnu and dark, "reset noise": p.reset_noise_e}
+    sizes = {each: each.deviation(p) * (dark if each.grows_with == "dark" else 1.0) for each in SOURCES}
+    listed = {each.name: size for each, size in sizes.items() if size or not each.is_rare}
+    sources = {each.name: sizes[each] for each in SOURCES if each.grows_with == "light"} | {"dark current": dark}
+    sources |= {each.name: sizes[each] for each in SOURCES if each.grows_with == "dark"} | listed
     sources |= {"hot pixels": p.hot_pixel_fraction} if p.hot_pixel_fraction else {}  # few sensors have numbers for them
-    sources |= {"read noise": p.read_noise_at_gain_e, "offset FPN": p.offset_fpn_e, "column FPN": p.column_fpn_e}
     silent = [name for name, value in sources.items() if not value]
     if not silent or full:
         return Decision("noise stages", True, "shot noise, " + ", ".join(name for name, value in sources.items() if value))

@@ -6,6 +6,7 @@ Every frame behind it is simulated with the same sensor, so the result has the r
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -15,6 +16,7 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Correction
+from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, Sensor, read_out, sample_sensor
 
@@ -202,10 +204,10 @@ def residual_variance_e2(signal_e: float, integration_s: float, physics: PixelPh
     40000.0
     """
     p, dark_e = physics, physics.dark_current_e_per_s * integration_s
-    dark_variance = p.reset_noise_e**2 + p.read_noise_at_gain_e**2 + dark_e + ROUNDING_VARIANCE_DN2 / p.dn_per_e**2
+    dark_variance = float(variance_e2(p, is_temporal=True)) + dark_e + ROUNDING_VARIANCE_DN2 / p.dn_per_e**2
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
-    pixels = p.offset_fpn_e**2 + (p.dark_spread.deviation * dark_e) ** 2
-    offsets = pixels * (1 + rows) + (0.0 if correction.column_clamp else p.column_fpn_e**2)
+    fixed = partial(variance_e2, p, dark_e=dark_e, is_temporal=False)
+    offsets = float(fixed(along="pixel")) * (1 + rows) + (0.0 if correction.column_clamp else float(fixed(along="column")))
     if correction.dark_frames:
         offsets = dark_variance * (1 + rows) / correction.dark_frames
     flat, gain = 0.0, (p.prnu * signal_e) ** 2

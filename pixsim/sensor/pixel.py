@@ -27,6 +27,7 @@ from pixsim.base.parameters import (
     MIN_FRACTION,
     NO_TECHNOLOGY,
     REGISTERED_BORDER,
+    STANDS_FOR,
     WELL_RANGE_E,
     Display,
     EfficiencyCurve,
@@ -49,8 +50,9 @@ from pixsim.sensor.mismatch import (
     follower_offset_e,
     prnu_of_area,
 )
+from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
-from pixsim.sensor.technology import Junction, Technology, load_technology, with_fill_factor_law
+from pixsim.sensor.technology import Junction, Technology, load_technology, number_of, with_fill_factor_law
 
 # The public names; everything else is internal.
 __all__ = [
@@ -615,8 +617,13 @@ class PixelPhysics:
 
     @property
     def noise_floor_e(self) -> float:
-        """Temporal dark noise without dark charge: reset and read noise."""
-        return math.hypot(self.reset_noise_e, self.read_noise_at_gain_e)
+        """Temporal dark noise without dark charge: reset, read and row noise."""
+        return constant_e(self, is_temporal=True)
+
+    @property
+    def offset_e(self) -> float:
+        """Spread of all offsets of pixels and columns."""
+        return constant_e(self, is_temporal=False)
 
     @property
     def dark_spread(self) -> DarkSpread:
@@ -692,7 +699,7 @@ class PixelPhysics:
         return 20 * math.log10(signal_e / math.sqrt(self._dark_variance_e2(dark_e) + signal_e))
 
     def _dark_variance_e2(self, dark_e: float) -> float:
-        return self.reset_noise_e**2 + self.read_noise_at_gain_e**2 + dark_e
+        return float(variance_e2(self, is_temporal=True, dark_e=dark_e)) + dark_e
 
 
 # Beyond these, a number of a data sheet is rather in another unit. The ADCs of the published sheets of the tests end at 30 % of the
@@ -838,9 +845,7 @@ def hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, floa
     """
     names = "hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"
     own = [getattr(pixel, name) for name in names]
-    fraction, median, spread = (
-        getattr(technology, name) if value is None else value for name, value in zip(names, own, strict=True)
-    )
+    fraction, median, spread = (number_of(pixel, technology, name) for name in names)
     if fraction and median == 1 and not spread:
         name = f"hot_pixel_fraction of {technology.name}" if own[0] is None else "pixel.hot_pixel_fraction"
         got, allowed = f"{fraction:g} with hot_pixel_median = 1 and hot_pixel_spread = 0", "hot pixels that differ from the others"
@@ -955,12 +960,13 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     area_um2 = fill_factor * pixel.pitch_um**2
     gain_e_per_dn = pixel.gain_e_per_dn if pixel.dn_per_e is None else 1 / pixel.dn_per_e
     # EMVA's σ_d is all temporal noise in the dark, that of the reset included.
-    all_noise = pixel.temporal_dark_noise_e is not None
-    factor = 0.0 if all_noise else given(pixel.reset_noise_factor, technology.reset_noise_factor)
+    factor = number_of(pixel, technology, "reset_noise_factor")
     read_noise_e = given(pixel.temporal_dark_noise_e, given(pixel.read_noise_e, technology.read_noise_e))
-    # A pixel that states read noise alone has no other.
-    of_process = technology.read_noise_after_gain_e if pixel.read_noise_e is None else 0.0
-    after_gain_e = 0.0 if all_noise else given(pixel.read_noise_after_gain_e, of_process)
+    # A pixel that states read noise alone has none after the amplifier.
+    alone = pixel.read_noise_e is not None and pixel.read_noise_after_gain_e is None
+    after_gain_e = 0.0 if alone else number_of(pixel, technology, "read_noise_after_gain_e")
+    named = ("read_noise_e", "read_noise_after_gain_e", "reset_noise_factor")
+    others_e = [number_of(pixel, technology, name) for name in STANDS_FOR["temporal_dark_noise_e"] if name not in named]
     measured_dark_e_per_s = dark_current_at_e_per_s(pixel, technology.dark_doubling_k)
 
     def process_dark_e_per_s(area_um2: float) -> float:
@@ -988,7 +994,8 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         full_well_e = pixel.saturation_capacity_e
         for _ in range(WELL_ROUNDS):  # reset noise and offsets of a process scale with the well
             reset_ff = (process_well.reset_ff or 0.0) * full_well_e / process_well.full_well_e
-            noise_e = math.hypot(reset_noise_e(reset_ff, pixel.temperature_k, factor), math.hypot(read_noise_e, after_gain_e))
+            reset_e = reset_noise_e(reset_ff, pixel.temperature_k, factor)
+            noise_e = math.hypot(reset_e, math.hypot(read_noise_e, after_gain_e), *others_e)
             offset_e = math.hypot(*offsets_e(full_well_e, process_well))
             full_well_e = full_well_for_e(pixel.saturation_capacity_e, adc_range_e, noise_e, prnu, offset_e)
         return full_well_e
@@ -1049,7 +1056,7 @@ def sheet_disagreements(pixel: Pixel, technology: Technology | None = None) -> l
         return _lost_scales(pixel)
     own = {"pitch_um": pixel.data_sheet_pitch_um or pixel.pitch_um, "data_sheet_pitch_um": None}
     p = derive(pixel.model_copy(update=own), technology)
-    noise_e, offset_e = p.noise_floor_e, math.hypot(p.offset_fpn_e, p.column_fpn_e)
+    noise_e, offset_e = p.noise_floor_e, p.offset_e
     saturation_e = saturation_capacity_e(p.full_well_e, p.adc_range_e, noise_e, p.prnu, offset_e)
     found = []
     asked_e = pixel.saturation_capacity_e

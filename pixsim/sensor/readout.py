@@ -17,6 +17,7 @@ from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_on
+from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive, warn_of_disagreements, warn_of_implausible_numbers
 
@@ -80,7 +81,8 @@ def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.
     """
     p, dark_spread = physics, physics.dark_spread
     uneven_dark = p.dark_current_e_per_s > 0 and not dark_spread.is_even
-    gain, dark_gain, offset_e = (np.empty(shape) if uneven else None for uneven in (p.prnu, uneven_dark, p.offset_fpn_e))
+    of_pixels_e, of_columns_e = (constant_e(p, is_temporal=False, along=along) for along in ("pixel", "column"))
+    gain, dark_gain, offset_e = (np.empty(shape) if uneven else None for uneven in (p.prnu, uneven_dark, of_pixels_e))
 
     def draw(block: slice, rng: np.random.Generator) -> None:
         if gain is not None:
@@ -92,12 +94,12 @@ def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.
             dark_gain[block] = dark_spread.sample(dark_gain[block].shape, rng)
         if offset_e is not None:
             for part in _rows_of(offset_e[block]):
-                _draw_gaussian(p.offset_fpn_e, part, rng)
+                _draw_gaussian(of_pixels_e, part, rng)
 
     by_block(draw, shape, rng)
-    column_offset_e = np.empty((1, shape[1])) if p.column_fpn_e else None
+    column_offset_e = np.empty((1, shape[1])) if of_columns_e else None
     if column_offset_e is not None:
-        _draw_gaussian(p.column_fpn_e, column_offset_e, rng)
+        _draw_gaussian(of_columns_e, column_offset_e, rng)
     return made(Sensor, p, shape, gain, dark_gain, offset_e, column_offset_e)
 
 
@@ -240,8 +242,8 @@ def read_out(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random
 
     The gain is that of the sensor's `physics`: `at_gain` sets it, as `capture_from_rates` does for an exposure.
 
-    PRNU and dark charge → Poisson → well and conversion (`pixsim.sensor.photodiode`) → reset and read noise (one normal) →
-    fixed offsets → gain → black level → ADC. Closed forms are `frame_mean_dn` and `frame_variance_dn2`.
+    PRNU and dark charge → Poisson → well and conversion (`pixsim.sensor.photodiode`) → reset and read noise (one normal) → row
+    noise → fixed offsets → gain → black level → ADC. Closed forms are `frame_mean_dn` and `frame_variance_dn2`.
 
     Raises PixsimError if `mean_e` has not the shape of the sensor.
     """
@@ -256,7 +258,8 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
     if mean_e.shape != sensor.shape:
         raise invalid("mean_e", f"an array of shape {mean_e.shape}", f"the pixels of the sensor, {sensor.shape}")
     p, generated, dn = sensor.physics, np.empty(mean_e.shape), np.empty(mean_e.shape, np.int32)
-    mean_dark_e, noise_e = p.dark_current_e_per_s * integration_s, p.noise_floor_e
+    mean_dark_e = p.dark_current_e_per_s * integration_s
+    of_pixels_e, of_rows_e = (constant_e(p, is_temporal=True, along=along) for along in ("pixel", "row"))
     # Counted before readout: reset noise and negative offsets keep half of the full pixels off the top code.
     full_e, top_dn = saturation_level_e(integration_s, p), 2**p.pixel.bits - 1
     saturated: list[int] = []
@@ -276,9 +279,11 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
             level, noise = generated[rows], charge[: rows.stop - rows.start]
             full = level >= full_e
             level = stored_signal_e(level, integration_s, p)
-            if noise_e:
-                _draw_gaussian(noise_e, noise, rng)
+            if of_pixels_e:
+                _draw_gaussian(of_pixels_e, noise, rng)
                 level += noise
+            if of_rows_e:
+                level += of_rows_e * rng.standard_normal((level.shape[0], 1))
             for added_e in (None if sensor.offset_e is None else sensor.offset_e[rows], sensor.column_offset_e):
                 if added_e is not None:
                     level += added_e
@@ -322,11 +327,10 @@ def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: Pix
     """
     p, signal_e = physics, np.asarray(mean_e, float)
     dark_e = p.dark_current_e_per_s * integration_s
-    variance_e2 = signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_at_gain_e**2
-    if fixed_pattern:
-        of_dark_e2 = (p.dark_spread.deviation * dark_e) ** 2
-        variance_e2 = variance_e2 + (p.prnu * signal_e) ** 2 + of_dark_e2 + p.offset_fpn_e**2 + p.column_fpn_e**2
-    return variance_e2 * p.dn_per_e**2 + 1 / 12
+    of_frames_e2 = variance_e2(p, signal_e + dark_e, is_temporal=True)
+    if not fixed_pattern:
+        return np.asarray(of_frames_e2 * p.dn_per_e**2 + 1 / 12)
+    return np.asarray(variance_e2(p, of_frames_e2, light_e=signal_e, dark_e=dark_e, is_temporal=False) * p.dn_per_e**2 + 1 / 12)
 
 
 @checks_arguments
@@ -335,9 +339,10 @@ def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
 
     The tail of hot pixels is far above the black level: it says nothing about what a clip at 0 DN cuts off.
     """
-    p, dark_e = physics, physics.dark_current_e_per_s * integration_s * physics.dark_spread.ordinary_mean
-    temporal_e2 = dark_e + p.reset_noise_e**2 + p.read_noise_at_gain_e**2
-    return math.sqrt(temporal_e2 + (p.dsnu * dark_e) ** 2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
+    dark_e = physics.dark_current_e_per_s * integration_s * physics.dark_spread.ordinary_mean
+    of_frames_e2 = variance_e2(physics, dark_e, is_temporal=True)
+    without_hot = replace(physics, hot_pixel_fraction=0.0)
+    return math.sqrt(variance_e2(without_hot, of_frames_e2, dark_e=dark_e, is_temporal=False))
 
 
 @checks_arguments

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import checked, packaged, read_toml
@@ -15,6 +15,7 @@ from pixsim.base.labels import label_of
 from pixsim.base.parameters import (
     MICROLENSES,
     NO_TECHNOLOGY,
+    NUMBERS,
     SHIFTS,
     AnyNumber,
     AreaMismatch,
@@ -26,19 +27,16 @@ from pixsim.base.parameters import (
     Fraction,
     GainSpread,
     GateArea,
-    HotMedian,
-    HotSpread,
     Layer,
     NoiseElectrons,
     OffsetSpread,
     Pitch,
+    PixelOptions,
     Record,
     RefractiveIndex,
-    ResetFactor,
     SiliconDepth,
     StackHeight,
     StackOptions,
-    UnitInterval,
     VoltageMismatch,
 )
 
@@ -70,8 +68,26 @@ class Junction(Record):
         return self
 
 
-class Technology(Record):
-    """The properties of a CMOS process that set those of a pixel."""
+def _declared_by_pixels() -> dict[str, Any]:
+    """Return the numbers of a process that are declared in the record of pixels, with the value where a process has none."""
+    fields = PixelOptions.model_fields
+    known = {name: number.otherwise for name, number in NUMBERS.items() if number.otherwise is not None}
+    # A process has numbers, a pixel those or None.
+    types = {name: next(kind for kind in get_args(fields[name].annotation) if kind is not type(None)) for name in known}
+    return {name: (types[name], Field(value, description=fields[name].description)) for name, value in known.items()}
+
+
+if TYPE_CHECKING:
+    NumbersOfPixels = Record
+else:
+    NumbersOfPixels = create_model("NumbersOfPixels", __base__=Record, **_declared_by_pixels())
+
+
+class Technology(NumbersOfPixels):
+    """The properties of a CMOS process that set those of a pixel.
+
+    Beside these fields it has the numbers that `PixelOptions` declares with a value for processes that state none.
+    """
 
     name: str = Field(description="name in results")
     feature_size_um: Annotated[float, Field(ge=1e-4, le=1e3, description="feature size F of the process")]
@@ -80,9 +96,6 @@ class Technology(Record):
     )
     full_well_e_per_um2: Annotated[float, Field(ge=1e-6, le=1e12)] | None = Field(
         None, description="4T pixel: full well of the pinned photodiode per µm² of its area"
-    )
-    reset_noise_factor: ResetFactor = Field(
-        1.0, description="n in the reset noise's variance n kTC/q²; 0 for charge transfer with true correlated double sampling"
     )
     response_curve: Literal["hp_mosis", "silicon"] = Field("hp_mosis", description="packaged curve of the quantum efficiency")
     dark_current_na_per_cm2: Annotated[float, Field(ge=0, le=1e12)] = Field(
@@ -100,11 +113,6 @@ class Technology(Record):
         None, description="in place of prnu: prnu times the side of the square photodiode, so that prnu is this at 1 µm²"
     )
     dsnu: DarkSpread = Field(description="standard deviation of the dark current over its mean, without hot pixels")
-    hot_pixel_fraction: UnitInterval = Field(0.0, description="fraction of pixels that are hot")
-    hot_pixel_median: HotMedian = Field(1.0, description="median dark current of hot pixels, over the mean of the others")
-    hot_pixel_spread: HotSpread = Field(
-        0.0, description="standard deviation of the natural logarithm of the dark current of hot pixels"
-    )
     offset_fpn: OffsetSpread | None = Field(
         None, description="standard deviation of the pixels' offsets, as a fraction of the full well"
     )
@@ -116,9 +124,6 @@ class Technology(Record):
     follower_area_um2: GateArea | None = Field(None, description="gate area W·L of the source follower, µm², at every pitch")
     column_fpn: OffsetSpread = Field(description="standard deviation of the columns' offsets, as a fraction of the full well")
     read_noise_e: NoiseElectrons = Field(description="temporal read noise before the amplifier, without the reset noise")
-    read_noise_after_gain_e: NoiseElectrons = Field(
-        0.0, description="temporal read noise after the amplifier, in electrons at 0 dB"
-    )
     fill_factor_limit: Fraction = Field(description="η of the fill-factor law: its limit for large pixels")
     fill_factor_zero_pitch_features: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
         description="p0 of the fill-factor law, in feature sizes: pitch at which the photodiode vanishes"
@@ -267,6 +272,21 @@ NO_PROCESS = Technology.model_validate(
     | {"name": NO_TECHNOLOGY, "feature_size_um": 1e-4, "response_curve": "silicon", "dark_doubling_k": 8.0}
     | {"fill_factor_zero_pitch_features": 1e-6}
 )
+
+
+def number_of(pixel: PixelOptions, technology: Technology, name: str) -> float:
+    """Return a number of a pixel that neither its size nor its layout changes: its own, or its technology's.
+
+    It is 0 where the pixel states a sum that holds it.
+
+    name : of a field of `PixelOptions` that a technology may have, too
+    """
+    if any(getattr(pixel, word) is not None for word in NUMBERS[name].part_of):
+        return 0.0
+    value = getattr(pixel, name)
+    return float(getattr(technology, name) if value is None else value)
+
+
 # Other laws that fit the paper's three fill factors about as well: (limit, zero pitch, inset) of `fill_factor_law`.
 OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.0, 14.54, 4.9)}
 

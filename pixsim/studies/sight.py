@@ -19,6 +19,7 @@ from pixsim.base.parameters import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.rules import Chart
 from pixsim.sensor.integration import collecting_area_um2, electrons_per_joule
+from pixsim.sensor.noise import SOURCES
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.film_error import FilmSampling
 from pixsim.viewer.display import white_rate
@@ -93,18 +94,7 @@ class Sight:
                 for p in pixels
             ],
         }
-        noise = [
-            (
-                p.dark_current_e_per_s,
-                p.reset_noise_e,
-                p.read_noise_at_gain_e,
-                p.prnu,
-                p.dark_spread.deviation,
-                p.offset_fpn_e,
-                p.column_fpn_e,
-            )
-            for p in pixels
-        ]
+        noise = [(p.dark_current_e_per_s, *(source.deviation(p) for source in SOURCES)) for p in pixels]
         areas_um2 = [collecting_area_um2(image, camera, p) for p in pixels]
         white_e_per_s = [white * area for each, area in zip(whites, areas_um2, strict=True) for white in each]
         return cls(content_hash(what), camera.f_number if by_lens else 0.0, tuple(white_e_per_s), tuple(noise))

@@ -133,6 +133,25 @@ def demosaic_column_covariance(
     return np.asarray(np.einsum("cdkl,...k,...l->...cd", products, values, values))
 
 
+@checks_arguments
+def demosaic_row_covariance(
+    pattern: str | Sequence[str],
+    method: Method,
+    deviation: ArrayLike,
+    dot_px: float | None = None,
+    interpolation: Literal["nearest", "linear", "cubic"] = "linear",
+) -> Array:
+    """Return the covariance of the demosaiced channels, (..., C, C), if each row of pixels has one offset, unlike the others'.
+
+    The arguments and the errors are those of `demosaic_column_covariance`, of which it is the transpose.
+    """
+    cell, values = _checked_noise("deviation", deviation, pattern, method, dot_px)
+    turned = tuple("".join(letters) for letters in zip(*cell, strict=True))
+    place = [channels_of(turned).index(channel) for channel in channels_of(cell)]
+    found = demosaic_column_covariance(turned, method, values[..., np.argsort(place)], dot_px, interpolation)
+    return np.asarray(found[..., place, :][..., place])
+
+
 def _checked_noise(
     name: str, noise: ArrayLike, pattern: str | Sequence[str], method: Method, dot_px: float | None
 ) -> tuple[tuple[str, ...], Array]:

@@ -27,11 +27,12 @@ from pixsim.light.spectral import SpectralImage, colour_matching
 from pixsim.light.standard import CHROMATIC_PATCHES, patch_reflectance
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.integration import response_within
+from pixsim.sensor.noise import constant_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.colour_matrix import RANK_TOLERANCE, Fit, check_noise_gains, colour_errors, fit_matrix
-from pixsim.viewer.demosaic import demosaic, demosaic_column_covariance, demosaic_covariance
+from pixsim.viewer.demosaic import demosaic, demosaic_column_covariance, demosaic_covariance, demosaic_row_covariance
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, fits_single, means_on_dots, on_dots, white_light, white_lx
 
 SATURATED = 0.99  # of the saturation level
@@ -296,8 +297,10 @@ def noise_covariance(
     assert layout is not None
     by_channel = balance(develop, layout, white_e)
     electrons = np.maximum(rendition.responses, 0.0) * white_e
-    pixels = frame_variance_dn2(electrons, integration_s, physics) / physics.dn_per_e**2 - physics.column_fpn_e**2
-    variance, columns = np.maximum(pixels, 0.0) / by_channel**2, physics.column_fpn_e / by_channel
+    of_columns_e, of_rows_e = (constant_e(physics, along=along) for along in ("column", "row"))
+    pixels = frame_variance_dn2(electrons, integration_s, physics) / physics.dn_per_e**2 - of_columns_e**2 - of_rows_e**2
+    variance = np.maximum(pixels, 0.0) / by_channel**2
+    columns, rows = of_columns_e / by_channel, of_rows_e / by_channel
     dot_px = None if dot_um is None else min(max(dot_um / physics.read_pitch_um, 1e-3), 1e3)
     method: Any = "interpolate" if layout.is_stacked else demosaic_method(develop, layout)
     linear: Any = "malvar2004" if method == "menon2007" else method
@@ -306,6 +309,10 @@ def noise_covariance(
             float(each(["R"], linear, np.ones(1), dot_px, display.interpolation)[0, 0])
             for each in (demosaic_covariance, demosaic_column_covariance)
         )
-        return of_pixels * variance[:, :, None] * np.eye(columns.size) + of_columns * np.multiply.outer(columns, columns)
+        # A line of columns averages as one of rows; the rows of each layer are read by themselves.
+        own = of_pixels * variance[:, :, None] * np.eye(columns.size) + of_columns * np.diag(rows**2)
+        return own + of_columns * np.multiply.outer(columns, columns)
     independent = demosaic_covariance(layout.cell, linear, variance, dot_px, display.interpolation)
+    if rows.any():
+        independent = independent + demosaic_row_covariance(layout.cell, linear, rows, dot_px, display.interpolation)
     return independent + demosaic_column_covariance(layout.cell, linear, columns, dot_px, display.interpolation)

@@ -43,6 +43,7 @@ from pixsim.sensor.collection import (
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
 from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, centred_pixels, electrons_per_joule, lights_of
+from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.readout import (
     MAX_BLACK,
@@ -949,7 +950,7 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     (0.54, 71, 15)
     """
     p, gain = physics, physics.dn_per_e
-    noise_dn = gain * math.sqrt(p.reset_noise_e**2 + p.read_noise_at_gain_e**2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
+    noise_dn = gain * math.sqrt(variance_e2(p))
     ordinary_e = p.dark_current_e_per_s * integration_s * p.dark_spread.ordinary_mean
     dark_e = np.array([ordinary_e])
     if p.dsnu > np.finfo(float).eps:  # as `sample_sensor` takes it

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from pixsim.base.config import packaged, read_toml
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Pixel
+from pixsim.base.parameters import NUMBERS, Pixel
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.technology import Junction, Technology, load_technology
 
@@ -16,8 +16,8 @@ TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]
 PINNED = ["4t-bsi", "4t-fsi"]
 # Fields with a default that a file may leave out.
 OPTIONAL = {
-    *("reset_noise_factor", "response_curve", "fill_factor_inset_features", "read_noise_after_gain_e"),
-    *("dark_current_perimeter_pa_per_cm", "hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"),
+    *("response_curve", "fill_factor_inset_features", "dark_current_perimeter_pa_per_cm"),
+    *(name for name, number in NUMBERS.items() if number.otherwise is not None),
     *("prnu", "prnu_um", "a_vt_mv_um", "follower_area_um2"),  # one in place of another
 }
 OPTIONAL |= {name for name in Technology.model_fields if name.startswith(("stack_", "quantum_efficiency_"))}

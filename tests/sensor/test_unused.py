@@ -15,6 +15,7 @@ from helpers.tiny import tiny
 import pixsim
 from pixsim.base.config import packaged
 from pixsim.base.parameters import (
+    NUMBERS,
     Camera,
     CameraOptions,
     ColourOptions,
@@ -163,6 +164,9 @@ MOVES: dict[str, Any] = {
 # Without which a setting is refused, or has nothing to act on.
 AT_20 = {"e_per_s": 1e6, "at_c": 20.0}
 HOT = {"hot_pixel_fraction": 0.05, "hot_pixel_median": 90.0}
+MOVES |= {  # numbers that need no value of their own here; a plausible one may be lost beside others
+    f"pixel.{name}": (number.example, 100 * number.example) for name, number in NUMBERS.items() if f"pixel.{name}" not in MOVES
+}
 BESIDE: dict[str, dict[str, Any]] = {
     "pixel.hot_pixel_fraction": {"pixel": {"hot_pixel_median": 90.0}},
     "pixel.hot_pixel_median": {"pixel": HOT},

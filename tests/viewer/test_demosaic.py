@@ -11,7 +11,7 @@ import pytest
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import BAYER, channels_of
-from pixsim.viewer.demosaic import demosaic, demosaic_column_covariance, demosaic_covariance, unit_cell
+from pixsim.viewer.demosaic import demosaic, demosaic_column_covariance, demosaic_covariance, demosaic_row_covariance, unit_cell
 from pixsim.viewer.display import SPLINE_DEGREE, average_axis
 
 DATA = Path(__file__).parents[1] / "data" / "demosaic" / "padded.npz"
@@ -162,7 +162,7 @@ LONG = 45  # pixels
 def test_covariances_are_those_of_the_linear_map(
     cell: tuple[str, ...], method: str, dot_px: float | None, interpolation: str
 ) -> None:
-    """What one pixel, and one column, leaves in all dots, squared and summed over the places of the unit cell.
+    """What one pixel, one column, and one row leaves in all dots, squared and summed over the places of the unit cell.
 
     Dots at 8 offsets stand for all along each axis: within 1 % of the geometric mean of two variances; 0.8 % is seen for nearest.
     """
@@ -171,7 +171,15 @@ def test_covariances_are_those_of_the_linear_map(
     of_each = mosaic_of(np.broadcast_to(deviation, (LONG, LONG, len(channels))), cell)
     dot = 1.0 if dot_px is None else dot_px / OFFSETS.size  # between the offsets
     rest = cell, method, dot_px, interpolation
-    found, found_columns = np.zeros((2, len(channels), len(channels)))
+    found, found_columns, found_rows = np.zeros((3, len(channels), len(channels)))
+    for v in range(LONG // 2, LONG // 2 + len(cell)):
+        row = np.zeros((LONG, LONG))
+        row[v] = of_each[v]
+        seen = responses(row, *rest)
+        columns = slice(8, 40) if dot_px is None else slice(0, seen.shape[2])
+        found_rows += (
+            np.einsum("cyx,dyx->cd", seen[:, :, columns], seen[:, :, columns]) * dot / len(seen[0, 0, columns]) / len(cell)
+        )
     for u in range(LONG // 2, LONG // 2 + len(cell[0])):
         column = np.zeros((LONG, LONG))
         column[:, u] = of_each[:, u]
@@ -187,6 +195,7 @@ def test_covariances_are_those_of_the_linear_map(
     for measured, expected in (
         (found, demosaic_covariance(cell, method, deviation**2, dot_px, interpolation)),
         (found_columns, demosaic_column_covariance(cell, method, deviation, dot_px, interpolation)),
+        (found_rows, demosaic_row_covariance(cell, method, deviation, dot_px, interpolation)),
     ):
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
         assert measured / scale == pytest.approx(expected / scale, abs=0.01)

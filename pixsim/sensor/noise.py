@@ -1,0 +1,94 @@
+"""The sources of noise of a pixel, each once: how large it is, what it grows with, and which pixels share its values.
+
+What draws noise, what states its variance and what lists it goes through `SOURCES`, so that a new source is one line there. Shot
+noise is none of them: it is the Poisson law of light and dark charge.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from pixsim.base.arrays import Array
+from pixsim.sensor.technology import number_of
+
+if TYPE_CHECKING:
+    from pixsim.sensor.pixel import PixelPhysics
+
+Along = Literal["pixel", "row", "column"]
+
+
+@dataclass(frozen=True)
+class NoiseSource:
+    """A source of noise beside shot noise.
+
+    name : as plans list it
+    deviation : its standard deviation for a pixel at its gain, in electrons, or relative to what it grows with
+    is_temporal : whether it is another one in each frame; else it is a fixed pattern
+    along : who shares a value: no two pixels; the pixels of a row, of temporal noise; or those of a column, of a fixed pattern
+    grows_with : 'light' or 'dark' charge; empty: with neither
+    is_rare : whether few sensors have it, so that lists leave it out where it is 0
+    """
+
+    name: str
+    deviation: Callable[[PixelPhysics], float]
+    is_temporal: bool = False
+    along: Along = "pixel"
+    grows_with: Literal["", "light", "dark"] = ""
+    is_rare: bool = False
+
+
+SOURCES = (
+    NoiseSource("reset noise", lambda p: p.reset_noise_e, is_temporal=True),
+    NoiseSource("read noise", lambda p: p.read_noise_at_gain_e, is_temporal=True),
+    NoiseSource(
+        "row noise", lambda p: number_of(p.pixel, p.technology, "row_noise_e"), is_temporal=True, along="row", is_rare=True
+    ),
+    NoiseSource("PRNU", lambda p: p.prnu, grows_with="light"),
+    NoiseSource("DSNU", lambda p: p.dark_spread.deviation, grows_with="dark"),
+    NoiseSource("offset FPN", lambda p: p.offset_fpn_e),
+    NoiseSource("column FPN", lambda p: p.column_fpn_e, along="column"),
+)
+
+
+def chosen(is_temporal: bool | None, along: Along | None) -> list[NoiseSource]:
+    """Return the sources that are temporal or fixed, and shared in that way; None for both, and for any way."""
+    own = [each for each in SOURCES if is_temporal is None or each.is_temporal == is_temporal]
+    return [each for each in own if along is None or each.along == along]
+
+
+def constant_e(physics: PixelPhysics, *, is_temporal: bool | None = None, along: Along | None = None) -> float:
+    """Return the standard deviation of all sources together that grow neither with light nor with dark charge, in electrons.
+
+    is_temporal, along : of which sources; None means all
+
+    >>> from pixsim.sensor.pixel import derive
+    >>> from pixsim.base.parameters import Pixel
+    >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, temporal_dark_noise_e=2.0))
+    >>> constant_e(pixel, is_temporal=True)
+    2.0
+    """
+    return math.hypot(*(each.deviation(physics) for each in chosen(is_temporal, along) if not each.grows_with))
+
+
+def variance_e2(
+    physics: PixelPhysics,
+    start: Array | float = 0.0,
+    *,
+    light_e: Array | float = 0.0,
+    dark_e: Array | float = 0.0,
+    is_temporal: bool | None = None,
+    along: Along | None = None,
+) -> Array | float:
+    """Return the variance of sources together, in electrons squared, in the shape (...) of the charges.
+
+    start : variance to which they are added, as that of shot noise
+    light_e, dark_e : mean charge of light and of the dark, with which some sources grow
+    is_temporal, along : of which sources; None means all
+    """
+    charge = {"": 1.0, "light": light_e, "dark": dark_e}
+    for each in chosen(is_temporal, along):
+        start = start + (each.deviation(physics) * charge[each.grows_with]) ** 2
+    return start
