@@ -180,3 +180,24 @@ def test_version_is_consistent() -> None:
     assert pixsim.__version__ == version("pixsim")
     project = Path(__file__).parents[1] / "pyproject.toml"
     assert pixsim.__version__ == tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
+
+
+# What the rest of scene/ may take from scene/guard: an inspected scene and its files, what traces it, and the variant that works.
+DOORS = {
+    "scene.guard.inspector": {"open_scene", "SceneText"},
+    "scene.guard.assets": {"check_share", "inspect_radiance", "EIGHT_BIT", "mitsuba_folder"},
+    "scene.guard.files": {"Node"},
+    "scene.guard.plugins": {"REASONS"},
+    "scene.guard.child": {"tracer_of"},
+    "scene.guard.tracer": {"Tracer", "Job", "Lamps", "Passes", "OutOfTimeError", "regular"},
+    "scene.guard": {"variant", "graphics"},
+    "scene.guard.variant": {"UNUSABLE_HINT", "VARIANTS", "CUDA", "LLVM", "SCALAR"},
+    "scene.guard.trial": {"Trial", "attempt", "picture_fault"},  # of `pixsim doctor`
+}
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if not name.startswith("scene.guard")])
+def test_guard_is_entered_by_its_doors(module: str) -> None:
+    taken = {name.removeprefix("pixsim.").rpartition(".")[::2] for name in imports(tree(module)) if ".scene.guard" in name}
+    outside = {(room, name) for room, name in taken if name not in DOORS.get(room, ()) and f"{room}.{name}" not in DOORS}
+    assert not outside

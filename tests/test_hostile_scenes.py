@@ -26,15 +26,15 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.scene import child, judge
-from pixsim.scene.assets import metals
-from pixsim.scene.child import ChildTracer, OutOfTimeError, end_child
-from pixsim.scene.judge import judge_scene
-from pixsim.scene.meshes import judge_mesh
+from pixsim.scene.guard import child, inspector
+from pixsim.scene.guard.assets import metals
+from pixsim.scene.guard.child import ChildTracer, end_child
+from pixsim.scene.guard.inspector import open_scene
+from pixsim.scene.guard.meshes import inspect_mesh
+from pixsim.scene.guard.plugins import MAX_ELEMENTS, PLUGINS
+from pixsim.scene.guard.tracer import Job, OutOfTimeError, OwnTracer
 from pixsim.scene.mitsuba import nodes_of, parse, speaking_mitsuba
-from pixsim.scene.plugins import MAX_ELEMENTS, PLUGINS
 from pixsim.scene.scene import packaged_scenes
-from pixsim.scene.tracer import Job, OwnTracer
 
 VARIANT = "scalar_spectral"
 SIDE = 8
@@ -64,7 +64,7 @@ ATTACKED = """
 import json, sys
 from pathlib import Path
 import pixsim
-from pixsim.scene import child, judge
+from pixsim.scene.guard import child, inspector
 
 def mapped(process):
     return [line.split()[-1] for line in open(f"/proc/{process}/maps") if sys.argv[1] in line]
@@ -148,7 +148,7 @@ def test_path_is_resolved_and_removed(tmp_path):
     lamp = '<emitter type="constant"><spectrum name="radiance" filename="lamp.spd"/></emitter>'
     for folders, nm in (('<path value="first"/>', 500), ('<path value="first"/><path value="second"/>', 600)):
         path.write_text(f'<scene version="3.0.0">{folders}{lamp}</scene>', encoding="utf-8")
-        text = judge_scene(path, {}).text
+        text = open_scene(path, {}).text
         assert "<path" not in text
         assert f"{nm}" in text
     outside = tmp_path / "second/part.xml"
@@ -156,7 +156,7 @@ def test_path_is_resolved_and_removed(tmp_path):
     inner = tmp_path / "first/scene.xml"
     inner.write_text(f'<scene version="3.0.0"><path value="{tmp_path / "second"}"/><include filename="part.xml"/></scene>')
     with pytest.raises(PixsimError, match="and its subfolders"):
-        judge_scene(inner, {})
+        open_scene(inner, {})
 
 
 def test_judged_text_has_what_the_file_has(tmp_path):
@@ -166,7 +166,7 @@ def test_judged_text_has_what_the_file_has(tmp_path):
     body = """<?php x?><!-- - -- --><default name="file" value="ü.exr"/><include filename="part.xml"/>
         <bsdf type="diffuse" id="grün &lt; &amp; &quot; 'x' \\$5"><texture name="reflectance" type="bitmap">
         <string name="filename" value="$file"/></texture></bsdf>"""
-    text = judge_scene(scene_of(tmp_path, body), {})
+    text = open_scene(scene_of(tmp_path, body), {})
     assert text.text.isascii()
     assert not any(word in text.text for word in ("<!", "<?", "<include", "<default", "&lt", "&#0;"))
     root = ET.fromstring(text.text)
@@ -183,21 +183,21 @@ def test_judged_text_has_what_the_file_has(tmp_path):
 @pytest.mark.parametrize("encoding", ["latin1", "ISO-8859-1", "utf-16", "UTF-32", "windows-1252", "utf-7", "x"])
 def test_other_encoding_is_refused(encoding, tmp_path):
     with pytest.raises(PixsimError, match=rf'got encoding="{encoding}"; allowed: UTF-8'):
-        judge_scene(scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {})
+        open_scene(scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {})
     (tmp_path / "scene.xml").write_bytes(f"{HEAD}</scene>".encode("utf-16"))
     with pytest.raises(PixsimError, match="UTF-8"):
-        judge_scene(tmp_path / "scene.xml", {})
+        open_scene(tmp_path / "scene.xml", {})
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "UTF-8", "US-ASCII"])
 def test_utf_8_is_read(encoding, tmp_path):
-    assert judge_scene(scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {}).text.startswith("<scene")
+    assert open_scene(scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {}).text.startswith("<scene")
 
 
 @pytest.mark.parametrize("version", ["0.5.0", "1.9.9", "3", "x", ""])
 def test_old_version_is_refused(version, tmp_path):
     with pytest.raises(PixsimError, match=r"allowed: 2\.0\.0 or newer"):
-        judge_scene(scene_of(tmp_path, "", f'<scene version="{version}">'), {})
+        open_scene(scene_of(tmp_path, "", f'<scene version="{version}">'), {})
 
 
 def test_parameter_goes_in_as_in_mitsuba(tmp_path):
@@ -205,14 +205,14 @@ def test_parameter_goes_in_as_in_mitsuba(tmp_path):
     body = """<default name="a" value="1"/><default name="ab" value="2"/><default name="c" value="$ab"/>
         <default name="d" value="\\$ab"/><bsdf type="null" id="$a $ab $abc $c $d \\$a"/>"""
     path = scene_of(tmp_path, body)
-    state = parse(judge_scene(path, {}).text, VARIANT)
+    state = parse(open_scene(path, {}).text, VARIANT)
     assert state.nodes[-1].props.id() == "1 2 2c 2 $ab $a"
     with speaking_mitsuba(VARIANT) as mi:
         path.write_text(path.read_text().replace(" $d", ""))  # Mitsuba puts parameters into parameters
         stock = mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path))
     assert stock.nodes[-1].props.id() == "1 2 2c 2 $a"
     with pytest.raises(PixsimError, match=r"no value for '\$x' in line"):
-        judge_scene(scene_of(tmp_path, '<bsdf type="null" id="$x"/>'), {})
+        open_scene(scene_of(tmp_path, '<bsdf type="null" id="$x"/>'), {})
 
 
 # --- What a scene may say -----------------------------------------------------------------------------------------------------
@@ -276,7 +276,7 @@ def test_nested_defaults_take_no_time(tmp_path):
     """Each of 500 names the one before: 90 s in the past."""
     body = '<default name="p0" value="x"/>' + "".join(f'<default name="p{n}" value="$p{n - 1}x"/>' for n in range(1, 500))
     start = time.process_time()
-    assert judge_scene(scene_of(tmp_path, body), {}).defaults["p499"] == "x" * 500
+    assert open_scene(scene_of(tmp_path, body), {}).defaults["p499"] == "x" * 500
     assert time.process_time() - start < 5
 
 
@@ -345,7 +345,7 @@ def test_allowed_plugins_are_built(kind, assets):
             continue
         inside = NEEDED.get(name, "") + (WEIGHT if name.startswith("blend") else "")
         lit = SENSOR if kind == "emitter" else LIT.removeprefix('<integrator type="path"/>')
-        text = judge_scene(scene_of(assets, BUILT[kind].format(name, inside), lit=lit), {}).text
+        text = open_scene(scene_of(assets, BUILT[kind].format(name, inside), lit=lit), {}).text
         assert OwnTracer(Job(VARIANT, text, (None,), 1, {"type": "thinlens"}, None, ())).loaded, name
 
 
@@ -379,7 +379,7 @@ def test_only_whole_regular_files_are_read(kind, tmp_path):
     for name in ("pipe", "zero", "pagemap", "folder", "empty", "secret", "sparse", "absent"):
         start = time.process_time()
         with pytest.raises(PixsimError, match=name) as error:
-            judge_scene(scene_of(tmp_path, body.format(f"{name}.{suffix}")), {})
+            open_scene(scene_of(tmp_path, body.format(f"{name}.{suffix}")), {})
         assert "hunter2" not in str(error.value)
         assert time.process_time() - start < 5
 
@@ -396,14 +396,14 @@ def test_picture_of_another_kind_is_refused(name, content, tmp_path):
     """Mitsuba chooses the decoder by the content, pixsim judges by the name."""
     (tmp_path / name).write_bytes(content)
     with pytest.raises(PixsimError, match=name):
-        judge_scene(scene_of(tmp_path, NAMED["bitmap"][1].format(name)), {})
+        open_scene(scene_of(tmp_path, NAMED["bitmap"][1].format(name)), {})
 
 
 def test_spectrum_of_a_file_equals_mitsubas(assets):
     """The table goes into the text with all its digits: Mitsuba reads the same numbers from the file itself."""
     path = scene_of(assets, NAMED["spectrum"][1].format(assets / "a.spd"))
     (assets / "a.spd").write_text("# nm, value\n\n400.123456789012 0.1234567890123456\n 5e2\t2e-1 x\n700 .4\n")
-    (ours,) = nodes_of(parse(judge_scene(path, {}).text, VARIANT), "BSDF")
+    (ours,) = nodes_of(parse(open_scene(path, {}).text, VARIANT), "BSDF")
     with speaking_mitsuba(VARIANT) as mi:
         (stock,) = nodes_of(mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path)), "BSDF")
     for name in ("wavelengths", "values"):
@@ -412,12 +412,12 @@ def test_spectrum_of_a_file_equals_mitsubas(assets):
 
 def test_files_of_spectra_are_bounded_in_total(tmp_path, monkeypatch):
     """They become part of the text: the same large file many times would fill the memory."""
-    monkeypatch.setattr(judge, "MAX_TABLES", 10_000)
+    monkeypatch.setattr(inspector, "MAX_TABLES", 10_000)
     (tmp_path / "a.spd").write_text("".join(f"{nm} 0.5\n" for nm in range(360, 831)))  # 471 values of 9 characters: 4237
     body = '<bsdf type="diffuse"><spectrum name="reflectance" filename="a.spd"/></bsdf>'
-    assert len(judge_scene(scene_of(tmp_path, body * 2), {}).text) > 2 * 4237
+    assert len(open_scene(scene_of(tmp_path, body * 2), {}).text) > 2 * 4237
     with pytest.raises(PixsimError, match="files of spectra of more than 10000 characters"):
-        judge_scene(scene_of(tmp_path, body * 3), {})
+        open_scene(scene_of(tmp_path, body * 3), {})
 
 
 # --- Meshes ---------------------------------------------------------------------------------------------------------------------
@@ -471,7 +471,7 @@ def test_mesh_is_read(name, tmp_path):
     """Mitsuba finds as many vertices as the file has."""
     (tmp_path / name).write_bytes(GOOD_MESHES[name])
     kind = name.rpartition(".")[2]
-    judge_mesh(tmp_path / name, kind)
+    inspect_mesh(tmp_path / name, kind)
     with speaking_mitsuba(VARIANT) as mi:
         mesh = mi.load_dict({"type": kind, "filename": str(tmp_path / name), "face_normals": True})
     assert mesh.vertex_count() >= 3
@@ -482,7 +482,7 @@ def test_damaged_mesh_is_refused(name, tmp_path):
     content, words = BAD_MESHES[name]
     (tmp_path / name).write_bytes(content)
     with pytest.raises(PixsimError, match=words):
-        judge_mesh(tmp_path / name, name.rpartition(".")[2])
+        inspect_mesh(tmp_path / name, name.rpartition(".")[2])
 
 
 @pytest.mark.parametrize("name", ["ascii.ply", "little.ply", "v3.serialized", "v4.serialized", "a.obj"])
@@ -502,7 +502,7 @@ def test_random_mesh_is_read_or_refused(name, tmp_path):
             work[at : at + len(new)] = new
         path.write_bytes(packed(bytes(work if end % 2 else work[:end])))
         try:
-            judge_mesh(path, kind)
+            inspect_mesh(path, kind)
         except PixsimError:
             return
         with speaking_mitsuba(VARIANT) as mi:
@@ -541,7 +541,7 @@ TRACED = LIT + SPHERE.format('<bsdf type="diffuse"><spectrum name="reflectance" 
 
 
 def job_of(folder: Path, variant: str = VARIANT) -> Job:
-    text = judge_scene(scene_of(folder, TRACED, lit=""), {}).text
+    text = open_scene(scene_of(folder, TRACED, lit=""), {}).text
     lens = {"type": "thinlens", "fov": 40.0, "aperture_radius": 0.0005, "focus_distance": 1.0}
     return Job(variant, text, (None,), 2, lens, None, ())
 

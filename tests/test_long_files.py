@@ -18,7 +18,7 @@ from pixsim.base.parameters import AS_CURVES, as_chief_ray_angles, as_quantum_ef
 from pixsim.light.foreign import parse_light_unit
 from pixsim.optics.exchange import read_irradiance
 from pixsim.optics.glass import read_catalogue
-from pixsim.scene.meshes import judge_mesh
+from pixsim.scene.guard.meshes import inspect_mesh
 from pixsim.scene.scene import load_scene
 from pixsim.studies.study_file import load_study
 
@@ -54,9 +54,9 @@ READERS: dict[str, tuple[Callable[[str], Any], str]] = {
     "curves": (AS_CURVES["quantum_efficiencies"], ".csv"),
     "chief rays": (as_chief_ray_angles, ".csv"),
     "scene": (load_scene, ".xml"),
-    "obj": (lambda path: judge_mesh(Path(path), "obj"), ".obj"),
-    "ply": (lambda path: judge_mesh(Path(path), "ply"), ".ply"),
-    "serialized": (lambda path: judge_mesh(Path(path), "serialized"), ".serialized"),
+    "obj": (lambda path: inspect_mesh(Path(path), "obj"), ".obj"),
+    "ply": (lambda path: inspect_mesh(Path(path), "ply"), ".ply"),
+    "serialized": (lambda path: inspect_mesh(Path(path), "serialized"), ".serialized"),
     "ENVI": (read_irradiance, ".hdr"),
     "EXR": (read_irradiance, ".exr"),
     "zmx": (lambda path: pixsim.load_lens(path, configuration=2), ".zmx"),

@@ -1,6 +1,6 @@
 """`pixsim doctor`: checks of software, machine and a test render, with the command that fixes each problem.
 
-Checks that may abort or hang run in separate processes (`pixsim.scene.trial`).
+Checks that may abort or hang run in separate processes (`pixsim.scene.guard.trial`).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from pixsim.base import cache, machine
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.version import VERSION
-from pixsim.scene import graphics, variant
-from pixsim.scene.trial import Trial, attempt, picture_fault
-from pixsim.scene.variant import CUDA, LLVM, SCALAR
+from pixsim.scene.guard import graphics, variant
+from pixsim.scene.guard.trial import Trial, attempt, picture_fault
+from pixsim.scene.guard.variant import CUDA, LLVM, SCALAR
 
 MODULES = {"colour-science": "colour", "openexr": "OpenEXR", "pillow": "PIL"}  # import names that differ from package names
 
@@ -100,7 +100,7 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
     limit_s : time limit of each trial, s
     """
     required = requirements(metadata.requires("pixsim") or []) if installed("pixsim") else {}
-    card = graphics.judge(again=True)
+    card = graphics.verdict(again=True)
     with ThreadPoolExecutor() as pool:
         libraries = attempt("libraries", limit_s=limit_s)
         chosen = attempt("render", limit_s=limit_s)  # not in parallel, since it is timed

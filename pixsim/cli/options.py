@@ -166,7 +166,7 @@ def scene_names() -> Iterable[str]:
 
 
 def variant_names() -> Iterable[str]:
-    from pixsim.scene.variant import VARIANTS
+    from pixsim.scene.guard.variant import VARIANTS
 
     return VARIANTS
 

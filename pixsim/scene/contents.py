@@ -19,7 +19,7 @@ from pixsim.base.parameters import Camera
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, WHITE_LAMPS, Spectrum, grid_nm, tabulated
-from pixsim.scene.assets import EIGHT_BIT, check_share
+from pixsim.scene.guard.assets import EIGHT_BIT, check_share
 from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
 
 # The property with the spectrum of each stock emitter.
@@ -509,7 +509,7 @@ MAP_NAMES = ("alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropi
 
 
 def named_files(state: Any) -> list[Path]:
-    """Return the files of all nodes, which are judged: pictures, meshes and volumes."""
+    """Return the files of all nodes, which are inspected: pictures, meshes and volumes."""
     return [_file_of(node) for node in state.nodes if "filename" in node.props]
 
 

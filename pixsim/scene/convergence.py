@@ -10,6 +10,7 @@ from itertools import product
 from typing import Any, Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
 from pixsim.base.mapped import is_mapped, release, zeros
@@ -17,7 +18,7 @@ from pixsim.base.notes import told_apart, warn
 from pixsim.base.parameters import Camera, Effort, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
-from pixsim.scene.child import OutOfTimeError
+from pixsim.scene.guard.tracer import OutOfTimeError
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Picture, Renderer
 from pixsim.scene.scene import Scene
@@ -116,13 +117,9 @@ def render_until(
             noise = replace(noise, ended_by=ended)
             break
         for number, (pictures, spp) in enumerate(both):
-            half = halves[number]
-            halves[number] = half or [zeros(picture.shape) for picture in pictures]
-            for total, picture in zip(halves[number], pictures, strict=True):
-                for rows in strips(*total.shape[:2]):  # in place, a few rows at a time
-                    total[rows] += spp * picture[rows]
-                    release(total[rows], picture[rows])
-            del picture, pictures  # or it would be a third picture in memory
+            halves[number] = halves[number] or [zeros(picture.shape) for picture in pictures]
+            _add(halves[number], pictures, spp)
+            del pictures  # or it would be a third picture in memory
             runs, samples = runs + 1, samples + spp
         weight, at_level = weight + spp, at_level + 1
         fraction, relative = noise_of(job, halves, weight, derived, exposure)
@@ -147,25 +144,46 @@ def render_until(
     if ended == "max_seconds" and job.cache:
         job.cache.store_runs_in_time(limits, runs)
     if ended != "target":
-        # Without the seconds that have passed: the text belongs to the result, which a cached render reproduces.
-        limit_s = f"the time limit of {max_seconds or 0:g} s (--max-seconds)"
-        causes = {
-            "samples": f"the render ended at its limit of {plan.most_samples:.2g} samples",
-            "max_seconds": f"{limit_s} leaves no time for the next step of the render",
-            "runs": f"the render ended at its limit of {runs} renders",
-        }
-        cause = causes[ended]
-        remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(fraction, render_noise))
-        warn(f"{cause}: {remains}. {more_samples(fraction, render_noise) if ended == 'samples' else RAISE}")
-    for mean, odd in zip(*halves, strict=True):  # in place: pictures of all bands are large
-        for rows in strips(*mean.shape[:2]):
-            mean[rows] += odd[rows]
-            mean[rows] /= 2 * weight
-            release(mean[rows], odd[rows])
-    del odd
+        warn(_limit_words(ended, plan, runs, max_seconds, fraction, render_noise))
+    _average(halves[0], halves[1], weight)
     halves.pop()
     rounded = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
     return job.image(halves[0], samples, render_noise=rounded), noise
+
+
+def _add(totals: Sequence[Array], pictures: Sequence[NDArray[Any]], spp: float) -> None:
+    """Add pictures times their samples, in place, a few rows at a time."""
+    for total, picture in zip(totals, pictures, strict=True):
+        for rows in strips(*total.shape[:2]):
+            total[rows] += spp * picture[rows]
+            release(total[rows], picture[rows])
+
+
+def _average(even: Sequence[Array], odd: Sequence[Array], weight: float) -> None:
+    """Make the first half the mean of both, in place: pictures of all bands are large.
+
+    weight : samples of each half
+    """
+    for mean, other in zip(even, odd, strict=True):
+        for rows in strips(*mean.shape[:2]):
+            mean[rows] += other[rows]
+            mean[rows] /= 2 * weight
+            release(mean[rows], other[rows])
+
+
+def _limit_words(ended: EndedBy, plan: Plan, runs: int, max_seconds: float | None, fraction: float, render_noise: float) -> str:
+    """Return why a render ended before its target, and how much noise it has.
+
+    Without the seconds that have passed: the text belongs to the result, which a cached render reproduces.
+    """
+    limit_s = f"the time limit of {max_seconds or 0:g} s (--max-seconds)"
+    causes = {
+        "samples": f"the render ended at its limit of {plan.most_samples:.2g} samples",
+        "max_seconds": f"{limit_s} leaves no time for the next step of the render",
+        "runs": f"the render ended at its limit of {runs} renders",
+    }
+    remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(fraction, render_noise))
+    return f"{causes[ended]}: {remains}. {more_samples(fraction, render_noise) if ended == 'samples' else RAISE}"
 
 
 SECONDS_OF_LIMIT = 30.0  # of `Plan.most_samples` on two cores

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.scene.contents import EMISSION, Lamp
-from pixsim.scene.files import Node
+from pixsim.scene.guard.files import Node
 
 ILLUMINANCE = "lux"
 ALLOWED_LUX = (1e-9, 1e9)  # starlight has 1e-4, the sun 1e5; beyond, float32 would not hold all of the light
@@ -54,7 +54,7 @@ def luminances(lamps: Sequence[Lamp]) -> dict[int, float]:
 
 
 def with_strength(node: Node, factor: float) -> Node:
-    """Return a judged tree with the light of every emitter times a factor.
+    """Return an inspected tree with the light of every emitter times a factor.
 
     Raises PixsimError for an emitter whose light is no number, table or D65.
     """

@@ -18,15 +18,15 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.parameters import content_hash
 from pixsim.light.spectral import grid_nm
-from pixsim.scene import graphics
-from pixsim.scene.assets import mitsuba_folder
-from pixsim.scene.variant import UNUSABLE_HINT
+from pixsim.scene.guard import graphics
+from pixsim.scene.guard.assets import mitsuba_folder
+from pixsim.scene.guard.variant import UNUSABLE_HINT
 
 _process: int | None = None  # in which Mitsuba works
 
 
 def import_mitsuba(variant: str) -> Any:
-    """Import Mitsuba and set its variant; call `pixsim.scene.variant.choose` first.
+    """Import Mitsuba and set its variant; call `pixsim.scene.guard.variant.choose` first.
 
     A process whose first variant is not for graphics cards cannot take one later.
 
@@ -103,7 +103,7 @@ def _is_interrupt(error: BaseException | None) -> bool:
 
 
 def parse(text: str, variant: str) -> Any:
-    """Return Mitsuba's parser state, the tree of nodes before objects are built, of a judged text."""
+    """Return Mitsuba's parser state, the tree of nodes before objects are built, of an inspected text."""
     with speaking_mitsuba(variant) as mi:
         return mi.parser.parse_string(mi.parser.ParserConfig(variant), text)
 

@@ -18,8 +18,8 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import judge_picture, opened, reason
 from pixsim.light.exr import read_channels, read_header
-from pixsim.scene.assets import judge_radiance
 from pixsim.scene.charts import texture_file
+from pixsim.scene.guard.assets import inspect_radiance
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", ".exr")
 LINEAR_SUFFIXES = (".hdr", ".exr")  # these formats hold light
@@ -180,10 +180,10 @@ def _of_exr(path: Path) -> Array:
 
 def _of_mitsuba(path: Path) -> Array:
     """Return the values of a picture that Pillow does not read in full: Radiance HDR, or a PNG of 16 bits in colour."""
-    from pixsim.scene import variant
+    from pixsim.scene.guard import variant
     from pixsim.scene.mitsuba import read_bitmap
 
     if path.suffix.lower() == ".hdr":
-        judge_radiance(path, "chart picture")
+        inspect_radiance(path, "chart picture")
     values: Any = read_bitmap(path, variant.choose().reading)
     return np.asarray(values, float)[:, :, :3]

@@ -92,7 +92,7 @@ def decide_defocus(
     if unknown:
         words += f"; {unknown}"
     if any(node.props.plugin_name() not in LAMBERTIAN for _, node in nodes_of(state, "BSDF")):
-        words += "; what surfaces mirror or refract lies at other depths, which are not judged"
+        words += "; what surfaces mirror or refract lies at other depths, which are not looked at"
     return found, [Decision(DEFOCUS, False, words, "a trace for each depth", bounded=False)]
 
 
@@ -119,9 +119,9 @@ def depth_ranges_m(bodies: Sequence[Body], camera: Camera, state: Any) -> tuple[
 
 
 def tried_discs_um(ranges: Sequence[tuple[float, float]], least_um: float, camera: Camera) -> list[float]:
-    """Return discs, with sign, at which defocus is judged: at most one an octave and sign, of those that ranges of depth have.
+    """Return discs, with sign, at which defocus is computed: at most one an octave and sign, of those that ranges of depth have.
 
-    Discs below `least_um` count less than diffraction; in place of those beyond `largest_disc_um` its disc is judged.
+    Discs below `least_um` count less than diffraction; in place of those beyond `largest_disc_um` its disc is computed.
     """
     limit_um = largest_disc_um(camera, float(SEEN_NM[0]))
     octaves = [least_um * 2.0**k for k in range(math.ceil(math.log2(max(limit_um / least_um, 1.0))) + 1)]

@@ -28,12 +28,12 @@ from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camer
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Fit, Pulse
-from pixsim.scene.child import ChildTracer
 from pixsim.scene.contents import named_files
+from pixsim.scene.guard.child import tracer_of
+from pixsim.scene.guard.tracer import Job, Lamps, Passes, Tracer, regular
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
-from pixsim.scene.tracer import Job, Lamps, OwnTracer, Passes, Tracer, regular
 from pixsim.scene.tree import parse_tree
 
 
@@ -232,7 +232,7 @@ class Renderer:
         Else it is a child, which can be killed, and which a failing card may end too.
         """
         own = self.packaged and self.source.choice.processors is None and self.ends_at_s is None
-        return OwnTracer(job) if own else ChildTracer(job, lambda: self.ends_at_s)
+        return tracer_of(job, own, lambda: self.ends_at_s)
 
     def leave_card(self, error: PixsimError) -> None:
         """Trace on the processors from now on, since the graphics card failed. Raises the error where nothing can be changed.

@@ -20,14 +20,15 @@ from pixsim.base.files import digest_of, missing
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run, content_hash, names_meant, values_of_lens_geometry
 from pixsim.light.spectral import WHITE_LAMPS
 from pixsim.optics.camera_lens import camera_with_lens
-from pixsim.scene import charts, variant as variants
+from pixsim.scene import charts
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, find_lamps, is_neutral, named_files, white_of
 from pixsim.scene.film import FILM_ROUNDING
+from pixsim.scene.guard import variant as variants
+from pixsim.scene.guard.inspector import SceneText, open_scene
+from pixsim.scene.guard.plugins import REASONS
 from pixsim.scene.illuminance import ILLUMINANCE, strength
-from pixsim.scene.judge import SceneText, judge_scene
 from pixsim.scene.mitsuba import children, nodes_of, plain
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
-from pixsim.scene.plugins import REASONS
 from pixsim.scene.tree import Table, Transform, Tree, parse_tree
 
 CHART, CHART_LINEAR = "chart", "chart_linear"
@@ -56,7 +57,7 @@ class Scene:
     strength : factor on all lamps that the parameter `lux` asks for
     own_chart : a picture that takes the place of the parameter `chart`, which names it
     resolution : film samples across the die, in place of the film's width in the XML
-    _texts : its judged texts so far, by their parameters
+    _texts : its inspected texts so far, by their parameters
     """
 
     path: Path
@@ -74,7 +75,7 @@ class Scene:
 
     @checks_arguments
     def text(self, **more: object) -> SceneText:
-        """Return the judged text of the scene, with `more` parameters unless the user set them."""
+        """Return the inspected text of the scene, with `more` parameters unless the user set them."""
         given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
         given.pop(charts.MAX_LP_PER_MM, None)  # of pixsim: `for_camera` makes the chart
         if self.strength is not None:
@@ -83,12 +84,12 @@ class Scene:
             given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
         key = _key_of_text(given, self.strength)
         if key not in self._texts:  # a render asks ten times
-            self._texts[key] = judge_scene(self.path, given, strength=self.strength)
+            self._texts[key] = open_scene(self.path, given, strength=self.strength)
         return self._texts[key]
 
     @checks_arguments
     def parse(self, **more: object) -> Tree:
-        """Return the parsed tree of the judged text, with `more` parameters unless the user set them."""
+        """Return the parsed tree of the inspected text, with `more` parameters unless the user set them."""
         return parse_tree(self.text(**more).text, self.choice.reading)
 
     @checks_arguments
@@ -122,7 +123,7 @@ class Scene:
 
     @checks_arguments
     def text_for_camera(self, camera: Camera) -> SceneText:
-        """Return the judged text with the scene's lens and chart parameters set for a camera."""
+        """Return the inspected text with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
         named = {name: repr(value) for name, value in lens.items() if name in self.names}
         shown = camera
@@ -261,7 +262,7 @@ def load_scene(
     linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
     given = {name: str(value) for name, value in parameters.items()}
     picture = _picture_of_chart(path, given)
-    text = judge_scene(path, given, picture)
+    text = open_scene(path, given, picture)
     names = text.names
     lux = None if ILLUMINANCE in names else given.pop(ILLUMINANCE, None)
     if lux is not None and luminance is not None:

@@ -129,7 +129,7 @@ class Tree(NamedTuple):
 
 
 def parse_tree(text: str, variant: str) -> Tree:
-    """Return the tree of a judged text. Raises PixsimError if Mitsuba cannot parse it."""
+    """Return the tree of an inspected text. Raises PixsimError if Mitsuba cannot parse it."""
     if len(text) > MAX_TEXT:
         return tree_of(parse(text, variant))
     return _last_trees(text, variant) if len(text) <= MAX_SMALL else _kept_tree(text, variant)

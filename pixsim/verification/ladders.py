@@ -14,8 +14,8 @@ import numpy as np
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_light import camera_factor
-from pixsim.scene import variant as variants
 from pixsim.scene.bands import Pulse
+from pixsim.scene.guard import variant as variants
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer, film, film_response, mirror_margins
 from pixsim.scene.scene import Scene

@@ -14,7 +14,7 @@ from pixsim.base.config import checked, settings_layer
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import PixelOptions, Run, explain
 from pixsim.optics.prescription import read_prescription
-from pixsim.scene.judge import judge_scene
+from pixsim.scene.guard.inspector import open_scene
 from pixsim.sensor.technology import load_technology
 
 KEY = "wJalrXUtnFEMI/K7MDENG bPxRfi/CYEXAMPLEKEY"  # as of a service, with a space
@@ -47,7 +47,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "csv": lambda path: PixelOptions.model_validate({"quantum_efficiency": str(path)}),
     "channels": lambda path: PixelOptions.model_validate({"colour": {"sensitivities": str(path)}}),
     "settings": lambda path: checked(Run, [settings_layer(path)]),
-    "xml": lambda path: judge_scene(path, {}),
+    "xml": lambda path: open_scene(path, {}),
 }
 SUFFIXES = {"zmx": ".zmx", "csv": ".csv", "channels": ".csv", "xml": ".xml"}
 
@@ -107,7 +107,7 @@ def test_what_the_user_types_is_quoted(tmp_path: Path) -> None:
     text = '<default name="r" value="1"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
     scene.write_text(SCENE.format(text), encoding="utf-8")
     with pytest.raises(PixsimError, match=re.escape(f"got '{KEY}'")):
-        judge_scene(scene, {"r": KEY})
+        open_scene(scene, {"r": KEY})
     with pytest.raises(PixsimError, match=re.escape(f"got '{KEY}'")):
         pixsim.read_irradiance(npz(tmp_path), units=KEY, pitch_um=1.0)
 

@@ -11,7 +11,7 @@ import pytest
 from pixsim.base.parameters import Camera, Pixel, read_curve
 from pixsim.base.tables import read_table, unit_hint
 from pixsim.light.spectral import photons_per_joule
-from pixsim.scene.assets import spectrum_value
+from pixsim.scene.guard.assets import spectrum_value
 
 CASES = Path(__file__).parents[1] / "data/cases"
 QE = ((400.0, 0.3), (500.0, 0.4), (600.0, 0.25))

@@ -21,7 +21,7 @@ from pixsim.base.parameters import Camera
 from pixsim.cli import doctor
 from pixsim.cli.commands import report
 from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, requirements, satisfies
-from pixsim.scene import checks, graphics, trial, variant
+from pixsim.scene.guard import checks, graphics, trial, variant
 
 OLD_LLVM = [str(path) for major in (14, 15) for path in sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{major}.so.1"))]
 HIDES_THE_WHEEL = """

@@ -9,7 +9,7 @@ import pytest
 import pixsim
 from pixsim.base.arrays import Array
 from pixsim.optics.thin_lens import field_factor
-from pixsim.scene import graphics, variant as variants
+from pixsim.scene.guard import graphics, variant as variants
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import Decision
 from pixsim.scene.scene import Scene, packaged_scenes

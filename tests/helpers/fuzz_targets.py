@@ -23,7 +23,7 @@ from pixsim.measure.sfr import read_edge_picture
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.pictures import picture_axes
 from pixsim.scene.charts import write_chart
-from pixsim.scene.plugins import PLUGINS, Rule
+from pixsim.scene.guard.plugins import PLUGINS, Rule
 from pixsim.scene.scene import load_scene, packaged_scenes
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.results_file import COLUMNS, ResultsFile

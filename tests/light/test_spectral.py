@@ -20,8 +20,8 @@ from pixsim.light.exr import _merged, read_channels, read_header, reduced_to_fit
 from pixsim.light.spectral import SpectralImage, Spectrum
 from pixsim.optics.diffraction import diffract_sum
 from pixsim.optics.exchange import read_irradiance
-from pixsim.scene import variant
 from pixsim.scene.bands import BAND_EDGES_NM
+from pixsim.scene.guard import variant
 from pixsim.scene.mitsuba import import_mitsuba
 
 BANDS_NM = np.arange(370.0, 821.0, 10.0)

@@ -19,7 +19,6 @@ import pixsim
 from pixsim.base import mapped
 from pixsim.base.parameters import Run
 from pixsim.scene import convergence, film
-from pixsim.scene.child import OutOfTimeError
 from pixsim.scene.convergence import (
     MAX_SPP,
     NO_TIME_LIMIT_S,
@@ -29,6 +28,7 @@ from pixsim.scene.convergence import (
     render_until,
     without_clock,
 )
+from pixsim.scene.guard.child import OutOfTimeError
 from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels

@@ -25,15 +25,15 @@ from helpers.tiny import tiny
 import pixsim
 from pixsim.base.cache import ENTRY, VALUE, label_of
 from pixsim.base.errors import PixsimError
-from pixsim.scene import checks, graphics, renderer, variant
-from pixsim.scene.child import ChildTracer
 from pixsim.scene.convergence import render_until
+from pixsim.scene.guard import checks, child, graphics, variant
+from pixsim.scene.guard.child import ChildTracer
+from pixsim.scene.guard.tracer import Job, OwnTracer
+from pixsim.scene.guard.trial import Trial, attempt
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.tracer import Job, OwnTracer
 from pixsim.scene.tree import _to_json, tree_of
-from pixsim.scene.trial import Trial, attempt
 from pixsim.studies.series import scenes_of, series_of
 
 # Numbers that a real driver would report are read from the environment.
@@ -126,7 +126,7 @@ def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
     fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
     fresh.setattr(graphics, "loaded_driver", lambda: pytest.fail("loaded a library"))
-    assert graphics.judge() == graphics.Verdict(graphics.NO_CARD)
+    assert graphics.verdict() == graphics.Verdict(graphics.NO_CARD)
     fresh.setattr(variant, "_for_processors", lambda _: (variant.Choice("llvm_ad_spectral", "lib", "system, LLVM 19"), ""))
     assert variant.choose() == variant.Choice("llvm_ad_spectral", "lib", f"system, LLVM 19; no graphics card: {graphics.NO_CARD}")
 
@@ -137,13 +137,13 @@ def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_pa
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
     fresh.setenv(graphics.DRIVER_VARIABLE, str(tmp_path / "nowhere.so"))
     fresh.setattr(graphics, "attempt", lambda *_, **__: pytest.fail("started a process"))
-    assert graphics.judge().fault == f"{graphics.DRIVER_VARIABLE} is '{tmp_path / 'nowhere.so'}', which cannot be loaded"
+    assert graphics.verdict().fault == f"{graphics.DRIVER_VARIABLE} is '{tmp_path / 'nowhere.so'}', which cannot be loaded"
     fresh.delenv(graphics.DRIVER_VARIABLE)
     fresh.setattr(graphics, "DRIVERS", ())
     fresh.setattr(graphics, "DRIVER_PATTERNS", ())
-    assert graphics.judge().fault == graphics.NO_DRIVER
+    assert graphics.verdict().fault == graphics.NO_DRIVER
     fresh.setattr(sys, "platform", "darwin")
-    assert graphics.judge().fault == graphics.NOT_LINUX
+    assert graphics.verdict().fault == graphics.NOT_LINUX
 
 
 # --- The check of the driver ---
@@ -200,7 +200,7 @@ def test_driver_that_dies_or_hangs_is_fault(how: str, fault: str, driver: pytest
 
 START = {
     "drjit": "import drjit",
-    "pixsim": "import os, pixsim; from pixsim.scene import graphics as g, mitsuba; before = os.environ[g.DRIVER_VARIABLE]; "
+    "pixsim": "import os, pixsim; from pixsim.scene import mitsuba; from pixsim.scene.guard import graphics as g; before = os.environ[g.DRIVER_VARIABLE]; "
     "mitsuba.import_mitsuba('scalar_spectral'); assert os.environ[g.DRIVER_VARIABLE] == before",
 }
 
@@ -226,12 +226,12 @@ def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tm
 
 def test_card_that_works_is_tried_once(machine: Machine):
     with pytest.warns(UserWarning, match=r"the graphics card \(NVIDIA of a test, 8.0 GiB, CUDA 12.8\) passed its trial"):
-        assert graphics.judge() == graphics.Verdict(None, CARD, machine.now_s)
+        assert graphics.verdict() == graphics.Verdict(None, CARD, machine.now_s)
     assert machine.tries == ["driver", "render cuda_ad_spectral"]
     machine.now_s += 1e9
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert graphics.judge().fault is None
+        assert graphics.verdict().fault is None
     assert len(machine.tries) == 2
 
 
@@ -253,36 +253,36 @@ def test_failure_is_kept_for_a_while(machine: Machine, trials: dict[str, Trial],
     """A day; an hour after a time limit, which may only mean that the machine was busy."""
     machine.__dict__.update(trials)
     with pytest.warns(UserWarning, match="the graphics card is not used"):
-        assert fault in str(graphics.judge().fault)
+        assert fault in str(graphics.verdict().fault)
     count = len(machine.tries)
     machine.driver, machine.picture = DRIVER, PICTURE
     machine.now_s += 0.99 * age_s
-    assert fault in str(graphics.judge().fault)
+    assert fault in str(graphics.verdict().fault)
     assert len(machine.tries) == count
     machine.now_s += 0.02 * age_s
     with pytest.warns(UserWarning, match="passed its trial"):
-        assert graphics.judge().fault is None
+        assert graphics.verdict().fault is None
     assert len(machine.tries) == count + 2
 
 
 def test_clock_set_back_tries_again(machine: Machine):
     machine.picture = Trial([], 1.0, -6, "")
     with pytest.warns(UserWarning, match="is not used"):
-        graphics.judge()
+        graphics.verdict()
     machine.now_s -= 10
     with pytest.warns(UserWarning, match="is not used"):
-        graphics.judge()
+        graphics.verdict()
     assert len(machine.tries) == 4
 
 
 def test_other_driver_or_visible_cards_are_tried(machine: Machine):
     with pytest.warns(UserWarning, match="passed"):
-        graphics.judge()
+        graphics.verdict()
     for name in graphics.OF_DRIVER:
         if name != graphics.DRIVER_VARIABLE:
             machine.patch.setenv(name, "1")
             with pytest.warns(UserWarning, match="passed"):
-                graphics.judge()
+                graphics.verdict()
     assert machine.tries.count("driver") == len(graphics.OF_DRIVER)
 
 
@@ -290,29 +290,29 @@ def test_other_driver_or_visible_cards_are_tried(machine: Machine):
 def test_without_cache_nothing_is_tried(machine: Machine, name: str, value: str):
     """Or each process would try, and each worker of a study; `pixsim doctor` does."""
     machine.patch.setenv(name, value)
-    assert graphics.judge() == graphics.Verdict(graphics.NOT_KEPT)
+    assert graphics.verdict() == graphics.Verdict(graphics.NOT_KEPT)
     assert machine.tries == []
-    assert graphics.judge(again=True).fault is None
+    assert graphics.verdict(again=True).fault is None
 
 
 def test_damaged_verdict_is_tried_again(machine: Machine, tmp_path: Path):
     with pytest.warns(UserWarning, match="passed"):
-        graphics.judge()
+        graphics.verdict()
     (entry,) = (tmp_path / "cache" / graphics.KIND).iterdir()
     for damage in ("{", "[]", '{"fault": 3}', '{"fault": null, "card": 3}', '{"fault": null, "tried_s": "soon"}'):
         entry.write_text(f'{{"{ENTRY}": "{label_of(graphics.KIND, entry.stem)}", "{VALUE}": {damage}}}')
         with pytest.warns(UserWarning, match="is damaged|passed"):
-            assert graphics.judge().fault is None
+            assert graphics.verdict().fault is None
     assert json.loads(entry.read_text())[VALUE]["fault"] is None
 
 
 def test_doctor_tries_again(machine: Machine):
     machine.picture = Trial([], 1.0, -6, "")
     with pytest.warns(UserWarning, match="is not used"):
-        graphics.judge()
+        graphics.verdict()
     machine.picture = PICTURE
-    assert graphics.judge(again=True).fault is None
-    assert graphics.judge().fault is None  # its verdict is kept
+    assert graphics.verdict(again=True).fault is None
+    assert graphics.verdict().fault is None  # its verdict is kept
     assert len(machine.tries) == 4
 
 
@@ -392,7 +392,7 @@ def light(choice: variant.Choice) -> pixsim.SpectralImage:
 
 
 def test_packaged_scene_is_traced_in_child(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(renderer, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
+    monkeypatch.setattr(child, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
     image, known = light(CHOSEN), light(variant.choose(VARIANT))
     assert (image.header["variant"], known.header["variant"]) == ("cuda_ad_spectral", VARIANT)
     np.testing.assert_array_equal(image.illuminance_lx(), known.illuminance_lx())
@@ -400,7 +400,7 @@ def test_packaged_scene_is_traced_in_child(monkeypatch: pytest.MonkeyPatch):
 
 def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
     """A study that goes on where another variant traces evaluates anew, though the pictures are equal here."""
-    monkeypatch.setattr(renderer, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
+    monkeypatch.setattr(child, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
 
     def keys(choice: variant.Choice) -> set[str]:
         (series,) = series_of(tiny(), scenes_of(tiny(), light(choice), small().camera()))
@@ -412,7 +412,7 @@ def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_failing_card_leaves_to_processors(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(renderer, "ChildTracer", lambda job, ends_at_s: Card(job, 0))
+    monkeypatch.setattr(child, "ChildTracer", lambda job, ends_at_s: Card(job, 0))
     with pytest.warns(UserWarning, match="rendering with scalar_spectral, since the graphics card failed: the card fails"):
         image = light(CHOSEN)
     known = light(variant.choose(VARIANT))
@@ -439,7 +439,7 @@ def test_cached_renders_are_of_one_variant(monkeypatch: pytest.MonkeyPatch, tmp_
 
     def kept(works: int, choice: variant.Choice) -> tuple[str, set[str]]:
         before = set((tmp_path / "render").glob("*"))
-        monkeypatch.setattr(renderer, "ChildTracer", lambda job, ends_at_s: Card(job, works))
+        monkeypatch.setattr(child, "ChildTracer", lambda job, ends_at_s: Card(job, works))
         scene = replace(small(), choice=choice)
         plan = make_render_plan(scene, scene.camera())
         image, _ = render_until(scene, scene.camera(), plan, *arguments, render_noise=10.0, keep=True)

@@ -16,7 +16,7 @@ from PIL import Image
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light.exr import read_channels, write_channels
-from pixsim.scene import variant
+from pixsim.scene.guard import variant
 from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.own_chart import GREY, read_luminance, srgb_decoded, with_border
 

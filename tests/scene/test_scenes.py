@@ -14,7 +14,7 @@ from helpers.edits import FOLDER, NEEDS_LLVM, VARIANT, lens_sr
 import pixsim
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
-from pixsim.scene.judge import judge_scene
+from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.mitsuba import import_mitsuba, nodes_of, parse, plain, speaking_mitsuba
 
 SCENES = ["line_lamp", "macbeth", "still_life"]
@@ -50,7 +50,7 @@ def rendered(path: Path, responses: list[dict], spp: int, size: int, crop: tuple
     """∫ radiance × response dλ, (H, W, responses) float64, by Mitsuba alone. crop: first row, first column, rows, columns."""
     row, column, rows, columns = crop or (0, 0, size, size)
     given = {name: str(value) for name, value in parameters.items()}
-    state = parse(judge_scene(path, given).text, VARIANT)
+    state = parse(open_scene(path, given).text, VARIANT)
     ((_, sensor),) = nodes_of(state, "Sensor")
     film = {"type": "specfilm", "width": size, "height": size, "component_format": "float32", "rfilter": {"type": "box"}}
     film |= {"crop_offset_x": column, "crop_offset_y": row, "crop_width": columns, "crop_height": rows}

@@ -12,7 +12,7 @@ import pytest
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light.exr import write_rows
-from pixsim.scene.judge import judge_scene
+from pixsim.scene.guard.inspector import open_scene
 
 CASES = Path(__file__).parents[1] / "data/cases"
 SCENE = '<scene version="3.0.0"><shape type="sphere"><bsdf type="{}">{}</bsdf></shape></scene>'
@@ -27,19 +27,19 @@ def scene_of(folder: Path, inside: str, bsdf: str = "diffuse") -> Path:
 def test_wavelengths_in_another_unit_are_named(tmp_path: Path) -> None:
     for path in (CASES / "31-xml-variants/spd_um.xml", scene_of(tmp_path, '<spectrum name="reflectance" value="0.4:.5, 0.8:.5"/>')):
         with pytest.raises(PixsimError, match=r"in line \d.*seem to be in µm\. Multiply wavelengths in µm by 1000"):
-            judge_scene(path, {})
+            open_scene(path, {})
     angstrom = scene_of(tmp_path, '<spectrum name="reflectance" value="4000:.5, 8000:.5"/>')
     with pytest.raises(PixsimError, match="seem to be in Å"):
-        judge_scene(angstrom, {})
+        open_scene(angstrom, {})
     infrared = scene_of(tmp_path, '<spectrum name="reflectance" value="850:.5, 1700:.5"/>')
-    assert "850:.5" in judge_scene(infrared, {}).text
+    assert "850:.5" in open_scene(infrared, {}).text
 
 
 def test_units_of_a_file_of_light_are_obeyed(tmp_path: Path) -> None:
     lamp = '<emitter type="constant"><spectrum name="radiance" filename="a.spd"/></emitter>'
     (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{lamp}</scene>', encoding="utf-8")
     (tmp_path / "a.spd").write_text("wavelength (µm)\tradiance (mW/m^2/sr/nm)\n0,4\t25\n0,7\t5\n", encoding="latin-1")
-    assert 'value="400:0.025, 700:0.005"' in judge_scene(tmp_path / "scene.xml", {}).text
+    assert 'value="400:0.025, 700:0.005"' in open_scene(tmp_path / "scene.xml", {}).text
 
 
 INSIDE = {
@@ -62,7 +62,7 @@ def test_reflectance_above_1_is_warned_of_and_above_1_5_refused_with_its_place(k
 
     def judge(value: float) -> None:
         (tmp_path / "a.spd").write_text(f"400 {value}\n700 {value}\n", encoding="utf-8")
-        judge_scene(scene_of(tmp_path, inside.format(value), bsdf), {})
+        open_scene(scene_of(tmp_path, inside.format(value), bsdf), {})
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -93,7 +93,7 @@ def test_reflectance_by_reference_is_checked_where_its_numbers_stand(kind: str, 
         texture = f"\n{REFERRED[kind].format(value)}\n"
         parts = texture + used if before or "<alias" in texture else used + texture
         (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{parts}</scene>', encoding="utf-8")
-        judge_scene(tmp_path / "scene.xml", {})
+        open_scene(tmp_path / "scene.xml", {})
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -108,7 +108,7 @@ def test_reflectance_by_reference_is_checked_where_its_numbers_stand(kind: str, 
 def test_file_in_per_cent_is_a_share(tmp_path: Path) -> None:
     (tmp_path / "a.spd").write_text("nm;reflectance (%)\n400;50\n700;62,5\n", encoding="utf-8")
     path = scene_of(tmp_path, '<spectrum name="reflectance" filename="a.spd"/>')
-    assert 'value="400:0.50, 700:0.625"' in judge_scene(path, {}).text
+    assert 'value="400:0.50, 700:0.625"' in open_scene(path, {}).text
 
 
 @pytest.mark.parametrize("name", ["reflectance", "color0"])
@@ -133,4 +133,4 @@ def test_picture_of_a_reflectance_above_1_5_is_refused(name: str, tmp_path: Path
 @pytest.mark.parametrize("name", ["full", "refl_percent"])
 def test_reflectance_in_per_cent_of_a_whole_scene_is_refused(name: str) -> None:
     with pytest.raises(PixsimError, match=r"diffuse\.reflectance: got 50 in line 7"):
-        judge_scene(CASES / f"39-xml-reflectance-percent/{name}.xml", {})
+        open_scene(CASES / f"39-xml-reflectance-percent/{name}.xml", {})

@@ -23,7 +23,7 @@ from pixsim.base import cache
 from pixsim.base.children import safe_variables
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.notes import MachineWarning, warn
-from pixsim.scene import graphics
+from pixsim.scene.guard import graphics
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 LLVM_WHEEL = "karellen-llvm-core"
@@ -193,7 +193,7 @@ def choose(asked: str | None = None) -> Choice:
         return Choice(CUDA, processors.llvm_path, "requested", processors, asked=True)
     if asked is not None:
         return processors
-    card = graphics.judge()
+    card = graphics.verdict()
     if card.fault is None:
         return Choice(CUDA, processors.llvm_path, f"{card.card} passed its trial", processors)
     if lacks:

@@ -1,7 +1,7 @@
-"""Judge a scene: what its XML says, and the files that it names, before Mitsuba sees any of it.
+"""Inspect a scene: what its XML says, and the files that it names, before Mitsuba sees any of it.
 
 The result is a text that pixsim writes anew, of elements that `plugins.PLUGINS` allows. Each file in it is an absolute path
-that was judged; tables of spectra are part of the text.
+that was inspected; tables of spectra are part of the text.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from pathlib import Path
 from pixsim.base.errors import did_you_mean, excerpt, invalid, quoted
 from pixsim.base.tables import unit_hint
 from pixsim.light.spectral import HIGH_NM, LOW_NM
-from pixsim.scene.assets import NUMBER, check_share, found, judge_asset, metals, spectrum_value
-from pixsim.scene.files import Node, SceneFiles, judge_references, read_scene, written
+from pixsim.scene.guard.assets import NUMBER, check_share, found, inspect_asset, metals, spectrum_value
+from pixsim.scene.guard.files import Node, SceneFiles, check_references, read_scene, written
+from pixsim.scene.guard.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, REASONS, SMALLEST, Plugin, Rule
 from pixsim.scene.illuminance import with_strength
-from pixsim.scene.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, REASONS, SMALLEST, Plugin, Rule
 
 # Element -> attributes that it must have, and others.
 ATTRIBUTES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -46,7 +46,7 @@ LIKELY_NM = (150.0, 3000.0)  # of a table: one without any that is computed, and
 
 @dataclass(frozen=True)
 class SceneText:
-    """A judged scene, as text for Mitsuba.
+    """An inspected scene, as text for Mitsuba.
 
     text : XML in ASCII
     names : of the parameters that it uses
@@ -60,7 +60,7 @@ class SceneText:
     content: str
 
 
-def judge_scene(path: Path, given: dict[str, str], unread: Path | None = None, strength: float | None = None) -> SceneText:
+def open_scene(path: Path, given: dict[str, str], unread: Path | None = None, strength: float | None = None) -> SceneText:
     """Return a scene's text for Mitsuba.
 
     given : parameters that the user sets
@@ -71,13 +71,13 @@ def judge_scene(path: Path, given: dict[str, str], unread: Path | None = None, s
     """
     files = read_scene(path, given)
     assert files.root is not None
-    judge = _Judge(files, unread)
-    root = judge.scene(files.root)
+    inspector = _Inspector(files, unread)
+    root = inspector.scene(files.root)
     root = root if strength is None else with_strength(root, strength)
     return SceneText(written(root), frozenset(files.names), files.defaults, files.content)
 
 
-class _Judge:
+class _Inspector:
     """The state of a judgement: elements so far, and what refers to what."""
 
     def __init__(self, files: SceneFiles, unread: Path | None) -> None:
@@ -96,7 +96,7 @@ class _Judge:
             raise invalid(f"scene '{root.file}'", f"another element in {root.place}", "<scene> as the first element")
         version = {"version": root.attributes["version"]}
         _check_attributes(root, ("version",), ("type", "id", "name"))
-        judged = self.object(replace(root, attributes={"type": "scene"}), "scene")
+        inspected = self.object(replace(root, attributes={"type": "scene"}), "scene")
         for owner, name, kinds, is_share, node in self.references:
             if name not in self.ids:
                 near = did_you_mean(name, self.ids)
@@ -109,9 +109,9 @@ class _Judge:
                 raise invalid("reference", got, f"a {' or '.join(kinds)}")
             self.children[owner].append(target)
             self.shares += [target] if is_share else []
-        judge_references(self.children)
+        check_references(self.children)
         self.check_shares()
-        return replace(judged, attributes=version)
+        return replace(inspected, attributes=version)
 
     def check_shares(self) -> None:
         """Check the numbers of the textures that are shares, and of those within them: where each is used is known at the end."""
@@ -125,7 +125,7 @@ class _Judge:
                 left += self.children[index]
 
     def object(self, node: Node, kind: str) -> Node:
-        """Return an object with its children judged."""
+        """Return an object with its children inspected."""
         _check_attributes(node, *OF_OBJECTS)
         name = node.attributes["type"]
         for counted in {kind, name} & MAX_ELEMENTS.keys():
@@ -209,7 +209,7 @@ class _Judge:
         )
 
     def value(self, node: Node, rule: Rule, what: str, of: Node, owner: int) -> Node:
-        """Return a property of an object, `owner`, with its value judged, and its file found."""
+        """Return a property of an object, `owner`, with its value inspected, and its file found."""
         attributes = node.attributes
         value = attributes.get("value", "")
         highest = 0.0
@@ -264,7 +264,7 @@ class _Judge:
                     child.attributes.get("value", "") for child in of.children if child.attributes.get("name") == "shape_index"
                 ]
                 shape_index = int(indices[0]) if indices and WHOLE.fullmatch(indices[0]) else 0
-                judge_asset(path, rule.file, of.attributes["type"], shape_index)
+                inspect_asset(path, rule.file, of.attributes["type"], shape_index)
             return replace(node, attributes={**node.attributes, "value": str(path)})
         elif rule.words is not None:
             if value not in rule.words:

@@ -1,4 +1,4 @@
-"""Build a judged scene in Mitsuba and trace it: what a render does inside Mitsuba, in this process or in a child of it.
+"""Build an inspected scene in Mitsuba and trace it: what a render does inside Mitsuba, in this process or in a child of it.
 
 A job and its requests are of plain numbers and texts, so that they can be sent to another process.
 """
@@ -13,12 +13,17 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import LOW_NM, grid_nm
 from pixsim.scene.mitsuba import children, drjit, nodes_of, parse, plain, speaking_mitsuba
 
 SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
 WAVELENGTHS = 4  # of a ray in Mitsuba's spectral variants
 OF_THE_LENS = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")  # properties that the camera states
+
+
+class OutOfTimeError(PixsimError):
+    """A render is not done when its time ends."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,7 @@ class Passes:
 class Job:
     """A scene to trace, under one group of lamps after another.
 
-    text : judged XML
+    text : inspected XML
     lamps : of each scene; None leaves the scene's own
     sensor : node of the sensor
     lens : type of the sensor, and properties in place of those in `OF_THE_LENS`

@@ -29,18 +29,14 @@ import pixsim
 from pixsim.base.caller import setting
 from pixsim.base.children import safe_variables
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.scene.graphics import CUDA
-from pixsim.scene.tracer import Job
+from pixsim.scene.guard.graphics import CUDA
+from pixsim.scene.guard.tracer import Job, OutOfTimeError, OwnTracer, Tracer
 
 ENDED_S = 10.0  # in which a killed process ends
 MAX_REPLY = 1 << 20  # bytes of a line
 MAX_CHANNELS = 256
 READ_AT_ONCE = 1 << 16
 LOOK_S = 0.5  # between two looks at the child and the clock
-
-
-class OutOfTimeError(PixsimError):
-    """A render is not done when its time ends."""
 
 
 class _Child:
@@ -57,7 +53,7 @@ class _Child:
         life, self.life = os.pipe()  # its other end closes when this process ends, however it does
         given = self.pictures, requests, replies, life
         # Python would look for modules in the current folder first, which may be a stranger's.
-        command = [sys.executable, "-P", "-m", "pixsim.scene.worker", *map(str, given)]
+        command = [sys.executable, "-P", "-m", "pixsim.scene.guard.worker", *map(str, given)]
         folder = str(Path(pixsim.__file__).parents[1])
         given_path = os.environ.get("PYTHONPATH", "").split(os.pathsep)
         path = os.pathsep.join(os.path.abspath(part) for part in (*given_path, folder) if part)
@@ -245,3 +241,11 @@ class ChildTracer:
         assert passes is not None
         result: NDArray[np.float32] = self._ask(request, (rows[1] - rows[0], self.job.size[1]), len(passes.pulses))
         return result
+
+
+def tracer_of(job: Job, in_this_process: bool, ends_at_s: Callable[[], float | None] = lambda: None) -> Tracer:
+    """Return what traces a job: this process, or a child of it, which can be killed and whose crash ends nothing else.
+
+    ends_at_s : as of `ChildTracer`
+    """
+    return OwnTracer(job) if in_this_process else ChildTracer(job, ends_at_s)

@@ -1,4 +1,4 @@
-"""Judge the files that a scene names, before Mitsuba reads them: spectra, pictures, meshes, volumes.
+"""Inspect the files that a scene names, before Mitsuba reads them: spectra, pictures, meshes, volumes.
 
 All are regular files of a bounded size. What they hold is not quoted in messages: a scene may name any file of the user's.
 """
@@ -34,7 +34,7 @@ from pixsim.base.notes import warn
 from pixsim.base.tables import A_PER_W, read_table
 from pixsim.light.exr import judge_exr
 from pixsim.light.foreign import parse_light_unit
-from pixsim.scene.meshes import judge_mesh
+from pixsim.scene.guard.meshes import inspect_mesh
 
 EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 HDR, EXR, PFM = ".hdr", ".exr", ".pfm"
@@ -72,22 +72,22 @@ def found(name: str, folders: Iterable[Path], what: str, place: str, scene_folde
     return absolute
 
 
-def judged(path: Path, judge: Callable[[Path], str | None], most_bytes: int, what: str) -> str:
-    """Judge a file once for each of its states; return what `judge` returns."""
+def inspected(path: Path, inspect: Callable[[Path], str | None], most_bytes: int, what: str) -> str:
+    """Inspect a file once for each of its states; return what `inspect` returns."""
     if size_of(path, what, "a readable file", most_bytes) == 0:  # as files of the system have, which may have no end
         raise invalid(what, f"'{path}', which is empty", "a file with content")
     status = path.stat()
-    return _judged(path, judge, (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns))
+    return _inspected(path, inspect, (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns))
 
 
 @lru_cache(maxsize=512)
-def _judged(path: Path, judge: Callable[[Path], str | None], _: tuple[int, ...]) -> str:
-    return judge(path) or ""
+def _inspected(path: Path, inspect: Callable[[Path], str | None], _: tuple[int, ...]) -> str:
+    return inspect(path) or ""
 
 
 def spectrum_value(path: Path) -> str:
     """Return the table of a spectrum's file as the value of a <spectrum>, nm and values in Mitsuba's units."""
-    return judged(path, _read_spectrum, MAX_SPECTRUM, "spectrum")
+    return inspected(path, _read_spectrum, MAX_SPECTRUM, "spectrum")
 
 
 def _read_spectrum(path: Path) -> str:
@@ -129,25 +129,25 @@ def check_share(highest: float, what: str, place: str) -> None:
         warn(f"{what} is {highest:g} in {place}: a surface that sends back more light than it gets; 1 is all of it")
 
 
-def judge_asset(path: Path, kind: str, plugin: str, shape_index: int = 0) -> None:
+def inspect_asset(path: Path, kind: str, plugin: str, shape_index: int = 0) -> None:
     """Raise PixsimError if a picture, mesh or volume is not one that Mitsuba can read within bounds.
 
     kind : of the file, as in `plugins.Rule`
     plugin : that reads it
     """
-    judges: dict[str, Callable[[Path], str | None]] = {"picture": _judge_picture, "volume": _judge_volume}
+    inspections: dict[str, Callable[[Path], str | None]] = {"picture": _inspect_picture, "volume": _inspect_volume}
     if kind == "mesh":
-        judged(path, _mesh_judge(plugin, shape_index), MAX_ASSET, "mesh")
+        inspected(path, _mesh_inspection(plugin, shape_index), MAX_ASSET, "mesh")
     else:
-        judged(path, judges[kind], MAX_ASSET, "texture" if kind == "picture" else kind)
+        inspected(path, inspections[kind], MAX_ASSET, "texture" if kind == "picture" else kind)
 
 
 @lru_cache
-def _mesh_judge(plugin: str, shape_index: int) -> Callable[[Path], None]:
-    return lambda path: judge_mesh(path, plugin, shape_index)
+def _mesh_inspection(plugin: str, shape_index: int) -> Callable[[Path], None]:
+    return lambda path: inspect_mesh(path, plugin, shape_index)
 
 
-def _judge_picture(path: Path) -> None:
+def _inspect_picture(path: Path) -> None:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise invalid("texture", f"'{path}'", f"a picture that ends in {', '.join(SUFFIXES)}")
@@ -162,14 +162,14 @@ def _judge_picture(path: Path) -> None:
     elif suffix in EIGHT_BIT:
         judge_picture(path)
     elif suffix == HDR:
-        judge_radiance(path, "texture")
+        inspect_radiance(path, "texture")
     else:
         size = PFM_SIZE.match(head)
         if size is None or int(size[1]) * int(size[2]) * 4 > os.path.getsize(path):
             raise invalid("texture", f"'{path}'", "a whole PFM")
 
 
-def judge_radiance(path: Path, what: str) -> None:
+def inspect_radiance(path: Path, what: str) -> None:
     """Raise PixsimError if a Radiance HDR declares no size, or more than its bytes can hold."""
     with opened(path, what, "a Radiance HDR") as file:
         head = file.read(MAX_HEAD)
@@ -183,7 +183,7 @@ def judge_radiance(path: Path, what: str) -> None:
     check_compression(f"{what} '{path}'", 4 * width * height, stored)
 
 
-def _judge_volume(path: Path) -> None:
+def _inspect_volume(path: Path) -> None:
     """Mitsuba's grid: "VOL", version, type, three sides, channels, a box, then float32."""
     with opened(path, "volume", "a volume of Mitsuba") as file:
         head = file.read(VOLUME_HEAD)

@@ -1,4 +1,4 @@
-"""Checks that may abort or hang (LLVM, Mitsuba, graphics driver): what a child process of `scene.trial` does.
+"""Checks that may abort or hang (LLVM, Mitsuba, graphics driver): what a child process of `scene.guard.trial` does.
 
 It writes JSON lines to a pipe of its own, apart from the output of libraries. Lines before an abort are used.
 """
@@ -15,9 +15,9 @@ from typing import Any
 
 from pixsim.base.errors import PixsimError
 from pixsim.base.machine import mapped_files
-from pixsim.scene import variant as variants
-from pixsim.scene.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver, without_driver
-from pixsim.scene.trial import Line
+from pixsim.scene.guard import variant as variants
+from pixsim.scene.guard.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver, without_driver
+from pixsim.scene.guard.trial import Line
 
 TRIED_SCENE, TRIED_RESOLUTION = "csf", 64
 CAPABILITY = 75, 76  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR

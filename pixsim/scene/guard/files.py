@@ -1,4 +1,4 @@
-"""Read a Mitsuba XML into a tree that pixsim has judged, and write that tree anew for Mitsuba.
+"""Read a Mitsuba XML into a tree that pixsim has inspected, and write that tree anew for Mitsuba.
 
 Mitsuba's own parser recurses, blocks and allocates without bounds, and obeys encodings that pixsim would not. So Mitsuba never
 reads a file of XML: it gets the text that `written` makes of the tree. Includes, parameters and folders (<path>) are resolved
@@ -313,7 +313,7 @@ def _escaped(value: str) -> str:
     return TO_ESCAPE.sub(lambda found: f"&#{ord(found[0])};", value.replace("$", "\\$"))
 
 
-def judge_references(nodes: list[list[int]]) -> None:
+def check_references(nodes: list[list[int]]) -> None:
     """Raise PixsimError if references are circular or nested too deep; Mitsuba would follow them without limit.
 
     nodes : for each node, the indices of the nodes that it refers to

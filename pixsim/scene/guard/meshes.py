@@ -1,4 +1,4 @@
-"""Judge the meshes of a scene before Mitsuba reads them: it takes the corners of a PLY or serialized mesh for granted.
+"""Inspect the meshes of a scene before Mitsuba reads them: it takes the corners of a PLY or serialized mesh for granted.
 
 A corner beyond the vertices would be read from foreign memory.
 """
@@ -35,7 +35,7 @@ SERIALIZED_FORMAT, SERIALIZED_VERSIONS = 0x041C, (3, 4)
 HAS_NORMALS, HAS_TEXTURE, HAS_COLOURS, DOUBLE = 0x0001, 0x0002, 0x0008, 0x2000
 
 
-def judge_mesh(path: Path, kind: str, shape_index: int = 0) -> None:
+def inspect_mesh(path: Path, kind: str, shape_index: int = 0) -> None:
     """Raise PixsimError if a mesh is damaged, not of triangles, or has a corner that is not one of its vertices.
 
     kind : plugin, ply, obj or serialized

@@ -1,6 +1,6 @@
 """The plugins of Mitsuba 3.9 that a scene may use, with the types and bounds of their properties.
 
-What is not here is refused before Mitsuba sees it: plugins that pixsim cannot judge (raw pointers, files of unknown layout,
+What is not here is refused before Mitsuba sees it: plugins that pixsim cannot inspect (raw pointers, files of unknown layout,
 polarisation), names that would make Mitsuba load another file, and values that would crash it or keep it busy without an end.
 """
 

@@ -1,4 +1,4 @@
-"""The child process of `scene.child`: `python -m pixsim.scene.worker`, with the numbers of its files as arguments."""
+"""The child process of `scene.guard.child`: `python -m pixsim.scene.guard.worker`, with the numbers of its files as arguments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.errors import PixsimError
-from pixsim.scene.tracer import Job, Lamps, OwnTracer, Passes
+from pixsim.scene.guard.tracer import Job, Lamps, OwnTracer, Passes
 
 
 def job_of(content: dict[str, Any]) -> Job:

@@ -19,7 +19,7 @@ from typing import Any
 
 from pixsim.base import cache, machine
 from pixsim.base.notes import MachineWarning, warn
-from pixsim.scene.trial import Trial, attempt, picture_fault
+from pixsim.scene.guard.trial import Trial, attempt, picture_fault
 
 CUDA = "cuda_ad_spectral"
 NODES = ("/dev/nvidiactl", "/dev/dxg")  # devices of the NVIDIA driver, and of a card in WSL 2
@@ -108,7 +108,7 @@ def absent() -> str | None:
     return None
 
 
-def judge(again: bool = False) -> Verdict:
+def verdict(again: bool = False) -> Verdict:
     """Return whether the graphics card works, from the cache or a trial; `again`: in any case from a trial."""
     if fault := absent():
         return Verdict(fault)
