@@ -49,6 +49,9 @@ def import_less() -> None:
     It leaves the docstrings of its functions as they are, since nobody reads them: when it is imported it adds notes on other array
     libraries to hundreds of them. Its functions are the same. Masked arrays, which Matplotlib needs, and polynomials are loaded
     when they are used. Matplotlib obeys no file of settings.
+
+    SciPy's name that is replaced is private. Without that, `pixsim run csf --resolution 64 --display.dots 32 --pixel.pitch-um 42.4`
+    takes 4 % more processor time with a filled cache (1.23 s against 1.27 s, medians of nine runs in turns).
     """
     load_when_used("ma", "polynomial")
     ignore_matplotlibrc()
