@@ -249,7 +249,7 @@ def _agreed_unit(path: Path, file_units: str, stated: str | None, per_nm: bool =
     return unit, text
 
 
-def _agreed_pitch(path: Path, file_pitch_um: Any, stated: float | None, camera: Camera | None, columns: int) -> float:
+def _agreed_pitch(path: Path, file_pitch_um: object, stated: float | None, camera: Camera | None, columns: int) -> float:
     """Return the pitch in µm: the camera's if it agrees with the others, so that the picture fills the die exactly."""
     known: dict[str, Any] = {}
     if camera:
@@ -268,7 +268,7 @@ def _agreed_pitch(path: Path, file_pitch_um: Any, stated: float | None, camera: 
     return values[0]
 
 
-def _positive(path: Path, what: str, value: Any) -> float:
+def _positive(path: Path, what: str, value: object) -> float:
     try:
         number = float(np.asarray(value).item())
     except (TypeError, ValueError):

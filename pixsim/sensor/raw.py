@@ -22,7 +22,7 @@ import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,11 @@ from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, ope
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.colour import ROW_MARK, Layout
 from pixsim.sensor.readout import Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from PIL.Image import Image
 
 UNIT = "DN"
 MAX_LAYOUT_BYTES = 1024  # of its text in an npz
@@ -181,10 +186,10 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
         _picture(dn).save(unfinished, "TIFF", tiffinfo=tags)
 
 
-def _picture(dn: NDArray[Any]) -> Any:
-    from PIL import Image
+def _picture(dn: NDArray[Any]) -> Image:
+    from PIL.Image import fromarray
 
-    return Image.fromarray(dn.astype(np.uint16))
+    return fromarray(dn.astype(np.uint16))
 
 
 @checks_arguments
@@ -336,15 +341,19 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
     return samples, metadata
 
 
-def _other_order(arguments: Any) -> Any:
+Decoding = str | tuple[Any, ...] | None  # arguments of a decoder of Pillow
+
+
+def _other_order(arguments: Decoding) -> Decoding:
     """Return the arguments of Pillow's decoder with the other order of bytes in a sample of 16 bits."""
-    if not isinstance(arguments, str):
+    if isinstance(arguments, tuple):
         return (_other_order(arguments[0]), *arguments[1:])
+    assert arguments is not None  # of raw samples of 16 bits
     order = {"B": "L", "L": "B", "N": "B" if sys.byteorder == "little" else "L"}
     return arguments[:-1] + order[arguments[-1]]
 
 
-def _metadata_of_tags(tags: Any) -> dict[str, Any]:
+def _metadata_of_tags(tags: Mapping[int, Any]) -> dict[str, Any]:
     """Return the items of `FACTS` and the layout that the tags of a TIFF state; pixsim's JSON goes before DNG and TIFF/EP."""
     metadata: dict[str, Any] = {}
     for tag, level in ((BLACK_LEVEL_TAG, "black_level_dn"), (WHITE_LEVEL_TAG, "white_level_dn")):
@@ -427,7 +436,7 @@ def _read_other_tiff(path: Path, name: str, expected: str) -> tuple[NDArray[Any]
         return samples.astype(kind.newbyteorder("=")), _metadata_of_tags(tags)
 
 
-def _json_of(text: Any) -> dict[str, Any]:
+def _json_of(text: object) -> dict[str, Any]:
     """Return the table of a JSON text, or an empty one if the text is anything else."""
     with suppress(ValueError, RecursionError):
         return table if isinstance(table := json.loads(str(text)), dict) else {}

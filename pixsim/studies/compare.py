@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -78,11 +78,11 @@ def compare(
     sensor: str | None = None,
     variant: str | None = None,
     jobs: int | None = None,
-    scheduler: Any = None,
+    scheduler: object = None,
     progress: Stage | None = None,
     out: str | os.PathLike[str] | None = None,
     uncertainty: int | None = None,
-    **settings: Any,
+    **settings: object,
 ) -> Comparison | ComparedCases:
     """Compare two or more sensors in one scene, by the mean ΔE of their pictures on one display.
 
@@ -147,7 +147,7 @@ def run_prepared(
     prepared: ComparisonJob,
     *,
     jobs: int | None = None,
-    scheduler: Any = None,
+    scheduler: object = None,
     progress: Stage | None = None,
     out: str | os.PathLike[str] | None = None,
 ) -> Comparison:

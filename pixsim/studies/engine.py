@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from pixsim.base import cache
 from pixsim.base.children import safe_variables
@@ -29,6 +29,9 @@ from pixsim.base.locks import temporary_folder
 from pixsim.base.machine import processors
 from pixsim.base.notes import MachineWarning, warn
 from pixsim.base.shared_block import SharedBlock
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
@@ -57,7 +60,7 @@ class Workers:
     """
 
     jobs: int = 1
-    client: Any = None
+    client: Client | None = None
 
     def __str__(self) -> str:
         return f"the cluster at {self.client.scheduler.address}" if self.client else f"{self.jobs} processes"
@@ -69,7 +72,7 @@ def workers_here(jobs: int | None = None) -> Workers:
 
 
 @contextmanager
-def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Workers]:
+def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[Workers]:
     """Provide local or cluster workers.
 
     jobs : local processes; None means one per core
@@ -107,10 +110,10 @@ def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Work
         with closing(client):
             yield _checked(client)
     else:
-        yield _checked(scheduler)
+        yield _checked(cast("Client", scheduler))
 
 
-def _checked(client: Any) -> Workers:
+def _checked(client: Client) -> Workers:
     """Return the workers of a cluster. Raises PixsimError if it has none, or one runs another version."""
     try:
         client.wait_for_workers(1, timeout=WORKER_SECONDS)
@@ -198,7 +201,7 @@ def processes_work() -> bool:
     return True
 
 
-def check_scheduler(client: Any, address: str) -> None:
+def check_scheduler(client: Client, address: str) -> None:
     """Raise PixsimError if a client has lost its scheduler and does not find it again, or finds it without workers."""
     deadline = time.monotonic() + RECONNECT_SECONDS
     while client.status == "connecting" and time.monotonic() < deadline:
@@ -234,7 +237,7 @@ def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], 
         yield index, result
 
 
-def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Any) -> Iterator[Reply[Result]]:
+def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Client) -> Iterator[Reply[Result]]:
     makes = {id(make): make for _, make in calls.values()}
     # On all workers: what only a lost one had could not be made again. (Equal data, as None, would be one object by its content.)
     remote = dict(zip(makes, client.scatter([make() for make in makes.values()], broadcast=True, hash=False), strict=True))
@@ -243,7 +246,7 @@ def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Sha
 
 
 @contextmanager
-def _given_up_without_workers(client: Any) -> Iterator[None]:
+def _given_up_without_workers(client: Client) -> Iterator[None]:
     """Cancel the calls of this context if a cluster has no worker for `IDLE_SECONDS`: Dask would wait for ever."""
     from distributed import Future as Promise
 
@@ -267,7 +270,7 @@ def _given_up_without_workers(client: Any) -> Iterator[None]:
 
 
 def _replies(
-    function: Function[Task, Shared, Result], calls: Calls[Task, Shared], remote: dict[int, Any], client: Any
+    function: Function[Task, Shared, Result], calls: Calls[Task, Shared], remote: dict[int, Any], client: Client
 ) -> Iterator[Reply[Result]]:
     """Yield the replies of a cluster, whose tasks are batches of calls: Dask spends about 10 ms of processor time on each task.
 
@@ -496,7 +499,7 @@ def ctrl_c_blocked() -> Iterator[Callable[[], AbstractContextManager[None]]]:
 
 
 @lru_cache(maxsize=1)
-def _mapped(path: str) -> Any:
+def _mapped(path: str) -> object:
     from joblib import load
 
     return load(path, mmap_mode="r")

@@ -279,7 +279,7 @@ def ideal_facts(series: Series, smallest_um: float) -> IdealFacts:
     pixels_um = smallest.as_read.read_pitch_um if series.imaging.display.raster == "one_to_one" else None
     seen = [hashes.imaging, hashes.shown[0], blake2b(electrons).hexdigest(), *others, pixels_um]
 
-    def read(known: Any) -> IdealFacts:
+    def read(known: dict[str, Any]) -> IdealFacts:
         low, high = known["lightness"]
         return IdealFacts(float(known["beyond_white"]), (float(low), float(high)))
 

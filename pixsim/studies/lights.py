@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pixsim.base.labels import label_in
 from pixsim.base.parameters import Camera, Study
@@ -164,10 +164,12 @@ def _render_task(task: tuple[str, Study, str | None, str], _: None) -> tuple[str
     return key, _light_or_reason(study, variant, words=words)
 
 
-def _light_or_reason(study: Study, variant: str | None, *args: Any, **options: Any) -> Light | str:
+def _light_or_reason(
+    study: Study, variant: str | None, progress: Progress | None = None, settled: Settled | None = None, words: str = ""
+) -> Light | str:
     """Return `render_for`, or the reason why none of the study's pixel sizes is possible."""
     try:
-        return render_for(study, variant, *args, **options)
+        return render_for(study, variant, progress, settled, words)
     except AlikeChannelsError as error:
         return str(error)
 

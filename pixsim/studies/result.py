@@ -43,6 +43,7 @@ from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
@@ -419,7 +420,7 @@ class StudyResult:
         ]
         return rows_csv(rows, path)
 
-    def to_dataframe(self) -> Any:
+    def to_dataframe(self) -> DataFrame:
         """Return the rows of `to_csv` as a pandas.DataFrame. Raises PixsimError without pandas."""
         import io
 
@@ -597,8 +598,9 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:
     )
 
 
-def alike_words(curve: Any) -> str:
+def alike_words(curve: Curve) -> str:
     """Return why no optimum is named: the pitches that the film cannot tell apart."""
+    assert curve.alike_um is not None
     low_um, high_um = curve.alike_um
     return f"no optimum: the film cannot tell apart sizes from {low_um:.2f} to {high_um:.2f} µm"
 
@@ -615,15 +617,15 @@ def best_words(curves: Sequence[Any]) -> str:
     return f"The error is least at {', '.join(words)}."
 
 
-def interval_words(curve: Any) -> str:
+def interval_words(curve: Curve) -> str:
     """Return the 95 % interval of a curve's optimum as text, naming an open end; none where the fit swings."""
     if curve.fit_swings:
         return "unknown beside the steep flank"
     low, high = curve.optimum.interval_um
     first, last = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
-    if low is None and high is None:
-        return "no limit among the sizes tried"
     if low is None:
+        if high is None:
+            return "no limit among the sizes tried"
         if high <= first:
             return "at or below the smallest size tried"
         size = "smallest possible size" if curve.from_smallest else "smallest size tried"
@@ -651,7 +653,7 @@ def viewed_words(curve: Curve, inside: bool = True) -> str:
     return f"{where} the best size goes from {range_um}: {each_one}" if " to " in range_um else f"{where} it is {range_um} too"
 
 
-def flat_words(curve: Any, end: int, size: str) -> str:
+def flat_words(curve: Curve, end: int, size: str) -> str:
     """Return how little the fitted curve rises from a minimum inside the range to one of its ends; empty if it is at an end.
 
     end : 0 or -1
@@ -664,7 +666,7 @@ def flat_words(curve: Any, end: int, size: str) -> str:
     return f"flat to the {size}: within {rounded_up(max(percent, LEAST_RISE), 2):g} %"
 
 
-def within_words(ends: tuple[float | None, float | None], curve: Any) -> str:
+def within_words(ends: tuple[float | None, float | None], curve: Curve) -> str:
     """Return a range of pitches as text, naming an end at the smallest or the largest pitch tried."""
     low, high = ends
     first = f"≤ {curve.pitch_um[0]:.2f} µm (smallest tried)" if low is None else f"{low:.2f}"
@@ -793,7 +795,7 @@ def interval_columns(curves: Sequence[Curve]) -> dict[str, Column]:
     return {"interval_low_um": low, "interval_high_um": high}
 
 
-def target_notes(result: Any) -> list[str]:
+def target_notes(result: StudyResult) -> list[str]:
     """Return a note for each optimum that misses the target interval, with the limit that ended the search."""
     study, notes = result.study, []
     evaluations = sum(int(curve.sensors.sum()) for curve in result.curves)
@@ -816,7 +818,7 @@ def target_notes(result: Any) -> list[str]:
 LARGER = 1.25  # ratio of a size that is proposed beyond the range
 
 
-def open_notes(result: Any) -> list[str]:
+def open_notes(result: StudyResult) -> list[str]:
     """Return a note for each open end of an optimum's interval: which size would close it, or why none can."""
     study = result.study
     notes: list[str] = []
@@ -847,7 +849,7 @@ def _closing_size(study: Study, curve: Curve, tried_um: float, smallest: bool) -
     return f"a size of {size_um:g} µm ({how}) would tell"
 
 
-def study_dark_notes(result: Any) -> list[str]:
+def study_dark_notes(result: StudyResult) -> list[str]:
     """Return a note for each curve whose black level clips dark noise, with the number of pixel sizes and the worst of them."""
     notes: list[str] = []
     if result.study.correction.removes_dark_level:

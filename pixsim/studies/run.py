@@ -402,7 +402,7 @@ def run(
     variant: str | None = None,
     units: str | None = None,
     progress: Stage | None = None,
-    **settings: Any,
+    **settings: object,
 ) -> RunResult:
     """Render a scene, capture it with one sensor and score the image, with the errors of its light, as `pixsim run` does.
 

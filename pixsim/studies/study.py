@@ -258,14 +258,14 @@ def study(
     scene: str | os.PathLike[str] | None = None,
     quick: bool = False,
     jobs: int | None = None,
-    scheduler: Any = None,
+    scheduler: object = None,
     variant: str | None = None,
     progress: Stage | None = None,
     agreed: bool = False,
     uncertainty: int | None = None,
     sobol: int | None = None,
     smaller_than_um: Sequence[float] = (),
-    **settings: Any,
+    **settings: object,
 ) -> StudyResult:
     """Run a study, or resume an interrupted one, with its rows in `out`/results.csv.
 
@@ -320,7 +320,7 @@ def run_prepared(
     out: str | os.PathLike[str],
     *,
     jobs: int | None = None,
-    scheduler: Any = None,
+    scheduler: object = None,
     progress: Stage | None = None,
     agreed: bool = False,
     asked: Asked | None = None,

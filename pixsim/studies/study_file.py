@@ -135,7 +135,7 @@ def _resolve_files(table: dict[str, Any], path: Path) -> None:
                 node[name] = resolve_file(path, node[name])
 
 
-def _tables(value: Any) -> list[dict[str, Any]]:
+def _tables(value: object) -> list[dict[str, Any]]:
     """Return the tables of a list; none of anything else, which is refused later."""
     return [each for each in value if isinstance(each, dict)] if isinstance(value, list) else []
 
@@ -156,7 +156,7 @@ def load_study(
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
     scene: str | os.PathLike[str] | None = None,
-    **settings: Any,
+    **settings: object,
 ) -> Study:
     """Return a packaged study by name, or one from a TOML file. Raises PixsimError listing all of its errors.
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pixsim.base.caller import setting
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.studies.result import few
 from pixsim.viewer.light_error import LightError
+
+if TYPE_CHECKING:
+    from pixsim.studies.result import StudyResult
 
 
 def unconverged_lines(
@@ -45,7 +48,7 @@ def unconverged_lines(
     return [f"{found}. To be surer: {', or '.join([*surer, window])}"]
 
 
-def study_unconverged_lines(result: Any) -> list[str]:
+def study_unconverged_lines(result: StudyResult) -> list[str]:
     """Return the lines of `unconverged_lines` of a study, each once, for the films at the best pixel sizes."""
     lines = []
     for curve in result.curves:

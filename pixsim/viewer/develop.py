@@ -32,7 +32,7 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.colour_matrix import RANK_TOLERANCE, Fit, check_noise_gains, colour_errors, fit_matrix
-from pixsim.viewer.demosaic import demosaic, demosaic_column_covariance, demosaic_covariance, demosaic_row_covariance
+from pixsim.viewer.demosaic import Method, demosaic, demosaic_column_covariance, demosaic_covariance, demosaic_row_covariance
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, fits_single, means_on_dots, on_dots, white_light, white_lx
 
 SATURATED = 0.99  # of the saturation level
@@ -201,7 +201,7 @@ def balance(develop: Develop, layout: Layout, white_e: Array) -> Array:
     return white_e[first] * gains[first] / gains
 
 
-def demosaic_method(develop: Develop, layout: Layout) -> Any:
+def demosaic_method(develop: Develop, layout: Layout) -> Method:
     """Return the method of interpolation for a layout."""
     return develop.demosaic or ("bilinear" if layout.cell in BAYER.values() else "interpolate")
 

@@ -200,8 +200,9 @@ def test_driver_that_dies_or_hangs_is_fault(how: str, fault: str, driver: pytest
 
 START = {
     "drjit": "import drjit",
-    "pixsim": "import os, pixsim; from pixsim.scene import mitsuba; from pixsim.scene.guard import graphics as g; before = os.environ[g.DRIVER_VARIABLE]; "
-    "mitsuba.import_mitsuba('scalar_spectral'); assert os.environ[g.DRIVER_VARIABLE] == before",
+    "pixsim": "import os, pixsim; from pixsim.scene import mitsuba; from pixsim.scene.guard import graphics as g; "
+    "before = os.environ[g.DRIVER_VARIABLE]; mitsuba.import_mitsuba('scalar_spectral'); "
+    "assert os.environ[g.DRIVER_VARIABLE] == before",
 }
 
 
