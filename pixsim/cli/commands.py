@@ -324,6 +324,7 @@ def study(
     effort: common.Effort = common.NO_EFFORT,
     variant: common.Variant = None,
     dry_run: common.DryRun = False,
+    figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -390,17 +391,17 @@ def study(
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
                 result = run_prepared(prepared, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
-                more = partial(write_uncertainty, result=result) if result.uncertainty else None
+                more = partial(write_uncertainty, result=result, figures=figures) if result.uncertainty else None
                 stage("report")
                 first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
                 found = compromises_of(result.study, result.curves)
                 own = folder, seconds, drawing, more
                 if isinstance(result, CasesResult):
-                    write = partial(write_axes_report, result, *own, compromises=found)
+                    write = partial(write_axes_report, result, *own, compromises=found, figures=figures)
                 else:
-                    write = partial(write_study, result, *own)
-                report = keep_or_write("study", digest_of_report(result), folder, write)
+                    write = partial(write_study, result, *own, figures=figures)
+                report = keep_or_write("study", digest_of_report(result, figures), folder, write)
             warned = set(result.warned)  # they are on stderr
             if isinstance(result, CasesResult):
                 summary = axes_summary(result, found) | {"counts": asdict(result.counts)}
@@ -577,6 +578,7 @@ def accuracy(
     seed: common.Seed = None,
     sensor: common.SensorId = None,
     variant: common.Variant = None,
+    figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -596,7 +598,7 @@ def accuracy(
     with stages() as stage, output_folder(folder):  # an invalid folder fails before a minute of work
         result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
-        report = result.write(folder)
+        report = result.write(folder, figures)
     show(result.as_dict(), json, "\n".join([*accuracy_lines(result), f"report: {report}"]))
 
 
@@ -617,6 +619,7 @@ def datasheet(
     exposure: common.ExposureTable = None,
     wavelength_nm: Annotated[float | None, Parameter(help="Wavelength of the light [default: peak of the response].")] = None,
     seed: Annotated[str | None, common.field_option(Run, "seed", help="Seed of the sensor and its noise [default: 0].")] = None,
+    figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -645,7 +648,7 @@ def datasheet(
             pixel=settings.pixel, exposure=settings.exposure, wavelength_nm=wavelength_nm, seed=settings.seed, progress=stage
         )
         stage("report")
-        report = sheet.write(folder)
+        report = sheet.write(folder, figures)
     show(sheet.as_dict(), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
 
 
@@ -691,6 +694,7 @@ def lens(
         ),
     ] = None,
     unknown_glass: Annotated[str | None, field_option(LensOptions, "unknown_glass")] = None,
+    figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -736,7 +740,7 @@ def lens(
             progress=stage,
         )
         stage("report")
-        report = write_lens(data, folder)
+        report = write_lens(data, folder, figures)
     show(data.as_dict(), json, "\n".join([*lens_lines(data), f"report: {report}"]))
 
 
@@ -787,6 +791,7 @@ def sfr(
             help="Region of the edge, x0,y0,x1,y1 in pixels from the upper left; x1 and y1 are excluded.", metavar="X0,Y0,X1,Y1"
         ),
     ] = None,
+    figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -811,7 +816,7 @@ def sfr(
         saturation=saturation,
         region=corners(region),
     )
-    response.write(folder)
+    response.write(folder, figures)
     result = response.as_dict()
     show(result, json, "\n".join([*headline_lines(sfr_parts(result)), f"curves in {folder}"]))
 

@@ -198,6 +198,9 @@ Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
 DryRun = Annotated[
     bool, Parameter(help="Show what would be done, with an estimate of time and memory; nothing is rendered or written.")
 ]
+FigureFiles = Annotated[
+    Literal["svg", "pdf"], Parameter(help="Files of the figures: svg, or pdf, which writes a PDF beside each SVG.")
+]
 Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/NAME].")]
 Variant = Annotated[
     str | None,
