@@ -26,7 +26,21 @@ from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Layer, LensOptions, Run, Study
 from pixsim.cli import options as common
-from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, field_option, given, say, show, stages
+from pixsim.cli.options import (
+    DEFAULT_OUT,
+    FILE_WIDTH,
+    HELP,
+    HELP_ALL,
+    Json,
+    Out,
+    SceneOptions,
+    app,
+    field_option,
+    given,
+    say,
+    show,
+    stages,
+)
 from pixsim.cli.process import interruption
 
 if TYPE_CHECKING:
@@ -58,7 +72,13 @@ def run_command(tokens: Sequence[str]) -> None:
     try:
         # Notes also of the settings, before a result collects its own.
         with command_line(), collected_notes(), told_of_finished_files(interruption.end_or_raise):
-            app(with_lens_file(with_each_format(arguments)), exit_on_error=False, print_error=False)
+            arguments = with_lens_file(with_each_format(arguments))
+            if any(word in HELP for word in arguments) and HELP_ALL not in arguments:
+                from pixsim.cli.help import print_help
+
+                say(print_help(app, arguments))
+            else:
+                app(arguments, exit_on_error=False, print_error=False)
     except Exception as error:
         if interruption.received:  # a library has turned it into another exception
             raise KeyboardInterrupt from error
