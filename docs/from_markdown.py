@@ -24,6 +24,7 @@ ELSEWHERE = {
     "repository/readme": ROOT / "README.md",
     "repository/scenes": ROOT / "scenes/README.md",
     "repository/changelog": ROOT / "CHANGELOG.md",
+    "repository/contributing": ROOT / "CONTRIBUTING.md",
 }
 VALIDATION = "validation"
 VALIDATION_HERE = "<!-- validation -->"
