@@ -201,7 +201,7 @@ def figure_6(evidence: Evidence) -> Plate:
         "contrast": evidence.contrast(y).tolist(),
     }
     optimum = evidence.curves[REFERENCE_TECHNOLOGY].optimum
-    fitted = f" The optimum between all sizes tried is {optimum.pitch_um:.2f} µm (Figure 7)." if optimum.inside else ""
+    fitted = f" The optimum of the fitted curve is {optimum.pitch_um:.2f} µm (Figure 7)." if optimum.inside else ""
     caption = (
         f"Figure 6: of these four sizes, {least:g} µm pixels have the least mean ΔE, {errors[least]:.3f}.{fitted} Curves of "
         f"ΔE = {level:g} (mean of the sensors' maps, smoothed by {ISO_SMOOTHING_DOTS:g} "
