@@ -153,6 +153,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 # Built by pixsim only, from parts that are not public, or called above with a whole study.
 NOT_CALLED = {
     "pixsim.compare": "its own tests", "pixsim.studies.comparison.Comparison": "a whole comparison",
+    "pixsim.studies.comparison_cases.ComparedCases": "whole comparisons",
     "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
     "pixsim.lens": "its own tests below", "pixsim.measure.lens": "a whole trace",
     "pixsim.measure.sfr.EdgeResponse.write": "it writes a folder",
@@ -343,7 +344,8 @@ def test_any_argument_of_a_long_function_gives_an_error_that_names_it(
 @pytest.mark.parametrize("label", JUNK)
 def test_write_report_without_a_result_raises(label: str, tmp_path: Path) -> None:
     with pytest.raises(
-        PixsimError, match=r"result: got .*; allowed: a RunResult, or a StudyResult, or a Comparison, or a LensData"
+        PixsimError,
+        match=r"result: got .*; allowed: a RunResult, or a StudyResult, or a Comparison, or a ComparedCases, or a LensData",
     ):
         pixsim.write_report(JUNK[label], tmp_path / "out")
 

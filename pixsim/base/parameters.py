@@ -2388,6 +2388,11 @@ class Study(Setting):
         return tuple(pixel.pitch_um for pixel in sheets)
 
     @property
+    def has_cases(self) -> bool:
+        """Whether it has axes or conditions."""
+        return bool(self.axis or self.condition)
+
+    @property
     def own_um(self) -> float | None:
         """The smallest of `own_pitches_um`; None for a study of technologies."""
         return min(self.own_pitches_um, default=None)

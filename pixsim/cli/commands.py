@@ -24,7 +24,7 @@ from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_fin
 from pixsim.base.headline import headline_lines
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import Layer, LensOptions, Run, Study
+from pixsim.base.parameters import Layer, LensOptions, Run
 from pixsim.cli import options as common
 from pixsim.cli.options import (
     DEFAULT_OUT,
@@ -392,16 +392,16 @@ def study(
         spreads = uncertainty_of(study, options.config or [])
         if MANY_CASES < (cases := number_of_cases(plan.quickened if quick else plan)) <= MAX_CASES:
             common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration_words(cases * CASE_S)}")
-        prepared = replace(prepare(plan, variant, quick), uncertainty=spreads)
+        job = replace(prepare(plan, variant, quick), uncertainty=spreads)
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
-            types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes or dry_run)
-        outline = study_outline(prepared, jobs, plan.quickened if quick else plan, types)
+            types, evaluations = check_types(job.study, [case.settings for case in job.cases], asked, yes or dry_run)
+        outline = study_outline(job, jobs, plan.quickened if quick else plan, types)
         if dry_run:
             show(outline, json, "\n".join(outline_lines(outline, folder)))
             return
-        check_number(len(prepared.cases), prepared.evaluations, yes)
-        names = (axes_files if prepared.cases else report_files)(prepared.study)
+        check_number(len(job.cases), job.evaluations, yes)
+        names = (axes_files if job.has_cases else report_files)(job.study)
         if asked is not None:
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
@@ -410,7 +410,7 @@ def study(
             common.verbosity.note(line)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
-                result = run_prepared(prepared, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
+                result = run_prepared(job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
                 more = partial(write_uncertainty, result=result, figures=figures) if result.uncertainty else None
                 stage("report")
                 first = result.cases[0]
@@ -541,14 +541,13 @@ def compare(
         write_comparison,
     )
     from pixsim.studies.compare import run_prepared
-    from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison
+    from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, studies_of
     from pixsim.studies.lineup import prepare
 
     shared = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
-    axes, cases = ((), []) if study is None else cases_of_comparison(study)
+    axes, cases = cases_of_comparison(study)
     with collected_notes() as notes:
-        studies: list[Study | str | None] = [*(case.study for case in cases)] or [study]
         prepared = [
             prepare(
                 sensors,
@@ -562,7 +561,7 @@ def compare(
                 variant=variant,
                 uncertainty=uncertainty,
             )
-            for own in studies
+            for own in studies_of(study, cases)
         ]
         folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.sensors)
         places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))

@@ -41,7 +41,7 @@ SHOWN_COMPROMISES = 6  # with a figure of their own
 LINES_SHOWN = 12  # optima that the terminal and the head of the page list
 
 
-def shown_cases(cases: Sequence[Case]) -> list[Case]:
+def shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
     """Return the cases with a report of their own: the first combination of values under each condition, at most 4."""
     return [case for case in cases if (case.at, case.alone) == (cases[0].at, cases[0].alone)][:SHOWN_CASES]
 
@@ -179,7 +179,7 @@ def axes_files(study: Study) -> set[str]:
     cases = cases_of(study)
     plates = [*plate_names(study), *(f"conditions_{number + 1}" for number in range(SHOWN_COMPROMISES))]
     files = {f"figures/{name}.{suffix}" for name in plates for suffix in FIGURE_SUFFIXES}
-    own = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.study)}
+    own = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.settings)}
     return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", PARTS_FILE, *files, *own}
 
 

@@ -43,11 +43,12 @@ from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.extent import stated_end_lp_per_mm
 from pixsim.studies.keys import rendered_across
 from pixsim.studies.light_level import LightLevel
-from pixsim.studies.lineup import OF_A_SENSOR, Contestant, Lineup, Prepared
+from pixsim.studies.lineup import OF_A_SENSOR, ComparisonJob, Lineup, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
+from pixsim.studies.prepared import Prepared
 from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.uncertainty import FEW_SENSORS
-from pixsim.studies.verdicts import answers, conditions_disagree, headline, shown_probability, verdict
+from pixsim.studies.verdicts import answers, conditions_disagree, shown_probability, verdict
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 
 JSON_FILE, PAGE = "compare.json", "report.html"
@@ -60,17 +61,17 @@ ROWS_FILES = {
 # --- sentences ------------------------------------------------------------------------------------------------------------------
 
 
-def sensor_words(sensor: Contestant) -> str:
+def sensor_words(sensor: Prepared[Run]) -> str:
     """Return a sensor's pixels and lens in words."""
-    rows, columns = sensor.pixels
-    technology = "" if sensor.pixel.technology == NO_TECHNOLOGY else f" ({label_of(sensor.pixel.technology)})"
+    rows, columns = pixels_of(sensor)
+    technology = "" if sensor.settings.pixel.technology == NO_TECHNOLOGY else f" ({label_of(sensor.settings.pixel.technology)})"
     lens = f"{sensor.camera.focal_length_mm:.4g} mm f/{sensor.camera.f_number:.3g}"
-    return f"{columns} × {rows} pixels of {sensor.pixel.pitch_um:g} µm{technology} behind {lens}"
+    return f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind {lens}"
 
 
 def exposure_words(lineup: Lineup) -> str:
     """Return the exposure rule of the sensors in words."""
-    exposures = [sensor.exposure for sensor in lineup.sensors]
+    exposures = [sensor.settings.exposure for sensor in lineup.sensors]
     if any(exposure != exposures[0] for exposure in exposures):
         return "each sensor's own exposure rule"
     if exposures[0].integration_s is not None:
@@ -79,7 +80,7 @@ def exposure_words(lineup: Lineup) -> str:
     return f"each exposed to {100 * target:.3g} % of its own well, at most {longest_ms:.3g} ms"
 
 
-def conditions_line(prepared: Prepared) -> str:
+def conditions_line(prepared: ComparisonJob) -> str:
     """Return what all sensors of a comparison have in common, in one line; what differs between conditions is that of one."""
     shown = prepared.shown
     parts = [_common_words(prepared, lineup) for lineup in prepared.lineups]
@@ -90,7 +91,7 @@ def conditions_line(prepared: Prepared) -> str:
     return "; ".join([*_study_words(prepared), *words, "± is the 95 % interval and the film's error"])
 
 
-def _study_words(prepared: Prepared) -> list[str]:
+def _study_words(prepared: ComparisonJob) -> list[str]:
     """Return the study and its conditions in words, if there are any."""
     of_study = prepared.circumstances
     if of_study is None:
@@ -103,7 +104,7 @@ def _study_words(prepared: Prepared) -> list[str]:
     return words
 
 
-def _common_words(prepared: Prepared, lineup: Lineup) -> list[str]:
+def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
     """Return what all sensors of a comparison have in common under one condition, in parts."""
     camera, display = lineup.sensors[0].camera, lineup.settings.display
     first, field = lineup.sensors[0].name, f"the same field of {camera.field_words}"
@@ -150,7 +151,7 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
     return lines + [f"note: {note}" for note in (result.notes if notes is None else notes)]
 
 
-def outline(prepared: Prepared) -> dict[str, Any]:
+def outline(prepared: ComparisonJob) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
     lineup = prepared.shown
     first = lineup.sensors[0]
@@ -178,8 +179,8 @@ def outline(prepared: Prepared) -> dict[str, Any]:
             sensor.name: {
                 "camera": sensor.camera.model_dump(),
                 "fov_deg": sensor.camera.fov_deg,
-                "pixels": list(sensor.pixels),
-                "pixel": sensor.pixel.model_dump(),
+                "pixels": list(pixels_of(sensor)),
+                "pixel": sensor.settings.pixel.model_dump(),
             }
             for sensor in lineup.sensors
         },
@@ -194,7 +195,7 @@ def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     for sensor in lineup.sensors:
         scene = sensor.scene.with_resolution(width)
         height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
-        plan, settings = lineup.plan(sensor, scene), lineup.settings_of(sensor)
+        plan, settings = lineup.plan(sensor, scene), sensor.settings
         film = known_film((height, width), rendered_across(scene, sensor.camera, plan, settings))
         render = render_cost(plan, sensor.camera, *film, processors().usable, begun=True)
         frame = lineup.cost_of_frame(sensor)
@@ -203,7 +204,7 @@ def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     return Cost(seconds, largest, 1)
 
 
-def outline_lines(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[str]:
+def outline_lines(prepared: ComparisonJob, shown: dict[str, Any], out: Path) -> list[str]:
     """Return an outline as lines of text.
 
     out : folder that would be written
@@ -225,7 +226,7 @@ def outline_lines(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[
 # --- files ------------------------------------------------------------------------------------------------------------------------
 
 
-def comparison_files(prepared: Prepared) -> dict[str, str]:
+def comparison_files(prepared: ComparisonJob) -> dict[str, str]:
     """Return the names of all files of a comparison, with their descriptions; provenance.json comes with them."""
     files = {
         JSON_FILE: "all numbers and settings, for programs",
@@ -241,7 +242,7 @@ def comparison_files(prepared: Prepared) -> dict[str, str]:
     return files
 
 
-def check_output(prepared: Prepared, folder: str | os.PathLike[str]) -> None:
+def check_output(prepared: ComparisonJob, folder: str | os.PathLike[str]) -> None:
     """Raise PixsimError if the folder holds a file of a comparison's name that pixsim did not write."""
     check_replaceable(folder, {PAGE, *comparison_files(prepared)})
 
@@ -257,7 +258,7 @@ def write_comparison(result: Comparison, folder: str | os.PathLike[str], seconds
     prepared = result.prepared
     with output_folder(folder) as path:
         check_output(prepared, path)
-        keep = [Path(sensor.source) for sensor in prepared.shown.sensors]
+        keep = [Path(sensor.case.source) for sensor in prepared.shown.sensors]
         with publishing(path, "compare", {"seconds": seconds or {}}, keep) as partial:
             for name in ("sensors", "pictures"):
                 (partial / name).mkdir()
@@ -279,7 +280,7 @@ def _write_pictures(compared: Compared, folder: Path, end: float) -> None:
     save_delta_e_png(folder / f"delta_e_{name}.png", score.delta_e, picture_axes(compared.irradiance, score.border_um), end)
 
 
-def settings_files(prepared: Prepared) -> dict[str, str]:
+def settings_files(prepared: ComparisonJob) -> dict[str, str]:
     """Return settings.toml and a file for each sensor, as name -> text; their command makes the same numbers again.
 
     They state what was stated, and leave open what pixsim chose, such as a display: the command chooses the same again.
@@ -312,7 +313,7 @@ def _all_but_sensor(own: Run) -> dict[str, Any]:
     return {name: {} for name in type(own).model_fields if name not in OF_A_SENSOR}
 
 
-def _study_table(prepared: Prepared, of_study: Circumstances) -> dict[str, Any]:
+def _study_table(prepared: ComparisonJob, of_study: Circumstances) -> dict[str, Any]:
     """Return the tables of a study that makes the same conditions: what all sensors share, and the conditions."""
     first = prepared.base[0]
     shared = first.model_dump(mode="json", exclude_unset=True, include=set(SHARED) - set(OF_A_SENSOR))
@@ -389,13 +390,24 @@ def write_comparison_page(result: Comparison, folder: Path, end: float, files: d
     write_page(folder / PAGE, "compare.html.j2", page)
 
 
-def write_cases(result: ComparedCases, folder: Path, seconds: dict[str, float]) -> Path:
+def write_compared_cases(result: ComparedCases, out: str | os.PathLike[str], seconds: dict[str, float] | None = None) -> Path:
+    """Write each comparison into a folder of its own, and the page of all beside them.
+
+    Returns the path of report.html. Raises PixsimError as `write_comparison`.
+    """
+    with output_folder(out) as folder:
+        for case, own in result.results:
+            write_comparison(own, folder / case.folder, seconds)
+        return write_cases(result, folder, seconds)
+
+
+def write_cases(result: ComparedCases, folder: Path, seconds: dict[str, float] | None = None) -> Path:
     """Write compare.json, report.html and provenance.json of comparisons that are written in their own folders already.
 
     Returns the path of report.html. Raises PixsimError as `write_comparison`.
     """
     page = {"names": result.names, "verdicts": [result.headline(other) for other in result.names[1:]], "rows": case_rows(result)}
-    with publishing(folder, "compare", {"seconds": seconds}) as partial:
+    with publishing(folder, "compare", {"seconds": seconds or {}}) as partial:
         write_json(partial / JSON_FILE, result.as_dict())
         write_page(partial / PAGE, "compare_cases.html.j2", page)
     return folder / PAGE
@@ -403,8 +415,7 @@ def write_cases(result: ComparedCases, folder: Path, seconds: dict[str, float]) 
 
 def case_rows(result: ComparedCases) -> list[tuple[str, str, list[str]]]:
     """Return each case in words, its folder, and the answer for each later sensor."""
-    others = result.names[1:]
-    return [(case.words or case.folder, case.folder, [headline(own, other) for other in others]) for case, own in result.results]
+    return [(case.words or case.folder, case.folder, answers) for case, answers in result.answers]
 
 
 def cases_lines(result: ComparedCases) -> list[str]:
@@ -428,13 +439,13 @@ def _row(compared: Compared, mean: str) -> dict[str, Any]:
     mean : its mean ΔE
     """
     statistics = compared.score.statistics()
-    rows, columns = compared.sensor.pixels
+    rows, columns = pixels_of(compared.sensor)
     return {
         "name": compared.name,
         "delta_e": mean,
         "p99": f"{statistics['p99_delta_e']:.3g}",
         "pixels": f"{columns} × {rows}",
-        "pitch_um": f"{compared.sensor.pixel.pitch_um:g}",
+        "pitch_um": f"{compared.sensor.settings.pixel.pitch_um:g}",
         "lens": f"{compared.sensor.camera.focal_length_mm:.4g} mm f/{compared.sensor.camera.f_number:.3g}",
         "time_ms": f"{1e3 * statistics['integration_s']:.3g}",
         "electrons": rounded(statistics["mean_electrons_e"], 4),
@@ -504,7 +515,7 @@ def _condition_rows(result: Comparison) -> list[tuple[str, str, list[str], list[
     ]
 
 
-def _condition_settings(prepared: Prepared) -> list[tuple[str, list[Any]]]:
+def _condition_settings(prepared: ComparisonJob) -> list[tuple[str, list[Any]]]:
     """Return the tables of what each condition sets."""
     if prepared.circumstances is None:
         return []
@@ -519,12 +530,12 @@ def _condition_settings(prepared: Prepared) -> list[tuple[str, list[Any]]]:
 
 def _records(result: Comparison) -> list[tuple[str, list[Any]]]:
     """Return the tables of settings: the display of all, then each sensor's own."""
-    settings, coloured = result.shown.lineup.settings, any(compared.sensor.pixel.colour for compared in result.sensors)
+    settings, coloured = result.shown.lineup.settings, any(compared.sensor.settings.pixel.colour for compared in result.sensors)
     tables = [("display", record_rows("display", settings.display, False, coloured=coloured))]
     tables += [("develop", record_rows("develop", settings.develop, False))] if coloured else []
     for compared in result.sensors:
         sensor = compared.sensor
-        sheet = sensor.pixel.technology == NO_TECHNOLOGY
-        records: dict[str, Record] = {"camera": sensor.camera, "pixel": sensor.pixel, "exposure": sensor.exposure}
+        sheet = sensor.settings.pixel.technology == NO_TECHNOLOGY
+        records: dict[str, Record] = {"camera": sensor.camera, "pixel": sensor.settings.pixel, "exposure": sensor.settings.exposure}
         tables += [(f"{sensor.name}: {name}", record_rows(name, record, sheet)) for name, record in records.items()]
     return tables

@@ -16,23 +16,24 @@ from pixsim.studies.outline import planned_run, planned_sensors, planned_study
 from pixsim.studies.oversampling import TOLERATED_SHARE
 
 if TYPE_CHECKING:
-    from pixsim.studies.preparation import Prepared
-    from pixsim.studies.run import Prepared as PreparedRun
+    from pixsim.studies.preparation import StudyJob
+    from pixsim.studies.run import RunJob
 
 
-def run_outline(prepared: PreparedRun) -> dict[str, Any]:
+def run_outline(prepared: RunJob) -> dict[str, Any]:
     """Return what a run would do; nothing is rendered or written."""
     shared = prepared.settings, prepared.camera, prepared.asked.camera, prepared.view.as_dict()
     planned = planned_run(prepared)
     return common(prepared.source, prepared.header, *shared, planned["sensors"]) | planned
 
 
-def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
+def study_outline(job: StudyJob, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
     """Return what a study would do; nothing is rendered or written. The arguments are those of `planned_study`."""
-    first = prepared.parts[0][1]
-    header, sensors = {"parameters": first.scene.parameters}, planned_sensors(first.study, first.camera)
-    shared = common(first.study.scene.file, header, first.study, first.camera, first.study.camera, prepared.view.as_dict(), sensors)
-    return shared | planned_study(prepared, jobs, asked, types)
+    first = job.cases[0]
+    study, header = first.settings, {"parameters": first.scene.parameters}
+    sensors = planned_sensors(study, first.camera)
+    shared = common(study.scene.file, header, study, first.camera, study.camera, job.view.as_dict(), sensors)
+    return shared | planned_study(job, jobs, asked, types)
 
 
 def common(

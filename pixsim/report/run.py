@@ -44,7 +44,7 @@ from pixsim.show.pictures import (
 )
 from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
-from pixsim.studies.run import LitRun, Prepared, RunResult
+from pixsim.studies.run import LitRun, RunJob, RunResult
 from pixsim.studies.run_arrays import Irradiance, write_irradiance, write_numbers
 
 if TYPE_CHECKING:
@@ -260,7 +260,7 @@ class RunFiles(NamedTuple):
 USUAL = RunFiles()
 
 
-def run_settings_text(prepared: Prepared, irradiance: SpectralImage) -> str:
+def run_settings_text(prepared: RunJob, irradiance: SpectralImage) -> str:
     """Return the text of settings.toml, from which `pixsim run` makes the same numbers again."""
     given = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units}
     given |= {name: str(value) for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames)) if value > 1}

@@ -10,13 +10,14 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.errors import invalid
 from pixsim.measure.lens import LensData
 from pixsim.report.axes import write_axes_report
-from pixsim.report.compare import write_comparison
+from pixsim.report.compare import write_compared_cases, write_comparison
 from pixsim.report.lens import write_lens
 from pixsim.report.run import write_run
 from pixsim.report.study import write_study
 from pixsim.report.uncertainty import write_uncertainty
 from pixsim.show.pages import Figures
 from pixsim.studies.comparison import Comparison
+from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.result import CasesResult, StudyResult
@@ -25,7 +26,7 @@ from pixsim.studies.run import RunResult
 
 @checks_arguments
 def write_report(
-    result: RunResult | StudyResult | Comparison | LensData,
+    result: RunResult | StudyResult | Comparison | ComparedCases | LensData,
     folder: str | os.PathLike[str],
     seconds: dict[str, float] | None = None,
     figures: Figures = "svg",
@@ -42,7 +43,7 @@ def write_report(
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
     pixsim did not write; and for "pdf" of a result without figures.
     """
-    if figures != "svg" and isinstance(result, RunResult | Comparison):
+    if figures != "svg" and isinstance(result, RunResult | Comparison | ComparedCases):
         raise invalid("figures", f"'{figures}' for a {type(result).__name__}", "'svg', since it has pictures and no figures")
     if isinstance(result, RunResult):
         return write_run(result, folder, seconds)
@@ -50,6 +51,8 @@ def write_report(
         return write_lens(result, Path(folder), figures)
     if isinstance(result, Comparison):
         return write_comparison(result, folder, seconds)
+    if isinstance(result, ComparedCases):
+        return write_compared_cases(result, folder, seconds)
     more = partial(write_uncertainty, result=result, figures=figures) if result.uncertainty else None
     if not isinstance(result, CasesResult):
         return write_study(result, folder, seconds, more=more, figures=figures)

@@ -14,10 +14,12 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.parameters import Run
 from pixsim.light.spectral import SpectralImage
-from pixsim.studies.lineup import Contestant, Lineup
+from pixsim.studies.lineup import Lineup
 from pixsim.studies.oversampling import FilmError, FilmSteps
 from pixsim.studies.paired import mean_interval, probability_above_zero
+from pixsim.studies.prepared import Prepared
 from pixsim.studies.viewing import Viewed
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.light_error import LightError, with_error
@@ -43,7 +45,7 @@ class Compared:
     colour : channels, matrix and noise gains, as in score.json; None for a monochrome sensor
     """
 
-    sensor: Contestant
+    sensor: Prepared[Run]
     irradiance: SpectralImage = field(repr=False)
     noise: RenderNoise
     film: FilmError
@@ -90,7 +92,7 @@ class Observed:
         """Causes, black levels that clip dark noise, and assumptions."""
         notes = [f"{each.name}: {cause}" for each in self.sensors for cause in each.causes]
         for each in self.sensors:
-            pixel = each.sensor.pixel
+            pixel = each.sensor.settings.pixel
             notes += [f"{each.name}: {clip_words(each.dark, pixel.model_dump())}"] if clips_dark(each.dark) else []
             notes += [f"{each.name}: {pixel.assumption}"] if pixel.assumption else []
         return notes

@@ -1,6 +1,7 @@
-"""What a study's axes and conditions make of it: cases, each a study of pixel sizes without axes.
+"""Cases: the settings of a frame, or of frames of many pixel sizes, with what tells them from the other ones of a command.
 
-A study without axes and conditions is its own only case.
+The axes and conditions of a study make cases of it, each a study of pixel sizes without axes. A study without them is its own only
+case. In a comparison each sensor is a case, under each condition.
 """
 
 from __future__ import annotations
@@ -9,33 +10,39 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.labels import labels_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Axis, AxisPoint, Study, case_folder, check_case_folders, explain, merge
+from pixsim.base.parameters import Axis, AxisPoint, Setting, Study, case_folder, check_case_folders, explain, merge
 from pixsim.studies.pixels import technology_of
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
 
-@dataclass(frozen=True)
-class Case:
-    """A value of each axis, and a condition.
+Settings = TypeVar("Settings", bound=Setting, covariant=True)
 
-    study : without axes and conditions, which has these values
+
+@dataclass(frozen=True)
+class Case(Generic[Settings]):
+    """A value of each axis, a condition, and a sensor of a comparison.
+
+    settings : without axes and conditions, which have these values
     at : axis -> value: the number, or its label; `BASE` where the study's own settings hold
     condition : its name; empty without conditions
     alone : the axis that is moved alone, or empty
+    sensor, source : of a comparison, the sensor's name, which is unique there, and its file or technology; else empty
     """
 
-    study: Study = field(repr=False)
+    settings: Settings = field(repr=False)
     at: dict[str, float | int | str] = field(default_factory=dict)
     condition: str = ""
     alone: str = ""
+    sensor: str = ""
+    source: str = ""
 
     @property
     def words(self) -> str:
@@ -70,12 +77,12 @@ def number_of_cases(study: Study) -> int:
     return (together + sum(len(axis.points) for axis in study.axis if axis.alone)) * max(1, len(study.condition))
 
 
-def cases_of(study: Study) -> tuple[Case, ...]:
+def cases_of(study: Study) -> tuple[Case[Study], ...]:
     """Return the cases of a study, each under every condition: values of axes with each other, then axes that are moved alone.
 
     Raises PixsimError for a setting that does not exist or is out of bounds, naming the value of the axis.
     """
-    if not (study.axis or study.condition):
+    if not study.has_cases:
         return (Case(study),)
     if (number := number_of_cases(study)) > MAX_CASES:
         raise invalid("axis", f"{number} cases, all values of all axes", f"at most {MAX_CASES}", "Give fewer values.")

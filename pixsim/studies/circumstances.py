@@ -94,19 +94,14 @@ def study_of(study: Study | str | os.PathLike[str]) -> tuple[Layer, Study]:
 
 
 def circumstances_of(study: Study | str | os.PathLike[str], scene: str | os.PathLike[str] | None = None) -> Circumstances:
-    """Return what a study says to a comparison.
+    """Return what a study without axes says to a comparison.
 
     study : name of a packaged study, a TOML file, or a Study
     scene : in place of the study's, whose parameters are not used then
 
-    Raises PixsimError for an invalid study, and for one with axes.
+    Raises PixsimError for an invalid study.
     """
     layer, plan = study_of(study)
-    name = study.name if isinstance(study, Study) else str(study)
-    if plan.axis:
-        hint = "Write each value as a [[condition]], leave the axis out, or use `pixsim compare --study` on the command line."
-        got = f"'{name}' with the axis {', '.join(axis.name for axis in plan.axis)}"
-        raise invalid("study", got, "a study without axes: sensors are compared under its conditions", hint)
     table = layer.table
     lens = {key: value for key, value in table.get("camera", {}).items() if key not in DIE}
     shared = {key: table[key] for key in SHARED if key in table}

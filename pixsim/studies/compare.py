@@ -10,7 +10,7 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.config import listed, plain_tables
 from pixsim.base.files import output_folder
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import REGISTERED_BORDER, Study
+from pixsim.base.parameters import REGISTERED_BORDER, Run, Study
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
@@ -30,13 +30,15 @@ from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
 from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.comparison import Comparison
+from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, folders_of, studies_of
 from pixsim.studies.cost import Cost, frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
-from pixsim.studies.lineup import Contestant, Lineup, Prepared, named, prepare
+from pixsim.studies.lineup import ComparisonJob, Lineup, named, prepare
 from pixsim.studies.matched_cameras import Match
-from pixsim.studies.oversampling import FilmSteps, Rendered, film_steps, render_and_measure
+from pixsim.studies.oversampling import Demand, FilmSteps, Light, film_steps, light_of
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
+from pixsim.studies.prepared import Prepared
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sizes
@@ -58,7 +60,7 @@ from pixsim.viewer.score import (
 )
 
 if TYPE_CHECKING:
-    from pixsim.scene.scene import Scene
+    pass
 
 FEW_SECONDS = 3.0  # of all frames: processes take a second to start
 
@@ -81,15 +83,15 @@ def compare(
     out: str | os.PathLike[str] | None = None,
     uncertainty: int | None = None,
     **settings: Any,
-) -> Comparison:
+) -> Comparison | ComparedCases:
     """Compare two or more sensors in one scene, by the mean ΔE of their pictures on one display.
 
     files : of the sensors: TOML files with a table [pixel], such as data sheets; files of technologies, or names of packaged ones.
         The first is the reference
     scene : XML file or name of a packaged scene; None means that of the study, or csf
-    study : a Study without axes, the name of a packaged one, or a TOML file. Its scene, display, exposure and conditions hold for
-        all sensors, and its lens for files that state none. Under conditions, the result is that of the weighted mean over them,
-        and has `conditions`. Its pixels, technologies and pixel sizes are not used
+    study : a Study, the name of a packaged one, or a TOML file. Its scene, display, exposure and conditions hold for all sensors,
+        and its lens for files that state none. Under conditions, the result is that of the weighted mean over them, and has
+        `conditions`. With axes, it is a comparison at each of their values. Its pixels, technologies and pixel sizes are not used
     match : 'view': the same field of view, f-number and object distance, those of the first file's camera; 'lens': the same focal
         length; 'own': each file's own camera. Only the central field that all have in common is compared
     repeats : pairs of frames; frames of one number have the same seeds
@@ -100,7 +102,8 @@ def compare(
     jobs : processes; None means one per core, where they are worth it. The results do not depend on it
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes
     progress : returns a callback for each named stage
-    out : folder whose results.csv keeps the mean ΔE of each frame, so that an interrupted comparison goes on; None keeps nothing
+    out : folder whose results.csv keeps the mean ΔE of each frame, so that an interrupted comparison goes on; with axes, a folder
+        in it for each value. None keeps nothing
     uncertainty : sensor types to draw from the ranges of technologies and [pixel.uncertainty] of data sheets, for the result's
         `uncertainty`; rounded up to a power of two. None means none
     settings : tables and fields of `Run` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3. They take
@@ -116,23 +119,32 @@ def compare(
     options = plain_tables(settings)
     options |= {"scene": dict(parameters)} if parameters else {}
     with collected_notes():  # also of what is found before the comparison begins
-        prepared = prepare(
-            files,
-            scene,
-            study=study,
-            match=match,
-            repeats=repeats,
-            config=[Path(path) for path in listed(config)],
-            options=options,
-            sensor=sensor,
-            variant=variant,
-            uncertainty=uncertainty,
-        )
-        return run_prepared(prepared, jobs=jobs, scheduler=scheduler, progress=progress, out=out)
+        axes, cases = cases_of_comparison(study)
+        prepared = [
+            prepare(
+                files,
+                scene,
+                study=own,
+                match=match,
+                repeats=repeats,
+                config=[Path(path) for path in listed(config)],
+                options=options,
+                sensor=sensor,
+                variant=variant,
+                uncertainty=uncertainty,
+            )
+            for own in studies_of(study, cases)
+        ]
+        folders = folders_of(out, cases)
+        results = [
+            run_prepared(each, jobs=jobs, scheduler=scheduler, progress=progress, out=folder)
+            for each, folder in zip(prepared, folders, strict=True)
+        ]
+        return ComparedCases(axes, tuple(zip(cases, results, strict=True))) if cases else results[0]
 
 
 def run_prepared(
-    prepared: Prepared,
+    prepared: ComparisonJob,
     *,
     jobs: int | None = None,
     scheduler: Any = None,
@@ -170,24 +182,25 @@ def run_prepared(
 class Lit:
     """A lineup with the light of its sensors, and then with the mean ΔE of their frames.
 
-    made, series : of each sensor
+    made, plans, series : of each sensor
     viewed : (viewings, repeats) mean ΔE of each sensor, by its name
     """
 
     lineup: Lineup
-    made: list[Rendered]
+    made: list[Light]
+    plans: list[Plan]
     series: list[Series]
     viewed: dict[str, Array] = field(default_factory=dict)
 
     def sizes(self, repeats: int) -> list[Sizes]:
         """Return the pixel size of each sensor, and its frames."""
-        return [{sensor.pixel.pitch_um: repeats} for sensor in self.lineup.sensors]
+        return [{sensor.settings.pixel.pitch_um: repeats} for sensor in self.lineup.sensors]
 
     @cached_property
     def compared(self) -> dict[str, Compared]:
         """Each sensor with what its frames show, by its name."""
         found = {}
-        for sensor, light, series in zip(self.lineup.sensors, self.made, self.series, strict=True):
+        for sensor, light, plan, series in zip(self.lineup.sensors, self.made, self.plans, self.series, strict=True):
             chain = first_chain(series)
             score = chain.simulate(*series.stream, 0)
             time_s = score.frame.integration_s
@@ -201,7 +214,7 @@ class Lit:
                 self.viewed[sensor.name],
                 dark_clip(score.physics, time_s, white_e),
                 white_e,
-                steps_of(self.lineup, sensor, light),
+                steps_of(self.lineup, sensor, light, plan),
                 None if chain.rendition is None else chain.colour_facts(time_s),
             )
         return found
@@ -231,13 +244,13 @@ def lit_lineup(lineup: Lineup, stage: Stage, pair: str = "") -> Lit:
         return stage(": ".join(filter(None, (pair, lineup.condition, name))))
 
     with named(lineup.words):
-        made = render_all(lineup, part)
+        made, plans = render_all(lineup, part)
         lights = zip(lineup.sensors, made, strict=True)
         series = [series_of_sensor(lineup, sensor, light.image, pair) for sensor, light in lights]
         chains = {each.name: first_chain(each) for each in series}
         grey = [name for name, chain in chains.items() if chain.rendition is None]
         check_one_ideal(grey, {name: chain.screen.ideal for name, chain in chains.items() if chain.rendition is not None})
-    return Lit(lineup, made, series)
+    return Lit(lineup, made, plans, series)
 
 
 def lit_pair(lineups: Sequence[Lineup], whole: Sequence[Lit], stage: Stage) -> list[Lit]:
@@ -271,43 +284,37 @@ def _notes_of(parts: Sequence[Observed]) -> tuple[str, ...]:
     return *of_all, *(f"{part.lineup.condition}: {note}" for part, own in named_notes for note in own if note not in of_all)
 
 
-def render_all(lineup: Lineup, stage: Stage) -> list[Rendered]:
-    """Return the light of every sensor on one film, fine enough for all."""
+def render_all(lineup: Lineup, stage: Stage) -> tuple[list[Light], list[Plan]]:
+    """Return the light of every sensor on one film, fine enough for all, and the plans of that film."""
     width = lineup.film_width
     while True:
-        made: list[Rendered] = []
+        made: list[Light] = []
+        plans: list[Plan] = []
         for sensor in lineup.sensors:
-            light = render_one(lineup, sensor, width, stage(f"render {sensor.name}"))
+            light, plan = render_one(lineup, sensor, width, stage(f"render {sensor.name}"))
             if light.image.shape[1] > width:  # its film had to be finer: the others take that one too
                 width = light.image.shape[1]
                 break
             made.append(light)
+            plans.append(plan)
         else:
             pairs = list(zip(lineup.sensors, made, strict=True))
-            seen = [Seen(light.image, s.camera, derive(s.pixel), lineup.border_um(s.camera)) for s, light in pairs]
+            seen = [Seen(light.image, s.camera, derive(s.settings.pixel), lineup.border_um(s.camera)) for s, light in pairs]
             white = white_header(seen, lineup.settings.display)
             for light in made:
                 light.image.header |= white
-            return made
+            return made, plans
 
 
-def render_one(lineup: Lineup, sensor: Contestant, width: int, progress: Progress) -> Rendered:
+def render_one(lineup: Lineup, sensor: Prepared[Run], width: int, progress: Progress) -> tuple[Light, Plan]:
     """Return the light of a sensor on a film of so many samples across, or more if the film's error asks for them."""
-    scene = sensor.scene.with_resolution(width)
     with named(sensor.name):
-        plan = lineup.plan(sensor, scene)
-        for note in plan.warnings:
-            warn(note)
-        settings = lineup.settings_of(sensor)
-
-        def plan_of(scene: Scene) -> Plan:
-            return lineup.plan(sensor, scene)
-
-        measured = [Imaging.of(settings, sensor.camera)]
-        return render_and_measure(scene, plan, settings, sensor.pixel, measured, plan_of=plan_of, progress=progress)
+        scene, plan_of = sensor.scene.with_resolution(width), partial(lineup.plan, sensor)
+        measured = [Imaging.of(sensor.settings, sensor.camera)]
+        return light_of(Demand(scene, plan_of(scene), plan_of, sensor.settings, sensor.settings.pixel, measured), progress)
 
 
-def series_of_sensor(lineup: Lineup, sensor: Contestant, image: SpectralImage, pair: str = "") -> Series:
+def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], image: SpectralImage, pair: str = "") -> Series:
     """Return the series of a sensor, which show and score the same part of the scene as those of the others.
 
     Its random streams do not name the sensor, so that equal sensors give equal frames.
@@ -317,8 +324,9 @@ def series_of_sensor(lineup: Lineup, sensor: Contestant, image: SpectralImage, p
     with named(sensor.name):
         settings = lineup.settings
         shared = settings.display, settings.correction, settings.develop
-        imaging = Imaging(sensor.camera, sensor.pixel, sensor.exposure, *shared, None, lineup.border_um(sensor.camera), True)
-        for text in (*sheet_disagreements(sensor.pixel), *implausible_numbers(sensor.pixel)):
+        pixel, exposure = sensor.settings.pixel, sensor.settings.exposure
+        imaging = Imaging(sensor.camera, pixel, exposure, *shared, None, lineup.border_um(sensor.camera), True)
+        for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
             warn(f"{sensor.name}: {text}")
         first, *others = lineup.displays.values()
         scenes = SceneCache(image, sensor.camera, first, len(imaging.physics.channels), single=True, others=others)
@@ -331,11 +339,11 @@ def series_of_sensor(lineup: Lineup, sensor: Contestant, image: SpectralImage, p
         return series
 
 
-def steps_of(lineup: Lineup, sensor: Contestant, light: Rendered) -> FilmSteps:
+def steps_of(lineup: Lineup, sensor: Prepared[Run], light: Light, plan: Plan) -> FilmSteps:
     """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
     with without_warnings():  # the result itself warns
-        imaging = Imaging.of(lineup.settings_of(sensor), sensor.camera)
-        return film_steps(light.image, imaging, light.plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
+        imaging = Imaging.of(sensor.settings, sensor.camera)
+        return film_steps(light.image, imaging, plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
 
 
 def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, workers: Workers | None, progress: Progress) -> None:

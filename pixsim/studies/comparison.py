@@ -11,7 +11,7 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.pages import html_cell
 from pixsim.studies.averages import Averaged, Compared
-from pixsim.studies.lineup import Prepared
+from pixsim.studies.lineup import ComparisonJob, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
 from pixsim.studies.verdicts import headline, headlines
 from pixsim.viewer.display import white_light
@@ -37,7 +37,7 @@ class Comparison(Averaged):
     uncertainty : of each pair, what is known of its difference over sensor types, if they were asked for
     """
 
-    prepared: Prepared = field(repr=False)
+    prepared: ComparisonJob = field(repr=False)
     pairs: tuple[Averaged, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
     uncertainty: tuple[PairUncertainty, ...] = field(default=(), repr=False)
@@ -101,7 +101,9 @@ class Comparison(Averaged):
         return figure
 
     def _repr_html_(self) -> str:
-        rows = [(sensor.name, f"{sensor.sensor.pixel.pitch_um:g}", self.shown_mean(sensor.name)) for sensor in self.sensors]
+        rows = [
+            (sensor.name, f"{sensor.sensor.settings.pixel.pitch_um:g}", self.shown_mean(sensor.name)) for sensor in self.sensors
+        ]
         title = "; ".join(headlines(self))
         counted = ", ".join(f"{part.shown.lineup.condition} ({weight:g})" for weight, part in self.counted)
         over = f"; the mean over the conditions {counted}" if counted else ""
@@ -124,16 +126,16 @@ def _pair_as_dict(pair: Averaged) -> dict[str, Any]:
 
 def _summary_of(compared: Compared) -> dict[str, Any]:
     """Return a sensor's entry of compare.json; `statistics` are those of its first frame, as in score.json."""
-    sensor, score = compared.sensor, compared.score
+    sensor, settings, score = compared.sensor, compared.sensor.settings, compared.score
     return {
-        "file": sensor.source,
-        "pixels": list(sensor.pixels),
+        "file": sensor.case.source,
+        "pixels": list(pixels_of(sensor)),
         "statistics": score.statistics(),
         "camera": sensor.camera.model_dump(),
         "fov_deg": sensor.camera.fov_deg,
-        "pixel": sensor.pixel.model_dump(),
-        "assumption": sensor.pixel.assumption,
-        "exposure": sensor.exposure.model_dump(),
+        "pixel": settings.pixel.model_dump(),
+        "assumption": settings.pixel.assumption,
+        "exposure": settings.exposure.model_dump(),
         "border_um": list(score.border_um),
         "film": compared.film.as_dict(),
         "render_noise": asdict(compared.noise),

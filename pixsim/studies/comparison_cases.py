@@ -6,29 +6,44 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from pixsim.base.parameters import MAX_CASE_NAME, Axis, Study, case_folder, merge
+import numpy as np
+
+from pixsim.base.parameters import MAX_CASE_NAME, Axis, Study, merge
 from pixsim.base.units import unit_of
+from pixsim.show.figures import LOOKS, literal, new_figure, own_style
+from pixsim.show.pages import html_cell
 from pixsim.studies.averages import Averaged
 from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, values_at, with_range_ends
 from pixsim.studies.circumstances import study_of
-from pixsim.studies.comparison import Comparison
+from pixsim.studies.comparison import FIGURE_BORDER_IN, FIGURE_WIDTH_IN, ROW_IN, Comparison
 from pixsim.studies.verdicts import headline
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def cases_of_comparison(study: Study | str | os.PathLike[str]) -> tuple[tuple[Axis, ...], list[Case]]:
+StatedStudy = Study | str | os.PathLike[str] | None  # itself, the name of a packaged one, or a TOML file
+
+BETWEEN = 0.15  # rows between the sensors of one case
+
+
+def cases_of_comparison(study: StatedStudy) -> tuple[tuple[Axis, ...], list[Case[Study]]]:
     """Return the axes of a study, and a study without axes for each combination of their values; none without axes.
 
     A combination's settings are those of a condition, or of each of the study's conditions.
 
     Raises PixsimError for an invalid study.
     """
-    plan = with_range_ends(study_of(study)[1])
+    if study is None:
+        return (), []
+    if not (plan := with_range_ends(study_of(study)[1])).axis:
+        return (), []
     cases_of(plan)  # that its values are allowed
     own = plan.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
     cases = []
-    for chosen, alone in combinations(plan.axis) if plan.axis else ():
+    for chosen, alone in combinations(plan.axis):
         table: dict[str, Any] = {}
         for point in chosen.values():
             table = merge(table, point.table)
@@ -41,6 +56,18 @@ def cases_of_comparison(study: Study | str | os.PathLike[str]) -> tuple[tuple[Ax
     return plan.axis, cases
 
 
+def studies_of(study: StatedStudy, cases: Sequence[Case[Study]]) -> list[StatedStudy]:
+    """Return the study of each comparison: that of each case, or of the only one."""
+    return [case.settings for case in cases] or [study]
+
+
+def folders_of(out: str | os.PathLike[str] | None, cases: Sequence[Case[Study]]) -> list[Path | None]:
+    """Return the folder of each comparison: for each case one in `out`, or `out` of the only one; None for none."""
+    if out is None:
+        return [None] * max(1, len(cases))
+    return [Path(out) / case.folder for case in cases] or [Path(out)]
+
+
 @dataclass(frozen=True)
 class ComparedCases:
     """Comparisons of the same sensors at each value of the axes of a study.
@@ -50,7 +77,7 @@ class ComparedCases:
     """
 
     axes: tuple[Axis, ...]
-    results: tuple[tuple[Case, Comparison], ...]
+    results: tuple[tuple[Case[Study], Comparison], ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,18 +106,51 @@ class ComparedCases:
                 parts.append(f"{name}{' is better' if not parts and sign else ''} at {'; '.join(where)}")
         return ", ".join(parts)
 
+    @property
+    def answers(self) -> list[tuple[Case[Study], list[str]]]:
+        """Each case with its answer for each later sensor."""
+        return [(case, [headline(own, other) for other in self.names[1:]]) for case, own in self.results]
+
     def as_dict(self) -> dict[str, Any]:
         """Return compare.json."""
         return {
             "names": list(self.names),
             "verdicts": {other: self.headline(other) for other in self.names[1:]},
             "cases": [
-                {"at": case.at, "folder": case_folder(case.words) or BASE}
+                {"at": case.at, "folder": case.folder}
                 | {"verdicts": {other: headline(result, other) for other in self.names[1:]}}
                 | result.answers()
                 for case, result in self.results
             ],
         }
+
+    @own_style()
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of the differences from the first sensor: a row for each case, with their 95 % intervals."""
+        figure = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * len(self.results))
+        axes = figure.add_subplot()
+        for number, (other, look) in enumerate(zip(self.names[1:], LOOKS, strict=False)):
+            rows = np.arange(len(self.results)) + (number - (len(self.names) - 2) / 2) * BETWEEN
+            means = np.array([own.difference[other] for _, own in self.results])
+            low, high = np.array([own.interval_delta_e[other] for _, own in self.results]).T
+            error = [means - low, high - means]
+            axes.errorbar(means, rows, xerr=error, fmt=look.marker, color=look.colour, capsize=4, label=literal(f"{other}"))
+        axes.axvline(0.0, color="0.5", lw=0.8)
+        axes.set_yticks(range(len(self.results)), [literal(case.words or BASE) for case, _ in self.results])
+        axes.set_ylim(len(self.results) - 0.5, -0.5)  # the first case is on top
+        axes.set_xlabel(f"mean ΔE above that of {literal(self.names[0])}, with its 95 % interval")
+        if len(self.names) > 2:
+            axes.legend(frameon=False)
+        return figure
+
+    def _repr_html_(self) -> str:
+        others = self.names[1:]
+        head = ("case", *(f"{self.names[0]} and {other}" for other in others))
+        rows = [(case.words or BASE, *answers) for case, answers in self.answers]
+        return html_cell("; ".join(map(self.headline, others)), head, rows, self.plot())
+
+    def __repr__(self) -> str:
+        return f"<ComparedCases {'; '.join(map(self.headline, self.names[1:]))}>"
 
 
 def sign_of(result: Averaged, other: str) -> int:

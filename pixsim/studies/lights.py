@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pixsim.base.labels import label_in
-from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Study
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
-from pixsim.scene.convergence import render_until
+from pixsim.scene.convergence import RenderNoise, render_until
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.keys import light_hash
-from pixsim.studies.oversampling import FilmError, render_and_measure
+from pixsim.studies.oversampling import Demand, Light, light_of
 from pixsim.studies.pixels import imaging_of, physics_of
 from pixsim.studies.preparation import first_film, scene_for, smallest_pixels, study_plan
 from pixsim.studies.sampling import largest_pixel_um, study_pitches_um
@@ -28,12 +28,19 @@ if TYPE_CHECKING:
     from pixsim.studies.budget import Settled
 
 
-class Light(NamedTuple):
-    """The irradiance of a case, the camera that it was rendered with, and the error of its film."""
+def demand_of(study: Study, variant: str | None = None, settled: Settled | None = None) -> Demand:
+    """Return what the pixels of a study without axes ask of their light.
 
-    image: SpectralImage
-    camera: Camera
-    film: FilmError
+    Its noise is adequate for the largest pixel that the study allows, the least noisy one, and its film for the smallest
+    photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
+    """
+    scene, camera = scene_for(study, variant)
+    first = study.technologies[0]
+    scene, plan = first_film(study, scene, camera)
+    pitches_um = study_pitches_um(study, first).tolist() if study.options_of(first).colour is not None else []
+    larger = [imaging_of(study, camera, first, pitch_um) for pitch_um in pitches_um]
+    largest, plan_of = physics_of(study, first, largest_pixel_um(study, first)), partial(study_plan, camera=camera, study=study)
+    return Demand(scene, plan, plan_of, study, largest, measured_pixels(study, camera), larger, settled)
 
 
 def render_for(
@@ -41,29 +48,15 @@ def render_for(
 ) -> Light:
     """Return the light of a study without axes.
 
-    Its noise is adequate for the largest pixel that the study allows, the least noisy one, and its film for the smallest
-    photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
-
     words : of the case, for an error
     """
-    scene, camera = scene_for(study, variant)
-    first = study.technologies[0]
-    largest, tried = physics_of(study, first, largest_pixel_um(study, first)), measured_pixels(study, camera)
-    coloured = study.options_of(first).colour is not None
-    scene, plan = first_film(study, scene, camera)
-    for note in plan.warnings:
-        warn(note)
-    plan_of = partial(study_plan, camera=camera, study=study)
-    pitches_um = study_pitches_um(study, first).tolist() if coloured else []
-    larger = [imaging_of(study, camera, first, pitch_um) for pitch_um in pitches_um]
+    demand, first = demand_of(study, variant, settled), study.technologies[0]
     try:
-        made = render_and_measure(
-            scene, plan, study, largest, tried, plan_of=plan_of, settled=settled, progress=progress, larger=larger
-        )
+        light, _ = light_of(demand, progress)
     except AlikeChannelsError as error:
         raise AlikeChannelsError(f"{label_in(first, words)}: none of its pixel sizes is possible. {error}") from None
-    made.image.header.update(white_header(seen_by_all(study, made.image, camera), study.display))
-    return Light(made.image, camera, made.film)
+    light.image.header.update(white_header(seen_by_all(study, light.image, light.camera), study.display))
+    return light
 
 
 def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:
@@ -79,7 +72,7 @@ def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
 
 
 def render_all(
-    cases: Sequence[Case],
+    cases: Sequence[Case[Study]],
     variant: str | None,
     stage: Stage,
     workers: Workers,
@@ -94,13 +87,13 @@ def render_all(
 
     store : returns an image that need not stay in memory, where there are several lights
     """
-    keys = [light_hash(case.study) for case in cases]
-    studies = {key: case.study for case, key in zip(cases, keys, strict=True)}
+    keys = [light_hash(case.settings) for case in cases]
+    studies = {key: case.settings for case, key in zip(cases, keys, strict=True)}
     words = {key: case.words for case, key in zip(reversed(cases), reversed(keys), strict=True)}
     lights: dict[str, Light | str] = {}
     if len(studies) == 1:
         lights = {key: _light_or_reason(study, variant, stage("render"), settled, words[key]) for key, study in studies.items()}
-    elif first_film(cases[0].study, *scene_for(cases[0].study, variant))[1].exact:
+    elif first_film(cases[0].settings, *scene_for(cases[0].settings, variant))[1].exact:
         lights = _computed_lights(studies, words, variant, stage("render"), workers, store)
     else:
         for key, study in studies.items():
@@ -121,13 +114,13 @@ def _computed_lights(
 
     Of the films that show the same, the clearest is measured; if it is surely fine enough, so are the others.
     """
-    seen: dict[str, tuple[SpectralImage, Camera]] = {}
+    seen: dict[str, tuple[SpectralImage, Camera, RenderNoise]] = {}
     sights: dict[str, Sight] = {}
     calls = [((*each, variant), _nothing) for each in studies.items()]
     for done, (key, found) in enumerate(results_of(_see_task, calls, workers), 1):
         if found is not None:
-            image, camera, sights[key] = found
-            seen[key] = store(image), camera
+            image, camera, noise, sights[key] = found
+            seen[key] = store(image), camera, noise
         progress(done / (2 * len(studies)))
     measured_in = {key: key for key in studies} | clearest(sights)
     lights: dict[str, Light | str] = {}
@@ -139,7 +132,8 @@ def _computed_lights(
         for key, of in measured_in.items():
             measured = lights[of]
             if key not in lights and not isinstance(measured, str) and measured.film.surely_met:
-                lights[key] = Light(*seen[key], measured.film.for_other_noise)
+                image, camera, noise = seen[key]
+                lights[key] = Light(image, camera, measured.film.for_other_noise, noise)
         left = [key for key in studies if key not in lights]
     return lights
 
@@ -148,20 +142,20 @@ def _nothing() -> None:
     """Return what render tasks share."""
 
 
-def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[SpectralImage, Camera, Sight] | None]:
-    """Return the key of a task, and its light on the first film of `render_for`, with its camera and what pixels see of it.
+def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[SpectralImage, Camera, RenderNoise, Sight] | None]:
+    """Return the key of a task, and its light on the first film of `render_for`, and what pixels see of it.
 
     None in place of the light if it takes samples, or if the film may be too coarse.
     """
     key, study, variant = task
-    scene, camera = scene_for(study, variant)
-    scene, plan = first_film(study, scene, camera)
-    if not plan.exact:
+    demand = demand_of(study, variant)
+    if not demand.plan.exact:
         return key, None
-    image, _noise = render_until(scene, camera, plan, [], study.exposure, study.seed, render_noise=study.render_noise)
+    camera, plan = demand.camera, demand.plan
+    image, noise = render_until(demand.scene, camera, plan, [], study.exposure, study.seed, render_noise=study.render_noise)
     image.header.update(white_header(seen_by_all(study, image, camera), study.display))
-    sight = Sight.of(image, measured_pixels(study, camera), plan.chart)
-    return key, (image, camera, sight) if sight else None
+    sight = Sight.of(image, demand.measured, plan.chart)
+    return key, (image, camera, noise, sight) if sight else None
 
 
 def _render_task(task: tuple[str, Study, str | None, str], _: None) -> tuple[str, Light | str]:
@@ -180,4 +174,4 @@ def _light_or_reason(study: Study, variant: str | None, *args: Any, **options: A
 
 def _stored(light: Light | str, store: Callable[[SpectralImage], SpectralImage]) -> Light | str:
     """Return a light whose image need not stay in memory; a reason as it is."""
-    return light if isinstance(light, str) else light._replace(image=store(light.image))
+    return light if isinstance(light, str) else replace(light, image=store(light.image))

@@ -22,19 +22,7 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.labels import file_label, labels_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import (
-    NO_TECHNOLOGY,
-    REGISTERED_BORDER,
-    Camera,
-    CameraOptions,
-    Display,
-    Exposure,
-    Layer,
-    Pixel,
-    Record,
-    Run,
-    Study,
-)
+from pixsim.base.parameters import NO_TECHNOLOGY, REGISTERED_BORDER, Camera, CameraOptions, Display, Layer, Record, Run, Study
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.integration import check_pixel_count, pixels_on
@@ -42,12 +30,14 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.technology import check_name
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.budget import without_warnings
+from pixsim.studies.cases import Case
 from pixsim.studies.circumstances import Circumstances, circumstances_of
 from pixsim.studies.cost import VIEWED_S_PER_DOT, Cost, dots_on, frame_cost
 from pixsim.studies.matched_cameras import Match, matched_cameras
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.preparation import ALLOWED_DOTS, View, choose_view
+from pixsim.studies.prepared import Prepared, loaded_scene
 from pixsim.studies.viewing import OF_VIEWING, Viewing, ViewingRange
 from pixsim.viewer.display import dot_edges_um
 
@@ -65,31 +55,9 @@ NOT_COMPARED = {
 DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
 
 
-@dataclass(frozen=True)
-class Contestant:
-    """A sensor of a comparison, with the camera through which it sees the common field.
-
-    name : stem of its file, unique in the comparison
-    source : its file, or the name of a packaged technology
-    scene : with its chart, whose frequencies on the sensor go with the die
-    """
-
-    name: str
-    source: str
-    camera: Camera
-    pixel: Pixel
-    exposure: Exposure
-    scene: Scene
-
-    @property
-    def own(self) -> dict[str, Any]:
-        """Its own settings, as tables of `Run`."""
-        return {"camera": self.camera.options, "lens": self.camera.lens_options, "pixel": self.pixel, "exposure": self.exposure}
-
-    @property
-    def pixels(self) -> tuple[int, int]:
-        """Rows and columns of pixels that see the common field."""
-        return pixels_on(self.camera.die_um, self.pixel.pitch_um)
+def pixels_of(sensor: Prepared[Run]) -> tuple[int, int]:
+    """Return the rows and columns of a sensor's pixels that see the common field."""
+    return pixels_on(sensor.camera.die_um, sensor.settings.pixel.pitch_um)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +67,7 @@ class Lineup:
     condition, weight : name and share of the condition; an empty name and 1 without conditions
     scene : file, or name of a packaged scene
     settings : what all sensors share, and the first one's camera, pixel and exposure
+    sensors : each with its own camera, pixel and exposure; the frequencies of its chart on the sensor go with the die
     view : display and chart that pixsim chose for data sheets, from the sensor with the most pixels
     finest : name of that sensor
     border : width of the border that is not scored, as a fraction of the width of the field
@@ -109,7 +78,7 @@ class Lineup:
     weight: float
     scene: str
     settings: Run
-    sensors: tuple[Contestant, ...]
+    sensors: tuple[Prepared[Run], ...]
     view: View
     finest: str
     border: float
@@ -120,14 +89,11 @@ class Lineup:
         """The condition, for messages; empty without conditions."""
         return f"condition {self.condition}" if self.condition else ""
 
-    def plan(self, sensor: Contestant, scene: Scene) -> Plan:
+    def plan(self, sensor: Prepared[Run], scene: Scene) -> Plan:
         """Return the plan of a sensor's render on the film of `scene`."""
         display, tolerance_e = self.settings.display, self.settings.tolerance_e
-        return make_plan(scene, sensor.camera, sensor.pixel, exposure=sensor.exposure, display=display, tolerance_e=tolerance_e)
-
-    def settings_of(self, sensor: Contestant) -> Run:
-        """Return the settings with those of a sensor."""
-        return self.settings.model_copy(update=sensor.own)
+        own = sensor.settings
+        return make_plan(scene, sensor.camera, own.pixel, exposure=own.exposure, display=display, tolerance_e=tolerance_e)
 
     @cached_property
     def film_width(self) -> int:
@@ -142,8 +108,8 @@ class Lineup:
     @property
     def scored_dots(self) -> tuple[int, int]:
         """Rows and columns of the display's dots that are shown and scored."""
-        camera = self.sensors[0].camera
-        rows, columns = dot_edges_um(camera.die_um, self.sensors[0].pixel.pitch_um, self.settings.display, self.border_um(camera))
+        camera, pitch_um = self.sensors[0].camera, self.sensors[0].settings.pixel.pitch_um
+        rows, columns = dot_edges_um(camera.die_um, pitch_um, self.settings.display, self.border_um(camera))
         return rows.size - 1, columns.size - 1
 
     def as_dict(self) -> dict[str, Any]:
@@ -166,16 +132,16 @@ class Lineup:
         """Return the width of the border on a camera's die."""
         return self.border * camera.die_um[1]
 
-    def cost_of_frame(self, sensor: Contestant) -> Cost:
+    def cost_of_frame(self, sensor: Prepared[Run]) -> Cost:
         """Estimate a frame of a sensor, and its ΔE under all viewings."""
-        cost = frame_cost(sensor.camera, sensor.pixel.pitch_um, self.settings.display)
+        cost = frame_cost(sensor.camera, sensor.settings.pixel.pitch_um, self.settings.display)
         displays = [each.display(self.settings.display) for each in dict.fromkeys(self.viewing.viewings[1:])]
         dots = sum(dots_on(sensor.camera, display) for display in displays)
         return replace(cost, seconds=cost.seconds + dots * VIEWED_S_PER_DOT)
 
 
 @dataclass(frozen=True)
-class Prepared:
+class ComparisonJob:
     """A comparison with everything that it left open.
 
     base : settings of each sensor, as the files and options have them without a condition
@@ -287,7 +253,7 @@ def prepare(
     sensor: str | None = None,
     variant: str | None = None,
     uncertainty: int | None = None,
-) -> Prepared:
+) -> ComparisonJob:
     """Choose what a comparison leaves open, and check everything that can be checked before a render.
 
     config, options : settings for all sensors, as tables; they take precedence over those of the study, but not of its conditions
@@ -337,7 +303,7 @@ def prepare(
         types = Types.of(uncertainty, names, sources, [run.pixel for run in base], base[0].seed)
     else:
         warn_of_uncertainty(sources)
-    return Prepared(match, repeats, tuple(base), lineups, pairs, sensor, variant, of_study, types)
+    return ComparisonJob(match, repeats, tuple(base), lineups, pairs, sensor, variant, of_study, types)
 
 
 def warn_of_uncertainty(sources: Sequence[str]) -> None:
@@ -400,8 +366,6 @@ def lineup_of(
 
     common : another condition, whose displays and chart this one takes where it leaves them open, so that both can be averaged
     """
-    from pixsim.scene.scene import load_scene
-
     scene, runs = stated.scene, stated.runs
     settings = runs[0]
     of_viewing = [name for name in OF_VIEWING if name in settings.display.model_fields_set]
@@ -410,8 +374,7 @@ def lineup_of(
         raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
     if Path(scene).suffix.lower() in (".exr", ".npz", ".hdr"):
         raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
-    loaded = load_scene(scene, variant=variant, sensor=sensor, **settings.scene)
-    loaded = loaded.with_resolution(settings.resolution) if settings.resolution else loaded
+    loaded = loaded_scene(scene, settings.scene, settings.resolution, variant=variant, sensor=sensor)
     whole = _whole_cameras(names, loaded, runs)
     if settings.window_mm is not None:
         whole[0].window(settings.window_mm)
@@ -433,7 +396,7 @@ def lineup_of(
     settings = settings.model_copy(update={"display": view.display(settings.display), "scene": parameters})
     border = REGISTERED_BORDER * max(run.pixel.pitch_um / camera.die_um[1] for camera, run in zip(cameras, runs, strict=True))
     given = parameters.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
-    contestants = []
+    sensors = []
     for name, source, camera, run in zip(names, sources, cameras, runs, strict=True):
         of_sensor = loaded
         if given is not None:
@@ -441,21 +404,22 @@ def lineup_of(
             of_sensor = loaded.with_parameters(**{MAX_LP_PER_MM: repr(highest)})
         with named(name):
             dot_edges_um(camera.die_um, run.pixel.pitch_um, settings.display, border * camera.die_um[1])
-        contestants.append(Contestant(name, source, camera, run.pixel, run.exposure, of_sensor))
-    viewing = _viewing(contestants, settings.display, of_viewing, border)
+        own = {"camera": camera.options, "lens": camera.lens_options, "pixel": run.pixel, "exposure": run.exposure}
+        case = Case(settings.model_copy(update=own), condition=stated.condition, sensor=name, source=source)
+        sensors.append(Prepared(case, of_sensor, camera))
+    viewing = _viewing(sensors, settings.display, of_viewing, border)
     if common is not None:
         viewing = common.viewing.under(settings.display, of_viewing)
-    own = settings, tuple(contestants), view, names[finest], border, viewing
-    return Lineup(stated.condition, stated.weight, scene, *own)
+    return Lineup(stated.condition, stated.weight, scene, settings, tuple(sensors), view, names[finest], border, viewing)
 
 
-def _viewing(sensors: Sequence[Contestant], display: Display, stated: Sequence[str], border: float) -> ViewingRange:
+def _viewing(sensors: Sequence[Prepared[Run]], display: Display, stated: Sequence[str], border: float) -> ViewingRange:
     """Return the range of viewing around a display, without displays that have no dot within the border."""
     low, high = ALLOWED_DOTS
-    wished = ViewingRange.of(display, stated, [min(max(sensor.pixels[1], low), high) for sensor in sensors])
+    wished = ViewingRange.of(display, stated, [min(max(pixels_of(sensor)[1], low), high) for sensor in sensors])
 
     def is_possible(viewing: Viewing) -> bool:
-        die_um, pitch_um = sensors[0].camera.die_um, sensors[0].pixel.pitch_um
+        die_um, pitch_um = sensors[0].camera.die_um, sensors[0].settings.pixel.pitch_um
         try:
             dot_edges_um(die_um, pitch_um, viewing.display(display), border * die_um[1])
         except PixsimError:

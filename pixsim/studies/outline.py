@@ -34,11 +34,11 @@ from pixsim.viewer.imaging import Imaging
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
     from pixsim.scene.scene import Scene
-    from pixsim.studies.preparation import Prepared
-    from pixsim.studies.run import Prepared as PreparedRun
+    from pixsim.studies.preparation import StudyJob
+    from pixsim.studies.run import RunJob
 
 
-def planned_run(prepared: PreparedRun) -> dict[str, Any]:
+def planned_run(prepared: RunJob) -> dict[str, Any]:
     """Return the film, errors, pixels and cost of a run; nothing is rendered."""
     settings, camera, frames, repeats = prepared.settings, prepared.camera, prepared.frames, prepared.repeats
     pitch_um, planned = settings.pixel.pitch_um, dict[str, Any]()
@@ -46,7 +46,7 @@ def planned_run(prepared: PreparedRun) -> dict[str, Any]:
         cost = Cost(START_S, 4.0 * light.wavelength_nm.size * math.prod(light.shape), 1)
         planned["film"] = {"samples": list(light.shape), "pitch_um": light.pitch_um}
     else:
-        scene, plan = light
+        scene, plan = light.scene, light.plan
         planned["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
         shape, rendered = known_film(planned["film"]["samples"], rendered_across(scene, camera, plan, settings))
         cost = render_cost(plan, camera, shape, rendered, processors().usable)
@@ -71,30 +71,31 @@ def planned_sensors(study: Study, camera: Camera) -> list[dict[str, Any]]:
     return sensors
 
 
-def planned_study(prepared: Prepared, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
+def planned_study(job: StudyJob, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
     """Return the film, errors, evaluations, cases and cost of a study; nothing is rendered.
 
     jobs : processes; None means as many as it would take
     asked : the study before it was prepared, for the window that would take less than a minute
     types : number of sensor types of --uncertainty or --sobol
     """
-    first = prepared.parts[0][1]
-    study, camera = first.study, first.camera
+    first = job.cases[0]
+    study, camera = first.settings, first.camera
     scene, plan = first_film(study, first.scene, camera)
     film = film_of(scene, camera, plan)
     shape = tuple(film["samples"])
-    lights = len({light_hash(case.study) for case, _ in prepared.parts})
+    lights = len({light_hash(case.settings) for case in job.cases})
     film_shape, rendered = known_film(film["samples"], rendered_across(scene, camera, plan, study))
-    of_cases = [(case.study, part.camera) for case, part in prepared.parts]
+    of_cases = [(case.settings, case.camera) for case in job.cases]
     known = Known(rendered, evaluated_before([case for case, _ in of_cases]))
     cost = cases_cost(of_cases, lights, plan, film_shape, jobs, types, known)
     smallest = imaging_of(study, camera, study.technologies[0], float(study_pitches_um(study, study.technologies[0])[0]))
-    planned: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name, "evaluations": prepared.evaluations}
+    planned: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name, "evaluations": job.evaluations}
     planned["errors"] = errors_of(plan, film, smallest, study)
     if types:
         planned["sensor_types"] = types
-    if prepared.cases:
-        planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case, _ in prepared.cases]
+    if job.has_cases:
+        labels = [each.case for each in job.cases]
+        planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in labels]
     elif cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, shape, jobs)):
         planned["window_within_a_minute_mm"] = window
     return planned | ({} if study.own_um is None else {"own_um": study.own_um})

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -18,6 +19,7 @@ from pydantic import TypeAdapter
 
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, Array, in_threads
+from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display, Pixel, Setting, content_hash
 from pixsim.base.progress import Progress, share_of, steps_of
 from pixsim.light.spectral import SpectralImage
@@ -455,71 +457,97 @@ Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
 
 
 @dataclass(frozen=True)
-class Rendered:
-    """A picture on the film that was chosen for it, and how it was made."""
+class Light:
+    """The irradiance on a sensor, on the film that was chosen for it.
+
+    camera : with which it was rendered
+    film : the error of its film
+    noise : of its render
+    """
 
     image: SpectralImage
-    noise: RenderNoise
-    plan: Plan
+    camera: Camera
     film: FilmError
+    noise: RenderNoise
 
 
-def render_and_measure(
-    scene: Scene,
-    plan: Plan,
-    settings: Setting,
-    pixel: Pixel | PixelPhysics,
-    measured: Sequence[Imaging],
-    *,
-    plan_of: Callable[[Scene], Plan],
-    settled: Settled | None = None,
-    progress: Progress | None = None,
-    larger: Sequence[Imaging] = (),
-) -> Rendered:
-    """Render a scene within the limits of a run or a study, by `render_on_film`.
+@dataclass(frozen=True)
+class Demand:
+    """What some pixels ask of one light.
 
-    settings : with what `settled` chose
-    pixel : with whose noise that of the render is compared
+    scene, plan : of the first film, as for `render_on_film`
+    plan_of : returns the plan of the scene on another film
+    settings : with the limits of the render, its seed, and what `settled` chose
+    pixel : the least noisy one, with whose noise that of the render is compared
     measured : pixels for which the error of the film is measured, with the camera
-    plan, plan_of : as for `render_on_film`
-    settled : a calibration for a tolerance, which has measured the film
     larger : of `measure_film`
+    settled : a calibration for a tolerance, which has measured the film
     """
-    rendering = 1.0 if settled else RENDERING_CHART if plan.exact else RENDERING
-    camera = measured[0].camera
 
-    def render(scene: Scene, plan: Plan) -> tuple[SpectralImage, RenderNoise]:
+    scene: Scene
+    plan: Plan = field(repr=False)
+    plan_of: Callable[[Scene], Plan] = field(repr=False)
+    settings: Setting
+    pixel: Pixel | PixelPhysics
+    measured: Sequence[Imaging]
+    larger: Sequence[Imaging] = ()
+    settled: Settled | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera, with its lens."""
+        return self.measured[0].camera
+
+    def render(self, scene: Scene, plan: Plan, *, progress: Progress | None = None) -> tuple[SpectralImage, RenderNoise]:
+        """Return the picture of a film, and its noise, within the limits of the settings."""
         return render_until(
             scene,
-            camera,
+            self.camera,
             plan,
-            [pixel],
-            measured[0].exposure,
-            settings.seed,
+            [self.pixel],
+            self.measured[0].exposure,
+            self.settings.seed,
             keep=True,
-            render_noise=settings.render_noise,
-            max_seconds=settings.max_seconds,
-            progress=share_of(progress, 0.0, rendering),
+            render_noise=self.settings.render_noise,
+            max_seconds=self.settings.max_seconds,
+            progress=progress,
         )
 
-    def measure(image: SpectralImage, plan: Plan) -> FilmError:
-        if settled:
-            calibrated = settled.calibration.film(image.shape[1]).delta_e
-            return film_for_tolerance(image, measured, calibrated, settled.tolerance_delta_e)
-        part = share_of(progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across")
-        tolerance_delta_e = settings.tolerance_delta_e
+    def film_error(self, image: SpectralImage, plan: Plan, *, progress: Progress | None = None) -> FilmError:
+        """Return the error of a film, measured in its picture or by the calibration."""
+        if self.settled:
+            calibrated = self.settled.calibration.film(image.shape[1]).delta_e
+            return film_for_tolerance(image, self.measured, calibrated, self.settled.tolerance_delta_e)
+        tolerance_delta_e, larger = self.settings.tolerance_delta_e, self.larger
         return measure_film(
-            image, measured, chart=plan.chart, tolerance_delta_e=tolerance_delta_e, keep=True, larger=larger, progress=part
+            image, self.measured, chart=plan.chart, tolerance_delta_e=tolerance_delta_e, keep=True, larger=larger, progress=progress
         )
+
+
+def light_of(demand: Demand, progress: Progress | None = None) -> tuple[Light, Plan]:
+    """Return the light that pixels ask for, within the limits of a command, by `render_on_film`; and the plan of its film.
+
+    Warns of what the plan warns of. Raises AlikeChannelsError if the colours of none of the pixels can be told apart.
+    """
+    scene, plan, settings, settled = demand.scene, demand.plan, demand.settings, demand.settled
+    for note in plan.warnings:
+        warn(note)
+    rendering = 1.0 if settled else RENDERING_CHART if plan.exact else RENDERING
+
+    def measure(image: SpectralImage, plan: Plan) -> FilmError:
+        part = share_of(progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across")
+        return demand.film_error(image, plan, progress=part)
 
     fixed = "set by --resolution" if settings.resolution else ""
     fixed = "chosen for the tolerance" if settled and settled.film_is_free else fixed
-    made = render_on_film(
-        scene, camera, plan, render=render, plan_of=plan_of, measure=measure, fixed=fixed, max_seconds=settings.max_seconds
+    render = partial(demand.render, progress=share_of(progress, 0.0, rendering))
+    own = scene, demand.camera, plan
+    light, last = render_on_film(
+        *own, render=render, plan_of=demand.plan_of, measure=measure, fixed=fixed, max_seconds=settings.max_seconds
     )
-    if plan.exact or cache.has_room(4 * made.image.planes.size):
-        remember_rendered(scene, camera, plan, settings, made.image.shape[1])
-    return made
+    if plan.exact or cache.has_room(4 * light.image.planes.size):
+        remember_rendered(scene, demand.camera, plan, settings, light.image.shape[1])
+    return light, last
 
 
 def render_on_film(
@@ -532,7 +560,7 @@ def render_on_film(
     measure: Callable[[SpectralImage, Plan], FilmError],
     fixed: str = "",
     max_seconds: float | None = None,
-) -> Rendered:
+) -> tuple[Light, Plan]:
     """Render a scene on the film of its plan, and again on a film of twice the samples across while the error is too large.
 
     It stops where the order of convergence seen so far says that the widest film would not be fine enough either, for any of the
@@ -559,7 +587,7 @@ def render_on_film(
         most = largest_film(ratio, plan.planes, in_time)
         wider = fitting_width(ratio, 2 * width, most)
         if film.met:
-            return Rendered(image, noise, plan, film)
+            return Light(image, camera, film, noise), plan
         end = f"the limit of {most} samples across for {plan.planes} picture{'s' * (plan.planes > 1)}"
         left = film.left_on(most, before)
         if fixed:
@@ -577,4 +605,4 @@ def render_on_film(
             chosen, before = chosen.with_resolution(wider), film
             plan = plan_of(chosen)
             continue
-        return Rendered(image, noise, plan, replace(film, limit=limit))
+        return Light(image, camera, replace(film, limit=limit), noise), plan

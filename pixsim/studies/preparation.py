@@ -32,6 +32,7 @@ from pixsim.sensor.technology import check_name
 from pixsim.sensor.unused import warn_of_unused_settings
 from pixsim.studies.cases import Case, cases_of, with_range_ends
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
+from pixsim.studies.prepared import Prepared, loaded_scene
 from pixsim.studies.results_file import COLUMNS
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.unused import StudyConfiguration
@@ -274,50 +275,46 @@ def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] 
 
     known : scenes by their settings, to which this one is added
     """
-    from pixsim.scene.scene import load_scene
-
     known = {} if known is None else known
     key = content_hash([study.scene.model_dump(mode="json"), study.resolution])
     if key not in known:
-        parameters: dict[str, Any] = dict(study.scene.parameters)
-        loaded = load_scene(study.scene.file, variant=variant, **parameters)
-        known[key] = loaded.with_resolution(study.resolution) if study.resolution else loaded
+        known[key] = loaded_scene(study.scene.file, study.scene.parameters, study.resolution, variant=variant)
     scene = known[key]
     return scene, scene.camera(study.camera, study.lens).window(study.window_mm)
 
 
 @dataclass(frozen=True)
-class Prepared:
+class StudyJob:
     """A study with everything that it left open, found and checked before anything is rendered.
 
     study : with its pixel sizes, display and chart
     scene, camera : of the study; the camera is that of the window
     view : display and chart that pixsim chose for the sensor of a data sheet
+    cases : of its axes and conditions; a study without them is its own only case
     variant : of Mitsuba; None means the fastest that works
     uncertainty : of the study's [pixel] and data sheets, as its files state it
-    cases : the cases of a study with axes or conditions, and what each of them leaves open; empty for another study
     """
 
     study: Study
     scene: Scene
     camera: Camera
     view: View
+    cases: tuple[Prepared[Study], ...]
     variant: str | None = None
-    cases: tuple[tuple[Case, Prepared], ...] = ()
     uncertainty: Uncertainty = field(default_factory=dict)
 
     @property
-    def parts(self) -> tuple[tuple[Case, Prepared], ...]:
-        """The cases of any study; one without axes is its own only case."""
-        return self.cases or ((Case(self.study), self),)
+    def has_cases(self) -> bool:
+        """Whether the study has axes or conditions."""
+        return self.study.has_cases
 
     @property
     def evaluations(self) -> int:
         """Number of evaluations that the study starts with."""
-        return sum(sum(sum(sensors.values()) for sensors in first_sampling(case.study).values()) for case, _ in self.parts)
+        return sum(sum(sum(sensors.values()) for sensors in first_sampling(case.settings).values()) for case in self.cases)
 
 
-def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Prepared:
+def prepare(study: Study, variant: str | None = None, quick: bool = False) -> StudyJob:
     """Choose what a study leaves open, and check everything that can be checked before a render.
 
     quick : use the values of the study's `quick` table
@@ -331,10 +328,14 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
         else:
             warn(f"the study {study.name} has no [quick] table: running it in full")
     study = with_range_ends(study.quickened if quick else study)
-    if not (study.axis or study.condition):
-        made = _prepare(study, variant)
-        warn_of_unused([(study, made.study)])
-        return made
+    if not study.has_cases:
+        check_technologies(study)
+        scene, camera = scene_for(study, variant)
+        fitted = fitted_range(study, camera)
+        view = _chosen_view(fitted, scene, camera)
+        whole = _checked(Case(_with_view(fitted, view)), view.scene(scene), camera)
+        warn_of_unused([(study, whole.settings)])
+        return StudyJob(whole.settings, whole.scene, camera, view, (whole,), variant)
     # Display and chart are those of the study itself, so that all of its cases are comparable.
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
@@ -345,19 +346,19 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     own = _without_axes(study)
     scene, camera = scene_for(own, variant)
     view = _chosen_view(own, scene, camera)
-    prepared: list[tuple[Case, Prepared]] = []
+    prepared: list[Prepared[Study]] = []
     cases = cases_of(study)
     for case in cases:
         with _named(case):
-            seen = (
-                view if _same_chart(case.study, own) or scene_for(case.study, variant, scenes)[0].shows_csf else view.without_chart
-            )
-            part = _prepare(_with_view(case.study, seen), variant, view, scenes)
-        prepared.append((replace(case, study=part.study), part))
-    warn_of_unused([(case.study, part.study) for case, (_, part) in zip(cases, prepared, strict=True)])
+            shown = _same_chart(case.settings, own) or scene_for(case.settings, variant, scenes)[0].shows_csf
+            complete = _with_view(case.settings, view if shown else view.without_chart)
+            check_technologies(complete)
+            scene_of_case, its_camera = scene_for(complete, variant, scenes)
+            prepared.append(_checked(replace(case, settings=fitted_range(complete, its_camera)), scene_of_case, its_camera))
+    warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, prepared, strict=True)])
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
-    kept = view if all(_same_chart(case.study, own) for case, _ in prepared) else view.without_chart
-    return Prepared(_with_view(study, kept), view.scene(scene), camera, view, variant, tuple(prepared))
+    kept = view if all(_same_chart(each.settings, own) for each in prepared) else view.without_chart
+    return StudyJob(_with_view(study, kept), view.scene(scene), camera, view, tuple(prepared), variant)
 
 
 def warn_of_unused(cases: Sequence[tuple[Study, Study]]) -> None:
@@ -389,7 +390,7 @@ def _without_axes(study: Study) -> Study:
 
 
 @contextmanager
-def _named(case: Case) -> Iterator[None]:
+def _named(case: Case[Study]) -> Iterator[None]:
     """Name the case in an error."""
     try:
         yield
@@ -408,20 +409,11 @@ def _with_view(study: Study, view: View) -> Study:
     return study.model_copy(update={"display": display, "scene": of_scene})
 
 
-def _prepare(study: Study, variant: str | None, view: View | None = None, scenes: dict[str, Scene] | None = None) -> Prepared:
-    """Return `prepare` of a study without axes.
-
-    view : of the study whose case it is, which its settings have already; None means to choose it
-    scenes : of the other cases, by their settings; it is added to
-    """
-    check_technologies(study)
-    scene, camera = scene_for(study, variant, {} if scenes is None else scenes)
-    study = fitted_range(study, camera)
-    if view is None:
-        view = _chosen_view(study, scene, camera)
-        study, scene = _with_view(study, view), view.scene(scene)
+def _checked(case: Case[Study], scene: Scene, camera: Camera) -> Prepared[Study]:
+    """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not possible."""
+    study = case.settings
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
         dot_edges_um(camera.die_um, largest_um, study.display, study.border_um)
-    return Prepared(study, scene, camera, view, variant)
+    return Prepared(case, scene, camera)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,14 +17,14 @@ from pixsim.base.caller import setting
 from pixsim.base.config import run_settings, scene_table
 from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
-from pixsim.base.notes import collected_notes, warn
+from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Run
 from pixsim.base.progress import Stage, no_stage, share_of, watched
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.exchange import read_with_camera
 from pixsim.scene.convergence import without_clock
 from pixsim.scene.plan import Plan, make_plan
-from pixsim.scene.scene import Scene, load_scene, packaged_scenes
+from pixsim.scene.scene import Scene, packaged_scenes
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_on
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import Frame
@@ -32,9 +32,10 @@ from pixsim.sensor.technology import Technology, load_technology
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.pages import html_cell, rows_csv
 from pixsim.studies.budget import ProbeDesign, Settled, settle
-from pixsim.studies.oversampling import Rendered, render_and_measure
+from pixsim.studies.oversampling import Demand, Light, light_of
 from pixsim.studies.paired import mean_interval
 from pixsim.studies.preparation import View, choose_view
+from pixsim.studies.prepared import loaded_scene
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.imaging import Imaging
@@ -53,19 +54,12 @@ BEFORE_FRAME = 0.8  # of the work of "sense and score"
 # --- what is run, before anything is rendered ----------------------------------------------------------------------------------
 
 
-class Planned(NamedTuple):
-    """A scene on the film of its first render, and the plan of that."""
-
-    scene: Scene
-    plan: Plan
-
-
 @dataclass(frozen=True)
-class Prepared:
+class RunJob:
     """A run with everything that it left open, found and checked before anything is rendered.
 
     source : scene, or picture of another program
-    light : what is to be rendered, or the light of the picture
+    light : the picture, or what the pixel asks of the scene's light
     asked : settings as they were given
     settings : with what they left open
     camera : of the window
@@ -81,7 +75,7 @@ class Prepared:
     asked: Run
     settings: Run
     camera: Camera
-    light: SpectralImage | Planned = field(repr=False)
+    light: SpectralImage | Demand = field(repr=False)
     view: View = field(default_factory=View)
     settled: Settled | None = None
     full: bool = False
@@ -125,10 +119,10 @@ def prepare(
     sensor: str | None = None,
     variant: str | None = None,
     units: str | None = None,
-) -> Prepared:
+) -> RunJob:
     """Choose what a run leaves open, and check everything that can be checked before a render.
 
-    The arguments are fields of `Prepared`. Raises PixsimError for invalid input.
+    The arguments are fields of `RunJob`. Raises PixsimError for invalid input.
     """
     pitch_um, given = settings.pixel.pitch_um, Configuration.of(settings, derive(settings.pixel))
     if not 1 <= frames <= MAX_FRAMES:
@@ -139,7 +133,7 @@ def prepare(
     if settings.tolerance_delta_e and full:
         allowed = f"one of the two: a tolerance selects cheaper settings, {setting('full')} uses none"
         raise invalid(setting("tolerance_delta_e"), f"with {setting('full')}", allowed)
-    light: SpectralImage | Planned
+    light: SpectralImage | Demand
     scene: Scene | None = None
     if Path(source).suffix.lower() in PICTURE_SUFFIXES:
         if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.resolution or settings.window_mm:
@@ -151,7 +145,7 @@ def prepare(
         if units:
             allowed = "a picture (.exr, .npz, .hdr); the units of a render are known"
             raise invalid(setting("units"), f"'{source}', a scene", allowed)
-        scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
+        scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
         whole = scene.camera(settings.camera, settings.lens)
     warn_of_unused_settings({"": [given]})
     camera, view = whole.window(settings.window_mm), View()
@@ -162,10 +156,19 @@ def prepare(
     chosen = {"camera": whole.options, "display": view.display(settings.display), "scene": view.parameters(settings.scene)}
     complete = settings.model_copy(update=chosen)
     if scene is not None:
-        scene = view.scene(scene.with_resolution(settings.resolution) if settings.resolution else scene)
-        light = Planned(scene, plan_of(scene, camera, complete, full))
+        light = demand_of(view.scene(scene), camera, complete, full)
     of_run = source, settings, complete, camera, light, view
-    return Prepared(*of_run, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
+    return RunJob(*of_run, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
+
+
+def demand_of(scene: Scene, camera: Camera, settings: Run, full: bool, settled: Settled | None = None) -> Demand:
+    """Return what the pixel of a run asks of its light.
+
+    scene : on the film of a calibration, if there is one; else that of the user, in place of which the plan has a finer one
+    """
+    planned = partial(plan_of, camera=camera, settings=settings, full=full, film_is_known=settled is not None)
+    imaging = Imaging.of(settings, camera)
+    return Demand(scene, planned(scene), planned, settings, settings.pixel, [imaging], settled=settled)
 
 
 def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool, *, film_is_known: bool = False) -> Plan:
@@ -196,16 +199,17 @@ class RunResult:
     chain : from the light to frames and scores of further sensors of the kind
     score : of the first frame of the first sensor, with its pictures
     statistics : `Score.statistics` of the first frame of each sensor
-    rendered : how the light was rendered, with its errors; None for light of another program
+    rendered, plan : the light as it was rendered, with its errors, and the plan of that; None for light of another program
     warned : warnings meanwhile
     """
 
-    prepared: Prepared = field(repr=False)
+    prepared: RunJob = field(repr=False)
     irradiance: SpectralImage = field(repr=False)
     chain: ImagingChain = field(repr=False)
     score: Score = field(repr=False)
     statistics: tuple[dict[str, float], ...] = field(repr=False)
-    rendered: Rendered | None = field(default=None, repr=False)
+    rendered: Light | None = field(default=None, repr=False)
+    plan: Plan | None = field(default=None, repr=False)
     warned: tuple[str, ...] = ()
 
     @property
@@ -270,9 +274,9 @@ class RunResult:
     @cached_property
     def budget(self) -> dict[str, Any] | None:
         """The error budget, as in score.json; None without a tolerance of ΔE."""
-        if self.rendered is None or self.prepared.settled is None:
+        if self.rendered is None or self.plan is None or self.prepared.settled is None:
             return None
-        bound_e = self.rendered.plan.bound_e if self.rendered.plan.bounded else None
+        bound_e = self.plan.bound_e if self.plan.bounded else None
         return self.prepared.settled.budget(self.rendered.noise, bound_e, len(self.statistics))
 
     @property
@@ -328,9 +332,8 @@ class RunResult:
         """
         prepared, settings, score = self.prepared, self.settings, self.score
         more: dict[str, Any] = {"chosen": prepared.view.as_dict()}
-        if self.rendered is not None:
-            made = self.rendered
-            more |= {"render_noise": asdict(made.noise), "plan": made.plan.as_dict(), "film": self.film}
+        if self.rendered is not None and self.plan is not None:
+            more |= {"render_noise": asdict(self.rendered.noise), "plan": self.plan.as_dict(), "film": self.film}
             more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
         if self.budget is not None:
             more |= {"error_budget": self.budget, "sensors": len(self.statistics), "sensors_mean_delta_e": self.mean_delta_e}
@@ -435,9 +438,10 @@ def run(
 class LitRun:
     """A run whose light is known. The fields are those of `RunResult`."""
 
-    prepared: Prepared
+    prepared: RunJob
     irradiance: SpectralImage = field(repr=False)
-    rendered: Rendered | None = field(default=None, repr=False)
+    rendered: Light | None = field(default=None, repr=False)
+    plan: Plan | None = field(default=None, repr=False)
     warned: tuple[str, ...] = ()
 
     @property
@@ -446,7 +450,7 @@ class LitRun:
         return load_technology(self.prepared.settings.pixel.technology)
 
 
-def run_prepared(prepared: Prepared, *, progress: Stage | None = None) -> RunResult:
+def run_prepared(prepared: RunJob, *, progress: Stage | None = None) -> RunResult:
     """Run what is prepared.
 
     progress : returns a callback for each named stage
@@ -455,16 +459,17 @@ def run_prepared(prepared: Prepared, *, progress: Stage | None = None) -> RunRes
     return score_run(light_run(prepared, stage), stage)
 
 
-def light_run(prepared: Prepared, stage: Stage) -> LitRun:
+def light_run(prepared: RunJob, stage: Stage) -> LitRun:
     """Return a run with its light, with the white that it is shown with."""
     with collected_notes() as notes:
-        rendered = None
-        if isinstance(image := prepared.light, Planned):
-            prepared, rendered = _render(prepared, *image, stage)
+        rendered, plan = None, None
+        if isinstance(image := prepared.light, Demand):
+            prepared, demand = with_tolerance(prepared, image, stage)
+            rendered, plan = light_of(demand, stage("render"))
             image = rendered.image
         seen = Seen(image, prepared.camera, derive(prepared.settings.pixel))
         image.header |= white_header([seen], prepared.settings.display)
-    return LitRun(prepared, image, rendered, tuple(notes))
+    return LitRun(prepared, image, rendered, plan, tuple(notes))
 
 
 def score_run(lit: LitRun, stage: Stage) -> RunResult:
@@ -483,29 +488,19 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
             statistics.append(chain.simulate("evaluate", settings.seed, number).statistics())
             scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
     warned = tuple(dict.fromkeys([*lit.warned, *notes]))
-    result = RunResult(prepared, image, chain, score, tuple(statistics), lit.rendered, warned)
+    result = RunResult(prepared, image, chain, score, tuple(statistics), lit.rendered, lit.plan, warned)
     return replace(result, score=replace(score, light=result.light))
 
 
-def _render(prepared: Prepared, scene: Scene, plan: Plan, stage: Stage) -> tuple[Prepared, Rendered]:
-    """Return the light of a scene, and the run with the settings that a calibration chose for its tolerance of ΔE."""
+def with_tolerance(prepared: RunJob, demand: Demand, stage: Stage) -> tuple[RunJob, Demand]:
+    """Return a run and its demand, with the settings that a calibration chooses if it has a tolerance of ΔE."""
     settings, camera = prepared.settings, prepared.camera
-    if settings.tolerance_delta_e:
-        stage("calibrate")
-        settled = settle(scene, camera, ProbeDesign(Imaging.of(settings, camera), settings.seed), settings.tolerance_delta_e)
-        chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
-        scene, settings = settled.scene, settings.model_copy(update=chosen | {"resolution": settled.scene.resolution})
-        plan = plan_of(scene, camera, settings, prepared.full, film_is_known=True)
-        prepared = replace(prepared, settings=settings, light=Planned(scene, plan), settled=settled)
-    for note in plan.warnings:
-        warn(note)
-    return prepared, render_and_measure(
-        scene,
-        plan,
-        settings,
-        settings.pixel,
-        [Imaging.of(settings, camera)],
-        plan_of=lambda scene: plan_of(scene, camera, settings, prepared.full, film_is_known=bool(prepared.settled)),
-        settled=prepared.settled,
-        progress=stage("render"),
-    )
+    if not settings.tolerance_delta_e:
+        return prepared, demand
+    stage("calibrate")
+    probed = ProbeDesign(Imaging.of(settings, camera), settings.seed)
+    settled = settle(demand.scene, camera, probed, settings.tolerance_delta_e)
+    chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
+    settings = settings.model_copy(update=chosen | {"resolution": settled.scene.resolution})
+    demand = demand_of(settled.scene, camera, settings, prepared.full, settled)
+    return replace(prepared, settings=settings, light=demand, settled=settled), demand

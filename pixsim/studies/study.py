@@ -27,8 +27,9 @@ from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
 from pixsim.studies.keys import remember_evaluated
-from pixsim.studies.lights import Light, render_all
-from pixsim.studies.preparation import Prepared, View, prepare
+from pixsim.studies.lights import render_all
+from pixsim.studies.oversampling import Light
+from pixsim.studies.preparation import StudyJob, View, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of, few
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
 
 
-def repeated_settings(prepared: Prepared, chosen: Study, image: SpectralImage, asked: Asked | None = None) -> str:
+def repeated_settings(job: StudyJob, chosen: Study, image: SpectralImage, asked: Asked | None = None) -> str:
     """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
 
     chosen : the study as it was run, with the settings for its tolerance
@@ -53,15 +54,15 @@ def repeated_settings(prepared: Prepared, chosen: Study, image: SpectralImage, a
     """
     from pixsim.scene.convergence import without_clock
 
-    scene, kept = prepared.scene, without_clock(prepared.study, chosen, image)
+    scene, kept = job.scene, without_clock(job.study, chosen, image)
     file = kept.scene.file
     of_scene = {
         "file": file if file in packaged_scenes() else str(scene.path),
         "parameters": scene_table(scene.path.parent, kept.scene.parameters),
     }
     camera = scene.camera(kept.camera, kept.lens).options.model_dump(exclude_none=True)
-    spreads = spreads_of_study(kept, prepared.uncertainty)
-    return settings_text(kept, repeating_command(prepared.variant, asked), spreads, scene=of_scene, camera=camera)
+    spreads = spreads_of_study(kept, job.uncertainty)
+    return settings_text(kept, repeating_command(job.variant, asked), spreads, scene=of_scene, camera=camera)
 
 
 def repeating_command(variant: str | None, asked: Asked | None = None) -> str:
@@ -106,7 +107,7 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
 
 
 def evaluate_cases(
-    cases: Sequence[Case],
+    cases: Sequence[Case[Study]],
     lights: Sequence[Light],
     view: View,
     results: Path,
@@ -121,31 +122,32 @@ def evaluate_cases(
     lit: list[SceneCache] = []
     series: list[Series] = []
     members: list[range] = []  # of each case, the numbers of its series
-    for case, (irradiance, camera, _) in zip(cases, lights, strict=True):
+    for case, light in zip(cases, lights, strict=True):
+        irradiance, camera = light.image, light.camera
         # The header states everything that a render depends on, so that cases of other pixels may have equal ones.
         of_light = [irradiance.header, irradiance.shape, irradiance.pitch_um, camera.model_dump()]
-        key = content_hash([*of_light, case.study.display.content_hash])
-        scenes = caches.setdefault(key, scenes_of(case.study, irradiance, camera))
-        scenes.channels = max(scenes.channels, most_channels(case.study))
+        key = content_hash([*of_light, case.settings.display.content_hash])
+        scenes = caches.setdefault(key, scenes_of(case.settings, irradiance, camera))
+        scenes.channels = max(scenes.channels, most_channels(case.settings))
         lit.append(scenes)
-        of_case = series_of(case.study, scenes, case.columns, case.words)
+        of_case = series_of(case.settings, scenes, case.columns, case.words)
         members.append(range(len(series), len(series) + len(of_case)))
         series += of_case
     under: dict[tuple[str, str], list[Series]] = {}  # of one scene and condition
     for case, numbers in zip(cases, members, strict=True):
-        under.setdefault((case.study.scene.file, case.condition), []).extend(series[number] for number in numbers)
+        under.setdefault((case.settings.scene.file, case.condition), []).extend(series[number] for number in numbers)
     for together in under.values():
         check_ideals(together)
     evaluations = Evaluations(series, results, workers, len(cases))
     case_of = [place for place, numbers in enumerate(members) for _ in numbers]
-    samplings = [sizes for case in cases for sizes in first_sampling(case.study).values()]
+    samplings = [sizes for case in cases for sizes in first_sampling(case.settings).values()]
     smallest_um = [min(sizes) for sizes in samplings]
     rows = [NO_ROWS for _ in series]
     curves: dict[int, Curve] = {}
     fitted: list[Sizes] = [{} for _ in series]  # of these curves
     left_out: list[dict[float, str]] = [{} for _ in series]
     impossible: dict[int, str] = {}
-    rounds = any(case.study.target_ci_um is not None for case in cases)
+    rounds = any(case.settings.target_ci_um is not None for case in cases)
     with evaluations.resumed(samplings):
         for group in evaluations.groups(members) if rounds else [range(len(cases))]:
             changed = set(group)
@@ -162,7 +164,7 @@ def evaluate_cases(
                         try:
                             samplings[number] = evaluations.possible(number, samplings[number])
                             if fitted[number] != samplings[number]:
-                                curves[number] = curve_of(cases[place].study, series[number].name, rows[number])
+                                curves[number] = curve_of(cases[place].settings, series[number].name, rows[number])
                             fitted[number] = samplings[number]
                         except TooFewSizesError as error:
                             impossible[number] = str(error)
@@ -170,7 +172,7 @@ def evaluate_cases(
                             continue
                         technologies = {series[own].name: own for own in members[place]}
                         more = next_round(
-                            cases[place].study,
+                            cases[place].settings,
                             [curves[own] for own in technologies.values()],
                             {name: samplings[own] for name, own in technologies.items()},
                             len(cases) <= FEW_CASES,
@@ -182,12 +184,12 @@ def evaluate_cases(
             evaluations.end_group()
         evaluations.finish(rows)
     if all(each.stored for each in series):
-        remember_evaluated([case.study for case in cases])
+        remember_evaluated([case.settings for case in cases])
     found: list[StudyResult | str] = []
     left_of_cases = [{series[number].name: left_out[number] for number in numbers if left_out[number]} for numbers in members]
     reasons = [next((impossible[number] for number in numbers if number in impossible), "") for numbers in members]
     warn_of_left_out(cases, [{} if reason else left for left, reason in zip(left_of_cases, reasons, strict=True)])
-    for case, numbers, reason, scenes, (irradiance, camera, film) in zip(cases, members, reasons, lit, lights, strict=True):
+    for case, numbers, reason, scenes, light in zip(cases, members, reasons, lit, lights, strict=True):
         if reason:
             found.append(reason)
             continue
@@ -207,11 +209,13 @@ def evaluate_cases(
             )
             for number in numbers
         )
-        found.append(StudyResult(case.study, complete, irradiance, camera, film=film, view=view.as_dict(), lights=scenes))
+        found.append(
+            StudyResult(case.settings, complete, light.image, light.camera, light.film, view=view.as_dict(), lights=scenes)
+        )
     return found, evaluations.counts
 
 
-def warn_of_left_out(cases: Sequence[Case], left_out: Sequence[Mapping[str, Mapping[float, str]]]) -> None:
+def warn_of_left_out(cases: Sequence[Case[Study]], left_out: Sequence[Mapping[str, Mapping[float, str]]]) -> None:
     """Warn of the pixel sizes that a study leaves out of each of its cases."""
     notes = []
     for case, own in zip(cases, left_out, strict=True):
@@ -307,12 +311,12 @@ def study(
         from pixsim.studies.sensor_types import asked_of
 
         asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
-        prepared = replace(prepare(chosen, variant, quick=quick), uncertainty=spreads)
-        return run_prepared(prepared, out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, asked=asked)
+        job = replace(prepare(chosen, variant, quick=quick), uncertainty=spreads)
+        return run_prepared(job, out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, asked=asked)
 
 
 def run_prepared(
-    prepared: Prepared,
+    job: StudyJob,
     out: str | os.PathLike[str],
     *,
     jobs: int | None = None,
@@ -327,35 +331,34 @@ def run_prepared(
     """
     from pixsim.scene.convergence import RenderNoise
 
-    check_number(len(prepared.cases), prepared.evaluations, agreed)
+    check_number(len(job.cases), job.evaluations, agreed)
     if asked is not None:
         from pixsim.studies.sensor_types import check_types
 
-        check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, agreed)
+        check_types(job.study, [case.settings for case in job.cases], asked, agreed)
 
-    chosen, variant = prepared.study, prepared.variant
+    chosen, cases = job.study, [each.case for each in job.cases]
     stage = progress or no_stage
     settled: Settled | None = None
     if jobs is None and scheduler is None:
-        jobs = jobs_in_memory(largest_frame_bytes([(case.study, part.camera) for case, part in prepared.parts]))
+        jobs = jobs_in_memory(largest_frame_bytes([(case.settings, case.camera) for case in job.cases]))
     with collected_notes() as notes, ExitStack() as stack:
         ResultsFile(Path(out) / "results.csv").check_replaceable()
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
-        if chosen.tolerance_delta_e and not prepared.cases:
+        if chosen.tolerance_delta_e and not job.has_cases:
             stage("calibrate")
             from pixsim.studies.budget import settled_study
 
-            chosen, settled = settled_study(chosen, prepared.scene, prepared.camera)
-            prepared = replace(prepared, study=chosen)
-        lights = render_all(
-            [case for case, _ in prepared.parts], variant, stage, workers, settled, store=PictureFile(folder).stored
-        )
+            chosen, settled = settled_study(chosen, job.scene, job.camera)
+            job, cases = replace(job, study=chosen), [Case(chosen)]
+        lights = render_all(cases, job.variant, stage, workers, settled, store=PictureFile(folder).stored)
         reasons = [light for light in lights if isinstance(light, str)]
-        lit = [(case, light) for (case, _), light in zip(prepared.parts, lights, strict=True) if not isinstance(light, str)]
+        lit = [(case, light) for case, light in zip(cases, lights, strict=True) if not isinstance(light, str)]
         found: list[StudyResult] = []
         if lit:
-            cases = [replace(case, study=case.study.model_copy(update={"resolution": light.image.shape[1]})) for case, light in lit]
-            of_cases = cases, [light for _, light in lit], prepared.view, folder / "results.csv", workers
+            on_films = [case.settings.model_copy(update={"resolution": light.image.shape[1]}) for case, light in lit]
+            cases = [replace(case, settings=settings) for (case, _), settings in zip(lit, on_films, strict=True)]
+            of_cases = cases, [light for _, light in lit], job.view, folder / "results.csv", workers
             made, counts = evaluate_cases(*of_cases, lambda: stage("evaluate"))
             reasons += [each for each in made if isinstance(each, str)]
             found = [each for each in made if isinstance(each, StudyResult)]
@@ -365,21 +368,21 @@ def run_prepared(
             warn(note)
         warn_of_idle_axes(chosen, found)
         curves = found[0].curves
-        if not prepared.cases and chosen.own_um is not None and chosen.display.raster == "fixed_size":
-            curves = curves_viewed(found[0], prepared.view, workers, stage("on other displays"))
+        if not job.has_cases and chosen.own_um is not None and chosen.display.raster == "fixed_size":
+            curves = curves_viewed(found[0], job.view, workers, stage("on other displays"))
         findings: tuple[tuple[Any, ...], ...] = ()
-        if prepared.cases and chosen.paper:
+        if job.has_cases and chosen.paper:
             from pixsim.studies.claims import findings_of_cases
 
             findings = findings_of_cases(found, workers, stage("paper's statements"))
     first, budget = found[0], None
     irradiance = first.irradiance
-    settings_toml = repeated_settings(prepared, chosen if prepared.cases else first.study, irradiance, asked)
+    settings_toml = repeated_settings(job, chosen if job.has_cases else first.study, irradiance, asked)
     if settled is not None:
         noise, sensors = RenderNoise(**irradiance.header["render_noise"]), int(first.curves[0].sensors.min())
         budget = settled.budget(noise, irradiance.header["bound_e"], sensors)
     final = replace(first, warned=tuple(notes), curves=curves, settings_toml=settings_toml, budget=budget)
-    if prepared.cases:
+    if job.has_cases:
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
         final = CasesResult(
             chosen,

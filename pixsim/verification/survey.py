@@ -25,7 +25,7 @@ from pixsim.scene.scene import Scene, chart_parameters, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.budget import MAX_DOTS, ProbeDesign, calibrate, effects, pitches_around_optimum_um, probe
-from pixsim.studies.run import Prepared, RunResult
+from pixsim.studies.run import RunJob, RunResult
 from pixsim.verification import ladders, stability
 from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
 from pixsim.verification.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
@@ -60,7 +60,7 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, design: ProbeDesign)
 
 def seconds_to_score(image: SpectralImage, design: ProbeDesign, source: str, settings: Run) -> dict[str, float]:
     """Seconds of each stage after the render, as in `pixsim run`; diffraction is timed alone, not in `prepare_scene`."""
-    prepared = Prepared(source, settings, settings, design.imaging.camera, image)
+    prepared = RunJob(source, settings, settings, design.imaging.camera, image)
     without_diffraction = copy(image)
     without_diffraction.header = image.header | {"diffraction": False}
     imaging, ends = design.imaging, [time.perf_counter()]

@@ -37,8 +37,8 @@ def small_study(repeats: int, dots: int = 96) -> pixsim.Study:
 
 def work_s(study: pixsim.Study) -> float:
     """Seconds of one evaluation, mean over the pitches."""
-    irradiance, camera, _ = render_for(study)
-    (series,) = series_of(study, SceneCache(irradiance, camera, study.display))
+    lit = render_for(study)
+    (series,) = series_of(study, SceneCache(lit.image, lit.camera, study.display))
     light = series.light()
 
     def evaluations() -> None:

@@ -58,11 +58,12 @@ def test_every_option_has_an_argument_of_its_name(command: str) -> None:
 @pytest.mark.parametrize("command", FUNCTIONS)
 def test_every_result_can_be_shown_and_written(command: str) -> None:
     function, _ = FUNCTIONS[command]
-    kind = vars(sys.modules[function.__module__])[function.__annotations__["return"]]
-    assert callable(kind.as_dict)
-    assert hasattr(kind, "write") or kind.__name__ in pixsim.write_report.__annotations__["result"]
-    if "figures" in options_of(command):
-        assert "figures" in inspect.signature(getattr(kind, "write", pixsim.write_report)).parameters
+    for name in function.__annotations__["return"].split(" | "):
+        kind = vars(sys.modules[function.__module__])[name]
+        assert callable(kind.as_dict)
+        assert hasattr(kind, "write") or name in pixsim.write_report.__annotations__["result"]
+        if "figures" in options_of(command):
+            assert "figures" in inspect.signature(getattr(kind, "write", pixsim.write_report)).parameters
 
 
 def test_exceptions_are_needed() -> None:

@@ -25,9 +25,10 @@ def results() -> dict[str, type]:
         function = getattr(pixsim, name)
         if inspect.isfunction(function):
             scope = vars(sys.modules[function.__module__])
-            kind = scope.get(str(function.__annotations__.get("return")))
-            if inspect.isclass(kind) and kind.__module__.startswith("pixsim."):
-                classes[f"{kind.__module__}.{kind.__name__}"] = kind
+            for each in str(function.__annotations__.get("return")).split(" | "):
+                kind = scope.get(each)
+                if inspect.isclass(kind) and kind.__module__.startswith("pixsim."):
+                    classes[f"{kind.__module__}.{kind.__name__}"] = kind
     for name in RESULTS:
         module, _, class_name = name.rpartition(".")
         classes[f"pixsim.{name}"] = getattr(importlib.import_module(f"pixsim.{module}"), class_name)

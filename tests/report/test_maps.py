@@ -63,8 +63,8 @@ def result_of(optima_um: Optima, least: Optima = lambda *_: 1.0, **study: Any) -
     parts = []
     for case in cases_of(plan):
         of = case.at, case.condition
-        curves = tuple(curve_of(name, optima_um(*of, name), least(*of, name), case) for name in case.study.technologies)
-        parts.append(StudyResult(case.study, curves, LIGHT, pixsim.Camera(f_number=case.study.camera.f_number or 4.0)))
+        curves = tuple(curve_of(name, optima_um(*of, name), least(*of, name), case) for name in case.settings.technologies)
+        parts.append(StudyResult(case.settings, curves, LIGHT, pixsim.Camera(f_number=case.settings.camera.f_number or 4.0)))
     curves = tuple(curve for part in parts for curve in part.curves)
     return CasesResult(plan, curves, LIGHT, parts[0].camera, parts=tuple(parts))
 

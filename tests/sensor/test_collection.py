@@ -495,7 +495,7 @@ def test_stack_of_a_technology_is_switched_off_by_the_pixel() -> None:
         {"label": "no stack", "set": {"pixel": {"stack": {"enabled": False}}}},
     ]
     study = Study(name="x", axis=[{"name": "aperture", "values": values}])
-    found = [physics_of(case.study, "0.35um", 6.0, LENSED).stack for case in cases_of(study)]
+    found = [physics_of(case.settings, "0.35um", 6.0, LENSED).stack for case in cases_of(study)]
     assert [stack.microlens if stack else None for stack in found] == [True, False, None]
 
 

@@ -306,7 +306,7 @@ def test_a_value_that_holds_anyway_is_no_unused_setting() -> None:
 
 @pytest.mark.parametrize("name", packaged("data/studies"))
 def test_packaged_studies_state_nothing_in_vain(name: str) -> None:
-    cases = [case.study for case in cases_of(with_range_ends(load_study(name)))]
+    cases = [case.settings for case in cases_of(with_range_ends(load_study(name)))]
     for technology in cases[0].technologies:
         found = [said(case, technology) for case in cases if technology in case.technologies]
         assert not set.intersection(*found), technology

@@ -209,7 +209,7 @@ def test_study_axes_survive_a_round_trip() -> None:
 
 def test_cases_of_plain_study_is_itself() -> None:
     (case,) = cases_of(study := tiny())
-    assert case.study is study
+    assert case.settings is study
     assert (case.words, case.columns) == ("", {})
 
 
@@ -224,16 +224,16 @@ def test_cases_of_are_a_product_then_single_moves_each_under_every_condition() -
     ]
     assert cases[8].at == {"lens": BASE, "integration": BASE, "PRNU": BASE}
     assert [case.words for case in cases[8:12]] == ["day", "night", "PRNU: 0.01, day", "PRNU: 0.01, night"]
-    assert (cases[10].alone, cases[10].study.pixel.prnu, cases[10].study.camera.f_number) == ("PRNU", 0.01, None)
-    assert (cases[0].study.camera.f_number, cases[0].study.scene.parameters["luminance_cd_per_m2"]) == (2.8, 300.0)
-    assert all(not (case.study.axis or case.study.condition) for case in cases)
+    assert (cases[10].alone, cases[10].settings.pixel.prnu, cases[10].settings.camera.f_number) == ("PRNU", 0.01, None)
+    assert (cases[0].settings.camera.f_number, cases[0].settings.scene.parameters["luminance_cd_per_m2"]) == (2.8, 300.0)
+    assert all(not (case.settings.axis or case.settings.condition) for case in cases)
 
 
 def test_cases_of_technology_axis_sets_the_technology() -> None:
     table = tiny().model_dump(mode="json", exclude_unset=True) | {
         "axis": [{"name": "process", "set": "pixel.technology", "values": ["0.5um", "0.25um"]}]
     }
-    assert [case.study.technologies for case in cases_of(Study.model_validate(table))] == [("0.5um",), ("0.25um",)]
+    assert [case.settings.technologies for case in cases_of(Study.model_validate(table))] == [("0.5um",), ("0.25um",)]
 
 
 def test_cases_of_labelled_values_may_set_the_technology() -> None:
@@ -241,7 +241,7 @@ def test_cases_of_labelled_values_may_set_the_technology() -> None:
     table = {name: value for name, value in TINY.items() if name != "technologies"} | {
         "axis": [{"name": "process", "values": values}]
     }
-    studies = [case.study for case in cases_of(Study.model_validate(table))]
+    studies = [case.settings for case in cases_of(Study.model_validate(table))]
     assert [(study.technologies, study.pixel.prnu) for study in studies] == [(("0.5um",), 0.02), (("0.25um",), 0.02)]
     with pytest.raises(ValidationError, match="leave technologies out"):
         Study.model_validate(table | {"technologies": ["0.35um"]})
@@ -260,9 +260,9 @@ def test_cases_of_settings_of_the_pixel_hold_for_data_sheets(tmp_path: Path) -> 
     study = load_study(tmp_path / "s.toml", axis=[axis], condition=[condition])
     for case, noise_e in zip(cases_of(study), (1.0, 2.0), strict=True):
         for technology in study.technologies:
-            pixel = pixel_of(case.study, technology, 6.0)
+            pixel = pixel_of(case.settings, technology, 6.0)
             assert (pixel.temporal_dark_noise_e, pixel.read_noise_e, pixel.dark_current_e_per_s) == (noise_e, None, 50.0)
-        assert pixel_of(case.study, str(sheet), 6.0).full_well_e == 1e4
+        assert pixel_of(case.settings, str(sheet), 6.0).full_well_e == 1e4
 
 
 @pytest.mark.parametrize(

@@ -129,9 +129,11 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     day, night = made.conditions
     assert [each.camera.f_number for each in day.sensors] == [2.0, 8.0], "the study's lens is for files that state none"
     assert [each.camera.f_number for each in night.sensors] == [2.0, 2.0], "a condition's is for all"
-    assert [each.exposure.max_integration_s for each in day.sensors] == [0.02, 0.02]
-    assert [each.exposure.max_integration_s for each in night.sensors] == [0.05, 0.05], "the study's takes precedence over a file's"
-    assert {each.exposure.well_target for part in made.conditions for each in part.sensors} == {0.5}
+    assert [each.settings.exposure.max_integration_s for each in day.sensors] == [0.02, 0.02]
+    assert [each.settings.exposure.max_integration_s for each in night.sensors] == [0.05, 0.05], (
+        "the study's takes precedence over a file's"
+    )
+    assert {each.settings.exposure.well_target for part in made.conditions for each in part.sensors} == {0.5}
     assert made.shown.sensors[0].camera.die_mm == 1.28
     assert made.circumstances is not None
     assert set(made.circumstances.not_used) == {"technologies", "camera.die_mm"}
@@ -217,7 +219,6 @@ def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:
 @pytest.mark.parametrize(
     ("table", "texts"),
     [
-        ({"axis": [{"name": "N", "set": "camera.f_number", "values": [2, 4]}]}, ["the axis N", "without axes", "[[condition]]"]),
         ({"condition": [{"name": "x", "set": {"camera": {"f_nmber": 2}}}]}, ["condition x", "camera.f_nmber", "f_number"]),
         ({"condition": [{"name": "x", "set": {"camera": {"f_number": -2}}}]}, ["condition x", "camera.f_number", "-2"]),
         ({"condition": [{"name": "x", "set": {"camera": {"die_mm": 2}}}]}, ["condition x", "set.camera.die_mm", "own die"]),
@@ -237,7 +238,7 @@ def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:
 def test_compare_invalid_study_raises(
     table: dict[str, Any], texts: list[str], files: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pixsim.studies.compare.render_and_measure", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.setattr("pixsim.studies.compare.light_of", lambda *_, **__: pytest.fail("rendered"))
     with pytest.raises(PixsimError) as error:
         pixsim.compare(files, study=plan(**table))
     assert not [text for text in texts if text not in str(error.value)], str(error.value)
@@ -246,7 +247,6 @@ def test_compare_invalid_study_raises(
 @pytest.mark.parametrize(
     ("study", "texts"),
     [
-        ("chen2000-sensitivity", ["with the axis", "without axes", "[[condition]]"]),
         ("pixel-siz", ["'pixel-siz'", "Did you mean 'pixel-size'?"]),
         ("none.toml", ["none.toml", "does not exist"]),
         (".", ["study", "'.'", "a TOML file"]),

@@ -198,7 +198,7 @@ def test_packaged_study_of_filters_is_possible() -> None:
     assert Path(packaged("data/studies")["colour"]).is_file()
     cases = cases_of(study)
     assert len(cases) == 10
-    channels = [len(physics_of(case.study, "4t-bsi", 2.0).channels) for case in cases[::2]]
+    channels = [len(physics_of(case.settings, "4t-bsi", 2.0).channels) for case in cases[::2]]
     assert channels == [1, 3, 3, 3, 3]
 
 

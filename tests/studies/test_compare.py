@@ -26,7 +26,7 @@ from pixsim.studies.averages import Averaged
 from pixsim.studies.compare import series_of_sensor
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.evaluations import evaluate_task, tasks_of
-from pixsim.studies.lineup import Lineup, prepare
+from pixsim.studies.lineup import Lineup, pixels_of, prepare
 from pixsim.studies.matched_cameras import matched_cameras
 from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.verdicts import ranking_words, verdict
@@ -128,13 +128,13 @@ def test_prepare_scores_one_part_of_the_scene(match: str, tmp_path: Path) -> Non
     made = prepared(files, match=match)
     coarse, fine = made.sensors
     assert made.finest == "fine"
-    assert made.settings.display.dots == fine.pixels[1]  # those of the common field
-    widest = max(sensor.pixel.pitch_um / (1e3 * sensor.camera.die_mm) for sensor in made.sensors)
+    assert made.settings.display.dots == pixels_of(fine)[1]  # those of the common field
+    widest = max(sensor.settings.pixel.pitch_um / (1e3 * sensor.camera.die_mm) for sensor in made.sensors)
     assert made.border == pytest.approx(1.5 * widest, rel=1e-12)
     cycles = [float(sensor.scene.parameters[MAX_LP_PER_MM]) * sensor.camera.die_mm for sensor in made.sensors]
     assert cycles[0] == pytest.approx(cycles[1], rel=1e-11)
     assert cycles[1] == pytest.approx(fine.camera.die_mm * 1e3 / (2 * 7.7), rel=1e-11)  # its Nyquist frequency
-    assert coarse.pixels == pixels_on(coarse.camera.die_um, 21.3)
+    assert pixels_of(coarse) == pixels_on(coarse.camera.die_um, 21.3)
 
 
 def test_compare_scores_same_dots(noisy: Comparison, tmp_path: Path) -> None:
@@ -184,7 +184,7 @@ def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
         UserWarning, match=r"b\.toml: only \[camera\], \[lens\], \[pixel\], \[exposure\] are used, not display, scene"
     ):
         made = prepared([a, b])
-    assert [each.exposure.max_integration_s for each in made.sensors] == [0.1, 0.01]
+    assert [each.settings.exposure.max_integration_s for each in made.sensors] == [0.1, 0.01]
     assert made.settings.display.gamma == 2.2
 
 
@@ -203,7 +203,7 @@ def test_copy_of_a_sensor_has_no_difference(noisy: Comparison) -> None:
 
 def test_copy_with_other_streams_agrees_within_interval(noisy: Comparison) -> None:
     """Independent frames of one sensor: |t| < 5.4 with 7 degrees of freedom fails once in 1000 seeds, and the seed is fixed."""
-    files = [sensor.sensor.source for sensor in noisy.sensors[1:]]
+    files = [sensor.sensor.case.source for sensor in noisy.sensors[1:]]
     other = pixsim.compare(files, parameters=DIM, repeats=8, jobs=1, seed=99, **SMALL)
     differences = other.sensors[0].delta_e - noisy.sensors[0].delta_e
     assert np.all(differences != 0)
@@ -234,7 +234,7 @@ def test_frame_of_another_process_is_the_same(noisy: Comparison) -> None:
     """A chain that was sent to a worker gives the same frames, bit for bit."""
     compared = noisy.sensors[2]
     series = series_of_sensor(noisy.shown.lineup, compared.sensor, compared.irradiance)
-    (task,) = tasks_of(series, {compared.sensor.pixel.pitch_um: 8})
+    (task,) = tasks_of(series, {compared.sensor.settings.pixel.pitch_um: 8})
     rows = evaluate_task(*pickle.loads(pickle.dumps((task, series.light()))))
     of_first_display = [float(row["mean_delta_e"]) for row in rows][:: len(series.displays)]
     assert of_first_display == compared.delta_e.tolist()
@@ -445,7 +445,7 @@ def test_compare_invalid_raises(
 ) -> None:
     """Before anything is rendered."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("pixsim.studies.compare.render_and_measure", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.setattr("pixsim.studies.compare.light_of", lambda *_, **__: pytest.fail("rendered"))
     sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml"), sheet(tmp_path / "tiny.toml", pitch_um=0.5, pixels="[30, 30]")
     (tmp_path / "scene.toml").write_text("[scene]\nspp = 4\n", encoding="utf-8")
     (tmp_path / "wrong.toml").write_text("[pixel]\nfull_wel_e = 4\n", encoding="utf-8")

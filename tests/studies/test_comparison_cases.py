@@ -58,7 +58,7 @@ def test_conditions_hold_at_each_value() -> None:
     _, found = cases_of_comparison(Study.model_validate({"name": "both", "axis": [LIGHT], "condition": conditions}))
     assert [case.at for case in found] == [{"light": value} for value in (100.0, 0.05, 1.0)]
     for case in found:
-        day, night = case.study.condition
+        day, night = case.settings.condition
         light = {"parameters": {"luminance_cd_per_m2": case.at["light"]}}
         assert (day.weight, day.set) == (3.0, {"camera": {"f_number": 4.0}, "scene": light})
         assert night.set == {"resolution": 64, "scene": light}
@@ -89,6 +89,13 @@ def test_each_value_is_a_comparison_of_its_own(tmp_path: Path, monkeypatch: pyte
         own = json.loads(Path("out", case["folder"], "compare.json").read_text(encoding="utf-8"))
         assert own["difference"] == case["difference"]
         assert f'href="{case["folder"]}/report.html"' in page
+    whole = pixsim.compare(files, study="lights.toml", out="here", **small)
+    assert isinstance(whole, ComparedCases)
+    assert json.loads(json.dumps(whole.as_dict())) | {"schema": found["schema"]} == found, "the Python form is the command's"
+    assert whole.headline("b") in whole._repr_html_()
+    pixsim.write_report(whole, "here")
+    for name in ("report.html", f"{found['cases'][0]['folder']}/compare.json"):
+        assert Path("here", name).read_bytes() == Path("out", name).read_bytes()
     code, out, _ = command(f"compare a.toml b.toml --study lights.toml --dry-run --json {SMALL}")
     assert len(json.loads(out)["cases"]) == 2
 

@@ -143,7 +143,7 @@ def rendered(error_at: Callable[[int], float], beside: float = 0.0, **options: o
         own = of(width, error_at(width), pitches=(5.0, 0.5) if beside else (5.0,))
         return replace(own, delta_e=(own.delta_e[0], *([beside] if beside else [])))
 
-    made = render_on_film(
+    made, _ = render_on_film(
         scene, CAMERA, make_plan(scene, CAMERA, PIXEL), render=render, plan_of=lambda scene: make_plan(scene, CAMERA, PIXEL),
         measure=measure, **options,
     )  # fmt: skip

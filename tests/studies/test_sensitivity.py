@@ -154,7 +154,7 @@ def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
         "peak": ["0.25um 0.2", "0.25um 0.37"],
     }
     (high,) = [case for case in cases_of(study) if case.words == "dark current: all high"]
-    assert high.study.process == {"0.35um": {"dark_current_na_per_cm2": 3.0}, "0.25um": {"dark_current_na_per_cm2": 9.0}}
+    assert high.settings.process == {"0.35um": {"dark_current_na_per_cm2": 3.0}, "0.25um": {"dark_current_na_per_cm2": 9.0}}
     assert {case.alone for case in cases_of(study)} == {"", "PRNU", "light", "dark current", "peak"}
 
 
@@ -345,12 +345,12 @@ def test_packaged_cases_are_valid_and_distinct(shipped: pixsim.Study) -> None:
     base, *moved = cases_of(shipped)
     assert len(moved) == 89
     for case in moved:
-        check_pitches(case.study)
-        assert case.study.model_dump() != base.study.model_dump(), f"{case.words} is the base"
-        assert (case.study.seed, case.study.stream_name) == (2000, "chen2000"), "its random streams are others"
-        assert case.study.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
+        check_pitches(case.settings)
+        assert case.settings.model_dump() != base.settings.model_dump(), f"{case.words} is the base"
+        assert (case.settings.seed, case.settings.stream_name) == (2000, "chen2000"), "its random streams are others"
+        assert case.settings.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
     assert len({case.folder for case in moved}) == len(moved), "labels read alike"
-    assert len({case.study.content_hash for case in moved}) == len(moved), "two cases are the same"
+    assert len({case.settings.content_hash for case in moved}) == len(moved), "two cases are the same"
 
 
 # Assumptions that the paper does not state, with their plausible range; None: any value other than the base's.
@@ -370,7 +370,7 @@ def test_packaged_cases_cover_assumptions(name: str, shipped: pixsim.Study) -> N
             here = here.get(part)
         return here
 
-    values = {value(case.study) for case in cases_of(shipped)}
+    values = {value(case.settings) for case in cases_of(shipped)}
     assert len(values) > 1
     if ASSUMED[name]:
         given = values - {None}  # None: the technology's own
@@ -379,7 +379,7 @@ def test_packaged_cases_cover_assumptions(name: str, shipped: pixsim.Study) -> N
 
 def test_packaged_base_is_chen2000(shipped: pixsim.Study) -> None:
     """The settings that change a verdict stand next to the verdicts of chen2000, which must be those of the base."""
-    own, base = (study.model_dump(exclude={"quick"}) for study in (cases_of(shipped)[0].study, load_study("chen2000")))
+    own, base = (study.model_dump(exclude={"quick"}) for study in (cases_of(shipped)[0].settings, load_study("chen2000")))
     assert own | {"name": "chen2000", "streams": None, "title": base["title"]} == base
 
 

@@ -11,8 +11,8 @@ from pixsim.base.parameters import Study, merge
 from pixsim.studies import lights as rendering
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.engine import Workers
-from pixsim.studies.lights import Light, render_all, render_for
-from pixsim.studies.oversampling import SURELY, TOLERATED_DELTA_E, FilmError
+from pixsim.studies.lights import render_all, render_for
+from pixsim.studies.oversampling import SURELY, TOLERATED_DELTA_E, FilmError, Light
 from pixsim.studies.sight import Sight, clearest
 
 LIGHT = {"name": "light", "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"], "values": [10.0, 1000.0]}
@@ -29,7 +29,7 @@ def lights_of(patch: pytest.MonkeyPatch, **over: Any) -> tuple[list[Case], list[
     cases = cases_of(Study.model_validate(merge(SMALL, over)))
 
     def counted(study: Study, *more: Any, **named: Any) -> Light:
-        measured.append(next(case.words for case in cases if case.study == study))
+        measured.append(next(case.words for case in cases if case.settings == study))
         return render_for(study, *more, **named)
 
     patch.setattr(rendering, "render_for", counted)
@@ -39,9 +39,11 @@ def lights_of(patch: pytest.MonkeyPatch, **over: Any) -> tuple[list[Case], list[
 def test_film_is_measured_for_the_brightest_light_and_the_sharpest_lens(monkeypatch: pytest.MonkeyPatch) -> None:
     cases, lights, measured = lights_of(monkeypatch, axis=[LIGHT, LENS], resolution=512)
     assert measured == ["light 1000, lens 2.8"]
-    assert [film.delta_e == (SURELY * TOLERATED_DELTA_E,) * 3 for _, _, film in lights] == [True, True, False, True]
-    for case, (image, _, film) in zip(cases, lights, strict=True):
-        alone, _, own = render_for(case.study)
+    stated = (SURELY * TOLERATED_DELTA_E,) * 3
+    assert [light.film.delta_e == stated for light in lights] == [True, True, False, True]
+    for case, light in zip(cases, lights, strict=True):
+        image, film, found = light.image, light.film, render_for(case.settings)
+        alone, own = found.image, found.film
         assert image.header == alone.header
         assert (image.planes == alone.planes).all()
         # What is stated in place of a measurement. On so few dots the measured error scatters by a factor of two.
