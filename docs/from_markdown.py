@@ -1,4 +1,4 @@
-"""Markdown that reads well on GitHub and in the site: links between files, pages from elsewhere, the command line's page.
+"""Markdown that reads well on GitHub and in the site: links between files, pages from elsewhere, the reference.
 
 A link to a page of the site stays one. A link to another file of the repository becomes its path, as code; one to nothing fails
 the build.
@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from reference_text import with_directives
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
@@ -23,9 +24,8 @@ ELSEWHERE = {
     "repository/readme": ROOT / "README.md",
     "repository/scenes": ROOT / "scenes/README.md",
     "repository/changelog": ROOT / "CHANGELOG.md",
+    "repository/contributing": ROOT / "CONTRIBUTING.md",
 }
-COMMAND_LINE = "reference/command_line"
-COMMANDS_HERE = "<!-- commands -->"
 VALIDATION = "validation"
 VALIDATION_HERE = "<!-- validation -->"
 FENCE = re.compile(r"^ *(```|~~~)")
@@ -91,20 +91,11 @@ def on_read(app: Sphinx, docname: str, content: list[str]) -> None:
     if docname in ELSEWHERE:
         app.env.note_dependency(str(source))
         content[0] = source.read_text(encoding="utf-8")
-    if docname == COMMAND_LINE:
-        content[0] = content[0].replace(COMMANDS_HERE, commands())
+    content[0] = with_directives(content[0])
     if docname == VALIDATION:
         tables = runpy.run_path(str(ROOT / "tests/helpers/validation.py"))["validation"]()
         content[0] = content[0].replace(VALIDATION_HERE, tables)
     content[0] = rewritten(content[0], source, docname)
-
-
-def commands() -> str:
-    """Every command with its options, from the app itself."""
-    from pixsim.cli.commands import app as program  # with all commands registered
-
-    told: str = program.generate_docs(output_format="markdown", heading_level=1, usage_name="pixsim")
-    return told[told.index("## pixsim run") :]
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

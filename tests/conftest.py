@@ -72,7 +72,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def unpaged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages of studies have neither figures nor pictures, which take longer than the small study that they are of."""
-    monkeypatch.setattr("pixsim.report.study.draw_section", lambda section, _: (section, [], None, []))
+    monkeypatch.setattr("pixsim.report.study.draw_section", lambda section, _, figures: (section, [], None, []))
 
 
 def fine(image: SpectralImage, measured: Sequence[Imaging], **_: object) -> FilmError:

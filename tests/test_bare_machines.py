@@ -47,7 +47,7 @@ def test_without_shared_memory_one_process_does_all(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("columns", ["0", "1", "-5", "wide", ""])
 def test_help_has_some_columns(columns: str) -> None:
     done = process("run --help", COLUMNS=columns)
-    assert (done.returncode, "--resolution" in done.stdout, max(map(len, done.stdout.splitlines())) >= 39) == (0, True, True)
+    assert (done.returncode, "--repeats" in done.stdout, max(map(len, done.stdout.splitlines())) >= 39) == (0, True, True)
 
 
 def test_few_open_files_are_a_message(tmp_path: Path) -> None:

@@ -2233,7 +2233,7 @@ class Axis(Record):
 
 
 # Names that the files and folders of a study have, or may have.
-FILES_OF_STUDY = re.compile(r"\..*|.*\.(toml|csv|json|html|svg|png|part|old\d*)|figures|pictures|sensors", re.IGNORECASE)
+FILES_OF_STUDY = re.compile(r"\..*|.*\.(toml|csv|json|html|svg|pdf|png|part|old\d*)|figures|pictures|sensors", re.IGNORECASE)
 
 
 def case_folder(words: str) -> str:

@@ -26,7 +26,21 @@ from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Layer, LensOptions, Run
 from pixsim.cli import options as common
-from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, field_option, given, say, show, stages
+from pixsim.cli.options import (
+    DEFAULT_OUT,
+    FILE_WIDTH,
+    HELP,
+    HELP_ALL,
+    Json,
+    Out,
+    SceneOptions,
+    app,
+    field_option,
+    given,
+    say,
+    show,
+    stages,
+)
 from pixsim.cli.process import interruption
 
 if TYPE_CHECKING:
@@ -58,7 +72,13 @@ def run_command(tokens: Sequence[str]) -> None:
     try:
         # Notes also of the settings, before a result collects its own.
         with command_line(), collected_notes(), told_of_finished_files(interruption.end_or_raise):
-            app(with_lens_file(with_each_format(arguments)), exit_on_error=False, print_error=False)
+            arguments = with_lens_file(with_each_format(arguments))
+            if any(word in HELP for word in arguments) and HELP_ALL not in arguments:
+                from pixsim.cli.help import print_help
+
+                say(print_help(app, arguments))
+            else:
+                app(arguments, exit_on_error=False, print_error=False)
     except Exception as error:
         if interruption.received:  # a library has turned it into another exception
             raise KeyboardInterrupt from error
@@ -324,6 +344,7 @@ def study(
     effort: common.Effort = common.NO_EFFORT,
     variant: common.Variant = None,
     dry_run: common.DryRun = False,
+    figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -390,17 +411,17 @@ def study(
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
                 result = run_prepared(job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
-                more = partial(write_uncertainty, result=result) if result.uncertainty else None
+                more = partial(write_uncertainty, result=result, figures=figures) if result.uncertainty else None
                 stage("report")
                 first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
                 found = compromises_of(result.study, result.curves)
                 own = folder, seconds, drawing, more
                 if isinstance(result, CasesResult):
-                    write = partial(write_axes_report, result, *own, compromises=found)
+                    write = partial(write_axes_report, result, *own, compromises=found, figures=figures)
                 else:
-                    write = partial(write_study, result, *own)
-                report = keep_or_write("study", digest_of_report(result), folder, write)
+                    write = partial(write_study, result, *own, figures=figures)
+                report = keep_or_write("study", digest_of_report(result, figures), folder, write)
             warned = set(result.warned)  # they are on stderr
             if isinstance(result, CasesResult):
                 summary = axes_summary(result, found) | {"counts": asdict(result.counts)}
@@ -576,6 +597,7 @@ def accuracy(
     seed: common.Seed = None,
     sensor: common.SensorId = None,
     variant: common.Variant = None,
+    figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -595,7 +617,7 @@ def accuracy(
     with stages() as stage, output_folder(folder):  # an invalid folder fails before a minute of work
         result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
-        report = result.write(folder)
+        report = result.write(folder, figures)
     show(result.as_dict(), json, "\n".join([*accuracy_lines(result), f"report: {report}"]))
 
 
@@ -616,6 +638,7 @@ def datasheet(
     exposure: common.ExposureTable = None,
     wavelength_nm: Annotated[float | None, Parameter(help="Wavelength of the light [default: peak of the response].")] = None,
     seed: Annotated[str | None, common.field_option(Run, "seed", help="Seed of the sensor and its noise [default: 0].")] = None,
+    figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -644,7 +667,7 @@ def datasheet(
             pixel=settings.pixel, exposure=settings.exposure, wavelength_nm=wavelength_nm, seed=settings.seed, progress=stage
         )
         stage("report")
-        report = sheet.write(folder)
+        report = sheet.write(folder, figures)
     show(sheet.as_dict(), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
 
 
@@ -690,6 +713,7 @@ def lens(
         ),
     ] = None,
     unknown_glass: Annotated[str | None, field_option(LensOptions, "unknown_glass")] = None,
+    figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -735,7 +759,7 @@ def lens(
             progress=stage,
         )
         stage("report")
-        report = write_lens(data, folder)
+        report = write_lens(data, folder, figures)
     show(data.as_dict(), json, "\n".join([*lens_lines(data), f"report: {report}"]))
 
 
@@ -786,6 +810,7 @@ def sfr(
             help="Region of the edge, x0,y0,x1,y1 in pixels from the upper left; x1 and y1 are excluded.", metavar="X0,Y0,X1,Y1"
         ),
     ] = None,
+    figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -810,7 +835,7 @@ def sfr(
         saturation=saturation,
         region=corners(region),
     )
-    response.write(folder)
+    response.write(folder, figures)
     result = response.as_dict()
     show(result, json, "\n".join([*headline_lines(sfr_parts(result)), f"curves in {folder}"]))
 

@@ -41,15 +41,17 @@ from pixsim.cli.process import interruption
 
 DEFAULT_OUT = Path("pixsim-out")
 QUIET, VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
+HELP, HELP_ALL = ("--help", "-h"), "--help-all"
 FILE_WIDTH = 160  # columns of output that does not go to a terminal
 app = App(
     name="pixsim",
     version=VERSION,
     help="From a Mitsuba 3 scene to the pixel size with the least visible error.",
+    help_flags=[*HELP, HELP_ALL],
     default_parameter=Parameter(negative=()),
     help_epilogue=(
         "Every command takes --quiet (no progress, no warnings), --verbose (times of the stages, tracebacks of errors) "
-        "and --json (results as JSON)."
+        "and --json (results as JSON). Its --help shows the common options, its --help-all every option."
     ),
     suppress_keyboard_interrupt=False,  # main() reports it
 )
@@ -195,6 +197,9 @@ Seed = Annotated[str | None, field_option(Run, "seed")]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
 DryRun = Annotated[
     bool, Parameter(help="Show what would be done, with an estimate of time and memory; nothing is rendered or written.")
+]
+FigureFiles = Annotated[
+    Literal["svg", "pdf"], Parameter(help="Files of the figures: svg, or pdf, which writes a PDF beside each SVG.")
 ]
 Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/NAME].")]
 Variant = Annotated[

@@ -32,7 +32,7 @@ from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
-from pixsim.show.pages import html_cell, plain, rounded, rows_csv
+from pixsim.show.pages import Figures, html_cell, plain, rounded, rows_csv
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -278,17 +278,18 @@ class DataSheet:
         return rows_csv([entry.as_dict() for entry in self.entries], path)
 
     @checks_arguments
-    def write(self, folder: str | os.PathLike[str]) -> Path:
+    def write(self, folder: str | os.PathLike[str], figures: Figures = "svg") -> Path:
         """Write report.html, datasheet.csv, summary.json, figures/ (*.svg, *.csv) and provenance.json.
 
         folder : created if missing
+        figures : "pdf" writes a PDF beside each SVG
 
         Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
         pixsim did not write.
         """
         from pixsim.measure.datasheet_report import write_datasheet
 
-        return write_datasheet(self, Path(folder))
+        return write_datasheet(self, Path(folder), figures)
 
     def plot(self) -> Figure:
         """Return a Matplotlib figure of the photon transfer: temporal variance against mean signal."""

@@ -19,7 +19,7 @@ from pixsim.base.parameters import Pixel
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
-from pixsim.show.pages import Plate, rounded, shown_value, write_figures, write_page
+from pixsim.show.pages import FIGURE_SUFFIXES, Figures, Plate, rounded, shown_value, write_figures, write_page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +40,7 @@ def datasheet_plates(sheet: DataSheet) -> list[Plate]:
 
 FIGURES = ("photon_transfer", "responsivity", "snr", "linearity", "dark_current", "histograms", "spectrograms", "profiles")
 FILES = (
-    "report.html", "summary.json", "datasheet.csv", *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in ("svg", "csv")),
+    "report.html", "summary.json", "datasheet.csv", *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in FIGURE_SUFFIXES),
 )  # fmt: skip
 
 
@@ -347,14 +347,16 @@ def datasheet_lines(sheet: DataSheet) -> list[str]:
     ]
 
 
-def write_datasheet(sheet: DataSheet, out: Path) -> Path:
+def write_datasheet(sheet: DataSheet, out: Path, figures: Figures = "svg") -> Path:
     """Write the data sheet's files into a folder and return the path of its report.
+
+    figures : "pdf" writes a PDF beside each SVG
 
     Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
     """
     pixel = sheet.experiment.physics.pixel
     with output_folder(out), publishing(out, "datasheet") as folder:
-        shown = write_figures(folder, [plate.drawn() for plate in datasheet_plates(sheet)])
+        shown = write_figures(folder, [plate.drawn(figures) for plate in datasheet_plates(sheet)])
         sheet.to_csv(folder / "datasheet.csv")
         write_json(folder / "summary.json", sheet.as_dict())
         groups = [(standard, list(lines)) for standard, lines in groupby(sheet.entries, attrgetter("standard"))]

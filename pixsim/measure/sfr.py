@@ -31,7 +31,7 @@ from pixsim.base.notes import collected_notes, warn
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, layout_of, number_of, read_picture
 from pixsim.show.figures import COLOURS, new_figure, own_style
-from pixsim.show.pages import Column, Plate, html_cell, table_csv
+from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, html_cell, table_csv
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -170,17 +170,18 @@ class EdgeResponse:
         return table_csv(self._table, path)
 
     @checks_arguments
-    def write(self, folder: str | os.PathLike[str]) -> Path:
+    def write(self, folder: str | os.PathLike[str], figures: Figures = "svg") -> Path:
         """Write sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg, summary.json and provenance.json.
 
         folder : created if missing
+        figures : "pdf" writes a PDF beside each SVG
 
         Returns the path of summary.json. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
         pixsim did not write.
         """
         with output_folder(folder) as path, publishing(path, "sfr") as unfinished:
             for plate in (sfr_plate(self), edge_plate(self)):
-                plate.drawn().write(unfinished)
+                plate.drawn(figures).write(unfinished)
             write_json(unfinished / "summary.json", self.as_dict())
         return Path(folder) / "summary.json"
 
@@ -1055,4 +1056,4 @@ def edge_plate(edge: EdgeResponse) -> Plate:
     return Plate("edge_spread", "Edge spread function.", figure, table)
 
 
-FILES = ("sfr.csv", "sfr.svg", "edge_spread.csv", "edge_spread.svg", "summary.json")
+FILES = (*(f"{name}.{suffix}" for name in ("sfr", "edge_spread") for suffix in FIGURE_SUFFIXES), "summary.json")

@@ -25,7 +25,7 @@ from pixsim.report.wording import (
     study_view_line,
 )
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
-from pixsim.show.pages import Column, Plate, table_csv, write_figures, write_page
+from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv, write_figures, write_page
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret
@@ -178,7 +178,7 @@ def axes_files(study: Study) -> set[str]:
     """Return the names of all files that the report may have."""
     cases = cases_of(study)
     plates = [*plate_names(study), *(f"conditions_{number + 1}" for number in range(SHOWN_COMPROMISES))]
-    files = {f"figures/{name}.{suffix}" for name in plates for suffix in ("svg", "csv")}
+    files = {f"figures/{name}.{suffix}" for name in plates for suffix in FIGURE_SUFFIXES}
     own = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.settings)}
     return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", PARTS_FILE, *files, *own}
 
@@ -191,11 +191,13 @@ def write_axes_report(
     more: Callable[[Path], None] | None = None,
     *,
     compromises: Sequence[Compromise],
+    figures: Figures = "svg",
 ) -> Path:
     """Write the report of a study with axes or conditions, with a folder for each of its first cases.
 
     more : writes further files to the new folder
     compromises : `compromises_of` the study
+    figures : "pdf" writes a PDF beside each SVG
 
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
     pixsim did not write.
@@ -213,13 +215,13 @@ def write_axes_report(
             for case, part in zip(shown, parts, strict=True):
                 own = unfinished / case.folder
                 own.mkdir()
-                write_pages(part, own, seconds, workers)
+                write_pages(part, own, seconds, workers, figures=figures)
             plates = {
                 "conditions": [conditions_plate(found, number + 1) for number, found in enumerate(compromises[:SHOWN_COMPROMISES])],
                 "maps": axis_plates(result),
                 "alone": [plate] if (plate := alone_plate(result)) else [],
             }
-            drawn = {name: write_figures(unfinished, [plate.drawn() for plate in group]) for name, group in plates.items()}
+            drawn = {name: write_figures(unfinished, [plate.drawn(figures) for plate in group]) for name, group in plates.items()}
             (unfinished / "optima.csv").write_text(table_csv(optima_table(result)), encoding="utf-8")
             if compromises:
                 (unfinished / "conditions.csv").write_text(table_csv(conditions_table(compromises)), encoding="utf-8")

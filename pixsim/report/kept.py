@@ -26,6 +26,7 @@ from pixsim.base.files import (
     write_made_from,
 )
 from pixsim.base.mapped import update_with_array
+from pixsim.show.pages import Figures
 from pixsim.studies.result import StudyResult
 
 DRAWING = ("Jinja2", "MarkupSafe", "Pillow", "contourpy", "kiwisolver")  # packages that decide on the bytes, besides DEPENDENCIES
@@ -60,9 +61,9 @@ def kept_run(folder: Path, made_from: str) -> tuple[dict[str, Any], list[str], l
     return json.loads((folder / "score.json").read_bytes()), said["lines"], said["warned"]
 
 
-def digest_of_report(result: StudyResult) -> str:
+def digest_of_report(result: StudyResult, figures: Figures = "svg") -> str:
     """Hash of everything that the files of a study's report are made from, but the wall times."""
-    return digest_of_content([part.processes for part in (result, *result.cases)], result)
+    return digest_of_content([part.processes for part in (result, *result.cases)], result, figures)
 
 
 def digest_of_content(*content: Any) -> str:

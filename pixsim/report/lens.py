@@ -14,7 +14,7 @@ from pixsim.base.errors import one_line
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure, own_style
-from pixsim.show.pages import Column, Plate, coarse_table, write_figures, write_page
+from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, coarse_table, write_figures, write_page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 SHOWN = (0, 3, 6, 8)  # of the fields, in figures of single fields
 SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
 FIGURES = ("layout", "spots", "psf", "mtf", "mtf_over_field", "field_curvature", "illumination", "colour")
-FILES = ("report.html", "summary.json", *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in ("svg", "csv")))
+FILES = ("report.html", "summary.json", *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in FIGURE_SUFFIXES))
 
 
 def lens_plates(data: LensData) -> list[Plate]:
@@ -420,13 +420,15 @@ def lens_lines(data: LensData) -> list[str]:
     return [*lines, f"{loss}; camera.transmittance is what counts"]
 
 
-def write_lens(data: LensData, out: Path) -> Path:
+def write_lens(data: LensData, out: Path, figures: Figures = "svg") -> Path:
     """Write the page of a lens, its figures and summary.json into a folder and return the path of the page.
+
+    figures : "pdf" writes a PDF beside each SVG
 
     Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
     """
     with output_folder(out), publishing(out, "lens") as folder:
-        shown = write_figures(folder, [plate.drawn() for plate in lens_plates(data)])
+        shown = write_figures(folder, [plate.drawn(figures) for plate in lens_plates(data)])
         write_json(folder / "summary.json", data.as_dict())
         page = {
             "title": title_of(data), "lens": data.lens, "plates": shown, "first_order": first_order_rows(data),

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -19,23 +22,32 @@ from pixsim.studies.claims import (
     Evidence,
     dr_and_snr_db,
     frequency_contrast_table,
+    pixels_on_die,
     reference_process,
 )
 from pixsim.studies.extent import extent
 from pixsim.studies.merit import study_mtf_terms, system_mtf
 from pixsim.studies.result import StudyResult
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 PAPER_PLATES = (
-    "figure_2a_dr_snr", "figure_2b_mtf", "figure_4_scene", "figure_5_pictures_8um", "figure_6_iso_delta_e",
-    "delta_e_by_frequency_and_contrast",
+    "figure_2a_dr_snr", "figure_2b_mtf", "figure_3_pixels_on_die", "figure_4_scene", "figure_5_pictures_8um",
+    "figure_6_iso_delta_e", "delta_e_by_frequency_and_contrast",
 )  # fmt: skip
+FIGURE_3_PITCHES_UM = (5.3, 8.0, 15.0)
+FIGURE_3_SIDE_UM = 45.0  # of the corner of the die that is drawn: three pixels of the largest pitch
 FIGURE_5_PITCH_UM = 8.0
+FIGURE_6_CONTRASTS = (0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)  # ticks
+TICK_RATIO = 0.9  # of a tick to the last one, at least
+FIGURE_6_HEADROOM = 0.08  # of the height of the curves, above them
 SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
 
 
 def scene_plates(result: StudyResult) -> list[Plate]:
-    """Return the paper's Figures 2 and 4: pixels and scene."""
-    return [figure_2a(result), figure_2b(result), figure_4(result)]
+    """Return the paper's Figures 2 to 4: pixels, die and scene."""
+    return [figure_2a(result), figure_2b(result), figure_3(result), figure_4(result)]
 
 
 def map_plates(evidence: Evidence) -> list[Plate]:
@@ -110,6 +122,35 @@ def figure_2b(result: StudyResult) -> Plate:
 
 
 @own_style()
+def figure_3(result: StudyResult) -> Plate:
+    """Show a corner of the die with pixels of three sizes, and the photodiode of each."""
+    from matplotlib.patches import Rectangle
+
+    figure = new_figure(7.6, 3.1)
+    table: dict[str, list[float]] = {name: [] for name in ("pitch_um", "rows", "columns", "fill_factor", "photodiode_side_um")}
+    for axes, pitch_um in zip(figure.subplots(1, len(FIGURE_3_PITCHES_UM), sharey=True), FIGURE_3_PITCHES_UM, strict=True):
+        physics, (rows, columns) = result.physics(REFERENCE_TECHNOLOGY, pitch_um), pixels_on_die(result, pitch_um)
+        side_um = physics.photodiode_side_um
+        places = np.arange(0, FIGURE_3_SIDE_UM, pitch_um).tolist()
+        for x, y in product(places, places):
+            inset_um = (pitch_um - side_um) / 2
+            axes.add_patch(Rectangle((x, y), pitch_um, pitch_um, facecolor="white", edgecolor="0.6", lw=0.6))
+            axes.add_patch(Rectangle((x + inset_um, y + inset_um), side_um, side_um, facecolor=LOOKS[0].colour, lw=0))
+        axes.set_title(f"{columns} × {rows} pixels of {pitch_um:g} µm\nfill factor {100 * physics.fill_factor:.0f} %", fontsize=9)
+        axes.set(xlim=(0, FIGURE_3_SIDE_UM), ylim=(FIGURE_3_SIDE_UM, 0), aspect="equal", xlabel="x on the die (µm)")
+        for name, value in zip(table, (pitch_um, rows, columns, physics.fill_factor, side_um), strict=True):
+            table[name].append(value)
+    figure.axes[0].set_ylabel("y on the die (µm)")
+    first, last = (f"{table['columns'][end]} × {table['rows'][end]} pixels of {FIGURE_3_PITCHES_UM[end]:g} µm" for end in (0, -1))
+    caption = (
+        f"Figure 3: a die of {result.camera.die_mm:g} mm has {first} or {last}. The die stays and the pixels change, so that the "
+        f"lens can stay too. Shown is a corner of the die, {FIGURE_3_SIDE_UM:g} µm wide. Blue: the photodiodes "
+        f"({REFERENCE_TECHNOLOGY}), which share each pixel with its transistors."
+    )
+    return Plate("figure_3_pixels_on_die", caption, figure, dict(table))
+
+
+@own_style()
 def figure_4(result: StudyResult) -> Plate:
     """Show the CSF scene as rendered: illuminance on the sensor."""
     lux = result.irradiance.illuminance_lx()
@@ -132,12 +173,12 @@ def figure_5(evidence: Evidence) -> Plate:
 
 @own_style()
 def figure_6(evidence: Evidence) -> Plate:
-    """Plot curves of equal ΔE for four pixel sizes."""
+    """Plot curves of equal ΔE for four pixel sizes, over the contrasts that they reach."""
     level = evidence.result.study.iso_delta_e
     _, width_mm, height_mm, _ = extent(evidence.result.irradiance)
     errors = {pitch_um: float(evidence.maps[pitch_um].mean()) for pitch_um in FIGURE_6_PITCHES_UM}
-    best = min(errors, key=errors.__getitem__)
-    figure = new_figure(5.4, 5.0)
+    least = min(errors, key=errors.__getitem__)
+    figure = new_figure(7.2, 4.2)
     axes = figure.subplots()
     vertices: list[tuple[float, float, float]] = []
     for pitch_um, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False):
@@ -147,22 +188,45 @@ def figure_6(evidence: Evidence) -> Plate:
         where = picture_axes(evidence.result.irradiance, border_um)
         lines = draw_iso(axes, where, smooth, [(level, look, 1.6, f"{pitch_um:g} µm")])
         vertices += [(pitch_um, x / width_mm, y / height_mm) for x, y in lines]
+    show_heights_of(axes, [height_mm * y for _, _, y in vertices], evidence, height_mm)
     handles = [axes.plot([], [], label=f"{p:g} µm", **look.stroke)[0]
                for p, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False)]  # fmt: skip
-    axes.legend(handles=handles, frameon=False, loc="upper left", handlelength=LEGEND_LINE)
+    title = f"ΔE = {level:g}, pixels of"
+    # Beside the axes, since curves may lie anywhere in them.
+    axes.legend(handles=handles, title=title, frameon=False, loc="upper left", bbox_to_anchor=(1, 1), handlelength=LEGEND_LINE)
     pitch_um_of, x, y = np.array(vertices).T.reshape(3, -1)
     table: dict[str, Column] = {
         "pitch_um": pitch_um_of.tolist(),
         "frequency_lp_per_mm": evidence.frequency_lp_per_mm(x).tolist(),
         "contrast": evidence.contrast(y).tolist(),
     }
+    optimum = evidence.curves[REFERENCE_TECHNOLOGY].optimum
+    fitted = f" The optimum of the fitted curve is {optimum.pitch_um:.2f} µm (Figure 7)." if optimum.inside else ""
     caption = (
-        f"Figure 6: of four sizes, {best:g} µm pixels have the least mean ΔE, {errors[best]:.3f}. Curves of ΔE = {level:g} (mean "
-        f"of the sensors' maps, smoothed by {ISO_SMOOTHING_DOTS:g} "
+        f"Figure 6: of these four sizes, {least:g} µm pixels have the least mean ΔE, {errors[least]:.3f}.{fitted} Curves of "
+        f"ΔE = {level:g} (mean of the sensors' maps, smoothed by {ISO_SMOOTHING_DOTS:g} "
         "dots). Contrast grows downwards and errors are larger below a curve, so the lower a curve lies, the better the pixel. "
-        "The table holds the curves' points."
+        "Lower contrasts, which no curve reaches, are left out. The table holds the curves' points."
     )
     return Plate("figure_6_iso_delta_e", caption, figure, table)
+
+
+def show_heights_of(axes: Axes, curves_mm: Sequence[float], evidence: Evidence, height_mm: float) -> None:
+    """Let a figure of the chart begin a little above the highest of its curves, with ticks of contrast that fit.
+
+    curves_mm : how far below the upper end of the chart the points of all curves lie; the figure stays as it is without any
+    """
+    bottom, top = axes.get_ylim()
+    if not curves_mm:
+        return
+    top = max(top, min(curves_mm) - FIGURE_6_HEADROOM * (bottom - min(curves_mm)))
+    lowest, highest = (float(evidence.contrast(end / height_mm)) for end in (top, bottom))
+    inner = [value for value in FIGURE_6_CONTRASTS if lowest <= value < TICK_RATIO * highest]
+    values = np.array([*inner, highest])
+    places_mm = bottom + np.log(values / highest) / np.log(highest / lowest) * (bottom - top)
+    axes.set(ylim=(bottom, top), aspect="auto")
+    axes.set_yticks(places_mm.tolist(), [f"{value:.2g}" for value in values])
+    axes.grid(alpha=0.25)
 
 
 @own_style()

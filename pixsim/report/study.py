@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from pixsim.report.settings import FILLED, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
 from pixsim.report.wording import blur_words, film_words, no_difference_words, outside_words, study_light_lines, study_view_line
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
-from pixsim.show.pages import Column, Drawn, Plate, table_csv, write_figures, write_page
+from pixsim.show.pages import FIGURE_SUFFIXES, Column, Drawn, Figures, Plate, table_csv, write_figures, write_page
 from pixsim.show.pictures import scale
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
@@ -60,9 +61,9 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     low, high = (end(at_um, key=at_um.__getitem__) for end in (min, max))
     words = [f"{at_um[name]:.2f} µm ({name.removesuffix('_delta_e')})" for name in (low, high)]
     same = at_um[low] == at_um[high]
-    best = f"at {at_um[low]:.2f} µm by every statistic" if same else f"from {words[0]} to {words[1]}, by the statistic"
+    least = f"at {at_um[low]:.2f} µm by every statistic" if same else f"from {words[0]} to {words[1]}, by the statistic"
     caption = (
-        f"Of the sizes tried, the least error is {best}. Statistics of ΔE of the same pictures ({curve.label}), each divided by "
+        f"Of the sizes tried, the least error is {least}. Statistics of ΔE of the same pictures ({curve.label}), each divided by "
         "its minimum."
     )
     if csf_range_lp_per_mm(result.irradiance):
@@ -171,7 +172,9 @@ class Section(NamedTuple):
         return f"figures of {self.technology or self.kind}"
 
 
-def draw_section(section: Section, result: StudyResult) -> tuple[Section, list[Drawn], Views | None, list[Finding]]:
+def draw_section(
+    section: Section, result: StudyResult, figures: Figures = "svg"
+) -> tuple[Section, list[Drawn], Views | None, list[Finding]]:
     """Return a section, its figures, its pictures, and its statements of the paper."""
     by_name = {curve.technology: curve for curve in result.curves}
     first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
@@ -194,7 +197,7 @@ def draw_section(section: Section, result: StudyResult) -> tuple[Section, list[D
     else:
         evidence = Evidence(result, by_name)
         rows, plates = findings(evidence), map_plates(evidence)
-    return section, [plate.drawn() for plate in plates], views, rows
+    return section, [plate.drawn(figures) for plate in plates], views, rows
 
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
@@ -206,7 +209,13 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
             plates.append(optimum_against_technology(result))
     if not result.study.paper:
         return plates
-    return [replace(plate, caption=f"Figure {FIGURE_NUMBERS[plate.name]}: {plate.caption}") for plate in plates]
+    captions = [f"Figure {FIGURE_NUMBERS[plate.name]}: {plate.caption}" for plate in plates]
+    return [replace(plate, name=curve_file(plate.name, True), caption=words) for plate, words in zip(plates, captions, strict=True)]
+
+
+def curve_file(name: str, paper: bool) -> str:
+    """Return the name of a figure of curves as a file's, with its number in the paper if the study compares with that."""
+    return f"figure_{FIGURE_NUMBERS[name]}_{name}" if paper else name
 
 
 def write_study(
@@ -215,6 +224,7 @@ def write_study(
     seconds: dict[str, float] | None = None,
     workers: Workers | None = None,
     more: Callable[[Path], None] | None = None,
+    figures: Figures = "svg",
 ) -> Path:
     """Write report.html, figures/ (*.svg, *.csv, contact sheets), summary.json and provenance.json.
 
@@ -226,6 +236,7 @@ def write_study(
     seconds : stage -> wall time in s, for the report
     workers : processes that draw the figures; None means this process
     more : writes further files to the new folder
+    figures : "pdf" writes a PDF beside each SVG
 
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
     pixsim did not write.
@@ -239,7 +250,7 @@ def write_study(
             parts = parts_table(result)
             if parts:
                 (unfinished / PARTS_FILE).write_text(table_csv(parts), encoding="utf-8")
-            write_pages(result, unfinished, times_s, workers or Workers(), parts_rows(parts))
+            write_pages(result, unfinished, times_s, workers or Workers(), parts_rows(parts), figures)
             if more:
                 more(unfinished)
         return path / "report.html"
@@ -248,9 +259,10 @@ def write_study(
 def report_files(study: Study) -> set[str]:
     """Return the names of all files that the report of a study may have."""
     labels = [file_label(label) for label in labels_of(study.technologies)]
-    plates = {*FIGURE_NUMBERS, "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
+    curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
+    plates = {*curves, "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
     plates |= set(PAPER_PLATES) if study.paper else set()
-    figures = {f"{name}.{suffix}" for name in plates for suffix in ("svg", "csv")}
+    figures = {f"{name}.{suffix}" for name in plates for suffix in FIGURE_SUFFIXES}
     figures |= {f"contact_sheet_{label}.png" for label in labels}
     return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *(f"figures/{name}" for name in figures)}
 
@@ -266,10 +278,12 @@ def write_pages(
     seconds: dict[str, float],
     workers: Workers,
     error_parts: Sequence[tuple[float | str, ...]] = (),
+    figures: Figures = "svg",
 ) -> None:
     """Write report.html, summary.json and figures of a study without axes, or of one of the cases of another, to a new folder.
 
     error_parts : of `parts_table`, a row for each curve
+    figures : "pdf" writes a PDF beside each SVG
     """
     study = result.study
     kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
@@ -279,7 +293,7 @@ def write_pages(
     def shared() -> StudyResult:  # one function for all calls, so that workers share the result
         return result
 
-    sections = sorted(results_of(draw_section, [(section, shared) for section in longest_first], workers))
+    sections = sorted(results_of(partial(draw_section, figures=figures), [(section, shared) for section in longest_first], workers))
     rows = [row for *_, own in sections for row in own]
     views = [view for _, _, view, _ in sections if view]
     shown = {

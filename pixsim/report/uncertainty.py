@@ -9,7 +9,7 @@ from typing import Any
 
 from pixsim.base.files import write_json
 from pixsim.base.headline import headline_lines
-from pixsim.show.pages import Drawn, write_figures, write_page
+from pixsim.show.pages import FIGURE_SUFFIXES, Drawn, Figures, write_figures, write_page
 from pixsim.studies.result import StudyResult
 from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distribution_plate, indices_plate
 
@@ -20,18 +20,21 @@ MOST_RESULTS = 20  # technologies × values × conditions with a section of the 
 def uncertainty_files() -> set[str]:
     """Return the names of all files that `write_uncertainty` may write."""
     kinds = [f"uncertainty_{kind}_{number}" for number in range(1, MOST_RESULTS + 1) for kind in ("distribution", "indices")]
-    figures = {f"figures/{kind}.{suffix}" for kind in kinds for suffix in ("svg", "csv")}
+    figures = {f"figures/{kind}.{suffix}" for kind in kinds for suffix in FIGURE_SUFFIXES}
     return {PAGE, "uncertainty.json", *figures, *(f"sensor_types_{number}.csv" for number in range(1, MOST_RESULTS + 1))}
 
 
-def write_uncertainty(folder: Path, result: StudyResult) -> None:
-    """Write uncertainty.html, uncertainty.json, a table of the sensor types and the figures of each optimum to a new folder."""
+def write_uncertainty(folder: Path, result: StudyResult, figures: Figures = "svg") -> None:
+    """Write uncertainty.html, uncertainty.json, a table of the sensor types and the figures of each optimum to a new folder.
+
+    figures : "pdf" writes a PDF beside each SVG
+    """
     sections: list[tuple[UncertaintyResult, Sequence[Drawn], list[tuple[str, str]]]] = []
     summary: list[dict[str, Any]] = []
     study, total = result.study, result.uncertainty[0].total
     for number, each in enumerate(result.uncertainty[:MOST_RESULTS], 1):
         plates = [distribution_plate(each)] if total else [distribution_plate(each), indices_plate(each)]
-        drawn = write_figures(folder, [replace(plate, name=f"{plate.name}_{number}").drawn() for plate in plates])
+        drawn = write_figures(folder, [replace(plate, name=f"{plate.name}_{number}").drawn(figures) for plate in plates])
         each.to_csv(folder / f"sensor_types_{number}.csv")
         content = each.as_dict()
         if total:

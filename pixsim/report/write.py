@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from pixsim.base.arguments import checks_arguments
+from pixsim.base.errors import invalid
 from pixsim.measure.lens import LensData
 from pixsim.report.axes import write_axes_report
 from pixsim.report.compare import write_compared_cases, write_comparison
@@ -14,6 +15,7 @@ from pixsim.report.lens import write_lens
 from pixsim.report.run import write_run
 from pixsim.report.study import write_study
 from pixsim.report.uncertainty import write_uncertainty
+from pixsim.show.pages import Figures
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.conditions import compromises_of
@@ -27,6 +29,7 @@ def write_report(
     result: RunResult | StudyResult | Comparison | ComparedCases | LensData,
     folder: str | os.PathLike[str],
     seconds: dict[str, float] | None = None,
+    figures: Figures = "svg",
 ) -> Path:
     """Write report.html and the other files of a command: those of `pixsim run`, `study`, `compare` or `lens`.
 
@@ -35,20 +38,23 @@ def write_report(
     result : of `run`, `study`, `compare` or `lens`
     folder : created if missing
     seconds : stage -> wall time in s, for the report
+    figures : "pdf" writes a PDF beside each SVG
 
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-    pixsim did not write.
+    pixsim did not write; and for "pdf" of a result without figures.
     """
+    if figures != "svg" and isinstance(result, RunResult | Comparison | ComparedCases):
+        raise invalid("figures", f"'{figures}' for a {type(result).__name__}", "'svg', since it has pictures and no figures")
     if isinstance(result, RunResult):
         return write_run(result, folder, seconds)
     if isinstance(result, LensData):
-        return write_lens(result, Path(folder))
+        return write_lens(result, Path(folder), figures)
     if isinstance(result, Comparison):
         return write_comparison(result, folder, seconds)
     if isinstance(result, ComparedCases):
         return write_compared_cases(result, folder, seconds)
-    more = partial(write_uncertainty, result=result) if result.uncertainty else None
+    more = partial(write_uncertainty, result=result, figures=figures) if result.uncertainty else None
     if not isinstance(result, CasesResult):
-        return write_study(result, folder, seconds, more=more)
+        return write_study(result, folder, seconds, more=more, figures=figures)
     compromises = compromises_of(result.study, result.curves)
-    return write_axes_report(result, Path(folder), seconds or {}, Workers(), more, compromises=compromises)
+    return write_axes_report(result, Path(folder), seconds or {}, Workers(), more, compromises=compromises, figures=figures)

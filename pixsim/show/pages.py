@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.files import replacing
 from pixsim.base.version import VERSION
-from pixsim.show.figures import svg_text
+from pixsim.show.figures import pdf_bytes, svg_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -94,6 +94,8 @@ def shown_value(value: Any, name: str = "") -> Any:
 
 
 Column = Sequence[float | str]
+Figures: TypeAlias = Literal["svg", "pdf"]  # files of a figure: SVG, or a PDF beside it
+FIGURE_SUFFIXES = ("svg", "csv", "pdf")  # that a plate may have
 COARSE = 64  # samples along each side of a picture's table
 
 
@@ -110,23 +112,28 @@ class Plate:
     def csv(self) -> str:
         return table_csv(self.table)
 
-    def drawn(self) -> Drawn:
-        return Drawn(self.name, self.caption, svg_text(self.figure), self.csv)
+    def drawn(self, figures: Figures = "svg") -> Drawn:
+        svg = svg_text(self.figure)
+        return Drawn(self.name, self.caption, svg, self.csv, pdf_bytes(self.figure) if figures == "pdf" else None)
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """The SVG and CSV text of a plate."""
+    """The SVG and CSV text of a plate, and its PDF if that was asked for."""
 
     name: str
     caption: str
     svg: str
     csv: str
+    pdf: bytes | None = None
 
     def write(self, folder: Path) -> None:
-        """Write `name`.svg and `name`.csv to a folder."""
+        """Write `name`.svg and `name`.csv, and `name`.pdf if there is one, to a folder."""
         write_text(folder / f"{self.name}.svg", self.svg)
         write_text(folder / f"{self.name}.csv", self.csv)
+        if self.pdf is not None:
+            with replacing(folder / f"{self.name}.pdf") as partial:
+                partial.write_bytes(self.pdf)
 
     @property
     def image(self) -> str:
@@ -141,7 +148,7 @@ class Drawn:
 
 
 def write_figures(folder: Path, drawn: Sequence[Drawn]) -> Sequence[Drawn]:
-    """Write figures/*.svg and their data, figures/*.csv, and return `drawn`."""
+    """Write figures/*.svg, their data, figures/*.csv, and their PDFs, if they have some, and return `drawn`."""
     figures = folder / "figures"
     figures.mkdir(exist_ok=True)
     for plate in drawn:

@@ -19,6 +19,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.parameters import Pixel, Study, content_hash
 from pixsim.base.progress import Progress
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
+from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.studies.cases import BASE, of_technology
@@ -48,6 +49,11 @@ def dr_and_snr_db(pitch_um: Array, capacitance: str, technology: Technology | No
 def growth_exponent(pitch_um: Array, level_db: Array) -> float:
     """Return b in ratio ∝ pitch^b, by least squares in logarithms."""
     return float(np.polynomial.Polynomial.fit(np.log(pitch_um), level_db / 20 * np.log(10), 1).convert().coef[1])
+
+
+def pixels_on_die(result: StudyResult, pitch_um: float) -> tuple[int, int]:
+    """Return the rows and columns of pixels of a size on the study's die, as in Figure 3."""
+    return pixels_on(result.camera.die_um, pitch_um)
 
 
 # Stated in the paper: section 4, Figures 2 and 6, abstract.

@@ -72,8 +72,8 @@ class Optimum:
     pitch_um : minimum of the fitted curve
     interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 87 % of the posterior (95 % of a steep
         curve), which contain it in 96 % of simulated studies. Where the curve may not be smooth it holds also all places where a
-        convex curve could be least; at a sharp corner, fewer than 11 sizes contain the minimum less often (docs/studies.md). None
-        for an open end: the minimum may lie at or beyond the smallest or largest pitch tried
+        convex curve could be least; at a sharp corner, fewer than 11 sizes contain the minimum less often (docs/uncertainty.md).
+        None for an open end: the minimum may lie at or beyond the smallest or largest pitch tried
     mean_delta_e : of the fitted curve at `pitch_um`
     mean_delta_e_interval : 95 % interval of the least expected ΔE
     inside : whether the minimum lies between the smallest and the largest pitch tried, not at one of them

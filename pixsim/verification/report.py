@@ -11,7 +11,7 @@ import numpy as np
 
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
-from pixsim.show.pages import Column, Plate, plain, rows_csv, write_figures, write_page
+from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, plain, rows_csv, write_figures, write_page
 from pixsim.verification.ladders import METRICS, Metric, Rung
 from pixsim.verification.orders import pareto
 from pixsim.verification.solvers import response_plate
@@ -279,17 +279,19 @@ def table(accuracy: Accuracy, names: list[str]) -> dict[str, Column]:
 FIGURES = ("work_precision", "convergence", "viewing", "stages", "budget", "dn_against_light")
 FILES = (
     "report.html", "summary.json", "ladders.csv", "stability.csv", "solvers.csv",
-    *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in ("svg", "csv")),
+    *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in FIGURE_SUFFIXES),
 )  # fmt: skip
 
 
-def write_accuracy(accuracy: Accuracy, out: Path) -> Path:
+def write_accuracy(accuracy: Accuracy, out: Path, figures: Figures = "svg") -> Path:
     """Write the survey's files into a folder and return the path of its report.
+
+    figures : "pdf" writes a PDF beside each SVG
 
     Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
     """
     with output_folder(out), publishing(out, "accuracy") as folder:
-        shown = write_figures(folder, [plate.drawn() for plate in plates_of(accuracy)])
+        shown = write_figures(folder, [plate.drawn(figures) for plate in plates_of(accuracy)])
         accuracy.to_csv(folder / "ladders.csv")
         rows_csv([case.as_dict() for case in accuracy.cases], folder / "stability.csv")
         if accuracy.solvers:

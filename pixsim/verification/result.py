@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.parameters import Run
-from pixsim.show.pages import html_cell, plain, rows_csv
+from pixsim.show.pages import Figures, html_cell, plain, rows_csv
 from pixsim.studies.budget import Calibration, Effect, ProbeDesign
 from pixsim.verification.ladders import METRICS, Metric, Rung
 from pixsim.verification.orders import Order, beaten_by, fit_order
@@ -137,17 +137,18 @@ class Accuracy:
         return rows_csv([vars(rung) for rung in self.rungs], path)
 
     @checks_arguments
-    def write(self, folder: str | os.PathLike[str]) -> Path:
+    def write(self, folder: str | os.PathLike[str], figures: Figures = "svg") -> Path:
         """Write report.html, ladders.csv, stability.csv, solvers.csv, summary.json, figures/ (*.svg, *.csv) and provenance.json.
 
         folder : created if missing
+        figures : "pdf" writes a PDF beside each SVG
 
         Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
         pixsim did not write.
         """
         from pixsim.verification.report import write_accuracy
 
-        return write_accuracy(self, Path(folder))
+        return write_accuracy(self, Path(folder), figures)
 
     def plot(self) -> Figure:
         """Return a Matplotlib figure of error against wall time, with the Pareto front."""

@@ -2,11 +2,11 @@
 
     python tests/benchmarks/cluster.py [--workers 1 2 4 8] [--repeats 1000] [--dots 96] [--as-installed]
 
-Efficiency is the processor time of the study in one process over that of the client, the scheduler and the workers together, after
-a short study that imports and compiles everything. It does not depend on how many cores the workers share; the wall time does, and
-is printed beside it, and that of the evaluations alone. Workers have the settings that docs/studies.md advises; `--as-installed`
-leaves those of Dask, with which idle workers take more. An evaluation of 96 dots takes 4 ms, one of 512 dots as long as those of
-chen2000.
+Efficiency is the processor time of the study in one process over that of the client, the scheduler and the workers together,
+after a short study that imports and compiles everything. It does not depend on how many cores the workers share; the wall time
+does, and is printed beside it, and that of the evaluations alone. Workers have the settings that docs/long_studies.md advises;
+`--as-installed` leaves those of Dask, with which idle workers take more. An evaluation of 96 dots takes 4 ms, one of 512 dots as
+long as those of chen2000.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The tables of docs/studies.md from summary.json of `pixsim study chen2000` and optionally of `chen2000-sensitivity`.
+"""The tables of docs/paper.md from summary.json of `pixsim study chen2000` and optionally of `chen2000-sensitivity`.
 
 python tests/benchmarks/paper_table.py pixsim-out/chen2000/summary.json [pixsim-out/chen2000-sensitivity/summary.json]
 

@@ -2,7 +2,7 @@
 
     python tests/benchmarks/sensor_types.py [--types 256] [--jobs 4]
 
-The numbers of two of them stand in docs/studies.md.
+The numbers of two of them stand in docs/uncertainty.md.
 """
 
 from __future__ import annotations

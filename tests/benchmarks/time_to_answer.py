@@ -70,7 +70,7 @@ class Checkout:
     def __init__(self, path: Path) -> None:
         self.path = path
         known = subprocess.run(self.line(("run", "--help")), cwd=path, env=self.environment(), capture_output=True, text=True)
-        self.has_films = FILM[0] in known.stdout
+        self.has_films = FILM[0] in known.stdout or "--help-all" in known.stdout  # which shows all options, of later checkouts
 
     def line(self, words: Words) -> list[str]:
         return [sys.executable, "-m", "pixsim", *words]

@@ -13,14 +13,15 @@ from rich.console import Console
 from pixsim.base.config import packaged
 from pixsim.base.parameters import CameraOptions, Display, Effort, Exposure, Pixel, Record, Run
 from pixsim.cli.commands import with_each_format
+from pixsim.cli.help import COMMON, MANY
 from pixsim.cli.options import app, choices_of, complete_study, value_name
 from pixsim.scene.scene import packaged_scenes
 
 
-def shown_help(name: str, monkeypatch: pytest.MonkeyPatch) -> str:
+def shown_help(name: str, monkeypatch: pytest.MonkeyPatch, option: str = "--help-all") -> str:
     # Cyclopts keeps the console of its first help, with the width that the terminal had then.
     monkeypatch.setattr(app, "_console", Console(width=300))
-    code, out, err = command(f"{name} --help")
+    code, out, err = command(f"{name} {option}")
     assert code == 0, err
     return out
 
@@ -57,6 +58,35 @@ def test_help_has_usage_and_example_and_names_no_value_str(name: str, monkeypatc
     assert "--json" in text
     assert re.search(rf"pixsim {name} \S|Example", text)
     assert [line for line in text.splitlines() if re.search(r"-[\w.-]+ STR\b", line)] == []
+
+
+OPTION = re.compile(r"^│[* ]*(?:[A-Z]+ )?(--[\w.-]+)", re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", sorted(name for name in app if not name.startswith("-")))
+def test_help_shows_common_options_and_how_to_see_all(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command with many options shows a part of them, in their order, and says so; another one has the same help twice."""
+    short, full = (OPTION.findall(text) for text in (shown_help(name, monkeypatch, "--help"), shown_help(name, monkeypatch)))
+    line = f"`pixsim {name} --help-all` shows all {len(full) + (name == 'compare')} options.\n"  # SENSORS has no name
+    if len(full) <= MANY:
+        assert short == full
+        assert line not in shown_help(name, monkeypatch, "-h")
+        return
+    assert shown_help(name, monkeypatch, "-h").endswith(line)
+    assert short == [option for option in full if option in short]
+    assert 8 < len(short) < MANY
+    assert {*short} - COMMON <= {"--PIXEL"}, "words without an option are shown, too"
+
+
+def test_common_options_are_options() -> None:
+    options = {
+        option
+        for name in app
+        if not name.startswith("-")
+        for each in app[name].assemble_argument_collection()
+        for option in each.names
+    }
+    assert options >= COMMON
 
 
 def test_options_match_fields_of_files(monkeypatch: pytest.MonkeyPatch) -> None:

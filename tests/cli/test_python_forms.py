@@ -33,6 +33,7 @@ FOR_THE_TERMINAL = {
     "out": "the result is written where one likes, by `write` or `pixsim.write_report`; tested below",
     "raw": "`pixsim.write_frame` writes the frame of `result.score` in any of its formats",
     "irradiance": "`pixsim.write_exr` writes `result.irradiance`, or what its `box_reduced` returns",
+    "figures": "an argument of `write` and of `pixsim.write_report`; tested below",
     "dry_run": "tells a person what a command would take, before it begins",
 }
 
@@ -61,6 +62,8 @@ def test_every_result_can_be_shown_and_written(command: str) -> None:
         kind = vars(sys.modules[function.__module__])[name]
         assert callable(kind.as_dict)
         assert hasattr(kind, "write") or name in pixsim.write_report.__annotations__["result"]
+        if "figures" in options_of(command):
+            assert "figures" in inspect.signature(getattr(kind, "write", pixsim.write_report)).parameters
 
 
 def test_exceptions_are_needed() -> None:

@@ -30,7 +30,8 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 if not (DOCS / "conf.py").is_file():
     pytest.skip("the tests are installed without the pages' sources", allow_module_level=True)
-MARKDOWN = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "scenes/README.md", *sorted(DOCS.rglob("*.md"))]
+PAGES_ELSEWHERE = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "scenes/README.md")
+MARKDOWN = [*(ROOT / name for name in PAGES_ELSEWHERE), *sorted(DOCS.rglob("*.md"))]
 
 
 def sphinx(builder: str, out: Path) -> subprocess.CompletedProcess[str]:

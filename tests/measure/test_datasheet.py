@@ -482,11 +482,13 @@ def test_datasheet_of_python_and_of_the_command_write_same_files(tmp_path: Path,
     monkeypatch.setattr(datasheet, "make_datasheet", partial(datasheet.make_datasheet, shape=(40, 40), stack_frames=4))
     file = tmp_path / "sensor.toml"
     file.write_text("seed = 5\n[pixel]\ntechnology = '0.35um'\npitch_um = 6.5\n[exposure]\ngain_db = 6\n", encoding="utf-8")
-    code, out, err = command(f"datasheet {file} --pixel.bits 12 --exposure.integration-s 0.01 --json --out {tmp_path / 'command'}")
+    code, out, err = command(
+        f"datasheet {file} --figures pdf --pixel.bits 12 --exposure.integration-s 0.01 --json --out {tmp_path / 'command'}"
+    )
     assert code == 0, err
     made = pixsim.datasheet(file, pixel={"bits": 12}, exposure={"integration_s": 0.01})
     assert json.loads(out) == {"schema": 1} | json.loads(json.dumps(made.as_dict()))
-    assert made.write(tmp_path / "python") == tmp_path / "python/report.html"
+    assert made.write(tmp_path / "python", figures="pdf") == tmp_path / "python/report.html"
     names = {path.relative_to(tmp_path / "python") for path in (tmp_path / "python").rglob("*") if path.is_file()}
     assert {name.as_posix() for name in names} == {*PLANNED, "provenance.json"}
     for name in names:

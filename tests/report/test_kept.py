@@ -214,7 +214,7 @@ def test_study_command_again_draws_nothing(
     assert first[0] == 0, first
     before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
 
-    def drawn(*_: object) -> None:
+    def drawn(*_: object, **__: object) -> None:
         raise AssertionError("a section is drawn")
 
     with monkeypatch.context() as patch:

@@ -6,6 +6,7 @@ import base64
 import csv
 import html
 import io
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -91,7 +92,7 @@ def saved(plates: dict[str, Plate]) -> dict[str, str]:
 def test_paper_plates_are_in_order(evidence: Evidence, plates: dict[str, Plate]) -> None:
     names = [plate.name for plate in paper_plates(evidence)]
     numbered = [name.split("_")[1] for name in names if name.startswith("figure_")]
-    assert numbered == ["2a", "2b", "4", "5", "6"]
+    assert numbered == ["2a", "2b", "3", "4", "5", "6"]
     assert all(plates[name].caption.endswith(".") for name in names)
 
 
@@ -100,7 +101,7 @@ def test_paper_plates_are_in_order(evidence: Evidence, plates: dict[str, Plate])
 UNITS = ("_um", "_db", "_mm", "_lx_s", "_lp_per_mm", "_delta_e", "_um2")
 # Ratios, names and counts; frequencies in a column's name are with their unit.
 WITHOUT_UNIT = re.compile(
-    r"technology|row|illuminance_lx_column_\d+|delta_e_column_\d+|sensor|contrast|fill_factor|frequency_over_6um_nyquist|optimum_features|mtf_\d+um|[a-z]+_mtf_6\.5um|"
+    r"technology|row|rows|columns|illuminance_lx_column_\d+|delta_e_column_\d+|sensor|contrast|fill_factor|frequency_over_6um_nyquist|optimum_features|mtf_\d+um|[a-z]+_mtf_6\.5um|"
     r"(delta_e|contrast|[a-z]+_mtf)_at_[\d.]+_lp_per_mm|illuminance_lx_row_\d+"
 )
 
@@ -206,6 +207,36 @@ def test_coarse_table_conserves_mean(name: str, cells: tuple[int, int], plates: 
         [item.size for item in np.array_split(np.arange(dots), parts)] for dots, parts in zip(picture.shape, cells, strict=True)
     ]
     assert (table * np.outer(*sizes)).sum() / picture.size == pytest.approx(picture.mean(), rel=1e-12)
+
+
+def test_figure_3_draws_the_pixels_of_one_die(plates: dict[str, Plate], evidence: Evidence) -> None:
+    """The paper's die is 512 pixels of 5.3 µm; a photodiode has the fill factor of its pixel, about which it is centred."""
+    plate = plates["figure_3_pixels_on_die"]
+    pitch_um, fill_factor, side_um = (column(plate, name) for name in ("pitch_um", "fill_factor", "photodiode_side_um"))
+    die_um = 1e3 * evidence.result.camera.die_mm
+    assert (column(plate, "columns") == np.floor(die_um / pitch_um + 1e-6)).all()
+    np.testing.assert_allclose(side_um, pitch_um * np.sqrt(fill_factor), rtol=1e-12)
+    assert (np.diff(fill_factor) > 0).all()
+    for axes, pitch, side in zip(plate.figure.axes, pitch_um, side_um, strict=True):
+        pixel, photodiode = axes.patches[:2]
+        assert (pixel.get_width(), pixel.get_height()) == (pitch, pitch)
+        assert photodiode.get_xy() == pytest.approx([(pitch - side) / 2] * 2)
+        assert photodiode.get_width() == side
+        assert len(axes.patches) == 2 * math.ceil(45 / pitch) ** 2
+
+
+def test_figure_6_shows_the_contrasts_of_its_curves(plates: dict[str, Plate], evidence: Evidence) -> None:
+    """The curves fill at least four fifths of the height, and the figure says of which ΔE they are."""
+    plate = plates["figure_6_iso_delta_e"]
+    (axes,) = plate.figure.axes
+    bottom, top = axes.get_ylim()
+    highest_mm = min(y for line in axes.collections for path in line.get_paths() for _, y in path.vertices)
+    assert 0.8 < (bottom - highest_mm) / (bottom - top) <= 1
+    assert axes.get_legend().get_title().get_text() == f"ΔE = {TINY['iso_delta_e']:g}, pixels of"
+    height_mm = 1e-3 * evidence.result.irradiance.shape[0] * evidence.result.irradiance.pitch_um
+    message = np.array([label.get_text() for label in axes.get_yticklabels()], float)
+    assert len(message) >= 3
+    assert message == pytest.approx(evidence.contrast(axes.get_yticks() / height_mm), rel=0.01)
 
 
 def test_figure_6_points_lie_on_level(plates: dict[str, Plate], evidence: Evidence) -> None:

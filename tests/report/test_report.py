@@ -144,6 +144,15 @@ def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> No
     assert names == ["delta_e_against_pitch", "delta_e_against_pitch_all"]
 
 
+def test_figures_of_the_paper_have_its_numbers(made: tuple[StudyResult, Path]) -> None:
+    """In their names and captions, and among the files that a report may replace."""
+    study = made[0].study.model_copy(update={"paper": True})
+    plates = plates_of_curves(replace(made[0], study=study, curves=made[0].curves[:1] * 2), made[0].curves[0])
+    assert [plate.name for plate in plates] == ["figure_7_delta_e_against_pitch", "figure_8_delta_e_against_pitch_all"]
+    assert [plate.caption.split(":")[0] for plate in plates] == ["Figure 7", "Figure 8"]
+    assert {f"figures/{plate.name}.{suffix}" for plate in plates for suffix in ("svg", "csv", "pdf")} <= report_files(study)
+
+
 @pytest.mark.slow
 def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = made[0]

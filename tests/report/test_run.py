@@ -530,7 +530,7 @@ def test_run_page_prints(ran: Path, tmp_path: Path) -> None:
     assert len(headings) == 6
     score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
     message = [f"Mean ΔE {coarse_mean(score)}", "score.json", "10.6 µm pixels"]
-    assert_prints(ran / "report.html", tmp_path, range(3, 6), message, headings, headings[:3])
+    assert_prints(ran / "report.html", tmp_path, range(3, 7), message, headings, headings[:3])
 
 
 def test_colour_rows_are_those_of_score_json() -> None:

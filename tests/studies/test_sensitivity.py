@@ -341,7 +341,7 @@ def shipped() -> pixsim.Study:
 
 
 def test_packaged_cases_are_valid_and_distinct(shipped: pixsim.Study) -> None:
-    """All 89 settings of the table in docs/studies.md, each for all four technologies."""
+    """All 89 settings of the table in docs/paper.md, each for all four technologies."""
     base, *moved = cases_of(shipped)
     assert len(moved) == 89
     for case in moved:

@@ -1,0 +1,65 @@
+"""The changes of docs/first_change.md fit the files that they name, and do what the page says."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from helpers.documents import ROOT, blocks_of
+from helpers.processes import HANG_S
+
+PAGE = ROOT / "docs/first_change.md"
+TESTS = "flicker or every_setting_of_a_frame or rms_luminance or mean_and_variance or hand_calculation"
+FILES = ("sensor/test_readout.py", "sensor/test_unused.py", "viewer/test_score.py")
+
+
+def changes(page: str) -> Iterator[tuple[str, str, str]]:
+    """(file, text before, text after) of each block of differences."""
+    for block in blocks_of(page):
+        if block.language == "diff":
+            first, *lines = block.text.splitlines()
+            before, after = ("\n".join(line[1:] for line in lines if line[:1] != sign) for sign in "+-")
+            yield first.removeprefix("--- "), before, after
+
+
+def test_lines_before_are_there_once() -> None:
+    found = [(name, before) for name, before, _ in changes(PAGE.read_text(encoding="utf-8"))]
+    assert len(found) > 6
+    for name, before in found:
+        assert (ROOT / name).read_text(encoding="utf-8").count(before) == 1, f"{name}:\n{before}"
+
+
+@pytest.mark.slow  # the test above finds lines that have moved
+def test_changes_give_a_noise_an_axis_and_a_metric(tmp_path: Path) -> None:
+    for name in ("pixsim", "tests", "scenes"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for name, before, after in changes(PAGE.read_text(encoding="utf-8")):
+        path = tmp_path / name
+        path.write_text(path.read_text(encoding="utf-8").replace(before, after), encoding="utf-8")
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+
+    def run(*words: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", *words], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=HANG_S
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    assert " passed" in run("pytest", "-q", "-p", "no:cacheprovider", "-k", TESTS, *(f"tests/{name}" for name in FILES))
+    small = ["--resolution", "64", "--display.dots", "32", "--pixel.pitch-um", "21.2"]
+    quiet, noisy = (
+        json.loads(run("pixsim", "run", "csf", *small, "--json", "--out", name, *more))
+        for name, more in (("a", ()), ("b", ("--pixel.flicker-noise-e", "60000")))
+    )
+    assert 0 < quiet["rms_of_white"] < noisy["rms_of_white"]
+    assert quiet["mean_delta_e"] < noisy["mean_delta_e"]
+    sizes = ["--pitch.values-um", "15,20,25,30,40", "--jobs", "1", "--out", "c"]
+    run("pixsim", "study", "pixel-size", "--quick", *small[:4], *sizes, "--axis", "pixel.flicker_noise_e=0,300")
+    assert ",rms_of_white," in (tmp_path / "c/results.csv").read_text(encoding="utf-8").splitlines()[0]

@@ -1,0 +1,68 @@
+"""The reference in docs/ says what the code says, and can be read without a site."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from helpers.public_names import CLASSES, PUBLIC
+
+DOCS = Path(__file__).parents[2] / "docs"
+if not (DOCS / "conf.py").is_file():
+    pytest.skip("the tests are installed without the pages' sources", allow_module_level=True)
+sys.path.insert(0, str(DOCS))
+
+import reference_text  # noqa: E402
+
+PAGES = reference_text.pages()
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
+def test_text_is_up_to_date(path: Path) -> None:
+    page = path.read_text(encoding="utf-8")
+    assert page == reference_text.updated(page), "run python docs/reference_text.py"
+
+
+def test_text_has_every_public_name() -> None:
+    """The site's own test looks for the same names there, and for the fields of records."""
+    headings = {name for path in PAGES for name in re.findall(r"^#+ `([\w.]+)`$", path.read_text(encoding="utf-8"), re.MULTILINE)}
+    described = [reference_text.thing_of(name) for name in headings if name.startswith("pixsim.")]
+    for name, thing in PUBLIC.items():
+        owner, _, member = name.rpartition(".")
+        if owner in CLASSES:  # a method stands under its class, or under one that it comes from
+            assert {f"{kind.__name__}.{member}" for kind in CLASSES[owner].__mro__} & headings, name
+        else:
+            assert any(thing is each for each in described), name
+
+
+def test_site_has_a_directive_for_each_text() -> None:
+    for path in PAGES:
+        page = path.read_text(encoding="utf-8")
+        names = [name for name, _ in reference_text.SPAN.findall(page) if name != "commands"]
+        made = reference_text.with_directives(page)
+        assert re.findall(r"^\.\. auto\w+:: (.+)$", made, re.MULTILINE) == names
+        assert "### `" not in made
+
+
+def test_text_of_a_function() -> None:
+    """The signature as in the source, then arguments, errors and the example."""
+    text = reference_text.text_of("pixsim.delta_e_map", None)
+    assert text.startswith("### `pixsim.delta_e_map`\n\n```python\ndelta_e_map(\n    reference_xyz: ArrayLike,\n")
+    assert "    *,\n    white_xyz: ArrayLike,\n" in text
+    assert "\n- `white_xyz`: (3,) XYZ of the white that the viewer is adapted to\n" in text
+    assert "\nRaises `PixsimError` " in text
+
+
+@pytest.mark.parametrize(
+    ("plain", "markdown"),
+    [
+        ("a*b, `a*b`", r"a\*b, `a*b`"),
+        ("1. not a list", r"1\. not a list"),
+        ("t_int and _x", r"t_int and \_x"),
+        ("a < b", r"a \< b"),
+    ],
+)
+def test_marks_are_escaped(plain: str, markdown: str) -> None:
+    assert reference_text.escaped(plain) == markdown
