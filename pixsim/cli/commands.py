@@ -26,7 +26,7 @@ from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Layer, LensOptions, Run, Study
 from pixsim.cli import options as common
-from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, field_option, given, say, show, stages
+from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, answer, app, field_option, given, say, show, stages
 from pixsim.cli.process import interruption
 
 if TYPE_CHECKING:
@@ -707,7 +707,8 @@ def lens(
     """
     import_less()
     from pixsim.measure.lens import lens as traced
-    from pixsim.report.lens import FILES, lens_lines, write_lens
+    from pixsim.report.lens import FILES, lens_document
+    from pixsim.show.render import write
 
     reading = given(
         {
@@ -736,8 +737,9 @@ def lens(
             progress=stage,
         )
         stage("report")
-        report = write_lens(data, folder)
-    show(data.as_dict(), json, "\n".join([*lens_lines(data), f"report: {report}"]))
+        document = lens_document(data)
+        report = write(document, folder)
+    answer(document, json, f"report: {report}")
 
 
 @app.command
@@ -859,12 +861,12 @@ def chart(
     With --colour-axis, one opponent channel of S-CIELAB changes, and the other two are constant. `pixsim run red_green.xml` renders
     the scene.
     """
-    from pixsim.scene import charts, own_chart
+    from pixsim.scene import charts, colour_chart, own_chart
 
     if colour_axis is not None:
         if kind != "csf" or linear or aspect is not None:
             raise invalid("--colour-axis", f"with {kind}{', --linear or --aspect' if kind == 'csf' else ''}", "the chart csf")
-        result = write_colour_axis(colour_axis, output, width, height, die_mm)
+        result = colour_chart.write_colour_axis(colour_axis, output, width, height, die_mm)
         contrasts = ", ".join(f"{name} {value:+.3f}" for name, value in result["contrasts"].items())
         line = f"{output} with slides {', '.join(result['slides'])}; contrasts up to {contrasts}"
         show(result, json, f"{line}; opponent channel ±{result['opponent_amplitude']:.3f} of white's luminance channel")
@@ -885,23 +887,6 @@ def chart(
     result = {"file": str(output), "kind": Path(kind).name, "width": texels.shape[1], "height": texels.shape[0], "border": share}
     border = f", {100 * share:.3g} % of them a grey border that keeps the picture's aspect" if share else ""
     show(result, json, f"{result['width']} × {result['height']} texels in {output}{border}")
-
-
-def write_colour_axis(axis: str, output: Path, width: int | None, height: int | None, die_mm: float | None) -> dict[str, Any]:
-    """Write the CSF chart that changes one opponent channel of S-CIELAB; what the command shows."""
-    from pixsim.scene import colour_chart
-    from pixsim.viewer.scielab import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
-
-    # The channels are positive for green and for blue.
-    channel, sign = {"red-green": (1, -1), "blue-yellow": (2, 1)}[axis]
-    change = colour_chart.modulation(sign * XYZ_FROM_OPPONENT[:, channel])
-    title = f"The contrast-sensitivity chart of Chen et al. (2000), {axis} at constant luminance."
-    slides = colour_chart.write_colour_chart(output, change, title, width, height, die_mm)
-    contrasts = dict(zip(colour_chart.PRIMARIES, change.contrasts.tolist(), strict=True))
-    opponent = OPPONENT_FROM_XYZ @ (change.xyz * colour_chart.MEAN * max(map(abs, contrasts.values())))
-    white = OPPONENT_FROM_XYZ[0] @ colour_chart.primaries_xyz().sum(axis=1)
-    result = {"file": str(output), "kind": "csf", "colour_axis": axis, "slides": [path.name for path in slides]}
-    return {**result, "contrasts": contrasts, "opponent_amplitude": abs(float(opponent[channel] / white))}
 
 
 @app.command

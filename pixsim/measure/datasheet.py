@@ -31,7 +31,8 @@ from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
-from pixsim.show.pages import html_cell, plain, rounded, rows_csv
+from pixsim.show.pages import html_cell, plain, rows_csv
+from pixsim.show.sentences import rounded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

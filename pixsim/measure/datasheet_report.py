@@ -19,7 +19,9 @@ from pixsim.base.parameters import Pixel
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
-from pixsim.show.pages import Plate, rounded, shown_value, write_figures, write_page
+from pixsim.show.pages import Plate, write_figures
+from pixsim.show.render import write_page
+from pixsim.show.sentences import rounded, setting_value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -360,7 +362,7 @@ def write_datasheet(sheet: DataSheet, out: Path) -> Path:
         groups = [(standard, list(lines)) for standard, lines in groupby(sheet.entries, attrgetter("standard"))]
         page = {
             "described": described(sheet), "sheet": sheet, "groups": groups, "number": number, "off": off,
-            "pixel": {key: shown_value(value) for key, value in pixel.model_dump(exclude_none=True).items()},
+            "pixel": {key: setting_value(value) for key, value in pixel.model_dump(exclude_none=True).items()},
             "plates": shown, "versions": versions(),
         }  # fmt: skip
         write_page(folder / "report.html", "datasheet.html.j2", page)

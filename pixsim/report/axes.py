@@ -25,7 +25,8 @@ from pixsim.report.wording import (
     study_view_line,
 )
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
-from pixsim.show.pages import Column, Plate, table_csv, write_figures, write_page
+from pixsim.show.pages import Column, Plate, table_csv, write_figures
+from pixsim.show.render import write_page
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret

@@ -23,7 +23,6 @@ from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import record_rows, scene_rows
 from pixsim.report.wording import map_words
-from pixsim.show.pages import rounded, shown_value, write_page
 from pixsim.show.pictures import (
     Picture,
     display_codes,
@@ -35,6 +34,8 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
+from pixsim.show.render import write_page
+from pixsim.show.sentences import rounded, setting_value
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.circumstances import SHARED, Circumstances
 from pixsim.studies.comparison import Comparison
@@ -512,7 +513,7 @@ def _condition_settings(prepared: Prepared) -> list[tuple[str, list[Any]]]:
     for each in prepared.circumstances.conditions:
         values = [(path, reduce(getitem, path, each.set)) for path in paths_of(each.set)]
         tables.append(
-            (f"condition {each.name}", [(".".join(path), shown_value(value, path[-1]), "", "set") for path, value in values])
+            (f"condition {each.name}", [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in values])
         )
     return tables
 

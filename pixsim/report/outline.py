@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pixsim.base.labels import label_of
 from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Setting, Study
 from pixsim.report.wording import lens_words, view_words
-from pixsim.show.pages import rounded
+from pixsim.show.sentences import rounded
 from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost, duration_words
 from pixsim.studies.extent import columns_on
 from pixsim.studies.outline import planned_run, planned_sensors, planned_study

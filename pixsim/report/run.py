@@ -30,7 +30,6 @@ from pixsim.report.wording import (
     score_parts,
     unsure_lines,
 )
-from pixsim.show.pages import compile_page, rounded, write_page
 from pixsim.show.pictures import (
     Picture,
     display_codes,
@@ -42,6 +41,8 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
+from pixsim.show.render import compile_page, write_page
+from pixsim.show.sentences import rounded
 from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.run import LitRun, Prepared, RunResult

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.parameters import PixelOptions, Record
-from pixsim.show.pages import shown_value
+from pixsim.show.sentences import setting_value
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
@@ -62,5 +62,5 @@ def record_rows(
     for key, value in record.model_dump(exclude_none=True, exclude=set(left_out)).items():
         meaning = re.sub(r"\bNone: ", "left out: ", fields[key].description or "")
         source = (sources or {}).get(f"{name}.{key}", "default" if value == fields[key].default else "set")
-        rows.append((key, shown_value(value, key), meaning, source))
+        rows.append((key, setting_value(value, key), meaning, source))
     return rows

@@ -19,8 +19,9 @@ from pixsim.report.settings import FILLED, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
 from pixsim.report.wording import blur_words, film_words, no_difference_words, outside_words, study_light_lines, study_view_line
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
-from pixsim.show.pages import Column, Drawn, Plate, table_csv, write_figures, write_page
+from pixsim.show.pages import Column, Drawn, Plate, table_csv, write_figures
 from pixsim.show.pictures import scale
+from pixsim.show.render import write_page
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm

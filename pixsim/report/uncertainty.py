@@ -9,7 +9,8 @@ from typing import Any
 
 from pixsim.base.files import write_json
 from pixsim.base.headline import headline_lines
-from pixsim.show.pages import Drawn, write_figures, write_page
+from pixsim.show.pages import Drawn, write_figures
+from pixsim.show.render import write_page
 from pixsim.studies.result import StudyResult
 from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distribution_plate, indices_plate
 

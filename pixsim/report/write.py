@@ -10,10 +10,11 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.measure.lens import LensData
 from pixsim.report.axes import write_axes_report
 from pixsim.report.compare import write_comparison
-from pixsim.report.lens import write_lens
+from pixsim.report.lens import lens_document
 from pixsim.report.run import write_run
 from pixsim.report.study import write_study
 from pixsim.report.uncertainty import write_uncertainty
+from pixsim.show.render import write
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.engine import Workers
@@ -39,7 +40,7 @@ def write_report(
     if isinstance(result, RunResult):
         return write_run(result, folder, seconds)
     if isinstance(result, LensData):
-        return write_lens(result, Path(folder))
+        return write(lens_document(result), Path(folder))
     if isinstance(result, Comparison):
         return write_comparison(result, folder, seconds)
     more = partial(write_uncertainty, result=result) if result.uncertainty else None

@@ -24,7 +24,8 @@ from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.pixel import PixelPhysics, has_microlens, smallest_pitch_um
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
-from pixsim.show.pages import Column, Plate, html_cell, rows_csv, set_words
+from pixsim.show.pages import Column, Plate, html_cell, rows_csv
+from pixsim.show.sentences import settings_line
 from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import Counts, blocks_of, frames_of, task_of
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
@@ -447,7 +448,7 @@ class StudyResult:
             f"{evaluations} evaluations, seed {self.study.seed}",
             *(
                 [f"Pixels: {given}"]
-                if (given := set_words(self.study.pixel.model_dump(exclude_unset=True, exclude_none=True)))
+                if (given := settings_line(self.study.pixel.model_dump(exclude_unset=True, exclude_none=True)))
                 else []
             ),
         ]

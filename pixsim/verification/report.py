@@ -11,7 +11,8 @@ import numpy as np
 
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
-from pixsim.show.pages import Column, Plate, plain, rows_csv, write_figures, write_page
+from pixsim.show.pages import Column, Plate, plain, rows_csv, write_figures
+from pixsim.show.render import write_page
 from pixsim.verification.ladders import METRICS, Metric, Rung
 from pixsim.verification.orders import pareto
 from pixsim.verification.solvers import response_plate

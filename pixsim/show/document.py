@@ -1,0 +1,164 @@
+"""What a command answers, as records of text, tables, figures and pictures; `render` shows it.
+
+Strings are plain text, with `code` in backticks. Every string is escaped where it is shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeAlias
+
+from pixsim.show.pages import Drawn, Plate
+
+
+@dataclass(frozen=True)
+class Strong:
+    """Words that stand out, such as the number that answers the question."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Link:
+    """Words that lead to a file beside the page."""
+
+    text: str
+    address: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Words in the colour of what is as it should be, or of what is not."""
+
+    text: str
+    good: bool
+
+
+Text: TypeAlias = str | tuple[str | Strong | Link | Verdict, ...]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A headline, and what belongs to it in smaller letters."""
+
+    head: Text
+    below: tuple[Text, ...] = ()
+
+
+@dataclass(frozen=True)
+class Note:
+    """A warning, without a full stop."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A list; in a terminal, lines that are set off."""
+
+    items: tuple[Text, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text; the first column names them.
+
+    A row of one cell is the heading of those below it. The last cell of another short row takes the columns that are left.
+
+    name : of what is in it, for those who do not see it
+    head : names of the columns, with their units in a second line where that is shorter; empty for a table without
+    words : columns that are not numbers, beside the first; None for all
+    stacks : whether a row becomes lines on a small screen, each after the name of its column
+    """
+
+    name: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[Text, ...], ...]
+    caption: str = ""
+    words: tuple[int, ...] | None = ()
+    stacks: bool = False
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Small tables side by side."""
+
+    tables: tuple[Table, ...]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A figure with its data, drawn when it is first asked for."""
+
+    draw: Callable[[], Plate] = field(repr=False)
+
+    @cached_property
+    def drawn(self) -> Drawn:
+        return self.draw().drawn()
+
+
+@dataclass(frozen=True)
+class Section:
+    """Blocks under a heading.
+
+    id : of its place in the page
+    """
+
+    id: str
+    title: str
+    blocks: tuple[Block, ...]
+
+
+Block: TypeAlias = Text | Answer | Note | Listed | Table | Beside | Plot | Section
+
+
+@dataclass(frozen=True)
+class Document:
+    """What a command answers.
+
+    command : that gives such a document
+    kind : of document, in a few words
+    data : for JSON
+    terminal : what a terminal shows
+    cell : what a notebook shows
+    answers, lead, sections : what the page shows, from top to bottom; no page without a section
+    files : name -> text of further files
+    data_file : name of the file of `data`
+    """
+
+    command: str
+    kind: str
+    title: str
+    data: Mapping[str, Any]
+    terminal: tuple[Block, ...] = ()
+    cell: tuple[Block, ...] = ()
+    answers: tuple[Answer, ...] = ()
+    lead: tuple[Block, ...] = ()
+    sections: tuple[Section, ...] = ()
+    files: Mapping[str, str] = field(default_factory=dict)
+    data_file: str = "summary.json"
+
+    @property
+    def plots(self) -> list[Plot]:
+        """The figures of the page, from top to bottom."""
+        return list(_plots((*self.lead, *self.sections)))
+
+
+def _plots(blocks: Iterable[Block]) -> Iterator[Plot]:
+    for block in blocks:
+        if isinstance(block, Plot):
+            yield block
+        elif isinstance(block, Section):
+            yield from _plots(block.blocks)
+
+
+def pairs(caption: str, values: Mapping[str, Any]) -> Table:
+    """Return a table of names and values."""
+    return Table(caption, (), tuple((name, str(value)) for name, value in values.items()), caption)
+
+
+def plain_text(text: Text) -> str:
+    """Return words without their marks."""
+    return text if isinstance(text, str) else "".join(part if isinstance(part, str) else part.text for part in text)
