@@ -634,7 +634,8 @@ def datasheet(
     """
     import_less()
     from pixsim.measure.datasheet import datasheet as measured, datasheet_settings
-    from pixsim.measure.datasheet_report import FILES, datasheet_lines, sheet_name
+    from pixsim.measure.datasheet_report import FILES, datasheet_document, sheet_name
+    from pixsim.show.render import write
 
     tables = given({"pixel": pixel, "exposure": exposure})
     settings = datasheet_settings(pixel_file, config or [], tables.get("pixel"), tables.get("exposure"), seed)
@@ -645,8 +646,9 @@ def datasheet(
             pixel=settings.pixel, exposure=settings.exposure, wavelength_nm=wavelength_nm, seed=settings.seed, progress=stage
         )
         stage("report")
-        report = sheet.write(folder)
-    show(sheet.as_dict(), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
+        document = datasheet_document(sheet)
+        report = write(document, folder)
+    answer(document, json, f"report: {report}")
 
 
 @app.command
@@ -800,7 +802,7 @@ def sfr(
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
-    from pixsim.measure.sfr import FILES, sfr as measured, sfr_parts
+    from pixsim.measure.sfr import FILES, sfr as measured, sfr_document
 
     folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
     check_replaceable(folder, FILES)
@@ -814,8 +816,7 @@ def sfr(
         region=corners(region),
     )
     response.write(folder)
-    result = response.as_dict()
-    show(result, json, "\n".join([*headline_lines(sfr_parts(result)), f"curves in {folder}"]))
+    answer(sfr_document(response), json, f"curves in {folder}")
 
 
 def corners(region: str | None) -> tuple[int, int, int, int] | None:

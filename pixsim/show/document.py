@@ -5,11 +5,12 @@ Strings are plain text, with `code` in backticks. Every string is escaped where 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeAlias
 
+from pixsim.base.headline import with_headline
 from pixsim.show.pages import Drawn, Plate
 
 
@@ -70,7 +71,7 @@ class Table:
     name : of what is in it, for those who do not see it
     head : names of the columns, with their units in a second line where that is shorter; empty for a table without
     words : columns that are not numbers, beside the first; None for all
-    stacks : whether a row becomes lines on a small screen, each after the name of its column
+    stacks : whether a row becomes lines on a small screen, its numbers behind the names of their columns
     """
 
     name: str
@@ -162,3 +163,9 @@ def pairs(caption: str, values: Mapping[str, Any]) -> Table:
 def plain_text(text: Text) -> str:
     """Return words without their marks."""
     return text if isinstance(text, str) else "".join(part if isinstance(part, str) else part.text for part in text)
+
+
+def headline(parts: Sequence[str], unsure: str = "") -> Answer:
+    """Return the answer whose headline is the first parts that have room in it; see `with_headline`."""
+    head, *below = with_headline(parts, unsure)
+    return Answer(head, tuple(below))
