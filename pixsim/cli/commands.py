@@ -587,7 +587,8 @@ def accuracy(
     Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
     import_less()
-    from pixsim.verification.report import FILES, accuracy_lines
+    from pixsim.show.render import write
+    from pixsim.verification.report import FILES, accuracy_document
     from pixsim.verification.survey import survey
 
     settings = options.settings(display=display, seed=seed)
@@ -596,8 +597,9 @@ def accuracy(
     with stages() as stage, output_folder(folder):  # an invalid folder fails before a minute of work
         result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
-        report = result.write(folder)
-    show(result.as_dict(), json, "\n".join([*accuracy_lines(result), f"report: {report}"]))
+        document = accuracy_document(result)
+        report = write(document, folder)
+    answer(document, json, f"report: {report}")
 
 
 @app.command

@@ -74,7 +74,7 @@ def test_every_string_is_escaped() -> None:
 def test_page_names_columns_rows_and_what_is_left_of_a_row() -> None:
     page = render.html(document())
     assert '<th class="group" colspan="3" scope="colgroup">first group</th>' in page
-    assert '<th scope="row">30</th><td colspan="2" data-name="mean ΔE ">none at all</td>' in page
+    assert '<th scope="row">30</th><td colspan="2" data-name="mean ΔE">none at all</td>' in page
     assert '<a href="#more">More</a>' in page
 
 
