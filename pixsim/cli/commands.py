@@ -173,7 +173,8 @@ def run(
     """
     import_less()
     from pixsim.report.kept import kept_run
-    from pixsim.report.run import RunFiles, digest_of_run, run_lines, write_run
+    from pixsim.report.run import RunFiles, digest_of_run, run_document, write_run
+    from pixsim.show.render import text
     from pixsim.studies.run import light_run, prepare, score_run
     from pixsim.studies.run_arrays import check_raw
 
@@ -195,16 +196,16 @@ def run(
         lit = light_run(prepared, stage)
         made_from = digest_of_run(lit, files)
         if kept := kept_run(folder, made_from):
-            summary, lines, warned = kept
+            document, warned = kept
             for note in warned:
                 if note not in lit.warned:  # the others were given now
                     warn(note)
         else:
             result = score_run(lit, stage)
             write_run(result, folder, seconds, files, stage("write"))
-            summary, lines = result.as_dict(), run_lines(result)
-            write_made_from(folder, "run", made_from, {"lines": lines, "warned": list(result.warned)})
-    show(summary, json, "\n".join([*lines, f"report: {folder / 'report.html'}"]))
+            document = run_document(result)
+            write_made_from(folder, "run", made_from, {"lines": text(document).splitlines(), "warned": list(result.warned)})
+    answer(document, json, f"report: {folder / 'report.html'}")
 
 
 @app.command
@@ -347,7 +348,8 @@ def study(
     from pixsim.report.outline import long_lines, outline_lines, study_outline
     from pixsim.report.study import report_files, write_study
     from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
-    from pixsim.report.wording import budget_lines, film_words, optimum_parts, study_lines
+    from pixsim.report.wording import budget_blocks, film_words, optimum_parts, study_lines
+    from pixsim.show.render import lines as lines_of
     from pixsim.studies.cases import CASE_S, MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.conditions import compromises_of
     from pixsim.studies.cost import duration_words, fitting_jobs
@@ -413,7 +415,8 @@ def study(
             lines += uncertainty_lines(result.uncertainty)
             summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
             told = warned.union(lines)
-            lines += [*(f"note: {note}" for note in result.notes if note not in told), *budget_lines(summary.get("error_budget"))]
+            budget = (line for block in budget_blocks(summary.get("error_budget")) for line in lines_of(block))
+            lines += [*(f"note: {note}" for note in result.notes if note not in told), *budget]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.parameters import PixelOptions, Record
+from pixsim.show.document import Table
 from pixsim.show.sentences import setting_value
 
 if TYPE_CHECKING:
@@ -64,3 +65,8 @@ def record_rows(
         source = (sources or {}).get(f"{name}.{key}", "default" if value == fields[key].default else "set")
         rows.append((key, setting_value(value, key), meaning, source))
     return rows
+
+
+def settings_table(name: str, rows: Iterable[Row]) -> Table:
+    """Return the table of a page with settings, their meaning and source."""
+    return Table(name, (), tuple(tuple(map(str, row)) for row in rows), name, words=None, stacks=True)

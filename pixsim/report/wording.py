@@ -12,6 +12,7 @@ import numpy as np
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED, headline_lines
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, Display
+from pixsim.show.document import Listed, Text
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.merit import LENSES, detail_frequency_lp_per_mm, mtf_terms, of_sensor
@@ -238,10 +239,10 @@ def study_lines(result: Any) -> list[str]:
     return [*result.cause_notes, *study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result)]
 
 
-def budget_lines(budget: dict[str, Any] | None) -> list[str]:
-    """Return the lines of an error budget, the largest source first; none without a tolerance."""
+def budget_blocks(budget: dict[str, Any] | None) -> tuple[Text | Listed, ...]:
+    """Return an error budget, the largest source first; nothing without a tolerance."""
     if budget is None:
-        return []
+        return ()
 
     def text(effect: dict[str, float | None]) -> str:
         size = "unknown" if effect["delta_e"] is None else f"{effect['delta_e']:.1e}"
@@ -250,15 +251,12 @@ def budget_lines(budget: dict[str, Any] | None) -> list[str]:
     chosen = ", ".join(f"{name} {value:g}" for name, value in budget["settings"].items())
     sizes = {name: math.inf if effect["delta_e"] is None else effect["delta_e"] for name, effect in budget["sources"].items()}
     largest_first = sorted(budget["sources"].items(), key=lambda source: -sizes[source[0]])
-    lines = [f"  {name:21} {text(effect)}" for name, effect in largest_first]
+    items = [f"{name:21} {text(effect)}" for name, effect in largest_first]
     if not budget["bounded"]:
-        lines.append("  spectral quadrature: the requested tolerance, not a bound, since the plan does not know all surfaces")
+        items.append("spectral quadrature: the requested tolerance, not a bound, since the plan does not know all surfaces")
+    items.append(f"{'total without display':21} {text(budget['total'])}")
     verdict = "met" if budget["met"] else "NOT met"
-    return [
-        f"error budget for {budget['tolerance_delta_e']:g} ΔE ({verdict}), with {chosen}:",
-        *lines,
-        f"  {'total without display':21} {text(budget['total'])}",
-    ]
+    return f"error budget for {budget['tolerance_delta_e']:g} ΔE ({verdict}), with {chosen}:", Listed(tuple(items))
 
 
 def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> str:

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 
 from pixsim.base.headline import with_headline
 from pixsim.show.pages import Drawn, Plate
+from pixsim.show.pictures import Picture
 
 
 @dataclass(frozen=True)
@@ -101,18 +102,62 @@ class Plot:
 
 
 @dataclass(frozen=True)
+class Pictures:
+    """Pictures side by side, a dot of the screen for each of theirs.
+
+    of : what all of them show
+    """
+
+    pictures: tuple[Picture, ...]
+    of: str
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The colour scale of the ΔE maps."""
+
+    picture: Picture
+
+
+@dataclass(frozen=True)
+class Map:
+    """A ΔE map with its axes, as PNG."""
+
+    png: bytes = field(repr=False)
+    caption: str
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A whole picture on the left of a border that moves, and one of others on its right.
+
+    id : of its place in the page
+    left_words, right_words : what is on each side
+    """
+
+    id: str
+    heading: str
+    left: Picture
+    others: tuple[Picture, ...]
+    left_words: str = "the ideal image"
+    right_words: str = "the sensor's picture"
+
+
+@dataclass(frozen=True)
 class Section:
     """Blocks under a heading.
 
     id : of its place in the page
+    together : whether it is printed on one sheet
     """
 
     id: str
     title: str
     blocks: tuple[Block, ...]
+    together: bool = False
 
 
-Block: TypeAlias = Text | Answer | Note | Listed | Table | Beside | Plot | Section
+Block: TypeAlias = Text | Answer | Note | Listed | Table | Beside | Plot | Pictures | Scale | Map | Slider | Section
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 PAGE = "report.html"
 TEMPLATE, MACROS = "document.html.j2", "macros.html.j2"
-OF_EACH_PAGE = ("base.html.j2", "style.css.j2", MACROS)
 # The end of a sentence; behind "f/4." or "eq." follows no capital letter.
 SENTENCE_END = re.compile(r"(?<=[.?!])\s+(?=[A-ZΔ\d])")
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
@@ -34,10 +33,11 @@ BETWEEN = "  "  # columns
 
 def text(document: Document) -> str:
     """Return the lines for a terminal."""
-    return "\n".join(line for block in document.terminal for line in _lines(block))
+    return "\n".join(line for block in document.terminal for line in lines(block))
 
 
-def _lines(block: Block) -> Iterator[str]:
+def lines(block: Block) -> Iterator[str]:
+    """Yield the lines of a block for a terminal, which shows no figures and pictures."""
     match block:
         case Answer():
             yield from below_headline([plain_text(part) for part in (block.head, *block.below)])
@@ -111,9 +111,9 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     return path
 
 
-def compile_page(template: str) -> None:
-    """Compile a packaged template for `write_page`, and those that it is made of: that takes longer than to fill it in."""
-    for name in (template, *OF_EACH_PAGE):
+def compile_page() -> None:
+    """Compile the templates of `html`: that takes longer than to fill them in."""
+    for name in (TEMPLATE, MACROS, "base.html.j2", "style.css.j2"):
         _environment().get_template(name)
 
 

@@ -426,7 +426,7 @@ def test_run_page_has_a_short_headline(ran: Path) -> None:
 
 
 def test_run_page_states_viewing_distance(ran: Path) -> None:
-    page = " ".join(text_of(ran).split())
+    page = " ".join(html.unescape(text_of(ran)).split())
     distance_mm = 23 * 25.4 / 96 / np.tan(np.radians(1))  # 23 dots a degree, 96 an inch
     view = f"at a distance where 23 dots span a degree ({distance_mm:.0f} mm away where a screen has 96 dots"
     assert f"view it at 100 % zoom, {view}" in page
