@@ -513,15 +513,8 @@ def compare(
     settings.toml, the settings of each sensor, and report.html.
     """
     import_less()
-    from pixsim.report.compare import (
-        cases_lines,
-        check_output,
-        comparison_lines,
-        outline,
-        outline_lines,
-        write_cases,
-        write_comparison,
-    )
+    from pixsim.report.compare import cases_document, check_output, comparison_document, outline, outline_lines, write_comparison
+    from pixsim.show.render import write
     from pixsim.studies.compare import run_prepared
     from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison
     from pixsim.studies.lineup import prepare
@@ -562,12 +555,12 @@ def compare(
                 results.append(run_prepared(each, jobs=jobs, scheduler=scheduler, progress=stage, out=at))
                 stage("report")
                 report = write_comparison(results[-1], at, seconds)
-            found = ComparedCases(axes, tuple(zip(cases, results, strict=False)))
             if cases:
-                report = write_cases(found, folder, seconds)
-    left = [note for note in results[0].notes if note not in notes]  # the others are on stderr
-    lines = cases_lines(found) if cases else comparison_lines(results[0], left)
-    show(found.as_dict() if cases else results[0].as_dict(), json, "\n".join([*lines, f"report: {report}"]))
+                document = cases_document(ComparedCases(axes, tuple(zip(cases, results, strict=True))))
+                report = write(document, folder, {"seconds": seconds})
+            else:  # other notes are on stderr
+                document = comparison_document(results[0], [note for note in results[0].notes if note not in notes])
+    answer(document, json, f"report: {report}")
 
 
 @app.command

@@ -20,6 +20,7 @@ from pixsim.report.kept import digest_of_content
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.settings import FILLED, record_rows, scene_rows, settings_table
 from pixsim.report.wording import (
+    DELTA_E,
     blur_words,
     budget_blocks,
     film_words,
@@ -136,10 +137,6 @@ COLOUR = (
     "Both pictures are in colour: black level and dark charge are subtracted, white is balanced, the channels are interpolated to "
     "each pixel, and one matrix, fitted to a ColorChecker under the scene's lamp, leads to the light of the display's primaries. "
     "The larger its noise gains, the more of the sensor's noise is seen as colour."
-)
-DELTA_E = (
-    "ΔE is the visible difference between the sensor's picture and that of an ideal camera: the CIELAB colour difference after the "
-    "blur of the eye (S-CIELAB). A ΔE of 1 is about the smallest difference noticeable under ideal conditions."
 )
 
 

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from pixsim.sensor.pixel import PixelPhysics
 
 SATURATED_SHOWN = 0.01
+DELTA_E = (
+    "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the CIELAB colour difference after the "
+    "blur of the eye (S-CIELAB). A ΔE of 1 is about the smallest difference noticeable under ideal conditions."
+)
 
 
 def optimum_parts(curve: Any) -> list[str]:

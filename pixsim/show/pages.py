@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import csv
-import html
 import io
 import math
 import os
@@ -78,7 +77,8 @@ class Drawn:
 def write_figures(folder: Path, drawn: Sequence[Drawn]) -> Sequence[Drawn]:
     """Write figures/*.svg and their data, figures/*.csv, and return `drawn`."""
     figures = folder / "figures"
-    figures.mkdir(exist_ok=True)
+    if drawn:
+        figures.mkdir(exist_ok=True)
     for plate in drawn:
         plate.write(figures)
     return drawn
@@ -91,25 +91,6 @@ def coarse_table(values: Array, name: str) -> dict[str, Column]:
     coarse = np.stack([by_row[:, block].mean(axis=1) for block in columns], axis=1)
     table: dict[str, Column] = {"row": list(range(len(rows)))}
     return table | {f"{name}_column_{index}": coarse[:, index].tolist() for index in range(len(columns))}
-
-
-def html_cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure: Figure, notes: Sequence[str] = ()) -> str:
-    """Return a notebook cell of a title, a figure, a table and lines below it, with every string escaped. It needs no scripts.
-
-    The figure is a separate image, so that its ids cannot clash with those of other cells.
-    """
-
-    def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
-
-    body = "".join(line(row, "td") for row in rows)
-    top = line(head, "th") if any(head) else ""
-    image = data_uri("image/svg+xml", svg_text(figure).encode())
-    below = "".join(f"<p>{html.escape(note)}</p>" for note in notes)
-    return (
-        f'<div><strong>{html.escape(title)}</strong><br><img alt="{html.escape(title)}" style="max-width:100%;background:#fff" '
-        f'src="{image}"><table>{top}{body}</table>{below}</div>'
-    )
 
 
 def table_csv(table: dict[str, Column], path: str | os.PathLike[str] | None = None) -> str:

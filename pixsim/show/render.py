@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -14,12 +14,13 @@ from pixsim.base.files import output_folder, publishing, replacing, write_json
 from pixsim.base.headline import below_headline
 from pixsim.base.schema import json_text
 from pixsim.base.version import VERSION
-from pixsim.show.document import Answer, Block, Document, Link, Listed, Note, Strong, Table, Text, Verdict, plain_text
-from pixsim.show.pages import data_uri, write_figures, write_text
+from pixsim.show.document import Answer, Block, Document, Link, Listed, Note, Plot, Strong, Table, Text, Verdict, plain_text
+from pixsim.show.pages import Plate, data_uri, write_figures, write_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
+    from matplotlib.figure import Figure
 
 PAGE = "report.html"
 TEMPLATE, MACROS = "document.html.j2", "macros.html.j2"
@@ -94,6 +95,7 @@ def _environment() -> Environment:
     environment = Environment(loader=FileSystemLoader(folder), **options)
     environment.filters |= {
         "png": lambda content: data_uri("image/png", content),
+        "svg": lambda text: data_uri("image/svg+xml", text.encode()),
         "marked": _marked,
         "plain": plain_text,
         "answer": lambda caption: answer_and_rest(caption)[0].replace("`", ""),
@@ -150,12 +152,21 @@ def _captioned(caption: str) -> Markup:
     return Markup("<strong>{}</strong> {}").format(*map(_marked, answer_and_rest(caption)))
 
 
-def write(document: Document, folder: Path) -> Path:
+def html_cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure: Figure, notes: Sequence[str] = ()) -> str:
+    """Return a notebook's cell of a title, a figure, a table and lines below it."""
+    table = Table(title, tuple(head) if any(head) else (), tuple(map(tuple, rows)))
+    plot = Plot(lambda: Plate("", title, figure, {}))
+    return notebook(Document("", "", title, {}, cell=(Answer(title), plot, table, *notes)))
+
+
+def write(document: Document, folder: Path, provenance: dict[str, Any] | None = None) -> Path:
     """Write the page, the figures with their data, the data and further files of a document, and return the path of the page.
+
+    provenance : more content of provenance.json
 
     Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
     """
-    with output_folder(folder), publishing(folder, document.command) as unfinished:
+    with output_folder(folder), publishing(folder, document.command, provenance) as unfinished:
         write_figures(unfinished, [plot.drawn for plot in document.plots])
         for name, content in document.files.items():
             write_text(unfinished / name, content)

@@ -24,7 +24,8 @@ from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.pixel import PixelPhysics, has_microlens, smallest_pitch_um
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
-from pixsim.show.pages import Column, Plate, html_cell, rows_csv
+from pixsim.show.pages import Column, Plate, rows_csv
+from pixsim.show.render import html_cell
 from pixsim.show.sentences import settings_line
 from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import Counts, blocks_of, frames_of, task_of

@@ -56,8 +56,9 @@ from pixsim.sensor.readout import (
 )
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.figures import new_figure, own_style
-from pixsim.show.pages import html_cell, rows_csv
+from pixsim.show.pages import rows_csv
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
+from pixsim.show.render import html_cell
 from pixsim.show.sentences import rounded, settings_line
 from pixsim.viewer import display as displays
 from pixsim.viewer.causes import causes_of, lightness_range
