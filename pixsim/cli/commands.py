@@ -347,9 +347,9 @@ def study(
     from pixsim.report.kept import digest_of_report, keep_or_write
     from pixsim.report.outline import long_lines, outline_lines, study_outline
     from pixsim.report.study import report_files, write_study
-    from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
+    from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document, uncertainty_files
     from pixsim.report.wording import budget_blocks, film_words, optimum_parts, study_lines
-    from pixsim.show.render import lines as lines_of
+    from pixsim.show.render import lines as lines_of, write_files
     from pixsim.studies.cases import CASE_S, MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.conditions import compromises_of
     from pixsim.studies.cost import duration_words, fitting_jobs
@@ -392,7 +392,7 @@ def study(
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
                 result = run_prepared(prepared, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
-                more = partial(write_uncertainty, result=result) if result.uncertainty else None
+                more = partial(write_files, uncertainty_document(result)) if result.uncertainty else None
                 stage("report")
                 first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
@@ -412,7 +412,7 @@ def study(
                 summary = result.as_dict()
                 lines = [line for curve in result.curves for line in headline_lines(optimum_parts(curve))] + study_lines(result)
                 lines += [film_words(summary["film"])] if "film" in summary else []
-            lines += uncertainty_lines(result.uncertainty)
+            lines += [line for block in uncertainty_blocks(result.uncertainty) for line in lines_of(block)]
             summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
             told = warned.union(lines)
             budget = (line for block in budget_blocks(summary.get("error_budget")) for line in lines_of(block))

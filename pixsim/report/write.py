@@ -13,8 +13,8 @@ from pixsim.report.compare import write_comparison
 from pixsim.report.lens import lens_document
 from pixsim.report.run import write_run
 from pixsim.report.study import write_study
-from pixsim.report.uncertainty import write_uncertainty
-from pixsim.show.render import write
+from pixsim.report.uncertainty import uncertainty_document
+from pixsim.show.render import write, write_files
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.engine import Workers
@@ -43,7 +43,7 @@ def write_report(
         return write(lens_document(result), Path(folder))
     if isinstance(result, Comparison):
         return write_comparison(result, folder, seconds)
-    more = partial(write_uncertainty, result=result) if result.uncertainty else None
+    more = partial(write_files, uncertainty_document(result)) if result.uncertainty else None
     if not isinstance(result, CasesResult):
         return write_study(result, folder, seconds, more=more)
     compromises = compromises_of(result.study, result.curves)

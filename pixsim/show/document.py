@@ -171,7 +171,7 @@ class Document:
     cell : what a notebook shows
     answers, lead, sections : what the page shows, from top to bottom; no page without a section
     files : name -> text of further files
-    data_file : name of the file of `data`
+    data_file, page : names of the files of `data` and of the page
     """
 
     command: str
@@ -185,6 +185,7 @@ class Document:
     sections: tuple[Section, ...] = ()
     files: Mapping[str, str] = field(default_factory=dict)
     data_file: str = "summary.json"
+    page: str = "report.html"
 
     @property
     def plots(self) -> list[Plot]:

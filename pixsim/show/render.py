@@ -167,9 +167,14 @@ def write(document: Document, folder: Path, provenance: dict[str, Any] | None = 
     Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
     """
     with output_folder(folder), publishing(folder, document.command, provenance) as unfinished:
-        write_figures(unfinished, [plot.drawn for plot in document.plots])
-        for name, content in document.files.items():
-            write_text(unfinished / name, content)
-        write_json(unfinished / document.data_file, document.data)
-        write_text(unfinished / PAGE, html(document))
-    return folder / PAGE
+        write_files(document, unfinished)
+    return folder / document.page
+
+
+def write_files(document: Document, folder: Path) -> None:
+    """Write all files of a document but their provenance to a new folder."""
+    write_figures(folder, [plot.drawn for plot in document.plots])
+    for name, content in document.files.items():
+        write_text(folder / name, content)
+    write_json(folder / document.data_file, document.data)
+    write_text(folder / document.page, html(document))
