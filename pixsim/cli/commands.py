@@ -21,7 +21,6 @@ from pixsim.base.caller import command_line
 from pixsim.base.config import checked, study_layers
 from pixsim.base.errors import UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files, write_made_from
-from pixsim.base.headline import headline_lines
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Layer, LensOptions, Run, Study
@@ -343,13 +342,12 @@ def study(
     repeats it.
     """
     import_less()
-    from pixsim.report.axes import axes_files, axes_lines, axes_summary, write_axes_report
+    from pixsim.report.axes import axes_document, axes_files, write_axes_report
     from pixsim.report.kept import digest_of_report, keep_or_write
     from pixsim.report.outline import long_lines, outline_lines, study_outline
-    from pixsim.report.study import report_files, write_study
-    from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document, uncertainty_files
-    from pixsim.report.wording import budget_blocks, film_words, optimum_parts, study_lines
-    from pixsim.show.render import lines as lines_of, write_files
+    from pixsim.report.study import report_files, study_document, write_study
+    from pixsim.report.uncertainty import uncertainty_document, uncertainty_files
+    from pixsim.show.render import write_files
     from pixsim.studies.cases import CASE_S, MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.conditions import compromises_of
     from pixsim.studies.cost import duration_words, fitting_jobs
@@ -405,19 +403,11 @@ def study(
                 report = keep_or_write("study", digest_of_report(result), folder, write)
             warned = set(result.warned)  # they are on stderr
             if isinstance(result, CasesResult):
-                summary = axes_summary(result, found) | {"counts": asdict(result.counts)}
-                lines = axes_lines(result, found)
+                document = axes_document(result, found, warned)
                 common.verbosity.note(str(result.counts))
             else:
-                summary = result.as_dict()
-                lines = [line for curve in result.curves for line in headline_lines(optimum_parts(curve))] + study_lines(result)
-                lines += [film_words(summary["film"])] if "film" in summary else []
-            lines += [line for block in uncertainty_blocks(result.uncertainty) for line in lines_of(block)]
-            summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
-            told = warned.union(lines)
-            budget = (line for block in budget_blocks(summary.get("error_budget")) for line in lines_of(block))
-            lines += [*(f"note: {note}" for note in result.notes if note not in told), *budget]
-    show(summary, json, "\n".join([*lines, f"report: {report}"]))
+                document = study_document(result, warned)
+    answer(document, json, f"report: {report}")
 
 
 @contextmanager

@@ -36,7 +36,7 @@ from pixsim.show.pictures import (
     worst_window,
 )
 from pixsim.show.render import PAGE, html
-from pixsim.show.sentences import rounded, setting_value
+from pixsim.show.sentences import rounded, sentence, setting_value
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.circumstances import SHARED, Circumstances
 from pixsim.studies.comparison import Comparison
@@ -360,7 +360,7 @@ def comparison_document(
     rows_files : of `ROWS_FILES`, those that the page names
     """
     found = answers(result)
-    below = [[f"{words[0].upper()}{words[1:]}." for words in more] for _, *more in found]
+    below = [list(map(sentence, more)) for _, *more in found]
     below[-1].append(f"{conditions_line(result.prepared)}.")
     return Document(
         command="compare",
@@ -416,7 +416,7 @@ def _sections(result: Comparison, folder: Path, rows_files: Sequence[str]) -> It
     sizes = size_words(factor_for(first.score.image), lineup.settings.display.samples_per_deg)
     yield Section("pictures", "Pictures", (sizes, slider), together=True)
     details = [
-        Section("", each.name, (Pictures(crops(each.score, window, f"the picture of {each.name}", end), of),))
+        Section("", each.name, (Pictures((crops(each.score, window, f"the picture of {each.name}", end),), of),))
         for each in result.sensors
     ]
     yield Section("detail", "The largest differences, 1:1", (DETAIL, *details, Scale(scale(end))), together=True)

@@ -60,7 +60,7 @@ from pixsim.show.pictures import (
     worst_window,
 )
 from pixsim.show.render import PAGE, compile_page, html
-from pixsim.show.sentences import rounded
+from pixsim.show.sentences import rounded, sentence
 from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.run import LitRun, Prepared, RunResult
@@ -149,7 +149,7 @@ def run_document(result: RunResult, folder: Path | None = None) -> Document:
     scene = Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem
     unsure, view, sensors = unsure_lines(result), "; ".join(run_view_words(result)), sensors_lines(result)
     film = film_words(result.film) if result.film else ""
-    smaller = [f"Note: {line}." if line in result.notes else f"{line[0].upper()}{line[1:]}." for line in unsure]
+    smaller = [f"Note: {line}." if line in result.notes else sentence(line) for line in unsure]
     return Document(
         command="run",
         kind="picture of one sensor",
@@ -244,7 +244,7 @@ def _sections(result: RunResult, folder: Path) -> tuple[Section, ...]:
             (
                 f"The detail with the largest mean ΔE. Its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from "
                 "the upper left.",
-                Pictures(crops(score, window, "the sensor's picture", end), "the detail with the largest errors"),
+                Pictures((crops(score, window, "the sensor's picture", end),), "the detail with the largest errors"),
                 Scale(scale(end)),
             ),
             together=True,

@@ -1,4 +1,4 @@
-"""Results as lines of text for the terminal."""
+"""Sentences about results, for documents."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED, headline_lines
+from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, Display
-from pixsim.show.document import Listed, Text
+from pixsim.show.document import Answer, Listed, Text, headline
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.merit import LENSES, detail_frequency_lp_per_mm, mtf_terms, of_sensor
@@ -87,14 +87,14 @@ def interval_text(ends_um: tuple[float | None, float | None]) -> str:
     return f"above {low:.2f} µm" if high is None else f"{low:.2f} to {high:.2f} µm"
 
 
-def compromise_lines(found: Any) -> list[str]:
+def compromise_answer(found: Any) -> Answer:
     """Return the pixel sizes that suit all conditions, with their intervals; none where the conditions share too few sizes."""
     if found.best is None or found.regret is None:
-        return [f"{found.label}: the conditions share too few pixel sizes for one that suits all"]
+        return Answer(f"{found.label}: the conditions share too few pixel sizes for one that suits all")
     best, regret = found.best, found.regret
     weighted = f"least weighted mean ΔE {best.mean_delta_e:.3f} at {best.pitch_um:.2f} µm (95 %: {interval_text(best.interval_um)})"
     worst = f"least worst regret {regret.delta_e:.3f} ΔE, in {regret.condition}, at {regret.pitch_um:.2f} µm"
-    return headline_lines([f"{found.label}: {weighted}", f"{worst} (95 %: {interval_text(regret.interval_um)})"])
+    return headline([f"{found.label}: {weighted}", f"{worst} (95 %: {interval_text(regret.interval_um)})"])
 
 
 def no_difference_words(curve: Any) -> str:
@@ -207,7 +207,7 @@ def view_words(
     return words
 
 
-def study_view_line(result: Any) -> list[str]:
+def study_view_words(result: Any) -> list[str]:
     """Return a line on how a study of a data sheet's sensor or of a window is shown; none for other studies."""
     study = result.study
     if study.own_um is None and study.window_mm is None:
@@ -220,7 +220,7 @@ def study_view_line(result: Any) -> list[str]:
     return [f"{words}{own}"] if words else []
 
 
-def study_light_lines(result: Any) -> list[str]:
+def study_light_words(result: Any) -> list[str]:
     """Return a line on the lens of a study, its field, what is display white, and the exposure; in cases, as far as all have it."""
     parts = result.cases
     lenses, whites = [], []
@@ -238,9 +238,9 @@ def study_light_lines(result: Any) -> list[str]:
     return ["; ".join([*(lenses[:1] if len(set(lenses)) == 1 else []), shown])]
 
 
-def study_lines(result: Any) -> list[str]:
+def study_words(result: Any) -> list[str]:
     """Return what follows the optima of a study: causes, errors of its light, what it depends on, how its sensors are shown."""
-    return [*result.cause_notes, *study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result)]
+    return [*result.cause_notes, *study_unconverged_lines(result), *study_light_words(result), *study_view_words(result)]
 
 
 def budget_blocks(budget: dict[str, Any] | None) -> tuple[Text | Listed, ...]:

@@ -94,16 +94,28 @@ class Beside:
 class Plot:
     """A figure with its data, drawn when it is first asked for."""
 
-    draw: Callable[[], Plate] = field(repr=False)
+    draw: Callable[[], Plate | Drawn] = field(repr=False)
 
     @cached_property
     def drawn(self) -> Drawn:
-        return self.draw().drawn()
+        made = self.draw()
+        return made if isinstance(made, Drawn) else made.drawn()
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures side by side, a dot of the screen for each of theirs.
+    """Rows of three pictures, a dot of the screen for each of theirs.
+
+    of : what all of them show
+    """
+
+    rows: tuple[tuple[Picture, ...], ...]
+    of: str
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """Pictures one behind the other, as many a line as have room.
 
     of : what all of them show
     """
@@ -147,17 +159,19 @@ class Slider:
 class Section:
     """Blocks under a heading.
 
-    id : of its place in the page
+    id : of its place in the page; may be empty below another section
     together : whether it is printed on one sheet
+    folded : whether only the heading is seen until a reader opens it
     """
 
     id: str
     title: str
     blocks: tuple[Block, ...]
     together: bool = False
+    folded: bool = False
 
 
-Block: TypeAlias = Text | Answer | Note | Listed | Table | Beside | Plot | Pictures | Scale | Map | Slider | Section
+Block: TypeAlias = Text | Answer | Note | Listed | Table | Beside | Plot | Pictures | Tiles | Scale | Map | Slider | Section
 
 
 @dataclass(frozen=True)
@@ -170,7 +184,7 @@ class Document:
     terminal : what a terminal shows
     cell : what a notebook shows
     answers, lead, sections : what the page shows, from top to bottom; no page without a section
-    files : name -> text of further files
+    files : name -> content of further files
     data_file, page : names of the files of `data` and of the page
     """
 
@@ -183,7 +197,7 @@ class Document:
     answers: tuple[Answer, ...] = ()
     lead: tuple[Block, ...] = ()
     sections: tuple[Section, ...] = ()
-    files: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
     data_file: str = "summary.json"
     page: str = "report.html"
 
@@ -201,9 +215,9 @@ def _plots(blocks: Iterable[Block]) -> Iterator[Plot]:
             yield from _plots(block.blocks)
 
 
-def pairs(caption: str, values: Mapping[str, Any]) -> Table:
-    """Return a table of names and values."""
-    return Table(caption, (), tuple((name, str(value)) for name, value in values.items()), caption)
+def pairs(caption: str, values: Mapping[str, Any], form: str = "") -> Table:
+    """Return a table of names and values, in the form of `format`."""
+    return Table(caption, (), tuple((name, format(value, form)) for name, value in values.items()), caption)
 
 
 def plain_text(text: Text) -> str:

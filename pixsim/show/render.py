@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from pixsim.base.files import output_folder, publishing, replacing, write_json
-from pixsim.base.headline import below_headline
+from pixsim.base.files import output_folder, publishing, write_json
 from pixsim.base.schema import json_text
 from pixsim.base.version import VERSION
 from pixsim.show.document import Answer, Block, Document, Link, Listed, Note, Plot, Strong, Table, Text, Verdict, plain_text
@@ -28,7 +27,7 @@ TEMPLATE, MACROS = "document.html.j2", "macros.html.j2"
 SENTENCE_END = re.compile(r"(?<=[.?!])\s+(?=[A-ZΔ\d])")
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 MOST_TOGETHER = 4  # words of a number and its unit that stay on one line
-BELOW = "  "  # before the rows of a table and the items of a list
+BELOW = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
 BETWEEN = "  "  # columns
 
 
@@ -41,7 +40,8 @@ def lines(block: Block) -> Iterator[str]:
     """Yield the lines of a block for a terminal, which shows no figures and pictures."""
     match block:
         case Answer():
-            yield from below_headline([plain_text(part) for part in (block.head, *block.below)])
+            yield plain_text(block.head)
+            yield from (BELOW + plain_text(part) for part in block.below)
         case Note():
             yield f"note: {block.text}"
         case Listed():
@@ -106,13 +106,6 @@ def _environment() -> Environment:
     return environment
 
 
-def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
-    """Fill in a packaged template, with every string escaped, and return the path."""
-    with replacing(path) as partial:
-        partial.write_text(_environment().get_template(template).render(**content), encoding="utf-8")
-    return path
-
-
 def compile_page() -> None:
     """Compile the templates of `html`: that takes longer than to fill them in."""
     for name in (TEMPLATE, MACROS, "base.html.j2", "style.css.j2"):
@@ -175,6 +168,9 @@ def write_files(document: Document, folder: Path) -> None:
     """Write all files of a document but their provenance to a new folder."""
     write_figures(folder, [plot.drawn for plot in document.plots])
     for name, content in document.files.items():
-        write_text(folder / name, content)
+        if isinstance(content, str):
+            write_text(folder / name, content)
+        else:
+            (folder / name).write_bytes(content)
     write_json(folder / document.data_file, document.data)
     write_text(folder / document.page, html(document))

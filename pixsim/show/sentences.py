@@ -29,6 +29,15 @@ def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
     return "0" if abs(value) < least else rounded(value, digits)
 
 
+def sentence(words: str) -> str:
+    """Return words as a sentence.
+
+    >>> sentence("sizes from 2 µm on")
+    'Sizes from 2 µm on.'
+    """
+    return f"{words[:1].upper()}{words[1:]}."
+
+
 def smallest_and_largest(what: str, at: Sequence[float], values: Sequence[float], unit: str, unit_of_at: str) -> str:
     """Return where a number is smallest and where it is largest, as a sentence.
 

@@ -15,7 +15,7 @@ from helpers.runs import run_result
 from pixsim.base.headline import MOST_WORDS, with_headline
 from pixsim.measure.sfr import sfr_parts
 from pixsim.report.uncertainty import uncertainty_blocks
-from pixsim.report.wording import compromise_lines, optimum_line, optimum_parts, score_parts
+from pixsim.report.wording import compromise_answer, optimum_line, optimum_parts, score_parts
 from pixsim.sensor.outside import outside_words
 from pixsim.show.document import Answer
 from pixsim.studies.run import RunResult
@@ -99,9 +99,9 @@ def test_headlines_of_compromises_are_short() -> None:
     for interval in ((2.3, 2.9), (None, 2.9), (2.3, None), (None, None)):
         best = SimpleNamespace(mean_delta_e=0.615, pitch_um=2.45, interval_um=interval)
         regret = SimpleNamespace(delta_e=0.027, pitch_um=2.26, interval_um=interval, condition="a dim room with a warm lamp")
-        lines = compromise_lines(SimpleNamespace(label="data sheet", best=best, regret=regret))
-        assert len(lines[0].split()) <= MOST_WORDS
-        assert "worst regret" in " ".join(lines)
+        answer = compromise_answer(SimpleNamespace(label="data sheet", best=best, regret=regret))
+        assert len(str(answer.head).split()) <= MOST_WORDS
+        assert "worst regret" in str(answer)
 
 
 @pytest.mark.parametrize("quantile", [7.5, None])
