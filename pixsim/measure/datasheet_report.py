@@ -321,8 +321,8 @@ def entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
 def datasheet_document(sheet: DataSheet) -> Document:
     """Return the answer of `pixsim datasheet`: what was measured, and the true values."""
     pixel, answer, rows = sheet.experiment.physics.pixel, described(sheet), entry_rows(sheet)
-    values = Table("measured and true values", COLUMNS, tuple(rows), words=WORDS, stacks=True)
-    short = Table(values.name, SHORT, tuple(row[: len(SHORT)] for row in rows), words=WORDS)
+    values = Table("measured and true values", COLUMNS, rows, words=WORDS, stacks=True)
+    short = Table(values.name, SHORT, [row[: len(SHORT)] for row in rows], words=WORDS)
     makers = (
         *(photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate),
         *(histogram_plate, spectrogram_plate, profile_plate),
@@ -340,11 +340,11 @@ def datasheet_document(sheet: DataSheet) -> Document:
         lead=(
             "Measured on simulated frames of one device, as in a laboratory: the estimators use the frames only, not the pixel's "
             "parameters. Each value has its standard error, the true value, and the source of the true value.",
-            *([Listed(tuple(sheet.notes))] if sheet.notes else []),
+            *([Listed(sheet.notes)] if sheet.notes else []),
         ),
         sections=(
             Section("values", "Measured and true values", (values,)),
-            Section("figures", "Figures", tuple(plots)),
+            Section("figures", "Figures", plots),
             Section("made", "How it was made", (Beside((pairs("pixel", stated), pairs("versions", versions()))),)),
         ),
         files={"datasheet.csv": sheet.to_csv()},

@@ -20,7 +20,7 @@ from pixsim.report.study import (
     document_of,
     made_tables,
     parts_files,
-    parts_sections,
+    parts_section,
     plot_of,
     report_files,
     study_page,
@@ -244,30 +244,29 @@ def axes_page(
     parts : cases with a page of their own
     """
     figures = [Plot(partial(conditions_plate, found, number)) for number, found in enumerate(compromises[:SHOWN_COMPROMISES], 1)]
-    maps, alone = tuple(map(plot_of, axis_plates(result))), [plot_of(plate) for plate in [alone_plate(result)] if plate]
     table, header = parts_table(result), result.irradiance.header
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
     rendered = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}"
     made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered}."
-    listed = tuple(
+    listed = [
         (Link(case.words or "the study's own settings", f"{case.folder}/report.html"), f": {optimum_line(part.curves[0])}")
         for case, part in parts
-    )
+    ]
     all_conditions = (Link("All conditions and compromises (CSV)", "conditions.csv"),)
     return replace(
         axes_document(result, compromises),
         data=axes_summary(result, compromises),
-        answers=tuple(_answers(result, compromises)),
-        lead=tuple(_lead(result, bool(compromises))),
+        answers=_answers(result, compromises),
+        lead=_lead(result, bool(compromises)),
         sections=(
-            *([Section("conditions", "Conditions", (*figures, all_conditions))] if figures else []),
-            *([Section("maps", "Along the axes", maps)] if maps else []),
-            *([Section("alone", "One at a time", tuple(alone))] if alone else []),
-            *_claims(result),
-            Section("optima", "Optima", (optima_of_page(result), best)),
-            *parts_sections(table),
-            Section("cases", "Cases with pictures", (Listed(listed), *map(Note, result.notes))),
-            Section("made", "Reproducibility", (made, made_tables(seconds))),
+            Section("conditions", "Conditions", [*figures, all_conditions] if figures else ()),
+            Section("maps", "Along the axes", map(plot_of, axis_plates(result))),
+            Section("alone", "One at a time", [plot_of(plate) for plate in [alone_plate(result)] if plate]),
+            Section("claims", "The paper's statements", _claims(result)),
+            Section("optima", "Optima", [optima_of_page(result), best]),
+            parts_section(table),
+            Section("cases", "Cases with pictures", [Listed(listed), *map(Note, result.notes)]),
+            Section("made", "Reproducibility", [made, made_tables(seconds)]),
         ),
         files={
             "optima.csv": table_csv(optima_table(result)),
@@ -297,7 +296,7 @@ def _answers(result: CasesResult, compromises: Sequence[Compromise]) -> Iterator
     if not compromises:
         for curve in result.parts[0].curves:
             head, *below = with_headline(optimum_parts(curve))
-            yield Answer(f"{head}.", tuple(map(sentence, below)))
+            yield Answer(f"{head}.", map(sentence, below))
 
 
 def _lead(result: CasesResult, has_compromises: bool) -> Iterator[Block]:
@@ -306,15 +305,12 @@ def _lead(result: CasesResult, has_compromises: bool) -> Iterator[Block]:
     yield from (f"Picture: {words}." for words in study_view_words(result))
     yield from map(sentence, study_unconverged_lines(result))
     yield from (f"Light: {words}." for words in film_of_cases(result))
-    regret = (
-        "The regret of a pixel in a condition is its ΔE there over that of the best pixel for that condition. "
-        if has_compromises
-        else ""
-    )
+    regret = "The regret of a pixel in a condition is its ΔE there over that of the best pixel for that condition. "
     yield (
         f"Each pixel size is simulated on the same die under each of the {result.counts.cases} cases below. The error, ΔE, is the "
         "visible difference between the sensor's picture and that of an ideal camera: the CIELAB colour difference after the blur "
-        f"of the eye (S-CIELAB). {regret}All cases have the same random numbers, so that they differ by their settings only."
+        f"of the eye (S-CIELAB). {regret * has_compromises}All cases have the same random numbers, so that they differ by their "
+        "settings only."
     )
 
 
@@ -324,17 +320,17 @@ CLAIMS = (
 )
 
 
-def _claims(result: CasesResult) -> list[Section]:
-    """Return the section of the paper's statements, and of the cases that change a verdict, if there are any."""
+def _claims(result: CasesResult) -> list[Block]:
+    """Return the paper's statements, and the cases that change a verdict, if they are compared."""
     rows = []
     for each in verdicts(result):
         found, turned = each.finding, len(each.turned_by)
         changed = f"{turned} of {result.counts.cases - 1}{f': {each.words}' if turned else ''}"
         rows.append((found.statement, found.given, found.found, agrees(found.agrees), changed))
     head = ("statement of the paper", "paper", "first case", "agrees", "cases that change the verdict")
-    table = Table("the paper's statements", head, tuple(rows), words=None, stacks=True)
+    table = Table("the paper's statements", head, rows, words=None, stacks=True)
     words = "Each statement compared with the first case, and the cases with the opposite verdict."
-    return [Section("claims", "The paper's statements", (words, table, CLAIMS))] if rows else []
+    return [words, table, CLAIMS] if rows else []
 
 
 def optima_of_page(result: CasesResult) -> Table:
@@ -346,4 +342,4 @@ def optima_of_page(result: CasesResult) -> Table:
         size = alike_words(curve) if curve.alike_um else size
         mean, within = curve.light.shown(best.mean_delta_e), within_words(best.within_1_percent_um, curve)
         rows.append((curve.label, size, interval_words(curve), mean, within))
-    return Table("optima", ("pixel", "optimum (µm)", "95 % interval", "mean ΔE", "within 1 % of it"), tuple(rows), words=None)
+    return Table("optima", ("pixel", "optimum (µm)", "95 % interval", "mean ΔE", "within 1 % of it"), rows, words=None)

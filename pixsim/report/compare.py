@@ -147,7 +147,7 @@ def _terminal(result: Comparison, notes: Sequence[str]) -> tuple[Block, ...]:
         for other in agreed
     ]
     return (
-        *(Answer(head, tuple(below)) for head, *below in answers(result)),
+        *(Answer(head, below) for head, *below in answers(result)),
         Listed((*sensors, *conditions, *(found.words for found in result.uncertainty))),
         conditions_line(result.prepared),
         *(Note(note) for note in notes),
@@ -368,9 +368,9 @@ def comparison_document(
         title=" against ".join(result.names),
         data=result.as_dict(),
         terminal=_terminal(result, result.notes if notes is None else notes),
-        answers=tuple(Answer((Strong(head),), tuple(more)) for (head, *_), more in zip(found, below, strict=True)),
+        answers=[Answer((Strong(head),), more) for (head, *_), more in zip(found, below, strict=True)],
         lead=(f"{DELTA_E} The mean over the picture is compared.", *(Note(note) for note in result.notes)),
-        sections=() if folder is None else tuple(_sections(result, folder, rows_files)),
+        sections=() if folder is None else _sections(result, folder, rows_files),
         data_file=JSON_FILE,
     )
 
@@ -405,8 +405,7 @@ def _sections(result: Comparison, folder: Path, rows_files: Sequence[str]) -> It
     better = f"probability that {names[0]} is better"
     pair_head = ("difference of mean ΔE", "mean", "95 % interval", better, "film's error, at most")
     others, of = names[1:], "the detail with the largest differences"
-    if result.conditions:
-        yield Section("conditions", "Conditions", tuple(_condition_blocks(result, pair_head)))
+    yield Section("conditions", "Conditions", _condition_blocks(result, pair_head) if result.conditions else ())
     pictures = [_picture(compared.score.image, compared.name) for compared in result.sensors]
     slider = Slider(
         *("slider", f"The whole picture of {names[0]} and of another", pictures[0]),
@@ -424,26 +423,24 @@ def _sections(result: Comparison, folder: Path, rows_files: Sequence[str]) -> It
         *("sensor", "mean ΔE", "99th percentile", "pixels", "pitch (µm)", "lens", "exposure (ms)", "mean electrons", "full well"),
         *("saturated", "film's error (ΔE)"),
     )
-    sensors = tuple(_row(compared, in_shown.shown_mean(compared.name)) for compared in shown.sensors)
-    pairs = Table("differences of mean ΔE", pair_head, tuple(_pair(result, other) for other in others))
+    sensors = [_row(compared, in_shown.shown_mean(compared.name)) for compared in shown.sensors]
+    pairs = Table("differences of mean ΔE", pair_head, [_pair(result, other) for other in others])
     of_sensors = Table("numbers of each sensor", head, sensors)
-    numbers: tuple[Block, ...] = (of_sensors, *([] if result.conditions else [pairs]), PAIRED.format(prepared.repeats))
-    yield Section("numbers", f"Numbers{where}", numbers)
-    if result.uncertainty:
-        types = ("difference of mean ΔE", "sensor types", f"{better} (95 % interval)", "5 %", "median", "95 %", "unknown")
-        unknown = Table("differences over sensor types", types, tuple(_unknown(found) for found in result.uncertainty), words=(6,))
-        yield Section("unknown", "What is not known of the sensors", (UNKNOWN_TYPES, unknown))
-    yield Section("viewing", "Viewing", tuple(_viewing_blocks(result)))
+    words = PAIRED.format(prepared.repeats)
+    yield Section("numbers", f"Numbers{where}", [of_sensors, words] if result.conditions else [of_sensors, pairs, words])
+    types = ("difference of mean ΔE", "sensor types", f"{better} (95 % interval)", "5 %", "median", "95 %", "unknown")
+    unknown = Table("differences over sensor types", types, map(_unknown, result.uncertainty), words=(6,))
+    yield Section("unknown", "What is not known of the sensors", [UNKNOWN_TYPES, unknown] if result.uncertainty else ())
+    yield Section("viewing", "Viewing", _viewing_blocks(result))
     colours = [(c.name, colour_rows(c.colour, c.score.out_of_gamut)) for c in shown.sensors if c.colour]
-    if colours:
-        tables = (Table(f"colours of {name}", (), tuple(rows), name, words=None) for name, rows in colours)
-        yield Section("colour", f"Colour{where}", (MATRIX, *tables))
-    yield Section("maps", "Maps of the errors", tuple(_map(compared, folder, end) for compared in result.sensors))
+    tables = [Table(f"colours of {name}", (), rows, name, words=None) for name, rows in colours]
+    yield Section("colour", f"Colour{where}", [MATRIX, *tables] if tables else ())
+    yield Section("maps", "Maps of the errors", [_map(compared, folder, end) for compared in result.sensors])
     rest = f"Noise and non-uniformities that a data sheet does not state are zero. Seed {lineup.settings.seed}."
-    yield Section("settings", "Settings", (*_settings(result), rest))
+    yield Section("settings", "Settings", [*_settings(result), rest])
     files = comparison_files(prepared) | {name: words for name, words in ROWS_FILES.items() if name in rows_files}
-    listed = ((Link(name, name), f": {words}") for name, words in (files | {"provenance.json": "versions and wall times"}).items())
-    yield Section("files", "Files in this folder", (Listed(tuple(listed)),))
+    listed = [(Link(name, name), f": {words}") for name, words in (files | {"provenance.json": "versions and wall times"}).items()]
+    yield Section("files", "Files in this folder", [Listed(listed)])
 
 
 def _condition_blocks(result: Comparison, pair_head: tuple[str, ...]) -> Iterator[Block]:
@@ -454,10 +451,10 @@ def _condition_blocks(result: Comparison, pair_head: tuple[str, ...]) -> Iterato
         pairs = [_pair(result.pair(other).conditions[number], other) for other in others]
         parts.append((lineup.condition, f"{lineup.weight:.3g}", part, pairs))
     parts.append(("weighted mean", "", result, [_pair(result, other) for other in others]))
-    means = tuple((name, weight, *(part.shown_mean(sensor) for sensor in part.names)) for name, weight, part, _ in parts)
+    means = [(name, weight, *(part.shown_mean(sensor) for sensor in part.names)) for name, weight, part, _ in parts]
     head = ("condition", "weight")
     yield Table("mean ΔE of each sensor in each condition", (*head, *(f"mean ΔE of {name}" for name in result.names)), means)
-    differences = tuple((name, weight, *pair) for name, weight, _, pairs in parts for pair in pairs)
+    differences = [(name, weight, *pair) for name, weight, _, pairs in parts for pair in pairs]
     yield Table("differences in each condition", (*head, *pair_head), differences)
     yield (
         "Frame number k has the same random seeds in all conditions. The weighted mean is taken of each frame number, before its "
@@ -571,7 +568,7 @@ def _unknown(found: PairUncertainty) -> tuple[str, ...]:
     )
 
 
-def _view_rows(result: Comparison, other: str) -> tuple[tuple[str, ...], ...]:
+def _view_rows(result: Comparison, other: str) -> list[tuple[str, ...]]:
     """Return the rows of the page's table of a difference under each viewing, by the dots per degree and the dots."""
     better = {1: result.names[0], -1: other, 0: "not told apart"}
 
@@ -587,7 +584,7 @@ def _view_rows(result: Comparison, other: str) -> tuple[tuple[str, ...], ...]:
             better[view.sign] + ("" if view.inside else " (another display than stated)"),
         )
 
-    return tuple(row(view) for view in sorted(result.views(other), key=lambda view: view.viewing[::-1]))
+    return [row(view) for view in sorted(result.views(other), key=lambda view: view.viewing[::-1])]
 
 
 def _settings(result: Comparison) -> Iterator[Table]:

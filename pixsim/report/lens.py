@@ -354,12 +354,12 @@ def lens_document(data: LensData) -> Document:
             Listed((*(f"glass {glass}" for glass in glasses), last)),
         ),
         answers=(Answer(title_of(data)),),
-        lead=tuple(Note(note) for note in data.notes),
+        lead=map(Note, data.notes),
         sections=(
             Section("drawing", "Layout", (drawing,)),
             Section("first-order", "First-order data", (first_order,)),
             Section("fields", "Fields", (fields, f"{traced} The rms wavefront is without tilt.")),
-            Section("figures", "Figures", tuple(others)),
+            Section("figures", "Figures", others),
             Section(
                 *("prescription", "Prescription"),
                 (surface_table(data), prescribed, Listed(glasses), Beside((pairs("versions", versions()),))),
@@ -428,4 +428,4 @@ def surface_table(data: LensData) -> Table:
             semi + (", clips" if surface.clips and semi else ""),
         ))  # fmt: skip
     caption = "Surfaces in the order of the light; the last thickness leads to the image plane"
-    return Table("prescription", head, tuple(rows), caption)
+    return Table("prescription", head, rows, caption)

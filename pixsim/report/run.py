@@ -159,10 +159,10 @@ def run_document(result: RunResult, folder: Path | None = None) -> Document:
         answers=(Answer(("Mean ΔE ", Strong(result.shown_mean), " from the ideal image"), (*smaller, camera_words(result))),),
         lead=(
             DELTA_E,
-            *([f"Picture: {view}."] if view else []),
+            f"Picture: {view}." if view else "",
             *(f"{line}." for line in sensors),
             blur_words(result.irradiance, result.camera, score.physics, result.settings.display),
-            *([f"Light: {film}."] if film else []),
+            f"Light: {film}." if film else "",
             *(Note(note) for note in result.notes if note not in unsure),
         ),
         sections=() if folder is None else _sections(result, folder),
@@ -233,7 +233,7 @@ def _sections(result: RunResult, folder: Path) -> tuple[Section, ...]:
     )
     sizes = size_words(factor_for(score.ideal), settings.display.samples_per_deg)
     return (
-        *([Section("budget", "Error budget", (line, *budget))] if budget else []),
+        Section("budget", "Error budget", (line, *budget) if budget else ()),
         Section(
             *("pictures", "Pictures"),
             (f"The display shows and scores {columns} × {rows} dots: {border if fixed else 'one for each pixel.'} {sizes}", slider),
@@ -255,7 +255,7 @@ def _sections(result: RunResult, folder: Path) -> tuple[Section, ...]:
             together=True,
         ),
         Section("numbers", "Numbers", (Table("numbers of this picture", (), _numbers(result)),)),
-        *([Section("colour", "Colour", (COLOUR, Table("numbers of the colours", (), tuple(colour))))] if colour else []),
+        Section("colour", "Colour", (COLOUR, Table("numbers of the colours", (), colour)) if colour else ()),
         Section("settings", "Settings", (*_settings(result, sheet), f"{rest} Seed {settings.seed}.")),
         Section("files", "Files in this folder", (Listed(_files(result, folder)), f"Irradiance: {source}.")),
     )

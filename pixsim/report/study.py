@@ -359,25 +359,26 @@ def study_page(result: StudyResult, seconds: dict[str, float], workers: Workers,
     rows = [row for *_, own in groups for row in own]
     views = [view for _, _, view, _ in groups if view]
     plots = {
-        heading: tuple(plot_of(plate) for group, drawn, _, _ in groups if group.kind in kinds for plate in drawn)
+        heading: [plot_of(plate) for group, drawn, _, _ in groups if group.kind in kinds for plate in drawn]
         for heading, kinds in HEADINGS.items()
     }
     return replace(
         study_document(result),
         data=result.as_dict() | ({"paper": [asdict(row) for row in rows]} if rows else {}),
-        answers=tuple(curve_answer(curve, light_of(result, [curve])) for curve in result.curves),
-        lead=tuple(_lead(result)),
+        answers=[curve_answer(curve, light_of(result, [curve])) for curve in result.curves],
+        lead=_lead(result),
         sections=(
-            *([Section("see", "Pictures", tuple(_pictures(result, views)))] if views else []),
+            Section("see", "Pictures", _pictures(result, views)),
             Section("curves", "Curves", plots["curves"]),
-            *parts_sections(parts),
-            Section("limits", "What limits these pixels", tuple(_limits(result))),
-            *_maps(result, plots["maps"]),
-            *_paper(result, rows, plots["paper"]),
-            *_budget(result.budget),
-            Section("numbers", "Numbers", tuple(Section("", curve.label, (numbers_table(curve),)) for curve in result.curves)),
-            Section("assumed", "Assumptions", tuple(_assumptions(result))),
-            Section("made", "Reproducibility", (_rendered(result), made_tables(seconds))),
+            parts_section(parts),
+            Section("limits", "What limits these pixels", _limits(result)),
+            Section("maps", "Whole pictures and maps", _maps(result, plots["maps"])),
+            Section("paper", "Statements of the paper and results of pixsim", _paper(result, rows)),
+            Section("figures", "The paper's other figures", plots["paper"]),
+            Section("budget", "Error budget", _budget(result.budget)),
+            Section("numbers", "Numbers", [Section("", curve.label, [numbers_table(curve)]) for curve in result.curves]),
+            Section("assumed", "Assumptions", _assumptions(result)),
+            Section("made", "Reproducibility", [_rendered(result), made_tables(seconds)]),
         ),
         files={**{f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views}, **parts_files(parts)},
     )
@@ -438,49 +439,46 @@ def _lead(result: StudyResult) -> Iterator[Block]:
     yield from (f"Light and lens: {words}." for words in study_light_words(result))
     yield from (f"Picture: {words}." for words in study_view_words(result))
     yield EACH_SIZE.format(result.irradiance.header["scene"])
-    border = (
-        f" A border of {result.study.border_um:.3g} µm, one and a half of the largest pixels of the study, is not scored."
-        if result.study.display.raster == "fixed_size"
-        else ""
-    )
-    yield f"{INTERVAL}{border}"
+    border = f" A border of {result.study.border_um:.3g} µm, one and a half of the largest pixels of the study, is not scored."
+    yield INTERVAL + border * (result.study.display.raster == "fixed_size")
 
 
 def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
     """Yield the pictures of each technology."""
     study = result.study
     best = ", ".join(f"{curve.optimum.pitch_um:.2f} µm for {curve.label}" for curve in result.curves if curve.optimum.inside)
-    yield (
-        "Pictures of the first sensor of each pixel size, as the study's display shows them, with the mean ΔE of the whole picture "
-        f"over all sensors. {size_words(1, study.display.samples_per_deg)} "
-        '"Least error tried" is the size with the smallest mean ΔE of these. The best size is the minimum of the fitted curve, '
-        f"which may lie between them{': ' if best else ''}{best}."
-    )
+    detail = "A detail where both the smallest and the largest pixels have large errors"
     for number, view in enumerate(views, 1):
-        worst = "A detail where both the smallest and the largest pixels have large errors"
-        chosen = "The detail chosen in the study" if study.detail else worst
+        if number == 1:
+            yield (
+                "Pictures of the first sensor of each pixel size, as the study's display shows them, with the mean ΔE of the whole "
+                f"picture over all sensors. {size_words(1, study.display.samples_per_deg)} "
+                '"Least error tried" is the size with the smallest mean ΔE of these. The best size is the minimum of the fitted '
+                f"curve, which may lie between them{': ' if best else ''}{best}."
+            )
         across, down = (f"{100 * share:.0f} %" for share in view.place)
+        chosen = "The detail chosen in the study" if study.detail else detail
         place = f"{chosen}. Its centre is at {across} of the picture's width and {down} of its height, from the upper left."
         of, label = f"detail in {view.label}", view.label
-        yield Section("", f"{label}: the same detail for every pixel size", (place, Tiles(view.tiles, of)))
+        yield Section("", f"{label}: the same detail for every pixel size", [place, Tiles(view.tiles, of)])
         errors = Pictures(view.crops, of), Scale(scale(map_end(result)))
         yield Section("", f"{label}: errors in that detail", errors, together=True)
         heading = "Pixel size to compare with the ideal image:"
         slider = Slider(f"slider-{number}", heading, view.ideal, view.outputs)
-        smaller = [size_words(view.factor, study.display.samples_per_deg)] if view.factor > 1 else []
-        yield Section("", f"{label}: whole pictures and the ideal image", (*smaller, slider), together=True)
+        smaller = size_words(view.factor, study.display.samples_per_deg) if view.factor > 1 else ""
+        yield Section("", f"{label}: whole pictures and the ideal image", [smaller, slider], together=True)
 
 
-def parts_sections(parts: dict[str, Column]) -> list[Section]:
-    """Return the section on what the errors of colour sensors are made of; none for others.
+def parts_section(parts: dict[str, Column]) -> Section:
+    """Return the section on what the errors of colour sensors are made of; empty for others.
 
     parts : of `parts_table`, a row for each pixel
     """
-    head = "pixel", "size (µm)", "mean ΔE", "noise", "mosaic", "crosstalk", "colour error", "blur", "dots per pixel"
-    rows = tuple((str(name), *(f"{value:.3f}" for value in values)) for name, *values in zip(*parts.values(), strict=True))
+    head = ["pixel", "size (µm)", "mean ΔE", "noise", "mosaic", "crosstalk", "colour error", "blur", "dots per pixel"]
+    rows = [(str(name), *(f"{value:.3f}" for value in values)) for name, *values in zip(*parts.values(), strict=True)]
     same = (Link("The same with all digits (CSV)", PARTS_FILE),)
-    table = Table("parts of the errors", head, rows)
-    return [Section("parts", "What the errors are made of", (PARTS, table, same))] if parts else []
+    blocks = PARTS, Table("parts of the errors", head, rows), same
+    return Section("parts", "What the errors are made of", blocks if parts else ())
 
 
 def parts_files(parts: dict[str, Column]) -> dict[str, str]:
@@ -497,23 +495,19 @@ def _limits(result: StudyResult) -> Iterator[Block]:
         yield f"Blur of {curve.optimum.pitch_um:.2f} µm pixels, {curve.label}. {blur}"
 
 
-def _maps(result: StudyResult, plots: tuple[Plot, ...]) -> list[Section]:
-    """Return the section of whole pictures and maps, if there are any."""
+def _maps(result: StudyResult, plots: Sequence[Plot]) -> list[Block]:
+    """Return whole pictures and maps, if there are any."""
     words = f"All maps of this report have the same {scale(map_end(result)).name}; larger errors have its last colour."
-    return [Section("maps", "Whole pictures and maps", (words, *plots))] if plots else []
+    return [words, *plots] if plots else []
 
 
-def _paper(result: StudyResult, rows: Sequence[Finding], plots: tuple[Plot, ...]) -> Iterator[Section]:
-    """Yield the sections of the paper: its statements, and its other figures."""
-    if rows:
-        head = ("statement of the paper", "paper", "pixsim", "agrees", "remark")
-        statements = tuple((row.statement, row.given, row.found, agrees(row.agrees), row.why) for row in rows)
-        table = Table("statements of the paper", head, statements, words=None, stacks=True)
-        more = "`pixsim study chen2000-sensitivity` lists the settings that change each verdict."
-        words = PAPER, response_note(result.study), table, more
-        yield Section("paper", "Statements of the paper and results of pixsim", words)
-    if plots:
-        yield Section("figures", "The paper's other figures", plots)
+def _paper(result: StudyResult, rows: Sequence[Finding]) -> list[Block]:
+    """Return the statements of the paper, if they are compared."""
+    head = "statement of the paper", "paper", "pixsim", "agrees", "remark"
+    statements = [(row.statement, row.given, row.found, agrees(row.agrees), row.why) for row in rows]
+    table = Table("statements of the paper", head, statements, words=None, stacks=True)
+    more = "`pixsim study chen2000-sensitivity` lists the settings that change each verdict."
+    return [PAPER, response_note(result.study), table, more] if rows else []
 
 
 def agrees(whether: bool) -> tuple[Verdict]:
@@ -521,8 +515,8 @@ def agrees(whether: bool) -> tuple[Verdict]:
     return (Verdict("yes" if whether else "does not agree", whether),)
 
 
-def _budget(budget: dict[str, Any] | None) -> list[Section]:
-    """Return the section of an error budget, if there is one."""
+def _budget(budget: dict[str, Any] | None) -> list[Block]:
+    """Return an error budget, if there is one."""
     if budget is None:
         return []
 
@@ -537,8 +531,8 @@ def _budget(budget: dict[str, Any] | None) -> list[Section]:
         f", with {settings}; settings chosen by a short calibration.",
     )
     total = row("total without the display's raster and interpolation", budget["total"])
-    rows = (*(row(name, effect) for name, effect in budget["sources"].items()), total)
-    return [Section("budget", "Error budget", (words, Table("error budget", ("source", "mean ΔE", "optimal pitch (µm)"), rows)))]
+    rows = [*(row(name, effect) for name, effect in budget["sources"].items()), total]
+    return [words, Table("error budget", ("source", "mean ΔE", "optimal pitch (µm)"), rows)]
 
 
 def numbers_table(curve: Curve) -> Table:
@@ -551,7 +545,7 @@ def numbers_table(curve: Curve) -> Table:
         "mean ΔE": [f"{value:.4f}" for value in data["mean_delta_e"]],
         "± 95 %": [f"{value:.4f}" for value in data["ci95_delta_e"]],
     }
-    return Table(f"numbers of {curve.label}", tuple(columns), tuple(zip(*columns.values(), strict=True)))
+    return Table(f"numbers of {curve.label}", columns, zip(*columns.values(), strict=True))
 
 
 def _assumptions(result: StudyResult) -> Iterator[Block]:
@@ -568,7 +562,7 @@ def _assumptions(result: StudyResult) -> Iterator[Block]:
             f"Technology {name}: every number, its plausible range and its source (A primary, B secondary, C derived, D assumed)"
         )
         head = ("number", "value", "plausible range", "source")
-        yield Section("", title, (Table(f"technology {name}", head, tuple(rows), words=None),), folded=True)
+        yield Section("", title, [Table(f"technology {name}", head, rows, words=None)], folded=True)
 
 
 def _rendered(result: StudyResult) -> str:

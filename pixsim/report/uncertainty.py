@@ -67,7 +67,7 @@ def _blocks(found: UncertaintyResult, number: int) -> list[Block]:
         blocks.append(Table("probabilities", ("statement", "probability that it holds (95 % interval)"), verdicts, words=None))
     if found.total:
         blocks += [indices_table(OUTPUTS[output], indices) for output, indices in found.total_indices.items()]
-    blocks.append(Listed(tuple(f"{line}." for line in found.statements)))
+    blocks.append(Listed(f"{line}." for line in found.statements))
     return [*blocks, (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)]
 
 
@@ -78,7 +78,7 @@ def indices_table(output: str, indices: Mapping[str, Mapping[str, Any]]) -> Tabl
         return f"{index['share']:.2f} ({index['low']:.2f} to {index['high']:.2f})"
 
     caption = f"{output}: shares of its variance, with 95 % intervals"
-    rows = tuple((name, share(index["first"]), share(index["total"])) for name, index in indices.items())
+    rows = [(name, share(index["first"]), share(index["total"])) for name, index in indices.items()]
     return Table(caption, ("input", "alone", "with all interactions"), rows, caption, words=None)
 
 

@@ -6,7 +6,7 @@ Strings are plain text, with `code` in backticks. Every string is escaped where 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -42,11 +42,22 @@ Text: TypeAlias = str | tuple[str | Strong | Link | Verdict, ...]
 
 
 @dataclass(frozen=True)
-class Answer:
+class Record:
+    """A record that keeps what it is given in lists and iterators as tuples, and a text alone as the only one."""
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            given = getattr(self, each.name)
+            if each.type.startswith("Iterable"):
+                object.__setattr__(self, each.name, (given,) if isinstance(given, str) else tuple(given))
+
+
+@dataclass(frozen=True)
+class Answer(Record):
     """A headline, and what belongs to it in smaller letters."""
 
     head: Text
-    below: tuple[Text, ...] = ()
+    below: Iterable[Text] = ()
 
 
 @dataclass(frozen=True)
@@ -57,14 +68,14 @@ class Note:
 
 
 @dataclass(frozen=True)
-class Listed:
+class Listed(Record):
     """A list; in a terminal, lines that are set off."""
 
-    items: tuple[Text, ...]
+    items: Iterable[Text]
 
 
 @dataclass(frozen=True)
-class Table:
+class Table(Record):
     """Rows of text; the first column names them.
 
     A row of one cell is the heading of those below it. The last cell of another short row takes the columns that are left.
@@ -76,8 +87,8 @@ class Table:
     """
 
     name: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[Text, ...], ...]
+    head: Iterable[str]
+    rows: Iterable[tuple[Text, ...]]
     caption: str = ""
     words: tuple[int, ...] | None = ()
     stacks: bool = False
@@ -156,8 +167,8 @@ class Slider:
 
 
 @dataclass(frozen=True)
-class Section:
-    """Blocks under a heading.
+class Section(Record):
+    """Blocks under a heading; without any, it is not shown.
 
     id : of its place in the page; may be empty below another section
     together : whether it is printed on one sheet
@@ -166,7 +177,7 @@ class Section:
 
     id: str
     title: str
-    blocks: tuple[Block, ...]
+    blocks: Iterable[Block]
     together: bool = False
     folded: bool = False
 
@@ -175,7 +186,7 @@ Block: TypeAlias = Text | Answer | Note | Listed | Table | Beside | Plot | Pictu
 
 
 @dataclass(frozen=True)
-class Document:
+class Document(Record):
     """What a command answers.
 
     command : that gives such a document
@@ -183,7 +194,7 @@ class Document:
     data : for JSON
     terminal : what a terminal shows
     cell : what a notebook shows
-    answers, lead, sections : what the page shows, from top to bottom; no page without a section
+    answers, lead, sections : what the page shows, from top to bottom, without empty texts
     files : name -> content of further files
     data_file, page : names of the files of `data` and of the page
     """
@@ -192,11 +203,11 @@ class Document:
     kind: str
     title: str
     data: Mapping[str, Any]
-    terminal: tuple[Block, ...] = ()
-    cell: tuple[Block, ...] = ()
-    answers: tuple[Answer, ...] = ()
-    lead: tuple[Block, ...] = ()
-    sections: tuple[Section, ...] = ()
+    terminal: Iterable[Block] = ()
+    cell: Iterable[Block] = ()
+    answers: Iterable[Answer] = ()
+    lead: Iterable[Block] = ()
+    sections: Iterable[Section] = ()
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     data_file: str = "summary.json"
     page: str = "report.html"

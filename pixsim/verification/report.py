@@ -278,7 +278,7 @@ def accuracy_document(accuracy: Accuracy) -> Document:
         ),
         lead=(f"Reference: {accuracy.reference}.", Listed((*verdicts, *accuracy.notes))),
         sections=(
-            Section("errors", "Error against run time", tuple(plots)),
+            Section("errors", "Error against run time", plots),
             Section("orders", "Orders of convergence", (order_table(accuracy),)),
             Section(
                 *("extremes", "Extreme cases with known answers"),
@@ -288,7 +288,7 @@ def accuracy_document(accuracy: Accuracy) -> Document:
                     case_table(accuracy),
                 ),
             ),
-            *([Section("solvers", "Solvers of the photodiode", (SOLVERS, solvers))] if solvers.rows else []),
+            Section("solvers", "Solvers of the photodiode", (SOLVERS, solvers) if solvers.rows else ()),
             Section("all", "All settings", (settings, "* default settings.")),
             Section("made", "Reproducibility", (made, Beside((pairs("versions", versions()),)))),
         ),
@@ -312,15 +312,15 @@ def terminal_blocks(accuracy: Accuracy) -> tuple[Block, ...]:
     return (
         f"reference: {accuracy.reference}",
         f"default settings: {error_words(accuracy)}, in {shipped.seconds:.2g} s warm",
-        Listed(tuple(fronts)),
+        Listed(fronts),
         "orders of convergence (error ∝ setting^-order, ± 95 %):",
-        Listed(tuple(f"{name:10} {', '.join(found)}" for name, found in orders.items() if found)),
+        Listed(f"{name:10} {', '.join(found)}" for name, found in orders.items() if found),
         "error budget of the default settings, one sensor:",
-        Listed(tuple(effects)),
+        Listed(effects),
         f"stages: {', '.join(f'{name} {seconds:.2f} s' for name, seconds in stages.items())}",
         Listed((f"slowest stage: {max(stages, key=stages.__getitem__)}",)),
         f"stability: {stability_words(accuracy)}",
-        Listed(tuple(f"{case.room}, {case.name}: error {case.error:.1e}, limit {case.allowed:.1e}" for case in failed)),
+        Listed(f"{case.room}, {case.name}: error {case.error:.1e}, limit {case.allowed:.1e}" for case in failed),
         *(f"skipped: {rung.ladder}, {rung.setting} ({rung.left_out})" for rung in accuracy.rungs if rung.left_out),
         *(Note(note) for note in accuracy.notes),
         *filter(None, (accuracy.settings.pixel.assumption,)),
@@ -360,7 +360,7 @@ def case_table(accuracy: Accuracy) -> Table:
             met = Verdict("met" if case.passed else f"NOT met {case.warned}", case.passed)
             rows.append((case.name, *values, (met,), case.source))
     head = ("case", "expected", "got", "error", "limit", "verdict", "source")
-    return Table("extreme cases", head, tuple(rows), words=(5, 6))
+    return Table("extreme cases", head, rows, words=(5, 6))
 
 
 SOLVERS = (

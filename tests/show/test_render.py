@@ -35,7 +35,10 @@ BLOCKS: tuple[Block, ...] = (
 
 def document(**changes: object) -> Document:
     values = {"title": f"A {EVIL}", "data": {"value": 1.5}, "terminal": BLOCKS, "cell": (Answer(EVIL, (EVIL,)), *BLOCKS)}
-    values |= {"answers": (Answer(EVIL, (EVIL, "below")),), "sections": (Section("all", EVIL, BLOCKS), Section("more", "More", ()))}
+    values |= {
+        "answers": (Answer(EVIL, (EVIL, "below")),),
+        "sections": (Section("all", EVIL, BLOCKS), Section("more", "More", "text"), Section("empty", "Empty", ())),
+    }
     return Document("lens", "test", **(values | changes))  # type: ignore[arg-type]
 
 
@@ -76,11 +79,12 @@ def test_page_names_columns_rows_and_what_is_left_of_a_row() -> None:
     assert '<th class="group" colspan="3" scope="colgroup">first group</th>' in page
     assert '<th scope="row">30</th><td colspan="2" data-name="mean ΔE">none at all</td>' in page
     assert '<a href="#more">More</a>' in page
+    assert "Empty" not in page, "a section without blocks"
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_page_of_one_section_has_no_contents(count: int) -> None:
-    assert "<nav" not in render.html(document(sections=document().sections[:count]))
+    assert "<nav" not in render.html(document(sections=[*document().sections][:count]))
 
 
 def test_write_writes_page_figures_data_and_files(tmp_path: Path) -> None:
