@@ -185,10 +185,9 @@ def run(
         check_replaceable(folder, files.names(frames))
     prepared = prepare(scene, chosen, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
     if dry_run:
-        from pixsim.report.outline import outline_lines, run_outline
+        from pixsim.report.outline import outline_document, run_outline
 
-        outline = run_outline(prepared)
-        show(outline, json, "\n".join(outline_lines(outline, folder)))
+        answer(outline_document("run", run_outline(prepared), folder), json)
         return
     seconds: dict[str, float] = {}
     with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the render
@@ -344,13 +343,14 @@ def study(
     import_less()
     from pixsim.report.axes import axes_document, axes_files, write_axes_report
     from pixsim.report.kept import digest_of_report, keep_or_write
-    from pixsim.report.outline import long_lines, outline_lines, study_outline
+    from pixsim.report.outline import long_words, outline_document, study_outline
     from pixsim.report.study import report_files, study_document, write_study
     from pixsim.report.uncertainty import uncertainty_document, uncertainty_files
     from pixsim.show.render import write_files
+    from pixsim.show.sentences import duration
     from pixsim.studies.cases import CASE_S, MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.conditions import compromises_of
-    from pixsim.studies.cost import duration_words, fitting_jobs
+    from pixsim.studies.cost import fitting_jobs
     from pixsim.studies.engine import Workers, workers_here
     from pixsim.studies.preparation import prepare
     from pixsim.studies.result import CasesResult
@@ -370,14 +370,14 @@ def study(
         folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
         spreads = uncertainty_of(study, options.config or [])
         if MANY_CASES < (cases := number_of_cases(plan.quickened if quick else plan)) <= MAX_CASES:
-            common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration_words(cases * CASE_S)}")
+            common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration(cases * CASE_S)}")
         prepared = replace(prepare(plan, variant, quick), uncertainty=spreads)
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
             types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes or dry_run)
         outline = study_outline(prepared, jobs, plan.quickened if quick else plan, types)
         if dry_run:
-            show(outline, json, "\n".join(outline_lines(outline, folder)))
+            answer(outline_document("study", outline, folder), json)
             return
         check_number(len(prepared.cases), prepared.evaluations, yes)
         names = (axes_files if prepared.cases else report_files)(prepared.study)
@@ -385,8 +385,8 @@ def study(
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
         check_replaceable(folder, names)
-        for line in long_lines(outline):
-            common.verbosity.note(line)
+        if words := long_words(outline):
+            common.verbosity.note(words)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
                 result = run_prepared(prepared, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
@@ -503,7 +503,7 @@ def compare(
     settings.toml, the settings of each sensor, and report.html.
     """
     import_less()
-    from pixsim.report.compare import cases_document, check_output, comparison_document, outline, outline_lines, write_comparison
+    from pixsim.report.compare import cases_document, check_output, comparison_document, outline_document, write_comparison
     from pixsim.show.render import write
     from pixsim.studies.compare import run_prepared
     from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison
@@ -532,9 +532,7 @@ def compare(
         folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.sensors)
         places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))
         if dry_run:
-            shown = [outline(each) for each in prepared]
-            lines = [line for (each, at), own in zip(places, shown, strict=True) for line in outline_lines(each, own, at)]
-            show({"cases": shown} if cases else shown[0], json, "\n".join(lines))
+            answer(outline_document(places, bool(cases)), json)
             return
         for each, at in places:
             check_output(each, at)

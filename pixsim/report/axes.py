@@ -29,7 +29,6 @@ from pixsim.report.study import (
 from pixsim.report.wording import (
     compromise_answer,
     film_words,
-    interval_text,
     optimum_line,
     optimum_parts,
     study_light_words,
@@ -40,7 +39,7 @@ from pixsim.show.document import Answer, Block, Document, Link, Listed, Note, Pl
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, table_csv
 from pixsim.show.render import write_files
-from pixsim.show.sentences import sentence
+from pixsim.show.sentences import interval, sentence
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret
@@ -282,7 +281,7 @@ def _answers(result: CasesResult, compromises: Sequence[Compromise]) -> Iterator
         if found.best is None or found.regret is None:
             continue
         weighted, worst = (Strong(f"{size.pitch_um:.2f} µm") for size in (found.best, found.regret))
-        intervals = f"{interval_text(found.best.interval_um)}, and {interval_text(found.regret.interval_um)}"
+        intervals = f"{interval(found.best.interval_um)}, and {interval(found.regret.interval_um)}"
         yield Answer(
             (
                 *(f"One pixel for all conditions, {found.label}: ", weighted, " has the least weighted mean ΔE, "),

@@ -207,11 +207,19 @@ def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     return Cost(seconds, largest, 1)
 
 
-def outline_lines(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[str]:
-    """Return an outline as lines of text.
+def outline_document(places: Sequence[tuple[Prepared, Path]], has_cases: bool) -> Document:
+    """Return the answer of a dry run.
 
-    out : folder that would be written
+    places : what is prepared, and the folder that would be written
+    has_cases : whether they are cases of a comparison
     """
+    shown = [outline(prepared) for prepared, _ in places]
+    terminal = [line for (prepared, out), own in zip(places, shown, strict=True) for line in _outline_words(prepared, own, out)]
+    return Document("compare", "dry run", shown[0]["scene"], {"cases": shown} if has_cases else shown[0], terminal)
+
+
+def _outline_words(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[str]:
+    """Return what a comparison would do in words."""
     lineup = prepared.shown
     width = max(len(sensor.name) for sensor in lineup.sensors)
     lines = [f"{sensor.name:{width}}  {sensor_words(sensor)}" for sensor in lineup.sensors]

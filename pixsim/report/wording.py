@@ -13,6 +13,7 @@ from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, Display
 from pixsim.show.document import Answer, Listed, Text, headline
+from pixsim.show.sentences import interval
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.merit import LENSES, detail_frequency_lp_per_mm, mtf_terms, of_sensor
@@ -77,24 +78,14 @@ def map_words(start: str, mean: float, p99: float, end: float) -> str:
     )
 
 
-def interval_text(ends_um: tuple[float | None, float | None]) -> str:
-    """Return an interval of pixel sizes as text, naming an open end."""
-    low, high = ends_um
-    if low is None and high is None:
-        return "no limit among the sizes tried"
-    if low is None:
-        return f"below {high:.2f} µm"
-    return f"above {low:.2f} µm" if high is None else f"{low:.2f} to {high:.2f} µm"
-
-
 def compromise_answer(found: Any) -> Answer:
     """Return the pixel sizes that suit all conditions, with their intervals; none where the conditions share too few sizes."""
     if found.best is None or found.regret is None:
         return Answer(f"{found.label}: the conditions share too few pixel sizes for one that suits all")
     best, regret = found.best, found.regret
-    weighted = f"least weighted mean ΔE {best.mean_delta_e:.3f} at {best.pitch_um:.2f} µm (95 %: {interval_text(best.interval_um)})"
+    weighted = f"least weighted mean ΔE {best.mean_delta_e:.3f} at {best.pitch_um:.2f} µm (95 %: {interval(best.interval_um)})"
     worst = f"least worst regret {regret.delta_e:.3f} ΔE, in {regret.condition}, at {regret.pitch_um:.2f} µm"
-    return headline([f"{found.label}: {weighted}", f"{worst} (95 %: {interval_text(regret.interval_um)})"])
+    return headline([f"{found.label}: {weighted}", f"{worst} (95 %: {interval(regret.interval_um)})"])
 
 
 def no_difference_words(curve: Any) -> str:

@@ -1,4 +1,4 @@
-"""Sentences about values: a number with its digits, where one is smallest and largest, an interval, settings."""
+"""Sentences about values: a number with its digits, a duration, an interval, where a number is smallest and largest, settings."""
 
 from __future__ import annotations
 
@@ -27,6 +27,29 @@ def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
     if value is None or not math.isfinite(value):
         return UNKNOWN
     return "0" if abs(value) < least else rounded(value, digits)
+
+
+def duration(seconds: float) -> str:
+    """Return a duration to two digits.
+
+    >>> duration(12.34), duration(100.0), duration(1e5)
+    ('12 s', '1.7 min', '28 h')
+    """
+    if seconds < 90:
+        return f"{float(f'{seconds:.2g}'):g} s"
+    return f"{float(f'{seconds / 60:.2g}'):g} min" if seconds < 5400 else f"{float(f'{seconds / 3600:.2g}'):g} h"
+
+
+def interval(ends_um: tuple[float | None, float | None]) -> str:
+    """Return an interval of pixel sizes, of which each end may be open.
+
+    >>> interval((2.5, 3.0)), interval((None, 3.0)), interval((2.5, None))
+    ('2.50 to 3.00 µm', 'below 3.00 µm', 'above 2.50 µm')
+    """
+    low, high = ends_um
+    if low is None:
+        return "no limit among the sizes tried" if high is None else f"below {high:.2f} µm"
+    return f"above {low:.2f} µm" if high is None else f"{low:.2f} to {high:.2f} µm"
 
 
 def sentence(words: str) -> str:
