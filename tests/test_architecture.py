@@ -34,7 +34,7 @@ ALLOWED = {
     "viewer": (*BELOW_SHOW, "show"),
     "studies": (*BELOW_SHOW, "scene", "show", "viewer"),
     "measure": (*BELOW_SHOW, "show", "viewer"),
-    "report": ("base", "show", "studies", "measure"),  # it turns results into pages and files, and computes nothing
+    "report": ("base", "show", "studies", "measure"),  # it turns results into documents and files, and computes nothing
     "verification": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "report"),
     "cli": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "measure", "report", "verification"),
 }

@@ -21,7 +21,7 @@ import stat
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from contextvars import ContextVar
 from functools import cache
@@ -39,7 +39,7 @@ from pixsim.base.locks import (
     unfinished,
 )
 from pixsim.base.notes import MachineWarning, warn
-from pixsim.base.schema import KEY, check_not_newer, with_schema
+from pixsim.base.schema import KEY, check_not_newer, json_text
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
 
@@ -525,11 +525,11 @@ def version_of(package: str) -> str:
     return found[1] if found else distribution.version
 
 
-def write_json(path: Path, content: dict[str, Any], *, named: bool = True) -> None:
+def write_json(path: Path, content: Mapping[str, Any], *, named: bool = True) -> None:
     """Write a JSON file of results, which states its schema; `named` is of `replacing`."""
     with replacing(path, named=named) as partial:
-        text = json.dumps(with_schema(content), indent=2, sort_keys=True, ensure_ascii=False) + "\n"
-        partial.write_text(text, encoding="utf-8", errors="backslashreplace")  # for file names that are not UTF-8
+        # for file names that are not UTF-8
+        partial.write_text(json_text(content) + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 MIB, GIB = 1 << 20, 1 << 30

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 MOST_WORDS = 30
 NOT_CONVERGED = "not converged"
-BELOW = "  "  # before what belongs to a headline
 
 
 def with_headline(parts: Sequence[str], unsure: str = "") -> list[str]:
@@ -29,14 +28,3 @@ def with_headline(parts: Sequence[str], unsure: str = "") -> list[str]:
     while left and len("; ".join([*head, left[0], *end]).split()) <= MOST_WORDS:
         head.append(left.pop(0))
     return ["; ".join([*head, *end]), "; ".join([*left, *([unsure] if unsure else [])])]
-
-
-def headline_lines(parts: Sequence[str], unsure: str = "") -> list[str]:
-    """Return the lines of `with_headline` for a terminal."""
-    return below_headline(with_headline(parts, unsure))
-
-
-def below_headline(answer: Sequence[str]) -> list[str]:
-    """Return an answer of `with_headline` as lines: what follows the headline is set off."""
-    head, *rest = answer
-    return [head, *(f"{BELOW}{text}" for text in rest)]

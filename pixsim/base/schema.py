@@ -6,6 +6,8 @@ what changed, whenever an entry or a column is renamed or removed, or means anot
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from typing import Any
 
 from pixsim.base.errors import invalid
@@ -37,6 +39,7 @@ def check_not_newer(name: str, got: object) -> None:
         )
 
 
-def with_schema(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a JSON file of results with the schema. A JSON schema itself has one of its own."""
-    return content if "$schema" in content else {KEY: SCHEMA, **content}
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return results as JSON that states its schema. A JSON schema itself has one of its own."""
+    stated = content if "$schema" in content else {KEY: SCHEMA, **content}
+    return json.dumps(stated, indent=2, sort_keys=True, ensure_ascii=False)

@@ -21,7 +21,6 @@ from pixsim.base.caller import command_line
 from pixsim.base.config import checked, study_layers
 from pixsim.base.errors import UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files, write_made_from
-from pixsim.base.headline import headline_lines
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Layer, LensOptions, Run
@@ -34,6 +33,7 @@ from pixsim.cli.options import (
     Json,
     Out,
     SceneOptions,
+    answer,
     app,
     field_option,
     given,
@@ -193,7 +193,8 @@ def run(
     """
     import_less()
     from pixsim.report.kept import kept_run
-    from pixsim.report.run import RunFiles, digest_of_run, run_lines, write_run
+    from pixsim.report.run import RunFiles, digest_of_run, run_document, write_run
+    from pixsim.show.render import text
     from pixsim.studies.run import light_run, prepare, score_run
     from pixsim.studies.run_arrays import check_raw
 
@@ -205,26 +206,25 @@ def run(
         check_replaceable(folder, files.names(frames))
     prepared = prepare(scene, chosen, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
     if dry_run:
-        from pixsim.report.outline import outline_lines, run_outline
+        from pixsim.report.outline import outline_document, run_outline
 
-        outline = run_outline(prepared)
-        show(outline, json, "\n".join(outline_lines(outline, folder)))
+        answer(outline_document("run", run_outline(prepared), folder), json)
         return
     seconds: dict[str, float] = {}
     with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the render
         lit = light_run(prepared, stage)
         made_from = digest_of_run(lit, files)
         if kept := kept_run(folder, made_from):
-            summary, lines, warned = kept
+            document, warned = kept
             for note in warned:
                 if note not in lit.warned:  # the others were given now
                     warn(note)
         else:
             result = score_run(lit, stage)
             write_run(result, folder, seconds, files, stage("write"))
-            summary, lines = result.as_dict(), run_lines(result)
-            write_made_from(folder, "run", made_from, {"lines": lines, "warned": list(result.warned)})
-    show(summary, json, "\n".join([*lines, f"report: {folder / 'report.html'}"]))
+            document = run_document(result)
+            write_made_from(folder, "run", made_from, {"lines": text(document).splitlines(), "warned": list(result.warned)})
+    answer(document, json, f"report: {folder / 'report.html'}")
 
 
 @app.command
@@ -363,15 +363,16 @@ def study(
     repeats it.
     """
     import_less()
-    from pixsim.report.axes import axes_files, axes_lines, axes_summary, write_axes_report
+    from pixsim.report.axes import axes_document, axes_files, write_axes_report
     from pixsim.report.kept import digest_of_report, keep_or_write
-    from pixsim.report.outline import long_lines, outline_lines, study_outline
-    from pixsim.report.study import report_files, write_study
-    from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
-    from pixsim.report.wording import budget_lines, film_words, optimum_parts, study_lines
+    from pixsim.report.outline import long_words, outline_document, study_outline
+    from pixsim.report.study import report_files, study_document, write_study
+    from pixsim.report.uncertainty import uncertainty_document, uncertainty_files
+    from pixsim.show.render import write_files
+    from pixsim.show.sentences import duration
     from pixsim.studies.cases import CASE_S, MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.conditions import compromises_of
-    from pixsim.studies.cost import duration_words, fitting_jobs
+    from pixsim.studies.cost import fitting_jobs
     from pixsim.studies.engine import Workers, workers_here
     from pixsim.studies.preparation import prepare
     from pixsim.studies.result import CasesResult
@@ -391,14 +392,14 @@ def study(
         folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
         spreads = uncertainty_of(study, options.config or [])
         if MANY_CASES < (cases := number_of_cases(plan.quickened if quick else plan)) <= MAX_CASES:
-            common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration_words(cases * CASE_S)}")
+            common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration(cases * CASE_S)}")
         job = replace(prepare(plan, variant, quick), uncertainty=spreads)
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
             types, evaluations = check_types(job.study, [case.settings for case in job.cases], asked, yes or dry_run)
         outline = study_outline(job, jobs, plan.quickened if quick else plan, types)
         if dry_run:
-            show(outline, json, "\n".join(outline_lines(outline, folder)))
+            answer(outline_document("study", outline, folder), json)
             return
         check_number(len(job.cases), job.evaluations, yes)
         names = (axes_files if job.has_cases else report_files)(job.study)
@@ -406,12 +407,12 @@ def study(
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
         check_replaceable(folder, names)
-        for line in long_lines(outline):
-            common.verbosity.note(line)
+        if words := long_words(outline):
+            common.verbosity.note(words)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
                 result = run_prepared(job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
-                more = partial(write_uncertainty, result=result, figures=figures) if result.uncertainty else None
+                more = partial(write_files, uncertainty_document(result), figures=figures) if result.uncertainty else None
                 stage("report")
                 first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
@@ -424,18 +425,11 @@ def study(
                 report = keep_or_write("study", digest_of_report(result, figures), folder, write)
             warned = set(result.warned)  # they are on stderr
             if isinstance(result, CasesResult):
-                summary = axes_summary(result, found) | {"counts": asdict(result.counts)}
-                lines = axes_lines(result, found)
+                document = axes_document(result, found, warned)
                 common.verbosity.note(str(result.counts))
             else:
-                summary = result.as_dict()
-                lines = [line for curve in result.curves for line in headline_lines(optimum_parts(curve))] + study_lines(result)
-                lines += [film_words(summary["film"])] if "film" in summary else []
-            lines += uncertainty_lines(result.uncertainty)
-            summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
-            told = warned.union(lines)
-            lines += [*(f"note: {note}" for note in result.notes if note not in told), *budget_lines(summary.get("error_budget"))]
-    show(summary, json, "\n".join([*lines, f"report: {report}"]))
+                document = study_document(result, warned)
+    answer(document, json, f"report: {report}")
 
 
 @contextmanager
@@ -531,15 +525,8 @@ def compare(
     settings.toml, the settings of each sensor, and report.html.
     """
     import_less()
-    from pixsim.report.compare import (
-        cases_lines,
-        check_output,
-        comparison_lines,
-        outline,
-        outline_lines,
-        write_cases,
-        write_comparison,
-    )
+    from pixsim.report.compare import cases_document, check_output, comparison_document, outline_document, write_comparison
+    from pixsim.show.render import write
     from pixsim.studies.compare import run_prepared
     from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, studies_of
     from pixsim.studies.lineup import prepare
@@ -566,9 +553,7 @@ def compare(
         folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.sensors)
         places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))
         if dry_run:
-            shown = [outline(each) for each in prepared]
-            lines = [line for (each, at), own in zip(places, shown, strict=True) for line in outline_lines(each, own, at)]
-            show({"cases": shown} if cases else shown[0], json, "\n".join(lines))
+            answer(outline_document(places, bool(cases)), json)
             return
         for each, at in places:
             check_output(each, at)
@@ -579,12 +564,12 @@ def compare(
                 results.append(run_prepared(each, jobs=jobs, scheduler=scheduler, progress=stage, out=at))
                 stage("report")
                 report = write_comparison(results[-1], at, seconds)
-            found = ComparedCases(axes, tuple(zip(cases, results, strict=False)))
             if cases:
-                report = write_cases(found, folder, seconds)
-    left = [note for note in results[0].notes if note not in notes]  # the others are on stderr
-    lines = cases_lines(found) if cases else comparison_lines(results[0], left)
-    show(found.as_dict() if cases else results[0].as_dict(), json, "\n".join([*lines, f"report: {report}"]))
+                document = cases_document(ComparedCases(axes, tuple(zip(cases, results, strict=True))))
+                report = write(document, folder, {"seconds": seconds})
+            else:  # other notes are on stderr
+                document = comparison_document(results[0], [note for note in results[0].notes if note not in notes])
+    answer(document, json, f"report: {report}")
 
 
 @app.command
@@ -608,7 +593,8 @@ def accuracy(
     Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
     import_less()
-    from pixsim.verification.report import FILES, accuracy_lines
+    from pixsim.show.render import write
+    from pixsim.verification.report import FILES, accuracy_document
     from pixsim.verification.survey import survey
 
     settings = options.settings(display=display, seed=seed)
@@ -617,8 +603,9 @@ def accuracy(
     with stages() as stage, output_folder(folder):  # an invalid folder fails before a minute of work
         result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
-        report = result.write(folder, figures)
-    show(result.as_dict(), json, "\n".join([*accuracy_lines(result), f"report: {report}"]))
+        document = accuracy_document(result)
+        report = write(document, folder, figures=figures)
+    answer(document, json, f"report: {report}")
 
 
 @app.command
@@ -656,7 +643,8 @@ def datasheet(
     """
     import_less()
     from pixsim.measure.datasheet import datasheet as measured, datasheet_settings
-    from pixsim.measure.datasheet_report import FILES, datasheet_lines, sheet_name
+    from pixsim.measure.datasheet_report import FILES, datasheet_document, sheet_name
+    from pixsim.show.render import write
 
     tables = given({"pixel": pixel, "exposure": exposure})
     settings = datasheet_settings(pixel_file, config or [], tables.get("pixel"), tables.get("exposure"), seed)
@@ -667,8 +655,9 @@ def datasheet(
             pixel=settings.pixel, exposure=settings.exposure, wavelength_nm=wavelength_nm, seed=settings.seed, progress=stage
         )
         stage("report")
-        report = sheet.write(folder, figures)
-    show(sheet.as_dict(), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
+        document = datasheet_document(sheet)
+        report = write(document, folder, figures=figures)
+    answer(document, json, f"report: {report}")
 
 
 @app.command
@@ -730,7 +719,8 @@ def lens(
     """
     import_less()
     from pixsim.measure.lens import lens as traced
-    from pixsim.report.lens import FILES, lens_lines, write_lens
+    from pixsim.report.lens import FILES, lens_document
+    from pixsim.show.render import write
 
     reading = given(
         {
@@ -759,8 +749,9 @@ def lens(
             progress=stage,
         )
         stage("report")
-        report = write_lens(data, folder, figures)
-    show(data.as_dict(), json, "\n".join([*lens_lines(data), f"report: {report}"]))
+        document = lens_document(data)
+        report = write(document, folder, figures=figures)
+    answer(document, json, f"report: {report}")
 
 
 @app.command
@@ -822,7 +813,7 @@ def sfr(
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
-    from pixsim.measure.sfr import FILES, sfr as measured, sfr_parts
+    from pixsim.measure.sfr import FILES, sfr as measured, sfr_document
 
     folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
     check_replaceable(folder, FILES)
@@ -836,8 +827,7 @@ def sfr(
         region=corners(region),
     )
     response.write(folder, figures)
-    result = response.as_dict()
-    show(result, json, "\n".join([*headline_lines(sfr_parts(result)), f"curves in {folder}"]))
+    answer(sfr_document(response), json, f"curves in {folder}")
 
 
 def corners(region: str | None) -> tuple[int, int, int, int] | None:
@@ -883,12 +873,12 @@ def chart(
     With --colour-axis, one opponent channel of S-CIELAB changes, and the other two are constant. `pixsim run red_green.xml` renders
     the scene.
     """
-    from pixsim.scene import charts, own_chart
+    from pixsim.scene import charts, colour_chart, own_chart
 
     if colour_axis is not None:
         if kind != "csf" or linear or aspect is not None:
             raise invalid("--colour-axis", f"with {kind}{', --linear or --aspect' if kind == 'csf' else ''}", "the chart csf")
-        result = write_colour_axis(colour_axis, output, width, height, die_mm)
+        result = colour_chart.write_colour_axis(colour_axis, output, width, height, die_mm)
         contrasts = ", ".join(f"{name} {value:+.3f}" for name, value in result["contrasts"].items())
         line = f"{output} with slides {', '.join(result['slides'])}; contrasts up to {contrasts}"
         show(result, json, f"{line}; opponent channel ±{result['opponent_amplitude']:.3f} of white's luminance channel")
@@ -909,23 +899,6 @@ def chart(
     result = {"file": str(output), "kind": Path(kind).name, "width": texels.shape[1], "height": texels.shape[0], "border": share}
     border = f", {100 * share:.3g} % of them a grey border that keeps the picture's aspect" if share else ""
     show(result, json, f"{result['width']} × {result['height']} texels in {output}{border}")
-
-
-def write_colour_axis(axis: str, output: Path, width: int | None, height: int | None, die_mm: float | None) -> dict[str, Any]:
-    """Write the CSF chart that changes one opponent channel of S-CIELAB; what the command shows."""
-    from pixsim.scene import colour_chart
-    from pixsim.viewer.scielab import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
-
-    # The channels are positive for green and for blue.
-    channel, sign = {"red-green": (1, -1), "blue-yellow": (2, 1)}[axis]
-    change = colour_chart.modulation(sign * XYZ_FROM_OPPONENT[:, channel])
-    title = f"The contrast-sensitivity chart of Chen et al. (2000), {axis} at constant luminance."
-    slides = colour_chart.write_colour_chart(output, change, title, width, height, die_mm)
-    contrasts = dict(zip(colour_chart.PRIMARIES, change.contrasts.tolist(), strict=True))
-    opponent = OPPONENT_FROM_XYZ @ (change.xyz * colour_chart.MEAN * max(map(abs, contrasts.values())))
-    white = OPPONENT_FROM_XYZ[0] @ colour_chart.primaries_xyz().sum(axis=1)
-    result = {"file": str(output), "kind": "csf", "colour_axis": axis, "slides": [path.name for path in slides]}
-    return {**result, "contrasts": contrasts, "opponent_amplitude": abs(float(opponent[channel] / white))}
 
 
 @app.command

@@ -35,7 +35,7 @@ from pixsim.base.parameters import (
     Run,
 )
 from pixsim.base.progress import Stage
-from pixsim.base.schema import with_schema
+from pixsim.base.schema import json_text
 from pixsim.base.version import VERSION
 from pixsim.cli.process import interruption
 
@@ -235,6 +235,8 @@ def option_table(record: type[Record], name: str, inside: str = "") -> Any:
 
 
 if TYPE_CHECKING:
+    from pixsim.show.document import Document
+
     CameraTable: TypeAlias = Any
     LensTable: TypeAlias = Any
     PixelTable: TypeAlias = Any
@@ -396,11 +398,14 @@ def _value(text: str) -> float | int | str:
 
 def show(result: dict[str, Any], as_json: bool, text: str) -> None:
     """Print a result as text or as JSON."""
-    if as_json:
-        import json
+    say((json_text(result) if as_json else text) + "\n", as_json)
 
-        text = json.dumps(with_schema(result), indent=2, sort_keys=True, ensure_ascii=False)
-    say(text + "\n", as_json)
+
+def answer(document: Document, as_json: bool, *lines: str) -> None:
+    """Print a document as text, and lines below it, or as JSON."""
+    from pixsim.show.render import json, text
+
+    say((json(document) if as_json else "\n".join([text(document), *lines])) + "\n", as_json)
 
 
 def say(text: str, as_json: bool = False) -> None:

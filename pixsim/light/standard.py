@@ -1,4 +1,4 @@
-"""Standard spectra for colour: CIE illuminants, and the reflectance of the 24 patches of a ColorChecker."""
+"""Standards of colour: CIE illuminants, the reflectance of the 24 patches of a ColorChecker, and opponent channels."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.light.spectral import d65
 
+# Luminance, red-green and blue-yellow of S-CIELAB from XYZ: X. Zhang & B. A. Wandell, J. SID 5 (1997) 61, and their first code.
+OPPONENT_FROM_XYZ = np.array(
+    [[0.2787336, 0.7218031, -0.1065520], [-0.4487736, 0.2898056, 0.0771569], [0.0859513, -0.5899859, 0.5011089]]
+)
+XYZ_FROM_OPPONENT = np.linalg.inv(OPPONENT_FROM_XYZ).astype(np.float64)
 CHROMATIC_PATCHES = slice(0, 18)  # patches 1-18 of 24; the others are grey
 
 

@@ -32,7 +32,9 @@ from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
-from pixsim.show.pages import Figures, html_cell, plain, rounded, rows_csv
+from pixsim.show.pages import Figures, plain, rows_csv
+from pixsim.show.render import notebook, write
+from pixsim.show.sentences import rounded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -287,9 +289,9 @@ class DataSheet:
         Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
         pixsim did not write.
         """
-        from pixsim.measure.datasheet_report import write_datasheet
+        from pixsim.measure.datasheet_report import datasheet_document
 
-        return write_datasheet(self, Path(folder), figures)
+        return write(datasheet_document(self), Path(folder), figures=figures)
 
     def plot(self) -> Figure:
         """Return a Matplotlib figure of the photon transfer: temporal variance against mean signal."""
@@ -298,17 +300,16 @@ class DataSheet:
         return photon_transfer_plate(self).figure
 
     def _repr_html_(self) -> str:
-        from pixsim.measure.datasheet_report import HEAD, cells, described
+        from pixsim.measure.datasheet_report import datasheet_document
 
-        title, *more = described(self)
-        return html_cell(title, HEAD, map(cells, self.entries), self.plot(), [*more, *self.notes])
+        return notebook(datasheet_document(self))
 
     def __repr__(self) -> str:
         from pixsim.measure.datasheet_report import described
 
         t = self.transfer
         values = f"K {t.gain_dn_per_e.value:.3g} DN/e-, η {100 * t.efficiency.value:.3g} %, σ_d {t.dark_noise_e.value:.3g} e-"
-        return f"<DataSheet {described(self)[0]}: {values}, μ_e.sat {rounded(t.saturation_e.value, 4)} e->"
+        return f"<DataSheet {described(self).head}: {values}, μ_e.sat {rounded(t.saturation_e.value, 4)} e->"
 
 
 @checks_arguments

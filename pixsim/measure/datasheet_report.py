@@ -1,25 +1,25 @@
-"""Write a data sheet: a table for the terminal, CSV, summary.json, figures and a self-contained HTML report."""
+"""The document of a data sheet: its values beside the true ones, and its figures with their data."""
 
 from __future__ import annotations
 
 import math
-from io import StringIO
+from functools import partial
 from itertools import groupby
 from operator import attrgetter
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.files import output_folder, publishing, versions, write_json
-from pixsim.base.headline import below_headline, with_headline
+from pixsim.base.files import versions
 from pixsim.base.labels import file_label, label_of
 from pixsim.base.parameters import Pixel
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
+from pixsim.show.document import Answer, Beside, Document, Listed, Note, Plot, Section, Table, headline, pairs
 from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
-from pixsim.show.pages import FIGURE_SUFFIXES, Figures, Plate, rounded, shown_value, write_figures, write_page
+from pixsim.show.pages import FIGURE_SUFFIXES, Plate
+from pixsim.show.sentences import number, setting_value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,11 +31,6 @@ BLUE, ORANGE = COLOURS[:2]
 DARK, LIGHT = LOOKS[2:4]  # distinct in greyscale, for overlapping lines
 MARKED = 12  # markers along a line of many points, which identify it in greyscale
 BINS = 101
-
-
-def datasheet_plates(sheet: DataSheet) -> list[Plate]:
-    makers = (photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate)
-    return [make(sheet) for make in (*makers, histogram_plate, spectrogram_plate, profile_plate)]
 
 
 FIGURES = ("photon_transfer", "responsivity", "snr", "linearity", "dark_current", "histograms", "spectrograms", "profiles")
@@ -278,7 +273,6 @@ def profile_plate(sheet: DataSheet) -> Plate:
     return plate("profiles", caption, figure, table)
 
 
-TERMINAL_WIDTH = 132
 ROUNDING = 1e-8  # smaller values are roundings of 0 in every unit of the sheet, except dark currents at very low temperature
 
 
@@ -286,84 +280,72 @@ def sheet_name(pixel: Pixel) -> str:
     return f"datasheet-{file_label(label_of(pixel.technology))}-{pixel.pitch_um:g}um"
 
 
-def number(value: float, digits: int = 5) -> str:
-    """A value in significant digits; a dash for NaN and infinity, 0 for roundings of 0."""
-    if not math.isfinite(value):
-        return "–"
-    return "0" if abs(value) < ROUNDING else rounded(value, digits)
-
-
 def off(entry: Entry) -> str:
-    """measured/true - 1 in per cent; empty if undefined or 1000 % and more."""
+    """Return measured/true - 1 in per cent; empty if undefined or 1000 % and more."""
     return f"{100 * entry.off:+.2f} %" if math.isfinite(entry.off) and abs(entry.off) < 10 else ""
 
 
-def described(sheet: DataSheet) -> list[str]:
-    """The pixel and the measurement, as of `with_headline`."""
+def described(sheet: DataSheet) -> Answer:
+    """Return the pixel and the measurement."""
     e, p = sheet.experiment, sheet.experiment.physics
     rows, columns = e.sensor.shape
     exposed = f"{1e3 * e.integration_s:.4g} ms" + (f", {p.gain_db:g} dB" if p.gain_db else "")
     filters = f", filters {p.layout}" if p.layout else ""
     of = f" on channel {p.channel}" if p.channel else ""
     pixel = f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels{filters}, {p.pixel.bits} bits"
-    return with_headline([
+    return headline([
         f"{pixel}, black level {p.pixel.black_level_dn:g} DN, {p.pixel.temperature_k:g} K",
         f"{columns} × {rows} pixels, {e.wavelength_nm:g} nm{of}, {exposed}",
         p.pixel.assumption or "",
     ])  # fmt: skip
 
 
-HEAD = ("", "", "measured", "± s.e.", "true", "unit", "deviation")
+COLUMNS = ("quantity", "symbol", "measured", "standard error", "true", "unit", "deviation", "source of the true value")
+SHORT = ("", "", "measured", "± s.e.", "true", "unit", "deviation")  # of a terminal, which has no room for the source
+WORDS = (1, 5, 7)  # columns
 
 
-def cells(entry: Entry) -> tuple[str, ...]:
-    """A line of the sheet as text, in the columns of `HEAD`."""
-    numbers = number(entry.measured), number(entry.standard_error, 2), number(entry.true)
-    return entry.quantity, entry.symbol, *numbers, entry.unit, off(entry)
+def entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
+    """Return the lines of the sheet in `COLUMNS`, below the name of their standard."""
+    rows: list[tuple[str, ...]] = []
+    for standard, entries in groupby(sheet.entries, attrgetter("standard")):
+        rows.append((standard,))
+        for entry in entries:
+            numbers = (number(value, digits, ROUNDING) for value, digits in
+                       ((entry.measured, 5), (entry.standard_error, 2), (entry.true, 5)))  # fmt: skip
+            source = f"{entry.true_is} ({entry.note})" if entry.note else entry.true_is
+            rows.append((entry.quantity, entry.symbol, *numbers, entry.unit, off(entry), source))
+    return rows
 
 
-def datasheet_lines(sheet: DataSheet) -> list[str]:
-    """Lines for the terminal: the sheet as a table, then its notes."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in HEAD:
-        table.add_column(name, justify="left" if name in ("", "unit") else "right", no_wrap=True)
-    standard = ""
-    for entry in sheet.entries:
-        if entry.standard != standard:
-            standard = entry.standard
-            table.add_row(Text(standard, style="bold"))
-        quantity, *others = cells(entry)
-        table.add_row(f"  {quantity}", *others)
-    text = StringIO()
-    Console(file=text, width=TERMINAL_WIDTH, markup=False, emoji=False).print(table)
-    return [
-        *below_headline(described(sheet)),
-        *(line.rstrip() for line in text.getvalue().splitlines()),
-        *(f"note: {note}" for note in sheet.notes),
-    ]
-
-
-def write_datasheet(sheet: DataSheet, out: Path, figures: Figures = "svg") -> Path:
-    """Write the data sheet's files into a folder and return the path of its report.
-
-    figures : "pdf" writes a PDF beside each SVG
-
-    Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
-    """
-    pixel = sheet.experiment.physics.pixel
-    with output_folder(out), publishing(out, "datasheet") as folder:
-        shown = write_figures(folder, [plate.drawn(figures) for plate in datasheet_plates(sheet)])
-        sheet.to_csv(folder / "datasheet.csv")
-        write_json(folder / "summary.json", sheet.as_dict())
-        groups = [(standard, list(lines)) for standard, lines in groupby(sheet.entries, attrgetter("standard"))]
-        page = {
-            "described": described(sheet), "sheet": sheet, "groups": groups, "number": number, "off": off,
-            "pixel": {key: shown_value(value) for key, value in pixel.model_dump(exclude_none=True).items()},
-            "plates": shown, "versions": versions(),
-        }  # fmt: skip
-        write_page(folder / "report.html", "datasheet.html.j2", page)
-    return out / "report.html"
+def datasheet_document(sheet: DataSheet) -> Document:
+    """Return the answer of `pixsim datasheet`: what was measured, and the true values."""
+    pixel, answer, rows = sheet.experiment.physics.pixel, described(sheet), entry_rows(sheet)
+    values = Table("measured and true values", COLUMNS, rows, words=WORDS, stacks=True)
+    short = Table(values.name, SHORT, [row[: len(SHORT)] for row in rows], words=WORDS)
+    makers = (
+        *(photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate),
+        *(histogram_plate, spectrogram_plate, profile_plate),
+    )
+    plots = [Plot(partial(make, sheet)) for make in makers]
+    stated = {key: setting_value(value) for key, value in pixel.model_dump(exclude_none=True).items()}
+    return Document(
+        command="datasheet",
+        kind="data sheet of one simulated sensor",
+        title=f"Data sheet of {pixel.pitch_um:g} µm pixels",
+        data=sheet.as_dict(),
+        terminal=(answer, short, *(Note(note) for note in sheet.notes)),
+        cell=(answer, plots[0], short, *sheet.notes),
+        answers=(answer,),
+        lead=(
+            "Measured on simulated frames of one device, as in a laboratory: the estimators use the frames only, not the pixel's "
+            "parameters. Each value has its standard error, the true value, and the source of the true value.",
+            *([Listed(sheet.notes)] if sheet.notes else []),
+        ),
+        sections=(
+            Section("values", "Measured and true values", (values,)),
+            Section("figures", "Figures", plots),
+            Section("made", "How it was made", (Beside((pairs("pixel", stated), pairs("versions", versions()))),)),
+        ),
+        files={"datasheet.csv": sheet.to_csv()},
+    )

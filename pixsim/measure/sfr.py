@@ -30,8 +30,10 @@ from pixsim.base.files import output_folder, publishing, write_json
 from pixsim.base.notes import collected_notes, warn
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, layout_of, number_of, read_picture
+from pixsim.show.document import Block, Document, Plot, headline
 from pixsim.show.figures import COLOURS, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, html_cell, table_csv
+from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
+from pixsim.show.render import notebook
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -190,8 +192,7 @@ class EdgeResponse:
         return sfr_plate(self).figure
 
     def _repr_html_(self) -> str:
-        title, *more = sfr_parts(self.as_dict())
-        return html_cell(title, (), (), self.plot(), [*more, *self.notes])
+        return notebook(sfr_document(self))
 
     def __repr__(self) -> str:
         return f"<EdgeResponse {sfr_parts(self.as_dict())[0]}>"
@@ -998,8 +999,16 @@ def sfr(
     return replace(edge, channel=picture.channel or edge.channel, pitch_um=pitch, notes=tuple(notes))
 
 
+def sfr_document(edge: EdgeResponse) -> Document:
+    """Return the answer of `pixsim sfr`."""
+    data = edge.as_dict()
+    answer = headline(sfr_parts(data))
+    cell: tuple[Block, ...] = (answer, Plot(lambda: sfr_plate(edge)), *edge.notes)
+    return Document("sfr", "response to an edge", "Spatial frequency response", data, terminal=(answer,), cell=cell)
+
+
 def sfr_parts(result: dict[str, Any]) -> list[str]:
-    """The results as parts of `with_headline`."""
+    """Return the results as parts of a `headline`."""
     last = f"{result['highest_frequency_cy_per_px']:g}"
     low, high = (f"above {last}" if bound is None else f"{bound:.3f}" for bound in result["mtf50_interval_cy_per_px"])
     if result["mtf50_cy_per_px"] is None:

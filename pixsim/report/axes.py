@@ -1,31 +1,45 @@
-"""The report of a study with axes or conditions: its compromises and maps, and a whole report of its first cases."""
+"""The document of a study with axes or conditions: its compromises and maps, and a whole document of its first cases."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import asdict, replace
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 from pixsim.base.config import SETTINGS_FILE
-from pixsim.base.files import check_replaceable, output_folder, publishing, versions, write_json
-from pixsim.base.headline import headline_lines, with_headline
+from pixsim.base.files import check_replaceable, output_folder, publishing
+from pixsim.base.headline import with_headline
 from pixsim.base.parameters import Study
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
-from pixsim.report.study import PARTS_FILE, parts_rows, report_files, write_pages
+from pixsim.report.study import (
+    PARTS_FILE,
+    agrees,
+    document_of,
+    made_tables,
+    parts_files,
+    parts_section,
+    plot_of,
+    report_files,
+    study_page,
+    with_settings,
+)
 from pixsim.report.wording import (
-    compromise_lines,
+    compromise_answer,
     film_words,
-    interval_text,
-    no_difference_words,
     optimum_line,
     optimum_parts,
-    study_light_lines,
-    study_lines,
-    study_view_line,
+    study_light_words,
+    study_view_words,
+    study_words,
 )
+from pixsim.show.document import Answer, Block, Document, Link, Listed, Note, Plot, Section, Strong, Table, headline
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv, write_figures, write_page
+from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
+from pixsim.show.render import write_files
+from pixsim.show.sentences import interval, sentence
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret
@@ -33,12 +47,12 @@ from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.parts import parts_table
-from pixsim.studies.result import CasesResult, alike_words, fresnel_column, interval_words, within_words
+from pixsim.studies.result import CasesResult, StudyResult, alike_words, fresnel_column, interval_words, within_words
 from pixsim.studies.unconverged import study_unconverged_lines
 
 SHOWN_CASES = 4  # with a report of their own
 SHOWN_COMPROMISES = 6  # with a figure of their own
-LINES_SHOWN = 12  # optima that the terminal and the head of the page list
+ANSWERS_SHOWN = 12  # optima that the terminal lists
 
 
 def shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
@@ -129,19 +143,22 @@ def optima_table(result: CasesResult) -> dict[str, Column]:
     return dict(table) | fresnel_column(result.curves, [curve.optimum.pitch_um for curve in result.curves])
 
 
-def axes_lines(result: CasesResult, compromises: Sequence[Compromise]) -> list[str]:
-    """Return the result as lines of text: compromises and optima, of very many the first ones, then axes that are moved alone."""
-    answers = [compromise_lines(found) for found in compromises]
-    answers += [headline_lines(optimum_parts(curve)) for curve in result.curves if not curve.alone]
-    lines = [line for answer in answers[:LINES_SHOWN] for line in answer]
-    if len(answers) > LINES_SHOWN:
-        lines.append(f"and {len(answers) - LINES_SHOWN} more: optima.csv")
-    lines += alone_lines(result)
-    lines += [*study_lines(result), *film_lines(result)]
-    return lines
+def axes_document(result: CasesResult, compromises: Sequence[Compromise], warned: Collection[str] = ()) -> Document:
+    """Return the answer of `pixsim study` with axes or conditions, without its page.
+
+    compromises : `compromises_of` the study
+    warned : notes that a reader of the terminal has seen
+    """
+    answers = [compromise_answer(each) for each in compromises]
+    answers += [headline(optimum_parts(curve)) for curve in result.curves if not curve.alone]
+    left = len(answers) - ANSWERS_SHOWN
+    more = [f"and {left} more: optima.csv"] if left > 0 else []
+    found: list[Block] = [*answers[:ANSWERS_SHOWN], *more, *alone_words(result), *study_words(result), *film_of_cases(result)]
+    data = axes_summary(result, compromises) | {"counts": asdict(result.counts)}
+    return replace(document_of(result, data, found, warned), kind="study of several cases")
 
 
-def alone_lines(result: CasesResult) -> list[str]:
+def alone_words(result: CasesResult) -> list[str]:
     """Return how far each axis that is moved alone moves the optimum, widest first, for the panels of its figure."""
     names = [axis.name for axis in result.study.axis if axis.alone]
     groups = alone_groups(result, names)[0] if names else []
@@ -164,8 +181,8 @@ def axes_summary(result: CasesResult, compromises: Sequence[Compromise]) -> dict
     return result.as_dict() | {name: values for name, values in more.items() if values}
 
 
-def film_lines(result: CasesResult) -> list[str]:
-    """Return a line on each film of the cases, with its largest error."""
+def film_of_cases(result: CasesResult) -> list[str]:
+    """Return words on each film of the cases, with its largest error."""
     worst: dict[tuple[int, int], FilmError] = {}
     for part in result.parts:
         if part.film is not None:
@@ -202,56 +219,131 @@ def write_axes_report(
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
     pixsim did not write.
     """
-    study = result.study
-    shown = shown_cases(
+    cases = shown_cases(
         [Case(part.study, curve.at, curve.condition, curve.alone) for part in result.parts for curve in part.curves[:1]]
     )
-    parts = result.parts[: len(shown)]
-    summary = axes_summary(result, compromises)
+    parts = list(zip(cases, result.parts[: len(cases)], strict=True))
     with output_folder(folder):
-        check_replaceable(folder, axes_files(study))
+        check_replaceable(folder, axes_files(result.study))
         with publishing(folder, "study", {"seconds": seconds}) as unfinished:
-            (unfinished / SETTINGS_FILE).write_text(result.settings_toml, encoding="utf-8")
-            for case, part in zip(shown, parts, strict=True):
+            for case, part in parts:
                 own = unfinished / case.folder
                 own.mkdir()
-                write_pages(part, own, seconds, workers, figures=figures)
-            plates = {
-                "conditions": [conditions_plate(found, number + 1) for number, found in enumerate(compromises[:SHOWN_COMPROMISES])],
-                "maps": axis_plates(result),
-                "alone": [plate] if (plate := alone_plate(result)) else [],
-            }
-            drawn = {name: write_figures(unfinished, [plate.drawn(figures) for plate in group]) for name, group in plates.items()}
-            (unfinished / "optima.csv").write_text(table_csv(optima_table(result)), encoding="utf-8")
-            if compromises:
-                (unfinished / "conditions.csv").write_text(table_csv(conditions_table(compromises)), encoding="utf-8")
-            if parts_of_error := parts_table(result):
-                (unfinished / PARTS_FILE).write_text(table_csv(parts_of_error), encoding="utf-8")
-            write_json(unfinished / "summary.json", summary)
-            page = {
-                "study": study,
-                "interval": interval_words,
-                "interval_text": interval_text,
-                "no_difference": no_difference_words,
-                "within": within_words,
-                "alike": alike_words,
-                "first": [with_headline(optimum_parts(curve)) for curve in result.parts[0].curves],
-                "curves": result.curves,
-                "compromises": compromises,
-                "plates": drawn,
-                "claims": [(each.finding, len(each.turned_by), each.words) for each in verdicts(result)],
-                "cases": [(case, optimum_line(part.curves[0])) for case, part in zip(shown, parts, strict=True)],
-                "shown": study_view_line(result),
-                "films": film_lines(result),
-                "unconverged": study_unconverged_lines(result),
-                "lens": study_light_lines(result),
-                "error_parts": parts_rows(parts_of_error),
-                "notes": result.notes,
-                "counts": result.counts,
-                "header": result.irradiance.header,
-                "provenance": {"versions": versions(), "seconds": seconds},
-            }
-            write_page(unfinished / "report.html", "axes.html.j2", page)
+                write_files(study_page(part, seconds, workers, {}, figures), own, figures)
+            document = axes_page(result, compromises, seconds, parts)
+            write_files(with_settings(document, result), unfinished, figures)
             if more:
                 more(unfinished)
-    return folder / "report.html"
+    return folder / document.page
+
+
+def axes_page(
+    result: CasesResult,
+    compromises: Sequence[Compromise],
+    seconds: dict[str, float],
+    parts: Sequence[tuple[Case[Study], StudyResult]],
+) -> Document:
+    """Return the document of a study with axes or conditions, with its page.
+
+    parts : cases with a page of their own
+    """
+    figures = [Plot(partial(conditions_plate, found, number)) for number, found in enumerate(compromises[:SHOWN_COMPROMISES], 1)]
+    table, header = parts_table(result), result.irradiance.header
+    best = (Link("The same with all digits (CSV)", "optima.csv"),)
+    rendered = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}"
+    made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered}."
+    listed = [
+        (Link(case.words or "the study's own settings", f"{case.folder}/report.html"), f": {optimum_line(part.curves[0])}")
+        for case, part in parts
+    ]
+    all_conditions = (Link("All conditions and compromises (CSV)", "conditions.csv"),)
+    return replace(
+        axes_document(result, compromises),
+        data=axes_summary(result, compromises),
+        answers=_answers(result, compromises),
+        lead=_lead(result, bool(compromises)),
+        sections=(
+            Section("conditions", "Conditions", [*figures, all_conditions] if figures else ()),
+            Section("maps", "Along the axes", map(plot_of, axis_plates(result))),
+            Section("alone", "One at a time", [plot_of(plate) for plate in [alone_plate(result)] if plate]),
+            Section("claims", "The paper's statements", _claims(result)),
+            Section("optima", "Optima", [optima_of_page(result), best]),
+            parts_section(table),
+            Section("cases", "Cases with pictures", [Listed(listed), *map(Note, result.notes)]),
+            Section("made", "Reproducibility", [made, made_tables(seconds)]),
+        ),
+        files={
+            "optima.csv": table_csv(optima_table(result)),
+            **({"conditions.csv": table_csv(conditions_table(compromises))} if compromises else {}),
+            **parts_files(table),
+        },
+    )
+
+
+def _answers(result: CasesResult, compromises: Sequence[Compromise]) -> Iterator[Answer]:
+    """Yield what suits all conditions, or else the optima of the first case."""
+    for found in compromises:
+        if found.best is None or found.regret is None:
+            continue
+        weighted, worst = (Strong(f"{size.pitch_um:.2f} µm") for size in (found.best, found.regret))
+        intervals = f"{interval(found.best.interval_um)}, and {interval(found.regret.interval_um)}"
+        yield Answer(
+            (
+                *(f"One pixel for all conditions, {found.label}: ", weighted, " has the least weighted mean ΔE, "),
+                *(worst, " the least worst regret."),
+            ),
+            (
+                f"95 % intervals: {intervals}. With the second, no condition has more than {found.regret.delta_e:.3f} ΔE over its "
+                "own best pixel.",
+            ),
+        )
+    if not compromises:
+        for curve in result.parts[0].curves:
+            head, *below = with_headline(optimum_parts(curve))
+            yield Answer(f"{head}.", map(sentence, below))
+
+
+def _lead(result: CasesResult, has_compromises: bool) -> Iterator[Block]:
+    """Yield what the page says before its sections."""
+    yield from (f"Light and lens: {words}." for words in study_light_words(result))
+    yield from (f"Picture: {words}." for words in study_view_words(result))
+    yield from map(sentence, study_unconverged_lines(result))
+    yield from (f"Light: {words}." for words in film_of_cases(result))
+    regret = "The regret of a pixel in a condition is its ΔE there over that of the best pixel for that condition. "
+    yield (
+        f"Each pixel size is simulated on the same die under each of the {result.counts.cases} cases below. The error, ΔE, is the "
+        "visible difference between the sensor's picture and that of an ideal camera: the CIELAB colour difference after the blur "
+        f"of the eye (S-CIELAB). {regret * has_compromises}All cases have the same random numbers, so that they differ by their "
+        "settings only."
+    )
+
+
+CLAIMS = (
+    '"all low" and "all high": the number is at an end of its range in every technology; with the name of a technology, in that '
+    "one only. A trend over technologies counts if no step goes against it and the whole change exceeds its 95 % interval."
+)
+
+
+def _claims(result: CasesResult) -> list[Block]:
+    """Return the paper's statements, and the cases that change a verdict, if they are compared."""
+    rows = []
+    for each in verdicts(result):
+        found, turned = each.finding, len(each.turned_by)
+        changed = f"{turned} of {result.counts.cases - 1}{f': {each.words}' if turned else ''}"
+        rows.append((found.statement, found.given, found.found, agrees(found.agrees), changed))
+    head = ("statement of the paper", "paper", "first case", "agrees", "cases that change the verdict")
+    table = Table("the paper's statements", head, rows, words=None, stacks=True)
+    words = "Each statement compared with the first case, and the cases with the opposite verdict."
+    return [words, table, CLAIMS] if rows else []
+
+
+def optima_of_page(result: CasesResult) -> Table:
+    """Return the optimum of each curve in words."""
+    rows = []
+    for curve in result.curves:
+        best = curve.optimum
+        size = f"{best.pitch_um:.2f}" if best.inside else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
+        size = alike_words(curve) if curve.alike_um else size
+        mean, within = curve.light.shown(best.mean_delta_e), within_words(best.within_1_percent_um, curve)
+        rows.append((curve.label, size, interval_words(curve), mean, within))
+    return Table("optima", ("pixel", "optimum (µm)", "95 % interval", "mean ΔE", "within 1 % of it"), rows, words=None)

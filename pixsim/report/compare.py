@@ -1,10 +1,10 @@
-"""A comparison of sensors: its sentences, its output files (all of them, or none), and its report page."""
+"""A comparison of sensors: its document, and its output files: all of them, or none."""
 
 from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import reduce
 from operator import getitem
@@ -15,15 +15,15 @@ import numpy as np
 
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
-from pixsim.base.headline import below_headline
 from pixsim.base.labels import label_of
 from pixsim.base.machine import processors
 from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, paths_of
-from pixsim.report.pictures import crops, picture_axes
+from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
-from pixsim.report.settings import record_rows, scene_rows
-from pixsim.report.wording import map_words
-from pixsim.show.pages import rounded, shown_value, write_page
+from pixsim.report.settings import record_rows, scene_rows, settings_table
+from pixsim.report.wording import DELTA_E, map_words
+from pixsim.show.document import Answer, Block, Document, Link, Listed, Map, Note, Pictures, Scale, Section, Slider, Strong, Table
+from pixsim.show.pages import write_text
 from pixsim.show.pictures import (
     Picture,
     display_codes,
@@ -35,6 +35,8 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
+from pixsim.show.render import PAGE, html, write
+from pixsim.show.sentences import rounded, sentence, setting_value
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.circumstances import SHARED, Circumstances
 from pixsim.studies.comparison import Comparison
@@ -51,7 +53,7 @@ from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import answers, conditions_disagree, shown_probability, verdict
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 
-JSON_FILE, PAGE = "compare.json", "report.html"
+JSON_FILE = "compare.json"
 ROWS_FILES = {
     "results.csv": "mean ΔE of each frame, with which an interrupted comparison goes on",
     TYPES_FILE: "the same of the sensor types of --uncertainty",
@@ -130,25 +132,27 @@ def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
     return [lens, chart, shown, light, exposure_words(lineup), f"{prepared.repeats} pairs of frames with the same seeds"]
 
 
-def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> list[str]:
-    """Return the answers, a line for each sensor, the common conditions, and notes, as lines of text.
-
-    notes : None for all of the result
-    """
-    lines = [line for found in answers(result) for line in below_headline(found)]
+def _terminal(result: Comparison, notes: Sequence[str]) -> tuple[Block, ...]:
+    """Return the answers, a line for each sensor, the common conditions, and notes."""
     width = max(map(len, result.names))
     where = f" in {result.shown.lineup.condition}" if result.conditions else ""
+    sensors = []
     for compared in result.sensors:
         time_ms = 1e3 * compared.score.frame.integration_s
         words = f"{sensor_words(compared.sensor)}, exposed for {time_ms:.3g} ms{where}"
-        lines.append(f"  {compared.name:{width}}  mean {result.shown_mean(compared.name)}  {words}")
+        sensors.append(f"{compared.name:{width}}  mean {result.shown_mean(compared.name)}  {words}")
     agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
-    for number, condition in enumerate(result.prepared.conditions):
-        name = f"{condition.condition} (weight {condition.weight:.3g})"
-        lines += [f"  {name}: {verdict(result.pair(other).conditions[number], other)}" for other in agreed]
-    lines += [f"  {found.words}" for found in result.uncertainty]
-    lines.append(conditions_line(result.prepared))
-    return lines + [f"note: {note}" for note in (result.notes if notes is None else notes)]
+    conditions = [
+        f"{part.condition} (weight {part.weight:.3g}): {verdict(result.pair(other).conditions[number], other)}"
+        for number, part in enumerate(result.prepared.conditions)
+        for other in agreed
+    ]
+    return (
+        *(Answer(head, below) for head, *below in answers(result)),
+        Listed((*sensors, *conditions, *(found.words for found in result.uncertainty))),
+        conditions_line(result.prepared),
+        *(Note(note) for note in notes),
+    )
 
 
 def outline(prepared: ComparisonJob) -> dict[str, Any]:
@@ -204,11 +208,19 @@ def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     return Cost(seconds, largest, 1)
 
 
-def outline_lines(prepared: ComparisonJob, shown: dict[str, Any], out: Path) -> list[str]:
-    """Return an outline as lines of text.
+def outline_document(places: Sequence[tuple[ComparisonJob, Path]], has_cases: bool) -> Document:
+    """Return the answer of a dry run.
 
-    out : folder that would be written
+    places : what is prepared, and the folder that would be written
+    has_cases : whether they are cases of a comparison
     """
+    shown = [outline(prepared) for prepared, _ in places]
+    terminal = [line for (prepared, out), own in zip(places, shown, strict=True) for line in _outline_words(prepared, own, out)]
+    return Document("compare", "dry run", shown[0]["scene"], {"cases": shown} if has_cases else shown[0], terminal)
+
+
+def _outline_words(prepared: ComparisonJob, shown: dict[str, Any], out: Path) -> list[str]:
+    """Return what a comparison would do in words."""
     lineup = prepared.shown
     width = max(len(sensor.name) for sensor in lineup.sensors)
     lines = [f"{sensor.name:{width}}  {sensor_words(sensor)}" for sensor in lineup.sensors]
@@ -262,14 +274,14 @@ def write_comparison(result: Comparison, folder: str | os.PathLike[str], seconds
         with publishing(path, "compare", {"seconds": seconds or {}}, keep) as partial:
             for name in ("sensors", "pictures"):
                 (partial / name).mkdir()
-            end = scale_end(max(compared.score.statistics()["p99_delta_e"] for compared in result.sensors))
             for compared in result.sensors:
-                _write_pictures(compared, partial / "pictures", end)
+                _write_pictures(compared, partial / "pictures", map_end(result))
             for name, text in settings_files(prepared).items():
                 (partial / name).write_text(text, encoding="utf-8")
-            write_json(partial / JSON_FILE, result.as_dict())
-            rows = {name: words for name, words in ROWS_FILES.items() if (path / name).is_file()}
-            write_comparison_page(result, partial, end, rows)
+            rows_files = [name for name in ROWS_FILES if (path / name).is_file()]
+            document = comparison_document(result, folder=partial, rows_files=rows_files)
+            write_json(partial / JSON_FILE, document.data)
+            write_text(partial / PAGE, html(document))
         return path / PAGE
 
 
@@ -347,47 +359,136 @@ def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
 # --- the page ---------------------------------------------------------------------------------------------------------------------
 
 
-def write_comparison_page(result: Comparison, folder: Path, end: float, files: dict[str, str]) -> None:
-    """Write report.html next to the comparison's other files; it links to them and contains their pictures.
+def comparison_document(
+    result: Comparison, notes: Sequence[str] | None = None, folder: Path | None = None, rows_files: Sequence[str] = ()
+) -> Document:
+    """Return the answer of `pixsim compare` for one case.
 
-    end : of the colour scale of the ΔE maps
-    files : that are there beside those of `comparison_files`, with their descriptions
+    notes : of the terminal; None for all
+    folder : with the other files, for the page; None leaves out its sections
+    rows_files : of `ROWS_FILES`, those that the page names
     """
-    prepared, shown = result.prepared, result.shown
+    found = answers(result)
+    below = [list(map(sentence, more)) for _, *more in found]
+    below[-1].append(f"{conditions_line(result.prepared)}.")
+    return Document(
+        command="compare",
+        kind="comparison of sensors",
+        title=" against ".join(result.names),
+        data=result.as_dict(),
+        terminal=_terminal(result, result.notes if notes is None else notes),
+        answers=[Answer((Strong(head),), more) for (head, *_), more in zip(found, below, strict=True)],
+        lead=(f"{DELTA_E} The mean over the picture is compared.", *(Note(note) for note in result.notes)),
+        sections=() if folder is None else _sections(result, folder, rows_files),
+        data_file=JSON_FILE,
+    )
+
+
+PAIRED = (
+    "Intervals and probabilities are those of Student's t for {} pairs of frames, each of another pair of individual sensors. They "
+    "tell how sure the simulation is of the mean ΔE of a sensor type, not how often one frame is better than another. The error "
+    "that the film's samples may cause is the same in every frame: it is stated beside them, and it is a part of each ±."
+)
+UNKNOWN_TYPES = (
+    "Sensor types are drawn from the ranges of the technologies and from [pixel.uncertainty] of the data sheets. All have the same "
+    "random numbers; the film's error is not in these numbers."
+)
+MATRIX = (
+    "The matrix leads from the channels to the display's light. The larger its noise gains, the more of a sensor's noise is seen "
+    "as colour."
+)
+DETAIL = "The detail where the errors of the sensors differ most: the ideal image, the sensor's picture, and its errors."
+CASES = (
+    "Each case is a comparison of its own, with its own display, film and range of viewing. A sensor is called better where it is "
+    "so in the whole range."
+)
+
+
+def _sections(result: Comparison, folder: Path, rows_files: Sequence[str]) -> Iterator[Section]:
+    """Yield the sections of the page, with the pictures that are in a folder, and files of rows that are there too."""
+    prepared, shown, names = result.prepared, result.shown, result.names
     lineup, first, in_shown = shown.lineup, shown.sensors[0], Averaged(((1.0, shown),))
+    where = f" in {lineup.condition}" if result.conditions else ""
     maps = [compared.score.delta_e for compared in result.sensors]
-    window = worst_window([np.abs(other - maps[0]) for other in maps[1:]])
+    window, end = worst_window([np.abs(other - maps[0]) for other in maps[1:]]), map_end(result)
+    better = f"probability that {names[0]} is better"
+    pair_head = ("difference of mean ΔE", "mean", "95 % interval", better, "film's error, at most")
+    others, of = names[1:], "the detail with the largest differences"
+    yield Section("conditions", "Conditions", _condition_blocks(result, pair_head) if result.conditions else ())
     pictures = [_picture(compared.score.image, compared.name) for compared in result.sensors]
-    light = LightLevel.of(first.irradiance, lineup.settings.display, [c.score.frame.integration_s for c in result.sensors])
-    parameters = first.irradiance.header.get("parameters")
-    common = scene_rows(first.irradiance, parameters if isinstance(parameters, dict) else {}, light)
-    page = {
-        "names": result.names,
-        "verdicts": answers(result),
-        "conditions": conditions_line(prepared),
-        "shown": lineup.condition,
-        "compared": _condition_rows(result),
-        "rows": [_row(compared, in_shown.shown_mean(compared.name)) for compared in shown.sensors],
-        "pairs": [_pair(result, other) for other in result.names[1:]],
-        "views": [(f"{other} − {result.names[0]}", _view_rows(result, other)) for other in result.names[1:]],
-        "viewings": lineup.viewing.words,
-        "repeats": prepared.repeats,
-        "unknown": [_unknown(found) for found in result.uncertainty],
-        "notes": result.notes,
-        "first": pictures[0],
-        "others": [*pictures[1:], _picture(first.score.ideal, "ideal image")],
-        "reduced": factor_for(first.score.image),
-        "display": lineup.settings.display,
-        "crops": [(c.name, crops(c.score, window, f"the picture of {c.name}", end)) for c in result.sensors],
-        "scale_bar": scale(end),
-        "map_words": {c.name: _map_words(c, end) for c in result.sensors},
-        "maps": {c.name: (folder / f"pictures/delta_e_{c.name}.png").read_bytes() for c in result.sensors},
-        "settings": [("scene", common), *_records(result), *_condition_settings(prepared)],
-        "colours": [(c.name, colour_rows(c.colour, c.score.out_of_gamut)) for c in shown.sensors if c.colour],
-        "seed": lineup.settings.seed,
-        "files": comparison_files(prepared) | files | {"provenance.json": "versions and wall times"},
-    }
-    write_page(folder / PAGE, "compare.html.j2", page)
+    slider = Slider(
+        *("slider", f"The whole picture of {names[0]} and of another", pictures[0]),
+        (*pictures[1:], _picture(first.score.ideal, "ideal image")),
+        *(f"the picture of {names[0]}", "the chosen picture"),
+    )
+    sizes = size_words(factor_for(first.score.image), lineup.settings.display.samples_per_deg)
+    yield Section("pictures", "Pictures", (sizes, slider), together=True)
+    details = [
+        Section("", each.name, (Pictures((crops(each.score, window, f"the picture of {each.name}", end),), of),))
+        for each in result.sensors
+    ]
+    yield Section("detail", "The largest differences, 1:1", (DETAIL, *details, Scale(scale(end))), together=True)
+    head = (
+        *("sensor", "mean ΔE", "99th percentile", "pixels", "pitch (µm)", "lens", "exposure (ms)", "mean electrons", "full well"),
+        *("saturated", "film's error (ΔE)"),
+    )
+    sensors = [_row(compared, in_shown.shown_mean(compared.name)) for compared in shown.sensors]
+    pairs = Table("differences of mean ΔE", pair_head, [_pair(result, other) for other in others])
+    of_sensors = Table("numbers of each sensor", head, sensors)
+    words = PAIRED.format(prepared.repeats)
+    yield Section("numbers", f"Numbers{where}", [of_sensors, words] if result.conditions else [of_sensors, pairs, words])
+    types = ("difference of mean ΔE", "sensor types", f"{better} (95 % interval)", "5 %", "median", "95 %", "unknown")
+    unknown = Table("differences over sensor types", types, map(_unknown, result.uncertainty), words=(6,))
+    yield Section("unknown", "What is not known of the sensors", [UNKNOWN_TYPES, unknown] if result.uncertainty else ())
+    yield Section("viewing", "Viewing", _viewing_blocks(result))
+    colours = [(c.name, colour_rows(c.colour, c.score.out_of_gamut)) for c in shown.sensors if c.colour]
+    tables = [Table(f"colours of {name}", (), rows, name, words=None) for name, rows in colours]
+    yield Section("colour", f"Colour{where}", [MATRIX, *tables] if tables else ())
+    yield Section("maps", "Maps of the errors", [_map(compared, folder, end) for compared in result.sensors])
+    rest = f"Noise and non-uniformities that a data sheet does not state are zero. Seed {lineup.settings.seed}."
+    yield Section("settings", "Settings", [*_settings(result), rest])
+    files = comparison_files(prepared) | {name: words for name, words in ROWS_FILES.items() if name in rows_files}
+    listed = [(Link(name, name), f": {words}") for name, words in (files | {"provenance.json": "versions and wall times"}).items()]
+    yield Section("files", "Files in this folder", [Listed(listed)])
+
+
+def _condition_blocks(result: Comparison, pair_head: tuple[str, ...]) -> Iterator[Block]:
+    """Yield mean ΔE of each sensor and differences in each condition, then of the weighted mean."""
+    others = result.names[1:]
+    parts: list[tuple[str, str, Averaged, list[tuple[str, ...]]]] = []
+    for number, (lineup, part) in enumerate(zip(result.prepared.conditions, result.conditions, strict=True)):
+        pairs = [_pair(result.pair(other).conditions[number], other) for other in others]
+        parts.append((lineup.condition, f"{lineup.weight:.3g}", part, pairs))
+    parts.append(("weighted mean", "", result, [_pair(result, other) for other in others]))
+    means = [(name, weight, *(part.shown_mean(sensor) for sensor in part.names)) for name, weight, part, _ in parts]
+    head = ("condition", "weight")
+    yield Table("mean ΔE of each sensor in each condition", (*head, *(f"mean ΔE of {name}" for name in result.names)), means)
+    differences = [(name, weight, *pair) for name, weight, _, pairs in parts for pair in pairs]
+    yield Table("differences in each condition", (*head, *pair_head), differences)
+    yield (
+        "Frame number k has the same random seeds in all conditions. The weighted mean is taken of each frame number, before its "
+        "interval. The pictures, numbers and maps below are those of the condition ",
+        Strong(result.shown.lineup.condition),
+        ".",
+    )
+
+
+def _viewing_blocks(result: Comparison) -> Iterator[Block]:
+    """Yield the differences under each viewing."""
+    names, viewing = result.names, result.shown.lineup.viewing.words
+    mean = "; the weighted mean over the conditions" if result.conditions else ""
+    pairs = " for all, and for two sensors between the dots of these two" if len(names) > 2 else ""
+    yield (
+        f"Frames do not depend on the display. The same frames are scored on other displays and from other distances{mean}. A "
+        f"sensor is called better without a condition only where it is so in the whole range: {viewing}{pairs}."
+    )
+    head = (
+        *("dots across", "dots per degree", "width of the picture", "difference of mean ΔE", "95 % interval"),
+        *("film's error, at most", "better"),
+    )
+    for other in names[1:]:
+        name = f"{other} − {names[0]}"
+        yield Table(f"difference under each viewing: {name}", head, _view_rows(result, other), name, words=(6,))
 
 
 def write_compared_cases(result: ComparedCases, out: str | os.PathLike[str], seconds: dict[str, float] | None = None) -> Path:
@@ -398,144 +499,132 @@ def write_compared_cases(result: ComparedCases, out: str | os.PathLike[str], sec
     with output_folder(out) as folder:
         for case, own in result.results:
             write_comparison(own, folder / case.folder, seconds)
-        return write_cases(result, folder, seconds)
+        return write(cases_document(result), folder, {"seconds": seconds or {}})
 
 
-def write_cases(result: ComparedCases, folder: Path, seconds: dict[str, float] | None = None) -> Path:
-    """Write compare.json, report.html and provenance.json of comparisons that are written in their own folders already.
-
-    Returns the path of report.html. Raises PixsimError as `write_comparison`.
-    """
-    page = {"names": result.names, "verdicts": [result.headline(other) for other in result.names[1:]], "rows": case_rows(result)}
-    with publishing(folder, "compare", {"seconds": seconds or {}}) as partial:
-        write_json(partial / JSON_FILE, result.as_dict())
-        write_page(partial / PAGE, "compare_cases.html.j2", page)
-    return folder / PAGE
-
-
-def case_rows(result: ComparedCases) -> list[tuple[str, str, list[str]]]:
-    """Return each case in words, its folder, and the answer for each later sensor."""
-    return [(case.words or case.folder, case.folder, answers) for case, answers in result.answers]
-
-
-def cases_lines(result: ComparedCases) -> list[str]:
-    """Return the answer over all cases, and that of each, as lines of text."""
-    lines = [result.headline(other) for other in result.names[1:]]
-    return lines + [f"  {words}: {answer}" for words, _, answers in case_rows(result) for answer in answers]
+def cases_document(result: ComparedCases) -> Document:
+    """Return the answer of `pixsim compare` over the values of axes: that of each case is in its folder."""
+    names, others = result.names, result.names[1:]
+    rows = [(case.words or case.folder, case.folder, answers) for case, answers in result.answers]
+    verdicts = [result.headline(other) for other in others]
+    table = Table(
+        "the answer in each case",
+        ("case", *(f"{names[0]} and {name}" for name in others)),
+        tuple(((Link(words, f"{folder}/{PAGE}"),), *own) for words, folder, own in rows),
+        words=None,
+    )
+    return Document(
+        command="compare",
+        kind="comparison of sensors",
+        title=" against ".join(names),
+        data=result.as_dict(),
+        terminal=(*verdicts, Listed(tuple(f"{words}: {answer}" for words, _, own in rows for answer in own))),
+        answers=tuple(Answer((Strong(words),)) for words in verdicts),
+        sections=(Section("cases", "Cases", (CASES, table)),),
+        data_file=JSON_FILE,
+    )
 
 
 def _picture(luminance: Any, name: str) -> Picture:
     return Picture(display_codes(reduced(luminance)), name)
 
 
-def _map_words(compared: Compared, end: float) -> str:
+def map_end(result: Comparison) -> float:
+    """Return the end of the colour scale of the ΔE maps."""
+    return scale_end(max(compared.score.statistics()["p99_delta_e"] for compared in result.sensors))
+
+
+def _map(compared: Compared, folder: Path, end: float) -> Map:
+    """Return the ΔE map of a sensor, which is in a folder."""
     found = compared.score.statistics()
-    return map_words(f"{compared.name}, first frame: ", found["mean_delta_e"], found["p99_delta_e"], end)
+    words = map_words(f"{compared.name}, first frame: ", found["mean_delta_e"], found["p99_delta_e"], end)
+    return Map((folder / f"pictures/delta_e_{compared.name}.png").read_bytes(), words)
 
 
-def _row(compared: Compared, mean: str) -> dict[str, Any]:
+def _row(compared: Compared, mean: str) -> tuple[str, ...]:
     """Return a sensor's row of the page's table of numbers.
 
     mean : its mean ΔE
     """
     statistics = compared.score.statistics()
-    rows, columns = pixels_of(compared.sensor)
-    return {
-        "name": compared.name,
-        "delta_e": mean,
-        "p99": f"{statistics['p99_delta_e']:.3g}",
-        "pixels": f"{columns} × {rows}",
-        "pitch_um": f"{compared.sensor.settings.pixel.pitch_um:g}",
-        "lens": f"{compared.sensor.camera.focal_length_mm:.4g} mm f/{compared.sensor.camera.f_number:.3g}",
-        "time_ms": f"{1e3 * statistics['integration_s']:.3g}",
-        "electrons": rounded(statistics["mean_electrons_e"], 4),
-        "well": rounded(statistics["full_well_e"], 4),
-        "saturated": f"{100 * statistics['saturated_fraction']:.2g} %",
-        "film": "unknown" if compared.film_delta_e is None else f"{compared.film_delta_e:.1g}",
-    }
+    (rows, columns), pixel = pixels_of(compared.sensor), compared.sensor.settings.pixel
+    return (
+        compared.name,
+        mean,
+        f"{statistics['p99_delta_e']:.3g}",
+        f"{columns} × {rows}",
+        f"{pixel.pitch_um:g}",
+        f"{compared.sensor.camera.focal_length_mm:.4g} mm f/{compared.sensor.camera.f_number:.3g}",
+        f"{1e3 * statistics['integration_s']:.3g}",
+        rounded(statistics["mean_electrons_e"], 4),
+        rounded(statistics["full_well_e"], 4),
+        f"{100 * statistics['saturated_fraction']:.2g} %",
+        "unknown" if compared.film_delta_e is None else f"{compared.film_delta_e:.1g}",
+    )
 
 
-def _pair(result: Averaged, other: str) -> dict[str, str]:
+def _pair(result: Averaged, other: str) -> tuple[str, ...]:
     """Return a row of the page's table of differences."""
     low, high = result.interval_delta_e[other]
     film = result.film_delta_e[other]
-    return {
-        "name": f"{other} − {result.names[0]}",
-        "difference": f"{result.difference[other]:+.4f}",
-        "interval": f"{low:+.4f} to {high:+.4f}",
-        "probability": shown_probability(result.probability_a_better[other]),
-        "film": "unknown" if film is None else f"{film:.2g}",
-    }
+    return (
+        f"{other} − {result.names[0]}",
+        f"{result.difference[other]:+.4f}",
+        f"{low:+.4f} to {high:+.4f}",
+        shown_probability(result.probability_a_better[other]),
+        "unknown" if film is None else f"{film:.2g}",
+    )
 
 
-def _unknown(found: PairUncertainty) -> dict[str, str]:
+def _unknown(found: PairUncertainty) -> tuple[str, ...]:
     """Return a row of the page's table of what is not known of the sensors."""
     better, ends = found.probability_a_better, found.difference.quantiles
-    return {
-        "name": f"{found.names[1]} − {found.names[0]}",
-        "types": str(better.draws),
-        "probability": f"{better.probability:.2f} ({better.low:.2f} to {better.high:.2f})",
-        **{name: f"{ends[name]:+.4f}" for name in ("p05", "p50", "p95")},
-        "matters": found.matters,
-    }
+    return (
+        f"{found.names[1]} − {found.names[0]}",
+        str(better.draws),
+        f"{better.probability:.2f} ({better.low:.2f} to {better.high:.2f})",
+        *(f"{ends[name]:+.4f}" for name in ("p05", "p50", "p95")),
+        found.matters,
+    )
 
 
-def _view_rows(result: Comparison, other: str) -> list[dict[str, str]]:
+def _view_rows(result: Comparison, other: str) -> list[tuple[str, ...]]:
     """Return the rows of the page's table of a difference under each viewing, by the dots per degree and the dots."""
     better = {1: result.names[0], -1: other, 0: "not told apart"}
 
-    def row(view: Viewed) -> dict[str, str]:
+    def row(view: Viewed) -> tuple[str, ...]:
         low, high = view.interval_delta_e
-        return {
-            "dots": str(view.viewing.dots),
-            "samples_per_deg": f"{view.viewing.samples_per_deg:g}",
-            "angle": f"{view.viewing.dots / view.viewing.samples_per_deg:.3g}°",
-            "difference": f"{view.difference:+.4f}",
-            "interval": f"{low:+.4f} to {high:+.4f}",
-            "film": "unknown" if view.film_delta_e is None else f"{view.film_delta_e:.2g}",
-            "better": better[view.sign] + ("" if view.inside else " (another display than stated)"),
-        }
+        return (
+            str(view.viewing.dots),
+            f"{view.viewing.samples_per_deg:g}",
+            f"{view.viewing.dots / view.viewing.samples_per_deg:.3g}°",
+            f"{view.difference:+.4f}",
+            f"{low:+.4f} to {high:+.4f}",
+            "unknown" if view.film_delta_e is None else f"{view.film_delta_e:.2g}",
+            better[view.sign] + ("" if view.inside else " (another display than stated)"),
+        )
 
     return [row(view) for view in sorted(result.views(other), key=lambda view: view.viewing[::-1])]
 
 
-def _condition_rows(result: Comparison) -> list[tuple[str, str, list[str], list[dict[str, str]]]]:
-    """Return name, weight, mean ΔE of each sensor and differences of each condition, then of the weighted mean; none without."""
-    named: list[tuple[str, str, Averaged]] = []
-    for lineup, part in zip(result.prepared.conditions, result.conditions, strict=True):
-        named.append((lineup.condition, f"{lineup.weight:.3g}", part))
-    others = result.names[1:]
-    pairs = [[_pair(result.pair(other).conditions[number], other) for other in others] for number in range(len(named))]
-    if named:
-        named.append(("weighted mean", "", result))
-        pairs.append([_pair(result, other) for other in others])
-    return [
-        (name, weight, [part.shown_mean(sensor) for sensor in part.names], of_pairs)
-        for (name, weight, part), of_pairs in zip(named, pairs, strict=True)
-    ]
-
-
-def _condition_settings(prepared: ComparisonJob) -> list[tuple[str, list[Any]]]:
-    """Return the tables of what each condition sets."""
-    if prepared.circumstances is None:
-        return []
-    tables = []
-    for each in prepared.circumstances.conditions:
-        values = [(path, reduce(getitem, path, each.set)) for path in paths_of(each.set)]
-        tables.append(
-            (f"condition {each.name}", [(".".join(path), shown_value(value, path[-1]), "", "set") for path, value in values])
-        )
-    return tables
-
-
-def _records(result: Comparison) -> list[tuple[str, list[Any]]]:
-    """Return the tables of settings: the display of all, then each sensor's own."""
-    settings, coloured = result.shown.lineup.settings, any(compared.sensor.settings.pixel.colour for compared in result.sensors)
-    tables = [("display", record_rows("display", settings.display, False, coloured=coloured))]
-    tables += [("develop", record_rows("develop", settings.develop, False))] if coloured else []
+def _settings(result: Comparison) -> Iterator[Table]:
+    """Yield the settings of all sensors, then each sensor's own, then what each condition sets."""
+    prepared, lineup, first = result.prepared, result.shown.lineup, result.shown.sensors[0]
+    display, coloured = lineup.settings.display, any(compared.sensor.settings.pixel.colour for compared in result.sensors)
+    light = LightLevel.of(first.irradiance, display, [compared.score.frame.integration_s for compared in result.sensors])
+    parameters = first.irradiance.header.get("parameters")
+    yield settings_table("scene", scene_rows(first.irradiance, parameters if isinstance(parameters, dict) else {}, light))
+    yield settings_table("display", record_rows("display", display, False, coloured=coloured))
+    if coloured:
+        yield settings_table("develop", record_rows("develop", lineup.settings.develop, False))
     for compared in result.sensors:
         sensor = compared.sensor
-        sheet = sensor.settings.pixel.technology == NO_TECHNOLOGY
-        records: dict[str, Record] = {"camera": sensor.camera, "pixel": sensor.settings.pixel, "exposure": sensor.settings.exposure}
-        tables += [(f"{sensor.name}: {name}", record_rows(name, record, sheet)) for name, record in records.items()]
-    return tables
+        pixel, exposure = sensor.settings.pixel, sensor.settings.exposure
+        sheet = pixel.technology == NO_TECHNOLOGY
+        records: dict[str, Record] = {"camera": sensor.camera, "pixel": pixel, "exposure": exposure}
+        for name, record in records.items():
+            yield settings_table(f"{sensor.name}: {name}", record_rows(name, record, sheet))
+    for each in () if prepared.circumstances is None else prepared.circumstances.conditions:
+        values = [(path, reduce(getitem, path, each.set)) for path in paths_of(each.set)]
+        rows = [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in values]
+        yield settings_table(f"condition {each.name}", rows)

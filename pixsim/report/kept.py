@@ -26,6 +26,7 @@ from pixsim.base.files import (
     write_made_from,
 )
 from pixsim.base.mapped import update_with_array
+from pixsim.show.document import Document
 from pixsim.show.pages import Figures
 from pixsim.studies.result import StudyResult
 
@@ -52,13 +53,14 @@ def keep_or_write(command: str, made_from: str, folder: Path, write: Callable[[]
         return report
 
 
-def kept_run(folder: Path, made_from: str) -> tuple[dict[str, Any], list[str], list[str]] | None:
-    """Return score.json of a run whose files are kept, the lines that it said, and its warnings; None if they are not kept."""
+def kept_run(folder: Path, made_from: str) -> tuple[Document, list[str]] | None:
+    """Return the answer of a run whose files are kept, without its page, and its warnings; None if they are not kept."""
     if not are_kept(folder, "run", made_from):
         return None
     files_are_finished()
     said = said_with(folder)
-    return json.loads((folder / "score.json").read_bytes()), said["lines"], said["warned"]
+    data = json.loads((folder / "score.json").read_bytes())
+    return Document("run", "kept", str(folder), data, terminal=tuple(said["lines"])), said["warned"]
 
 
 def digest_of_report(result: StudyResult, figures: Figures = "svg") -> str:

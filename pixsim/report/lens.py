@@ -1,20 +1,22 @@
-"""The page of a lens: its numbers as tables and text, and its figures with their data."""
+"""The document of a lens: its numbers as tables and sentences, and its figures with their data."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import one_line
-from pixsim.base.files import output_folder, publishing, versions, write_json
+from pixsim.base.files import versions
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
+from pixsim.show.document import Answer, Beside, Document, Listed, Note, Plot, Section, Table, pairs
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, coarse_table, write_figures, write_page
+from pixsim.show.pages import FIGURE_SUFFIXES, Column, Plate, coarse_table
+from pixsim.show.sentences import UNKNOWN, number, smallest_and_largest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,12 +26,6 @@ SHOWN = (0, 3, 6, 8)  # of the fields, in figures of single fields
 SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
 FIGURES = ("layout", "spots", "psf", "mtf", "mtf_over_field", "field_curvature", "illumination", "colour")
 FILES = ("report.html", "summary.json", *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in FIGURE_SUFFIXES))
-
-
-def lens_plates(data: LensData) -> list[Plate]:
-    """Return the figures of a lens, in the order of the page; without those over the field if there is one field only."""
-    over_field = (mtf_over_field, curvature_plate, illumination_plate) if data.field_deg.size > 1 else ()
-    return [make(data) for make in (layout, spot_plate, psf_plate, mtf_plate, *over_field, colour_plate)]
 
 
 WIDTH_IN = 8.6
@@ -82,8 +78,8 @@ def layout(data: LensData) -> Plate:
         axes.plot([at, at], [sign * semi, sign * 1.35 * semi], color="black", lw=2.5, label="stop" if sign > 0 else None)
     table: dict[str, list[float | str]] = {"field_deg": [], "stop_y": [], "z_mm": [], "y_mm": []}
     for (angle, rays), look in zip(cut.rays.items(), LOOKS, strict=False):
-        for number, (height, z, y) in enumerate(rays):
-            axes.plot(z, y, color=look.colour, lw=0.8, ls=look.dashes, label=None if number else f"{angle:.3g}°")
+        for index, (height, z, y) in enumerate(rays):
+            axes.plot(z, y, color=look.colour, lw=0.8, ls=look.dashes, label=None if index else f"{angle:.3g}°")
             table["field_deg"] += [angle] * z.size
             table["stop_y"] += [height] * z.size
             table["z_mm"] += z.tolist()
@@ -106,16 +102,9 @@ def shown_fields(data: LensData) -> list[int]:
     return [index for index in SHOWN if index < data.field_deg.size]
 
 
-def ends_words(what: str, field_deg: Sequence[float], values: Sequence[float], unit: str) -> str:
-    """Return where a number is smallest and largest, as a sentence."""
-    known = [(value, angle) for value, angle in zip(values, field_deg, strict=True) if math.isfinite(value)]
-    if not known:
-        return f"{what} is not known: no ray reaches the image plane."
-    (low, near), (high, far) = min(known), max(known)
-    least, most = (f"{float(f'{value:.3g}'):g} {unit}" for value in (low, high))
-    if near == far:
-        return f"{what} is {least} at {near:.3g}°."
-    return f"{what} is smallest at {near:.3g}° ({least}) and largest at {far:.3g}° ({most})."
+def over_the_field(data: LensData, what: str, values: Sequence[float], unit: str) -> str:
+    """Return where a number of the fields is smallest and largest, as a sentence."""
+    return smallest_and_largest(what, data.field_deg.tolist(), values, unit, "°")
 
 
 def half_words(data: LensData) -> str:
@@ -157,7 +146,7 @@ def spot_plate(data: LensData) -> Plate:
     panels[0].set(ylabel="y (µm)", xlim=(-1.1 * most, 1.1 * most), ylim=(-1.1 * most, 1.1 * most))
     below(figure, panels[0], 6)
     caption = (
-        f"{ends_words('The spot', data.field_deg.tolist(), [spot.rms_um for spot in data.spots], 'µm rms')} "
+        f"{over_the_field(data, 'The spot', [spot.rms_um for spot in data.spots], 'µm rms')} "
         f"Spots: where rays of each wavelength meet the image plane, from the chief ray at {data.lens.primary_nm:.5g} nm; y points "
         "away from the axis. The circle is the first dark ring of diffraction. Rays that clear apertures stop are left out."
     )
@@ -195,7 +184,7 @@ def psf_plate(data: LensData) -> Plate:
         table |= coarse
     panels[0].set_ylabel("y (µm)")
     caption = (
-        f"{ends_words('The area above half of the maximum', data.field_deg.tolist(), data.half_area_um2.tolist(), 'µm²')} "
+        f"{over_the_field(data, 'The area above half of the maximum', data.half_area_um2.tolist(), 'µm²')} "
         f"Point spread functions of the {len(data.wavelength_nm)} wavelengths together, {how(data)}; brightness is the square "
         "root of the irradiance over its maximum. y points away from the axis. The table has means over blocks."
     )
@@ -335,59 +324,48 @@ def colour_plate(data: LensData) -> Plate:
     return Plate("colour", caption, figure, table)
 
 
-# Text and page ---------------------------------------------------------------------------------------------------------------
+# The document ----------------------------------------------------------------------------------------------------------------
 
-Rows = list[tuple[str, ...]]
 UNBROKEN = str.maketrans(" -", "\u00a0\u2011")  # a number and its name stay on one line of a page
 
 
-def first_order_rows(data: LensData) -> Rows:
-    """Return the table of first-order data: a column for each wavelength."""
-    names = {
-        "focal_length_mm": "focal length (mm)",
-        "back_focal_length_mm": "back focal length (mm)",
-        "entrance_pupil_diameter_mm": "entrance pupil, diameter (mm)",
-        "entrance_pupil_from_first_vertex_mm": "entrance pupil, behind the first surface (mm)",
-        "exit_pupil_diameter_mm": "exit pupil, diameter (mm)",
-        "exit_pupil_from_image_mm": "exit pupil, behind the image plane (mm)",
-        "f_number": "f-number",
-    }
-    head = ("", *(f"{nm:.5g} nm" for nm in data.wavelength_nm))
-    return [head, *((words, *(f"{getattr(each, name):.6g}" for each in data.first)) for name, words in names.items())]
-
-
-def surface_rows(data: LensData) -> Rows:
-    """Return the prescription as a table."""
-    rows: Rows = [("", "radius (mm)", "thickness (mm)", "medium behind", "conic", "asphere", "semi-diameter (mm)")]
-    for number, surface in enumerate(data.lens.prescription.surfaces, 1):
-        semi = "" if surface.semi_diameter_mm is None else f"{surface.semi_diameter_mm:.5g}"
-        rows.append((
-            f"{number}{', stop' if number == data.lens.prescription.stop + 1 else ''}",
-            "plane" if not surface.curvature_per_mm else f"{1 / surface.curvature_per_mm:.6g}",
-            f"{surface.thickness_mm:.6g}",
-            surface.glass.name,
-            f"{surface.conic:.5g}" if surface.conic else "",
-            ", ".join(f"A{power} {value:.4g}".translate(UNBROKEN) for power, value in surface.asphere),
-            semi + (", clips" if surface.clips and semi else ""),
-        ))  # fmt: skip
-    return rows
-
-
-def field_rows(data: LensData) -> Rows:
-    """Return the table of the fields."""
-    rows: Rows = [
-        ("field (°)", "height (mm)", "chief ray (°)", "distortion (%)", "illumination", "rms spot (µm)", "rms wavefront (waves)",
-         *(f"MTF at {f:.4g}/mm" for f in data.asked_lp_per_mm))
-    ]  # fmt: skip
-    for each, dark in zip(data.as_dict()["fields"], data.dark, strict=True):
-        rows.append((
-            f"{each['field_deg']:.4g}", f"{each['height_mm']:.4g}", f"{each['chief_ray_angle_deg']:.4g}",
-            f"{100 * each['distortion']:.3g}", f"{each['relative_illumination']:.3f}",
-            "–" if each["rms_spot_um"] is None else f"{each['rms_spot_um']:.3g}",
-            "–" if each["rms_wavefront_waves"] is None else f"{each['rms_wavefront_waves']:.3g}",
-            *("–" if dark else f"{mtf['tangential']:.2f} / {mtf['sagittal']:.2f}" for mtf in each["mtf"]),
-        ))  # fmt: skip
-    return rows
+def lens_document(data: LensData) -> Document:
+    """Return the answer of `pixsim lens`: the numbers of a lens, its figures and its prescription."""
+    lens, prescription = data.lens, data.lens.prescription
+    first_order, fields = first_order_table(data), field_table(data)
+    over_field = (mtf_over_field, curvature_plate, illumination_plate) if data.field_deg.size > 1 else ()
+    drawing, *others = (Plot(partial(make, data)) for make in (layout, spot_plate, psf_plate, mtf_plate, *over_field, colour_plate))
+    wavelengths = ", ".join(f"{nm:.5g}" for nm in data.wavelength_nm)
+    traced = f"Spots and MTF are of {wavelengths} nm with equal weights, all else of {lens.primary_nm:.5g} nm."
+    reflected = f"uncoated surfaces would reflect {data.loss_percent:.3g} % of the light on the axis"
+    prescribed = (
+        f"Source: {prescription.source or 'not stated'}. Radius of the stop: {lens.stop_semi_diameter_mm:.6g} mm. "
+        f"{reflected.capitalize()}; this is for information, since pictures take `camera.transmittance`."
+    )
+    glasses = tuple(f"{glass.name}: {glass.source}" for glass in prescription.glasses)
+    last = f"{reflected}; camera.transmittance is what counts"
+    return Document(
+        command="lens",
+        kind="lens",
+        title=prescription.title,
+        data=data.as_dict(),
+        terminal=(
+            *(Answer(title_of(data), (prescription.title,)), "", first_order, "", fields, ""),
+            Listed((*(f"glass {glass}" for glass in glasses), last)),
+        ),
+        answers=(Answer(title_of(data)),),
+        lead=map(Note, data.notes),
+        sections=(
+            Section("drawing", "Layout", (drawing,)),
+            Section("first-order", "First-order data", (first_order,)),
+            Section("fields", "Fields", (fields, f"{traced} The rms wavefront is without tilt.")),
+            Section("figures", "Figures", others),
+            Section(
+                *("prescription", "Prescription"),
+                (surface_table(data), prescribed, Listed(glasses), Beside((pairs("versions", versions()),))),
+            ),
+        ),
+    )
 
 
 def title_of(data: LensData) -> str:
@@ -400,41 +378,54 @@ def title_of(data: LensData) -> str:
     )
 
 
-def lens_lines(data: LensData) -> list[str]:
-    """Return the lines for the terminal."""
-    lines = [title_of(data), f"  {data.lens.prescription.title}", ""]
-    _, *numbers = field_rows(data)
-    mtf = [f"MTF {f:.4g}/mm" for f in data.asked_lp_per_mm]
-    short: Rows = [
-        ("field", "height", "chief ray", "distortion", "illumination", "spot", "wavefront", *mtf),
-        ("°", "mm", "°", "%", "", "µm rms", "waves rms", *("t / s" for _ in mtf)),
-    ]
-    for rows in (first_order_rows(data), [*short, *numbers]):
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        for row in rows:
-            cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
-            lines.append("  " + "  ".join(cells).rstrip())
-        lines.append("")
-    lines += [f"  glass {glass.name}: {glass.source}" for glass in data.lens.prescription.glasses]
-    loss = f"  uncoated surfaces would reflect {data.loss_percent:.3g} % of the light on the axis"
-    return [*lines, f"{loss}; camera.transmittance is what counts"]
+def first_order_table(data: LensData) -> Table:
+    """Return the first-order data, with a column for each wavelength."""
+    names = {
+        "focal_length_mm": "focal length (mm)",
+        "back_focal_length_mm": "back focal length (mm)",
+        "entrance_pupil_diameter_mm": "entrance pupil, diameter (mm)",
+        "entrance_pupil_from_first_vertex_mm": "entrance pupil, behind the first surface (mm)",
+        "exit_pupil_diameter_mm": "exit pupil, diameter (mm)",
+        "exit_pupil_from_image_mm": "exit pupil, behind the image plane (mm)",
+        "f_number": "f-number",
+    }
+    head = ("", *(f"{nm:.5g} nm" for nm in data.wavelength_nm))
+    rows = tuple((words, *(f"{getattr(each, name):.6g}" for each in data.first)) for name, words in names.items())
+    return Table("first-order data", head, rows, "Paraxial, with the object at infinity")
 
 
-def write_lens(data: LensData, out: Path, figures: Figures = "svg") -> Path:
-    """Write the page of a lens, its figures and summary.json into a folder and return the path of the page.
+def field_table(data: LensData) -> Table:
+    """Return what rays and waves of each field do."""
+    units = {"field": "°", "height": "mm", "chief ray": "°", "distortion": "%", "illumination": "", "spot": "µm rms",
+             "wavefront": "waves rms"} | {f"MTF {f:.4g}/mm": "t / s" for f in data.asked_lp_per_mm}  # fmt: skip
+    rows = tuple(
+        (
+            f"{each['field_deg']:.4g}", f"{each['height_mm']:.4g}", f"{each['chief_ray_angle_deg']:.4g}",
+            f"{100 * each['distortion']:.3g}", f"{each['relative_illumination']:.3f}",
+            *(number(each[name], 3) for name in ("rms_spot_um", "rms_wavefront_waves")),
+            *(UNKNOWN if dark else f"{mtf['tangential']:.2f} / {mtf['sagittal']:.2f}" for mtf in each["mtf"]),
+        )
+        for each, dark in zip(data.as_dict()["fields"], data.dark, strict=True)
+    )  # fmt: skip
+    caption = "Real rays; MTF tangential / sagittal (t / s)"
+    return Table("fields", tuple(f"{name}\n{unit}" for name, unit in units.items()), rows, caption)
 
-    figures : "pdf" writes a PDF beside each SVG
 
-    Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
-    """
-    with output_folder(out), publishing(out, "lens") as folder:
-        shown = write_figures(folder, [plate.drawn(figures) for plate in lens_plates(data)])
-        write_json(folder / "summary.json", data.as_dict())
-        page = {
-            "title": title_of(data), "lens": data.lens, "plates": shown, "first_order": first_order_rows(data),
-            "surfaces": surface_rows(data), "fields": field_rows(data), "glasses": data.lens.prescription.glasses,
-            "loss": data.loss_percent, "versions": versions(),
-            "notes": data.notes, "wavelengths": ", ".join(f"{nm:.5g}" for nm in data.wavelength_nm),
-        }  # fmt: skip
-        write_page(folder / "report.html", "lens.html.j2", page)
-    return out / "report.html"
+def surface_table(data: LensData) -> Table:
+    """Return the prescription."""
+    prescription = data.lens.prescription
+    head = ("surface", "radius (mm)", "thickness (mm)", "medium behind", "conic", "asphere", "semi-diameter (mm)")
+    rows = []
+    for place, surface in enumerate(prescription.surfaces, 1):
+        semi = "" if surface.semi_diameter_mm is None else f"{surface.semi_diameter_mm:.5g}"
+        rows.append((
+            f"{place}{', stop' if place == prescription.stop + 1 else ''}",
+            "plane" if not surface.curvature_per_mm else f"{1 / surface.curvature_per_mm:.6g}",
+            f"{surface.thickness_mm:.6g}",
+            surface.glass.name,
+            f"{surface.conic:.5g}" if surface.conic else "",
+            ", ".join(f"A{power} {value:.4g}".translate(UNBROKEN) for power, value in surface.asphere),
+            semi + (", clips" if surface.clips and semi else ""),
+        ))  # fmt: skip
+    caption = "Surfaces in the order of the light; the last thickness leads to the image plane"
+    return Table("prescription", head, rows, caption)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 from pixsim.base.labels import label_of
 from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Setting, Study
 from pixsim.report.wording import lens_words, view_words
-from pixsim.show.pages import rounded
-from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost, duration_words
+from pixsim.show.document import Document
+from pixsim.show.sentences import duration, rounded
+from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost
 from pixsim.studies.extent import columns_on
 from pixsim.studies.outline import planned_run, planned_sensors, planned_study
 from pixsim.studies.oversampling import TOLERATED_SHARE
@@ -79,8 +80,8 @@ def errors_words(errors: dict[str, float | None]) -> str:
     return f"{film}{noise}; the errors of both are measured by the render, and stand beside mean ΔE where they are too large"
 
 
-def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
-    """Return the outline as lines of text.
+def outline_document(command: str, outline: dict[str, Any], out: Path) -> Document:
+    """Return the answer of a dry run.
 
     out : folder that would be written
     """
@@ -130,14 +131,15 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
     rows.append(("limits", ", ".join(f"{name} = {value:g}" for name, value in limits.items())))
     rows.append(("output", f"{out}: nothing is written now"))
     rows.append(("cost", str(Cost(**outline["estimate"]))))
-    return [f"{name:<8} {text}" for name, text in rows] + long_lines(outline)
+    terminal = [*(f"{name:<8} {text}" for name, text in rows), *filter(None, [long_words(outline)])]
+    return Document(command, "dry run", outline["scene"], outline, terminal)
 
 
-def long_lines(outline: dict[str, Any]) -> list[str]:
-    """Return a line on the time of a long study, with the window that takes less than a minute; none for a short one."""
+def long_words(outline: dict[str, Any]) -> str:
+    """Return how long a long study takes, with the window that takes less than a minute; empty for a short one."""
     seconds = outline["estimate"]["seconds"]
     if "study" not in outline or seconds <= LONG_S:
-        return []
+        return ""
     window = outline.get("window_within_a_minute_mm")
     hint = f"; --window {window:g} takes less than a minute" if window else ""
-    return [f"the study takes about {duration_words(seconds)}{hint}"]
+    return f"the study takes about {duration(seconds)}{hint}"

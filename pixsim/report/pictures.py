@@ -57,3 +57,17 @@ def crops(score: Score, window: Window, name: str, end: float) -> tuple[Picture,
         Picture(display_codes(window.of(score.image)), f"{score.physics.pitch_um:.2f} µm", name),
         Picture(delta_e_colours(inside, end), "ΔE map", f"mean here {inside.mean():.2f}, largest {inside.max():.1f}"),
     )
+
+
+def size_words(factor: int, samples_per_deg: float) -> str:
+    """Return how large whole pictures are in a page: at which distance they look as on the display, or that they are smaller.
+
+    factor : dots per side that are averaged into one
+    """
+    if factor > 1:
+        return f"Each dot of the whole pictures is the mean of {factor} × {factor} dots of the display."
+    distance_mm = samples_per_deg * 57.3 * 25.4 / 96
+    return (
+        f"One display dot is one dot here: view it at 100 % zoom, at a distance where {samples_per_deg:g} dots span a degree "
+        f"({distance_mm:.0f} mm away where a screen has 96 dots per inch)."
+    )

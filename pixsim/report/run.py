@@ -1,10 +1,10 @@
-"""The files of a run (all of them, or none), and its report page."""
+"""The document of a run, and its files: all of them, or none."""
 
 from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, settings_text
 from pixsim.base.files import PROVENANCE, check_replaceable, digest_of, output_folder, publishing, write_json
-from pixsim.base.headline import headline_lines
 from pixsim.base.labels import label_of
 from pixsim.base.notes import warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Record
 from pixsim.base.progress import Progress
 from pixsim.report.kept import digest_of_content
-from pixsim.report.pictures import crops, picture_axes
-from pixsim.report.settings import FILLED, record_rows, scene_rows
+from pixsim.report.pictures import crops, picture_axes, size_words
+from pixsim.report.settings import FILLED, record_rows, scene_rows, settings_table
 from pixsim.report.wording import (
+    DELTA_E,
     blur_words,
-    budget_lines,
+    budget_blocks,
     film_words,
     lens_words,
     map_words,
@@ -30,7 +30,24 @@ from pixsim.report.wording import (
     score_parts,
     unsure_lines,
 )
-from pixsim.show.pages import compile_page, rounded, write_page
+from pixsim.show.document import (
+    Answer,
+    Block,
+    Document,
+    Link,
+    Listed,
+    Map,
+    Note,
+    Pictures,
+    Scale,
+    Section,
+    Slider,
+    Strong,
+    Table,
+    Text,
+    headline,
+)
+from pixsim.show.pages import write_text
 from pixsim.show.pictures import (
     Picture,
     display_codes,
@@ -42,6 +59,8 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
+from pixsim.show.render import PAGE, compile_page, html
+from pixsim.show.sentences import rounded, sentence
 from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.run import LitRun, RunJob, RunResult
@@ -50,7 +69,6 @@ from pixsim.studies.run_arrays import Irradiance, write_irradiance, write_number
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
 
-PAGE = "run.html.j2"  # template of report.html
 # Files next to the page, with their descriptions.
 FILES = {
     "score.json": "all numbers and settings, for programs",
@@ -115,72 +133,171 @@ def _row(facts: Mapping[str, Any], number: int) -> str:
     return ", ".join(f"{value:.4g}" for value in facts["matrix_to_display"][number])
 
 
-def write_run_page(result: RunResult, folder: Path) -> None:
-    """Write report.html next to the run's other files; it links to them and contains their pictures."""
-    score, settings, camera, irradiance = result.score, result.settings, result.camera, result.irradiance
-    physics, header, time_s = score.physics, irradiance.header, score.frame.integration_s
-    window = worst_window([score.delta_e])
-    width_mm, height_mm = extent(irradiance)[1:3]
-    left_mm, right_mm, bottom_mm, top_mm = extent(irradiance, score.border_um)
-    parameters = header.get("parameters")  # may be anything in a file of another program
-    light = LightLevel.of(irradiance, settings.display, [time_s])
-    sheet = physics.technology.name == NO_TECHNOLOGY
-    statistics = {name: result.statistics[0][name] for name in MEANINGS}
-    end = scale_end(statistics["p99_delta_e"])
-    if sheet and statistics["fill_factor"] > FILLED:
-        del statistics["fill_factor"]  # the data sheet states none
-    numbers = [(MEANINGS[key], rounded(value, 5)) for key, value in statistics.items()]
+COLOUR = (
+    "Both pictures are in colour: black level and dark charge are subtracted, white is balanced, the channels are interpolated to "
+    "each pixel, and one matrix, fitted to a ColorChecker under the scene's lamp, leads to the light of the display's primaries. "
+    "The larger its noise gains, the more of the sensor's noise is seen as colour."
+)
+
+
+def run_document(result: RunResult, folder: Path | None = None) -> Document:
+    """Return the answer of `pixsim run`.
+
+    folder : with the other files of the run, for the page; None leaves out its sections
+    """
+    score, header, pitch_um = result.score, result.irradiance.header, result.score.physics.pitch_um
+    scene = Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem
+    unsure, view, sensors = unsure_lines(result), "; ".join(run_view_words(result)), sensors_lines(result)
+    film = film_words(result.film) if result.film else ""
+    smaller = [f"Note: {line}." if line in result.notes else sentence(line) for line in unsure]
+    return Document(
+        command="run",
+        kind="picture of one sensor",
+        title=f"{scene} with {pitch_um:g} µm pixels",
+        data=result.as_dict(),
+        terminal=_terminal(result, unsure),
+        answers=(Answer(("Mean ΔE ", Strong(result.shown_mean), " from the ideal image"), (*smaller, camera_words(result))),),
+        lead=(
+            DELTA_E,
+            f"Picture: {view}." if view else "",
+            *(f"{line}." for line in sensors),
+            blur_words(result.irradiance, result.camera, score.physics, result.settings.display),
+            f"Light: {film}." if film else "",
+            *(Note(note) for note in result.notes if note not in unsure),
+        ),
+        sections=() if folder is None else _sections(result, folder),
+        data_file="score.json",
+    )
+
+
+def _terminal(result: RunResult, unsure: Sequence[str]) -> tuple[Block, ...]:
+    """Return mean ΔE, how sure it is, how it was shown and rendered, and notes."""
+    *parts, view = score_parts(result)
     if result.rendered is not None:
-        numbers.append(("noise of the render relative to the sensor's noise", f"{result.rendered.noise.fraction:.2g}"))
-    others = {
-        path.name: "the frame of raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
-    }
-    others |= {path.name: further_words(path, result.prepared.frames) for path in sorted(folder.glob(f"{raw_stem(2)}.*"))}
+        noise = result.rendered.noise.fraction
+        amount = f"render noise {noise:.2g} of the sensor's noise" if noise else "no render noise"
+        view = "; ".join(filter(None, (view, amount)))
+    answer = headline([*parts, view])
+    notes = (Note(note) for note in result.score_notes if note not in unsure)
+    several = *sensors_lines(result), *frames_lines(result.prepared.frames)
+    return answer.head, *unsure, Listed(answer.below), *several, *notes, *budget_blocks(result.budget)
+
+
+def camera_words(result: RunResult) -> str:
+    """Return the pixels of a run, its lens and its light, as the page has them below the answer."""
+    score, camera, physics = result.score, result.camera, result.score.physics
+    rows, columns = score.frame.pixels
+    width_mm, height_mm = extent(result.irradiance)[1:3]
+    filters = f", filters {result.colour['layout']}" if result.colour is not None else ""
+    lens = lens_words(camera) or f"lens of {camera.focal_length_mm:.4g} mm at f/{camera.f_number:.3g}"
+    light = LightLevel.of(result.irradiance, result.settings.display, [score.frame.integration_s])
+    limit = "the full well" if physics.full_well_e <= physics.adc_range_e else "the range of the ADC"
+    well, saturated = float(score.frame.mean_e.max()) / physics.saturation_e, score.frame.saturated_fraction
+    pixels = f"{columns} × {rows} pixels of {physics.pitch_um:g} µm ({label_of(physics.technology.name)}{filters})"
+    parts = [f"{pixels} on {width_mm:.4g} × {height_mm:.4g} mm", lens, *filter(None, (result.assumption,))]
+    brightest = f"the brightest pixel's mean at {100 * well:.0f} % of {limit}, {100 * saturated:.2g} % of the pixels saturated."
+    return f"{'; '.join(parts)}; {light}, {brightest}"
+
+
+def _sections(result: RunResult, folder: Path) -> tuple[Section, ...]:
+    """Return the sections of the page, with the pictures that are in a folder."""
+    score, settings, header = result.score, result.settings, result.irradiance.header
+    budget = budget_blocks(result.budget)
+    line = "; ".join(filter(None, score_parts(result)))
+    colour = colour_rows(result.colour, score.out_of_gamut)
+    left_mm, right_mm, bottom_mm, top_mm = extent(result.irradiance, score.border_um)
+    window = worst_window([score.delta_e])
+    x_mm, y_mm = left_mm + window.centre[0] * (right_mm - left_mm), top_mm + window.centre[1] * (bottom_mm - top_mm)
+    p99 = result.statistics[0]["p99_delta_e"]
+    end = scale_end(p99)
+    rows, columns = score.delta_e.shape
+    border = (
+        f"a border of at least one pixel, {score.border_um[1]:.3g} µm, is not scored, where whole pixels do not fill the die or "
+        "have no neighbour."
+    )
+    fixed = settings.display.raster == "fixed_size"
+    sheet = score.physics.technology.name == NO_TECHNOLOGY
+    rest = (
+        "Noise and non-uniformities that the data sheet does not state are zero."
+        if sheet
+        else "All other parameters come from the technology."
+    )
+    if "scene_hash" in header:
+        source = f"{header['scene']} (hash {header['scene_hash']}), {header['spp']} samples per pixel, {header['variant']}"
+    else:
+        source = f"read from {header.get('source', 'a file')}"
+    slider = Slider(
+        *("slider", "The whole picture and the ideal image"),
+        shown_picture(folder / "ideal.png", score.ideal, "ideal image"),
+        (shown_picture(folder / "image.png", score.image, f"{score.physics.pitch_um:g} µm pixels"),),
+    )
+    sizes = size_words(factor_for(score.ideal), settings.display.samples_per_deg)
+    return (
+        Section("budget", "Error budget", (line, *budget) if budget else ()),
+        Section(
+            *("pictures", "Pictures"),
+            (f"The display shows and scores {columns} × {rows} dots: {border if fixed else 'one for each pixel.'} {sizes}", slider),
+            together=True,
+        ),
+        Section(
+            *("detail", "The largest errors, 1:1"),
+            (
+                f"The detail with the largest mean ΔE. Its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from "
+                "the upper left.",
+                Pictures((crops(score, window, "the sensor's picture", end),), "the detail with the largest errors"),
+                Scale(scale(end)),
+            ),
+            together=True,
+        ),
+        Section(
+            *("map", "Map of the errors"),
+            (Map((folder / "delta_e.png").read_bytes(), map_words("", score.mean_delta_e, p99, end)),),
+            together=True,
+        ),
+        Section("numbers", "Numbers", (Table("numbers of this picture", (), _numbers(result)),)),
+        Section("colour", "Colour", (COLOUR, Table("numbers of the colours", (), colour)) if colour else ()),
+        Section("settings", "Settings", (*_settings(result, sheet), f"{rest} Seed {settings.seed}.")),
+        Section("files", "Files in this folder", (Listed(_files(result, folder)), f"Irradiance: {source}.")),
+    )
+
+
+def _numbers(result: RunResult) -> tuple[tuple[str, str], ...]:
+    """Return the meaning and the value of each statistic."""
+    statistics = {name: result.statistics[0][name] for name in MEANINGS}
+    if result.score.physics.technology.name == NO_TECHNOLOGY and statistics["fill_factor"] > FILLED:
+        del statistics["fill_factor"]  # the data sheet states none
+    rows = [(MEANINGS[key], rounded(value, 5)) for key, value in statistics.items()]
+    if result.rendered is not None:
+        rows.append(("noise of the render relative to the sensor's noise", f"{result.rendered.noise.fraction:.2g}"))
+    return tuple(rows)
+
+
+def _settings(result: RunResult, sheet: bool) -> list[Table]:
+    """Return the settings of a run, with their meaning and source.
+
+    sheet : whether they are those of a data sheet
+    """
+    settings, irradiance = result.settings, result.irradiance
     coloured = result.colour is not None
-    records: dict[str, Record] = {"camera": camera, "pixel": physics.pixel}
+    parameters = irradiance.header.get("parameters")  # may be anything in a file of another program
+    light = LightLevel.of(irradiance, settings.display, [result.score.frame.integration_s])
+    records: dict[str, Record] = {"camera": result.camera, "pixel": result.score.physics.pixel}
     records |= {"exposure": settings.exposure, "correction": settings.correction}
     records |= {"develop": settings.develop} if coloured else {}
     records["display"] = settings.display
-    unsure = unsure_lines(result)
-    page = {
-        "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
-        "line": "; ".join(filter(None, score_parts(result))),
-        "unsure": unsure,
-        "view": "; ".join(run_view_words(result)),
-        "sensors": sensors_lines(result),
-        "result": result,
-        "score": score,
-        "pitch_um": physics.pitch_um,
-        "label": label_of(physics.technology.name),
-        "die_mm": (width_mm, height_mm),
-        "camera": camera,
-        "lens": lens_words(camera),
-        "well": float(score.frame.mean_e.max()) / physics.saturation_e,
-        "limit": "the full well" if physics.full_well_e <= physics.adc_range_e else "the range of the ADC",
-        "ideal": shown_picture(folder / "ideal.png", score.ideal, "ideal image"),
-        "image": shown_picture(folder / "image.png", score.image, f"{physics.pitch_um:g} µm pixels"),
-        "reduced": factor_for(score.ideal),
-        "crops": crops(score, window, "the sensor's picture", end),
-        "place_mm": (left_mm + window.centre[0] * (right_mm - left_mm), top_mm + window.centre[1] * (bottom_mm - top_mm)),
-        "scale_bar": scale(end),
-        "map": (folder / "delta_e.png").read_bytes(),
-        "map_words": map_words("", score.mean_delta_e, statistics["p99_delta_e"], end),
-        "statistics": numbers,
-        "colour": colour_rows(result.colour, score.out_of_gamut),
-        "notes": [note for note in result.notes if note not in unsure],
-        "blur": blur_words(irradiance, camera, physics, settings.display),
-        "film": film_words(result.film) if result.film else "",
-        "budget": budget_lines(result.budget),
-        "light": light,
-        "settings": [
-            ("scene", scene_rows(irradiance, parameters if isinstance(parameters, dict) else {}, light)),
-            *((title, record_rows(title, record, sheet, coloured=coloured)) for title, record in records.items()),
-        ],
-        "sheet": sheet,
-        "header": header,
-        "files": {name: words for name, words in FILES.items() if (folder / name).exists() or name in AFTERWARDS} | others,
+    scene = scene_rows(irradiance, parameters if isinstance(parameters, dict) else {}, light)
+    of_records = ((title, record_rows(title, record, sheet, coloured=coloured)) for title, record in records.items())
+    return [settings_table(title, rows) for title, rows in (("scene", scene), *of_records)]
+
+
+def _files(result: RunResult, folder: Path) -> tuple[Text, ...]:
+    """Return the other files of a run with their descriptions."""
+    files = {name: words for name, words in FILES.items() if (folder / name).exists() or name in AFTERWARDS}
+    files |= {
+        path.name: "the frame of raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
     }
-    write_page(folder / "report.html", PAGE, page)
+    files |= {path.name: further_words(path, result.prepared.frames) for path in sorted(folder.glob(f"{raw_stem(2)}.*"))}
+    return tuple((Link(name, name), f": {words}") for name, words in files.items())
 
 
 def raw_stem(number: int) -> str:
@@ -192,20 +309,6 @@ def further_words(second: Path, frames: int) -> str:
     """Return what the page says of the files of further frames beside that of the second one, of one format."""
     last = "" if frames == 2 else f", and so on to {raw_stem(frames)}{second.suffix}"
     return f"frame 2 of the same sensor{last}: the same fixed pattern, temporal noise of its own"
-
-
-def run_lines(result: RunResult) -> list[str]:
-    """Return mean ΔE, how sure it is, how it was shown and rendered, and notes, as lines of text."""
-    *parts, shown = score_parts(result)
-    if result.rendered is not None:
-        noise = result.rendered.noise.fraction
-        amount = f"render noise {noise:.2g} of the sensor's noise" if noise else "no render noise"
-        shown = "; ".join(filter(None, (shown, amount)))
-    head, *rest = headline_lines([*parts, shown])
-    unsure = unsure_lines(result)
-    notes = [f"note: {note}" for note in result.score_notes if note not in unsure]
-    several = [*sensors_lines(result), *frames_lines(result.prepared.frames)]
-    return [head, *unsure, *rest, *several, *notes, *budget_lines(result.budget)]
 
 
 def frames_lines(frames: int) -> list[str]:
@@ -254,7 +357,7 @@ class RunFiles(NamedTuple):
     def names(self, frames: int) -> set[str]:
         """Return the names of all files of a run of so many frames."""
         raw = {f"{raw_stem(number)}{suffix}" for number in range(1, frames + 1) for suffix in self.formats}
-        return {"report.html", *FILES, *raw} - ({"irradiance.exr"} if self.irradiance == "none" else set())
+        return {PAGE, *FILES, *raw} - ({"irradiance.exr"} if self.irradiance == "none" else set())
 
 
 USUAL = RunFiles()
@@ -296,7 +399,7 @@ def write_run(
         check_replaceable(path, files.names(prepared.frames))
         with publishing(path, "run", {"seconds": seconds or {}}, [Path(prepared.source)]) as unfinished:
             write_all(result, unfinished, files, progress)
-        return path / "report.html"
+        return path / PAGE
 
 
 def write_all(result: RunResult, folder: Path, files: RunFiles = USUAL, progress: Progress | None = None) -> None:
@@ -321,9 +424,9 @@ def write_all(result: RunResult, folder: Path, files: RunFiles = USUAL, progress
         save_png(folder / "image.png", score.image)
         end = scale_end(result.statistics[0]["p99_delta_e"])
         save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(irradiance, score.border_um), end)
-        compile_page(PAGE)
+        compile_page()
         for each in written:
             each.result()
     (folder / SETTINGS_FILE).write_text(run_settings_text(result.prepared, irradiance), encoding="utf-8")
     write_json(folder / "score.json", result.as_dict())
-    write_run_page(result, folder)
+    write_text(folder / PAGE, html(run_document(result, folder)))

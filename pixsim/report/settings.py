@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.parameters import PixelOptions, Record
-from pixsim.show.pages import shown_value
+from pixsim.show.document import Table
+from pixsim.show.sentences import setting_value
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
@@ -62,5 +63,10 @@ def record_rows(
     for key, value in record.model_dump(exclude_none=True, exclude=set(left_out)).items():
         meaning = re.sub(r"\bNone: ", "left out: ", fields[key].description or "")
         source = (sources or {}).get(f"{name}.{key}", "default" if value == fields[key].default else "set")
-        rows.append((key, shown_value(value, key), meaning, source))
+        rows.append((key, setting_value(value, key), meaning, source))
     return rows
+
+
+def settings_table(name: str, rows: Iterable[Row]) -> Table:
+    """Return the table of a page with settings, their meaning and source."""
+    return Table(name, (), tuple(tuple(map(str, row)) for row in rows), name, words=None, stacks=True)

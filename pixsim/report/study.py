@@ -1,27 +1,61 @@
-"""The report of a study: figures with their data, summary.json, and one self-contained HTML file."""
+"""The document of a study: its optima, its figures with their data, its pictures, and its files."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pixsim.base.config import SETTINGS_FILE
-from pixsim.base.files import check_replaceable, output_folder, publishing, versions, write_json
+from pixsim.base.files import check_replaceable, output_folder, publishing, versions
 from pixsim.base.labels import file_label, labels_of
 from pixsim.base.parameters import Record, Study
 from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
-from pixsim.report.settings import FILLED, Row, record_rows, scene_rows
+from pixsim.report.pictures import size_words
+from pixsim.report.settings import FILLED, record_rows, scene_rows, settings_table
+from pixsim.report.uncertainty import uncertainty_blocks
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import blur_words, film_words, no_difference_words, outside_words, study_light_lines, study_view_line
+from pixsim.report.wording import (
+    blur_words,
+    budget_blocks,
+    film_words,
+    no_difference_words,
+    optimum_parts,
+    outside_words,
+    study_light_words,
+    study_view_words,
+    study_words,
+)
+from pixsim.show.document import (
+    Answer,
+    Beside,
+    Block,
+    Document,
+    Link,
+    Note,
+    Pictures,
+    Plot,
+    Scale,
+    Section,
+    Slider,
+    Strong,
+    Table,
+    Text,
+    Tiles,
+    Verdict,
+    headline,
+    pairs,
+)
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Drawn, Figures, Plate, table_csv, write_figures, write_page
+from pixsim.show.pages import FIGURE_SUFFIXES, Column, Drawn, Figures, Plate, table_csv
 from pixsim.show.pictures import scale
+from pixsim.show.render import lines, write_files
+from pixsim.show.sentences import UNKNOWN, sentence
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm
@@ -157,11 +191,11 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
 
 # In the paper, of curves that any study has.
 FIGURE_NUMBERS = {"delta_e_against_pitch": 7, "delta_e_against_pitch_all": 8, "optimum_against_technology": 9}
-# Headings of the page, and the kinds of sections under them.
+# Sections of the page, and the kinds of groups in them.
 HEADINGS = {"curves": ("curves", "more"), "maps": ("pictures",), "paper": ("paper's scene", "paper's maps")}
 
 
-class Section(NamedTuple):
+class Group(NamedTuple):
     """Figures drawn together: curves, pictures (of one technology), more, or those of the paper (its scene, its maps)."""
 
     number: int
@@ -173,9 +207,9 @@ class Section(NamedTuple):
 
 
 def draw_section(
-    section: Section, result: StudyResult, figures: Figures = "svg"
-) -> tuple[Section, list[Drawn], Views | None, list[Finding]]:
-    """Return a section, its figures, its pictures, and its statements of the paper."""
+    section: Group, result: StudyResult, figures: Figures = "svg"
+) -> tuple[Group, list[Drawn], Views | None, list[Finding]]:
+    """Return a group, its figures, its pictures, and its statements of the paper."""
     by_name = {curve.technology: curve for curve in result.curves}
     first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
     rows: list[Finding] = []
@@ -245,15 +279,17 @@ def write_study(
     with output_folder(folder) as path:
         check_replaceable(path, report_files(result.study))
         with publishing(path, "study", {"seconds": times_s}) as unfinished:
-            if result.settings_toml:
-                (unfinished / SETTINGS_FILE).write_text(result.settings_toml, encoding="utf-8")
-            parts = parts_table(result)
-            if parts:
-                (unfinished / PARTS_FILE).write_text(table_csv(parts), encoding="utf-8")
-            write_pages(result, unfinished, times_s, workers or Workers(), parts_rows(parts), figures)
+            document = study_page(result, times_s, workers or Workers(), parts_table(result), figures)
+            write_files(with_settings(document, result), unfinished, figures)
             if more:
                 more(unfinished)
-        return path / "report.html"
+        return path / document.page
+
+
+def with_settings(document: Document, result: StudyResult) -> Document:
+    """Return the document of a study with settings.toml, from which `pixsim study` makes it again."""
+    files = {SETTINGS_FILE: result.settings_toml} if result.settings_toml else {}
+    return replace(document, files={**files, **document.files})
 
 
 def report_files(study: Study) -> set[str]:
@@ -267,83 +303,302 @@ def report_files(study: Study) -> set[str]:
     return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *(f"figures/{name}" for name in figures)}
 
 
-def parts_rows(table: dict[str, Column]) -> list[tuple[float | str, ...]]:
-    """Return the rows of a table of columns."""
-    return list(zip(*table.values(), strict=True))
+def study_document(result: StudyResult, warned: Collection[str] = ()) -> Document:
+    """Return the answer of `pixsim study` without axes and conditions, without its page.
+
+    warned : notes that a reader of the terminal has seen
+    """
+    answers = [headline(optimum_parts(curve)) for curve in result.curves]
+    film = [film_words(result.film.as_dict())] if result.film else []
+    return document_of(result, result.as_dict(), [*answers, *study_words(result), *film], warned)
 
 
-def write_pages(
-    result: StudyResult,
-    folder: Path,
-    seconds: dict[str, float],
-    workers: Workers,
-    error_parts: Sequence[tuple[float | str, ...]] = (),
-    figures: Figures = "svg",
-) -> None:
-    """Write report.html, summary.json and figures of a study without axes, or of one of the cases of another, to a new folder.
+def document_of(result: StudyResult, data: dict[str, Any], found: Sequence[Block], warned: Collection[str]) -> Document:
+    """Return the document of a study without its page.
 
-    error_parts : of `parts_table`, a row for each curve
-    figures : "pdf" writes a PDF beside each SVG
+    found : its answers, for the terminal
+    warned : notes that a reader of the terminal has seen
+    """
+    blocks = [*found, *uncertainty_blocks(result.uncertainty)]
+    known = {*warned, *(line for block in blocks for line in lines(block))}
+    notes = (Note(note) for note in result.notes if note not in known)
+    return Document(
+        command="study",
+        kind="study of pixel sizes",
+        title=result.study.title or result.study.name,
+        data=data | ({"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}),
+        terminal=(*blocks, *notes, *budget_blocks(data.get("error_budget"))),
+    )
+
+
+EACH_SIZE = (
+    "Each pixel size is simulated on the same die with the same rendered scene ({}). Small pixels suffer from noise, large ones "
+    "from blur. The error, ΔE, is the visible difference between the sensor's picture and that of an ideal camera: the CIELAB "
+    "colour difference after the blur of the eye (S-CIELAB). A ΔE of 1 is about the smallest difference noticeable under ideal "
+    "conditions."
+)
+INTERVAL = (
+    "The 95 % interval is that of the pixel size with the smallest expected ΔE. It includes the noise and fixed pattern of the "
+    "sensors, the registration of pixels with the detail, and the uncertainty of the curve between the sizes tried. It does not "
+    "include the error of the render and its film, or the choice of lens, process and display."
+)
+NO_COUNTERPART = (
+    "Figure 1 of the paper, a pixel's circuit and layout, has no counterpart here. Those of Figures 7 to 9 that this study has are "
+    'above, under "Curves".'
+)
+PARTS = (
+    "At the size of the least error tried, for the first sensor and its first frame. Each part is what leaving it out takes off, in this order: "
+    "noise; the mosaic, when every pixel knows all channels; crosstalk, when no light reaches neighbours through other filters; "
+    "colour error, when the channels are those of the observer; the rest is blur. The noise of the matrix that takes crosstalk "
+    "apart is in noise. A part may be below 0 where one fault hides another. Dots that are larger than pixels average their noise."
+)
+PAPER = (
+    'Chen, Catrysse, El Gamal and Wandell, "How small should pixel size be?", Proc. SPIE 3965 (2000). Its parameter table, lens, '
+    "response curve, fixed pattern, ADC, display and the values in its Figures 5 to 9 are not available: they are assumed here."
+)
+
+
+def study_page(
+    result: StudyResult, seconds: dict[str, float], workers: Workers, parts: dict[str, Column], figures: Figures = "svg"
+) -> Document:
+    """Return the document of a study without axes, or of one of the cases of another, with its page.
+
+    parts : of `parts_table`
+    figures : "pdf" draws a PDF beside each SVG
     """
     study = result.study
     kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
-    kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
-    longest_first = reversed([Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
+    kinds += [("paper's scene", ""), ("paper's maps", "")] if study.paper else []
+    longest_first = reversed([Group(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
 
     def shared() -> StudyResult:  # one function for all calls, so that workers share the result
         return result
 
-    sections = sorted(results_of(partial(draw_section, figures=figures), [(section, shared) for section in longest_first], workers))
-    rows = [row for *_, own in sections for row in own]
-    views = [view for _, _, view, _ in sections if view]
-    shown = {
-        heading: write_figures(folder, [plate for section, drawn, _, _ in sections if section.kind in kinds for plate in drawn])
+    groups = sorted(results_of(partial(draw_section, figures=figures), [(group, shared) for group in longest_first], workers))
+    rows = [row for *_, own in groups for row in own]
+    views = [view for _, _, view, _ in groups if view]
+    plots = {
+        heading: [plot_of(plate) for group, drawn, _, _ in groups if group.kind in kinds for plate in drawn]
         for heading, kinds in HEADINGS.items()
     }
-    for view in views:
-        (folder / "figures" / f"contact_sheet_{view.file_label}.png").write_bytes(view.sheet)
-    write_json(folder / "summary.json", result.as_dict() | ({"paper": [asdict(row) for row in rows]} if rows else {}))
+    return replace(
+        study_document(result),
+        data=result.as_dict() | ({"paper": [asdict(row) for row in rows]} if rows else {}),
+        answers=[curve_answer(curve, light_of(result, [curve])) for curve in result.curves],
+        lead=_lead(result),
+        sections=(
+            Section("see", "Pictures", _pictures(result, views)),
+            Section("curves", "Curves", plots["curves"]),
+            parts_section(parts),
+            Section("limits", "What limits these pixels", _limits(result)),
+            Section("maps", "Whole pictures and maps", _maps(result, plots["maps"])),
+            Section("paper", "Statements of the paper and results of pixsim", _paper(result, rows)),
+            Section("figures", "The paper's other figures", [NO_COUNTERPART, *plots["paper"]] if plots["paper"] else ()),
+            Section("budget", "Error budget", _budget(result.budget)),
+            Section("numbers", "Numbers", [Section("", curve.label, [numbers_table(curve)]) for curve in result.curves]),
+            Section("assumed", "Assumptions", _assumptions(result)),
+            Section("made", "Reproducibility", [_rendered(result), made_tables(seconds)]),
+        ),
+        files={**{f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views}, **parts_files(parts)},
+    )
 
-    def light_of(curves: Sequence[Curve]) -> LightLevel:
-        return LightLevel.of(result.irradiance, study.display, np.concatenate([curve.mean("integration_s") for curve in curves]))
 
-    def blur_of(curve: Curve) -> str:
+def plot_of(made: Plate | Drawn) -> Plot:
+    """Return a figure that is made already."""
+    return Plot(lambda: made)
+
+
+def light_of(result: StudyResult, curves: Sequence[Curve]) -> LightLevel:
+    """Return display white and the exposures of some curves."""
+    times_s = np.concatenate([curve.mean("integration_s") for curve in curves])
+    return LightLevel.of(result.irradiance, result.study.display, times_s)
+
+
+def curve_answer(curve: Curve, light: LightLevel) -> Answer:
+    """Return the best pixel size of a curve, or why there is none, as the page has it."""
+    data, best, interval = curve.as_dict(), curve.optimum, interval_words(curve)
+    lit = f"Light: {light}{', by pixel size' if ' to ' in light.exposure else ''}."
+    filled = f"Fill factor {100 * data['optimum_fill_factor']:.0f} %. " if is_partly_filled(curve) else ""
+    mean, within = curve.light.shown(best.mean_delta_e), within_words(best.within_1_percent_um, curve)
+    head: Text
+    if curve.alike_um:
+        head = f"{curve.label}: {alike_words(curve)}."
+        more = f"The least mean ΔE is {curve.light.shown(min(data['mean_delta_e']))}."
+    elif curve.no_difference_um:
+        head = f"{curve.label}: ", Strong(no_difference_words(curve)), "."
+        end = "" if best.inside else ", the end of the range"
+        more = f"Mean ΔE is least, {mean}, at {best.pitch_um:.2f} µm (95 % interval: {interval}){end}; within 1 % of it: {within}. "
+        more = sentence("; ".join(outside)) if (outside := outside_words(curve)) else more + filled.rstrip()
+    elif best.inside:
+        head = f"Best pixel size, {curve.label}: ", Strong(f"{best.pitch_um:.2f} µm"), ", 95 % interval ", Strong(interval), "."
+        low, high = best.mean_delta_e_interval
+        of_mean = f" ({low:.3f} to {high:.3f})" if curve.light.converged else ""
+        more = f"Sizes within 1 % of its error: {within}. Mean ΔE there: {mean}{of_mean}; "
+        more += f"within 2 % of it: {within_words(best.within_2_percent_um, curve)}. {filled.rstrip()}"
+    else:
+        head = (
+            f"No best pixel size, {curve.label}, between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm: the error is "
+            f"smallest at the end of the range, {best.pitch_um:.2f} µm."
+        )
+        more = f"95 % interval: {interval}. Widen the range. Mean ΔE there: {mean}; within 1 % of it: {within}."
+    viewed = (sentence(words) for inside in (True, False) if (words := viewed_words(curve, inside)))
+    return Answer(head, (f"{more.rstrip()} {lit}", *viewed))
+
+
+def is_partly_filled(curve: Curve) -> bool:
+    """Return whether the photodiode leaves out a part of a pixel."""
+    return bool(min(curve.as_dict()["fill_factor"]) <= FILLED)
+
+
+def _lead(result: StudyResult) -> Iterator[Block]:
+    """Yield what the page says before its sections."""
+    yield from map(sentence, study_unconverged_lines(result))
+    if result.film:
+        yield f"Light: {film_words(result.film.as_dict())}."
+    yield from (f"Light and lens: {words}." for words in study_light_words(result))
+    yield from (f"Picture: {words}." for words in study_view_words(result))
+    yield EACH_SIZE.format(result.irradiance.header["scene"])
+    border = f" A border of {result.study.border_um:.3g} µm, one and a half of the largest pixels of the study, is not scored."
+    yield INTERVAL + border * (result.study.display.raster == "fixed_size")
+
+
+def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
+    """Yield the pictures of each technology."""
+    study = result.study
+    best = ", ".join(f"{curve.optimum.pitch_um:.2f} µm for {curve.label}" for curve in result.curves if curve.optimum.inside)
+    detail = "A detail where both the smallest and the largest pixels have large errors"
+    for number, view in enumerate(views, 1):
+        if number == 1:
+            yield (
+                "Pictures of the first sensor of each pixel size, as the study's display shows them, with the mean ΔE of the whole "
+                f"picture over all sensors. {size_words(1, study.display.samples_per_deg)} "
+                '"Least error tried" is the size with the smallest mean ΔE of these. The best size is the minimum of the fitted '
+                f"curve, which may lie between them{': ' if best else ''}{best}."
+            )
+        across, down = (f"{100 * share:.0f} %" for share in view.place)
+        chosen = "The detail chosen in the study" if study.detail else detail
+        place = f"{chosen}. Its centre is at {across} of the picture's width and {down} of its height, from the upper left."
+        of, label = f"detail in {view.label}", view.label
+        yield Section("", f"{label}: the same detail for every pixel size", [place, Tiles(view.tiles, of)])
+        errors = Pictures(view.crops, of), Scale(scale(map_end(result)))
+        yield Section("", f"{label}: errors in that detail", errors, together=True)
+        heading = "Pixel size to compare with the ideal image:"
+        slider = Slider(f"slider-{number}", heading, view.ideal, view.outputs)
+        smaller = size_words(view.factor, study.display.samples_per_deg) if view.factor > 1 else ""
+        yield Section("", f"{label}: whole pictures and the ideal image", [smaller, slider], together=True)
+
+
+def parts_section(parts: dict[str, Column]) -> Section:
+    """Return the section on what the errors of colour sensors are made of; empty for others.
+
+    parts : of `parts_table`, a row for each pixel
+    """
+    head = ["pixel", "size (µm)", "mean ΔE", "noise", "mosaic", "crosstalk", "colour error", "blur", "dots per pixel"]
+    rows = [(str(name), *(f"{value:.3f}" for value in values)) for name, *values in zip(*parts.values(), strict=True)]
+    same = (Link("The same with all digits (CSV)", PARTS_FILE),)
+    blocks = PARTS, Table("parts of the errors", head, rows), same
+    return Section("parts", "What the errors are made of", blocks if parts else ())
+
+
+def parts_files(parts: dict[str, Column]) -> dict[str, str]:
+    """Return the file of the parts of the errors, if there are any."""
+    return {PARTS_FILE: table_csv(parts)} if parts else {}
+
+
+def _limits(result: StudyResult) -> Iterator[Block]:
+    """Yield notes, and the contrast that each blur leaves at the optimum."""
+    yield from map(Note, result.notes)
+    for curve in result.curves:
         physics = result.physics(curve.technology, curve.optimum.pitch_um)
-        return blur_words(result.irradiance, result.camera, physics, study.display)
+        blur = blur_words(result.irradiance, result.camera, physics, result.study.display)
+        yield f"Blur of {curve.optimum.pitch_um:.2f} µm pixels, {curve.label}. {blur}"
 
-    page = {
-        "study": study,
-        "interval": interval_words,
-        "no_difference": no_difference_words,
-        "outside": outside_words,
-        "shown": study_view_line(result),
-        "within": within_words,
-        "viewed": lambda curve: [words for inside in (True, False) if (words := viewed_words(curve, inside))],
-        "alike": alike_words,
-        "film": film_words(result.film.as_dict()) if result.film else "",
-        "unconverged": study_unconverged_lines(result),
-        "lens": study_light_lines(result),
-        "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
-        "blurs": [(curve, blur_of(curve)) for curve in result.curves],
-        "plates": shown,
-        "views": views,
-        "scale_bar": scale(map_end(result)),
-        "findings": rows,
-        "notes": result.notes,
-        "response_note": response_note(study) if study.paper else "",
-        "budget": result.budget,
-        "error_parts": error_parts,
-        "header": result.irradiance.header,
-        "settings": settings(result, light_of(result.curves)),
-        "filled": FILLED,
-        "sheets": any(curve.data_sheet for curve in result.curves),
-        "technologies": [technology_rows(result, curve.technology) for curve in result.curves if not curve.data_sheet],
-        "provenance": {"versions": versions(), "seconds": seconds},
+
+def _maps(result: StudyResult, plots: Sequence[Plot]) -> list[Block]:
+    """Return whole pictures and maps, if there are any."""
+    words = f"All maps of this report have the same {scale(map_end(result)).name}; larger errors have its last colour."
+    return [words, *plots] if plots else []
+
+
+def _paper(result: StudyResult, rows: Sequence[Finding]) -> list[Block]:
+    """Return the statements of the paper, if they are compared."""
+    head = "statement of the paper", "paper", "pixsim", "agrees", "remark"
+    statements = [(row.statement, row.given, row.found, agrees(row.agrees), row.why) for row in rows]
+    table = Table("statements of the paper", head, statements, words=None, stacks=True)
+    more = "`pixsim study chen2000-sensitivity` lists the settings that change each verdict."
+    return [PAPER, response_note(result.study), table, more] if rows else []
+
+
+def agrees(whether: bool) -> tuple[Verdict]:
+    """Return whether a result agrees with a statement, for a cell of a table."""
+    return (Verdict("yes" if whether else "does not agree", whether),)
+
+
+def _budget(budget: dict[str, Any] | None) -> list[Block]:
+    """Return an error budget, if there is one."""
+    if budget is None:
+        return []
+
+    def row(name: str, effect: Mapping[str, float | None]) -> tuple[str, ...]:
+        sizes = effect["delta_e"], effect["optimum_um"]
+        return name, *(UNKNOWN if size is None else f"{size:.1e}" for size in sizes)
+
+    settings = ", ".join(f"{name} {value:g}" for name, value in budget["settings"].items())
+    words = (
+        f"Requested tolerance of mean ΔE: {budget['tolerance_delta_e']:g}. ",
+        Verdict("Met" if budget["met"] else "Not met", budget["met"]),
+        f", with {settings}; settings chosen by a short calibration.",
+    )
+    total = row("total without the display's raster and interpolation", budget["total"])
+    rows = [*(row(name, effect) for name, effect in budget["sources"].items()), total]
+    return [words, Table("error budget", ("source", "mean ΔE", "optimal pitch (µm)"), rows)]
+
+
+def numbers_table(curve: Curve) -> Table:
+    """Return mean ΔE of each pixel size."""
+    data, partly = curve.as_dict(), is_partly_filled(curve)
+    columns = {
+        "pixel size (µm)": [f"{value:.3f}" for value in data["pitch_um"]],
+        **({"fill factor (%)": [f"{100 * value:.1f}" for value in data["fill_factor"]]} if partly else {}),
+        "sensors": [str(value) for value in data["sensors"]],
+        "mean ΔE": [f"{value:.4f}" for value in data["mean_delta_e"]],
+        "± 95 %": [f"{value:.4f}" for value in data["ci95_delta_e"]],
     }
-    write_page(folder / "report.html", "report.html.j2", page)
+    return Table(f"numbers of {curve.label}", columns, zip(*columns.values(), strict=True))
 
 
-def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row]]]:
+def _assumptions(result: StudyResult) -> Iterator[Block]:
+    """Yield the settings with their meaning and source, and all numbers of the technologies."""
+    yield from settings(result, light_of(result, result.curves))
+    processes = [curve.technology for curve in result.curves if not curve.data_sheet]
+    if processes:
+        yield "All other parameters come from the technology, below."
+    if len(processes) < len(result.curves):
+        yield "Noise and non-uniformities that the data sheet does not state are zero."
+    for technology in processes:
+        name, rows = technology_rows(result, technology)
+        title = (
+            f"Technology {name}: every number, its plausible range and its source (A primary, B secondary, C derived, D assumed)"
+        )
+        head = ("number", "value", "plausible range", "source")
+        yield Section("", title, [Table(f"technology {name}", head, rows, words=None)], folded=True)
+
+
+def _rendered(result: StudyResult) -> str:
+    """Return what the light of a study was made from."""
+    header = result.irradiance.header
+    return (
+        f"Irradiance: {header['scene']} (hash {header['scene_hash']}), {header['spp']} samples per pixel, seed {header['seed']}, "
+        f"{header['variant']}; {'; '.join(header['plan'])}. Study seed {result.study.seed}."
+    )
+
+
+def made_tables(seconds: dict[str, float]) -> Beside:
+    """Return the versions and the wall times."""
+    return Beside((pairs("versions", versions()), pairs("seconds", seconds, ".2f")))
+
+
+def settings(result: StudyResult, light: LightLevel) -> list[Table]:
     """Return the tables of parameters with their meaning and source; unset ones come from the technology."""
     study = result.study
     records: dict[str, Record] = {
@@ -364,13 +619,16 @@ def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row
     for curve in result.curves:
         if sensor := study.sensors.get(curve.technology):
             tables.append((f"pixel of {curve.label}", record_rows("pixel", sensor, curve.data_sheet, {})))
-    return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
+    scene = scene_rows(result.irradiance, study.scene.parameters, light, study.sources)
+    return [settings_table(name, rows) for name, rows in (("scene", scene), *tables)]
 
 
-def technology_rows(result: StudyResult, technology: str) -> tuple[str, list[tuple[str, float | str, str, str]]]:
+def technology_rows(result: StudyResult, technology: str) -> tuple[str, list[tuple[str, ...]]]:
     """Return a process's name, and the name, value, plausible range and source of each of its numbers."""
     process = result.processes[technology]
     values = process.content | process.numbers
     kinds = {name: f" ({distribution}, 90 %)" for name, distribution in process.distributions.items() if distribution != "uniform"}
     ranges = {name: f"{low:g} to {high:g}{kinds.get(name, '')}" for name, (low, high) in process.ranges.items()}
-    return process.name, [(name, values.get(name, ""), ranges.get(name, ""), source) for name, source in process.sources.items()]
+    return process.name, [
+        (name, str(values.get(name, "")), ranges.get(name, ""), source) for name, source in process.sources.items()
+    ]

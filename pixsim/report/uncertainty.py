@@ -1,66 +1,101 @@
-"""Files and page of what is not known: the distribution of each optimum over sensor types, and which inputs matter."""
+"""The document of what is not known: the distribution of each optimum over sensor types, and which inputs matter."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from typing import Any
 
-from pixsim.base.files import write_json
-from pixsim.base.headline import headline_lines
-from pixsim.show.pages import FIGURE_SUFFIXES, Drawn, Figures, write_figures, write_page
+from pixsim.show.document import Block, Document, Link, Listed, Plot, Section, Table, headline
+from pixsim.show.pages import FIGURE_SUFFIXES, Plate
 from pixsim.studies.result import StudyResult
 from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distribution_plate, indices_plate
 
-PAGE = "uncertainty.html"
+PAGE, DATA = "uncertainty.html", "uncertainty.json"
 MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
+OUTPUTS = {"optimum_um": "Optimal pixel size", "mean_delta_e": "Least mean ΔE"}
+DRAWN = (
+    "Numbers of the sensor that are known only within a range are drawn at random from it, all at once. Each draw is a sensor "
+    "type; the study finds its optimum. All types have the same random numbers, so that they differ by their inputs only. "
+)
 
 
 def uncertainty_files() -> set[str]:
-    """Return the names of all files that `write_uncertainty` may write."""
+    """Return the names of all files of `uncertainty_document`."""
     kinds = [f"uncertainty_{kind}_{number}" for number in range(1, MOST_RESULTS + 1) for kind in ("distribution", "indices")]
     figures = {f"figures/{kind}.{suffix}" for kind in kinds for suffix in FIGURE_SUFFIXES}
-    return {PAGE, "uncertainty.json", *figures, *(f"sensor_types_{number}.csv" for number in range(1, MOST_RESULTS + 1))}
+    return {PAGE, DATA, *figures, *(f"sensor_types_{number}.csv" for number in range(1, MOST_RESULTS + 1))}
 
 
-def write_uncertainty(folder: Path, result: StudyResult, figures: Figures = "svg") -> None:
-    """Write uncertainty.html, uncertainty.json, a table of the sensor types and the figures of each optimum to a new folder.
-
-    figures : "pdf" writes a PDF beside each SVG
-    """
-    sections: list[tuple[UncertaintyResult, Sequence[Drawn], list[tuple[str, str]]]] = []
-    summary: list[dict[str, Any]] = []
-    study, total = result.study, result.uncertainty[0].total
-    for number, each in enumerate(result.uncertainty[:MOST_RESULTS], 1):
-        plates = [distribution_plate(each)] if total else [distribution_plate(each), indices_plate(each)]
-        drawn = write_figures(folder, [replace(plate, name=f"{plate.name}_{number}").drawn(figures) for plate in plates])
-        each.to_csv(folder / f"sensor_types_{number}.csv")
-        content = each.as_dict()
-        if total:
-            del content["first_order"]
-            content["indices"] = each.total_indices
-        summary.append(content)
-        sections.append((each, drawn, verdict_rows(each)))
-    write_json(folder / "uncertainty.json", {"study": study.name, "results": summary})
-    page = {"study": study, "sections": sections, "summary": summary, "total": total}
-    write_page(folder / PAGE, "uncertainty.html.j2", page)
+def uncertainty_document(result: StudyResult) -> Document:
+    """Return what the study of sensor types finds, with a table of the types and the figures of each optimum."""
+    study, found = result.study, list(enumerate(result.uncertainty[:MOST_RESULTS], 1))
+    return Document(
+        command="study",
+        kind="study with unknown inputs",
+        title=f"What is not known: {study.title or study.name}",
+        data={"study": study.name, "results": [_data(each) for _, each in found]},
+        terminal=uncertainty_blocks(result.uncertainty),
+        lead=((DRAWN, Link("The study itself", "report.html"), "."),),
+        sections=tuple(Section(f"pixel-{number}", each.label or "Optimum", tuple(_blocks(each, number))) for number, each in found),
+        files={f"sensor_types_{number}.csv": each.to_csv() for number, each in found},
+        data_file=DATA,
+        page=PAGE,
+    )
 
 
-def verdict_rows(found: UncertaintyResult) -> list[tuple[str, str]]:
-    """Return each statement with the probability that it holds and its 95 % interval, as text."""
-    return [(name, f"{each.probability:.2f} ({each.low:.2f} to {each.high:.2f})") for name, each in found.verdicts.items()]
+def _data(found: UncertaintyResult) -> dict[str, Any]:
+    """Return the result of one optimum, with total indices in place of those of the first order."""
+    content = found.as_dict()
+    if found.total:
+        del content["first_order"]
+        content["indices"] = found.total_indices
+    return content
 
 
-def uncertainty_lines(found: Sequence[UncertaintyResult]) -> list[str]:
-    """Return the distributions and the probabilities of all verdicts as lines of text."""
-    lines = []
+def _blocks(found: UncertaintyResult, number: int) -> list[Block]:
+    """Return the figures, tables and statements of one optimum."""
+
+    def numbered(make: Callable[[UncertaintyResult], Plate]) -> Plate:
+        plate = make(found)
+        return replace(plate, name=f"{plate.name}_{number}")
+
+    makers = [distribution_plate] if found.total else [distribution_plate, indices_plate]
+    blocks: list[Block] = [Plot(partial(numbered, make)) for make in makers]
+    if verdicts := verdict_rows(found):
+        blocks.append(Table("probabilities", ("statement", "probability that it holds (95 % interval)"), verdicts, words=None))
+    if found.total:
+        blocks += [indices_table(OUTPUTS[output], indices) for output, indices in found.total_indices.items()]
+    blocks.append(Listed(f"{line}." for line in found.statements))
+    return [*blocks, (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)]
+
+
+def indices_table(output: str, indices: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Return the shares of an output's variance that inputs have alone and with all interactions."""
+
+    def share(index: Mapping[str, float]) -> str:
+        return f"{index['share']:.2f} ({index['low']:.2f} to {index['high']:.2f})"
+
+    caption = f"{output}: shares of its variance, with 95 % intervals"
+    rows = [(name, share(index["first"]), share(index["total"])) for name, index in indices.items()]
+    return Table(caption, ("input", "alone", "with all interactions"), rows, caption, words=None)
+
+
+def verdict_rows(found: UncertaintyResult) -> tuple[tuple[str, str], ...]:
+    """Return each statement with the probability that it holds and its 95 % interval."""
+    return tuple((name, f"{each.probability:.2f} ({each.low:.2f} to {each.high:.2f})") for name, each in found.verdicts.items())
+
+
+def uncertainty_blocks(found: Sequence[UncertaintyResult]) -> tuple[Block, ...]:
+    """Return the distributions and the probabilities of all verdicts."""
+    blocks: list[Block] = []
     for each in found:
         ends = [each.optimum.quantiles[name] for name in ("p05", "p50", "p95")]
         low, middle, high = ("beyond the sizes tried" if end is None else f"{end:.2f} µm" for end in ends)
         name = f"{each.label}: " if each.label else ""
         types = f"{len(each.outcomes)} sensor types"
         own = f"each is known to ±{NORMAL_95 * each.optimum.own_sd:.2g} µm by its own 95 % interval" if each.optimum.own_sd else ""
-        lines += headline_lines([f"{name}optimum of {types}: median {middle}, nine tenths from {low} to {high}", own])
-        lines += [f"{name}probability that {statement}: {words}" for statement, words in verdict_rows(each)]
-    return lines
+        blocks.append(headline([f"{name}optimum of {types}: median {middle}, nine tenths from {low} to {high}", own]))
+        blocks += [f"{name}probability that {statement}: {words}" for statement, words in verdict_rows(each)]
+    return tuple(blocks)

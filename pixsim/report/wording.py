@@ -1,4 +1,4 @@
-"""Results as lines of text for the terminal."""
+"""Sentences about results, for documents."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED, headline_lines
+from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, Display
+from pixsim.show.document import Answer, Listed, Text, headline
+from pixsim.show.sentences import interval
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.merit import LENSES, detail_frequency_lp_per_mm, mtf_terms, of_sensor
@@ -24,6 +26,10 @@ if TYPE_CHECKING:
     from pixsim.sensor.pixel import PixelPhysics
 
 SATURATED_SHOWN = 0.01
+DELTA_E = (
+    "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the CIELAB colour difference after the "
+    "blur of the eye (S-CIELAB). A ΔE of 1 is about the smallest difference noticeable under ideal conditions."
+)
 
 
 def optimum_parts(curve: Any) -> list[str]:
@@ -72,24 +78,14 @@ def map_words(start: str, mean: float, p99: float, end: float) -> str:
     )
 
 
-def interval_text(ends_um: tuple[float | None, float | None]) -> str:
-    """Return an interval of pixel sizes as text, naming an open end."""
-    low, high = ends_um
-    if low is None and high is None:
-        return "no limit among the sizes tried"
-    if low is None:
-        return f"below {high:.2f} µm"
-    return f"above {low:.2f} µm" if high is None else f"{low:.2f} to {high:.2f} µm"
-
-
-def compromise_lines(found: Any) -> list[str]:
+def compromise_answer(found: Any) -> Answer:
     """Return the pixel sizes that suit all conditions, with their intervals; none where the conditions share too few sizes."""
     if found.best is None or found.regret is None:
-        return [f"{found.label}: the conditions share too few pixel sizes for one that suits all"]
+        return Answer(f"{found.label}: the conditions share too few pixel sizes for one that suits all")
     best, regret = found.best, found.regret
-    weighted = f"least weighted mean ΔE {best.mean_delta_e:.3f} at {best.pitch_um:.2f} µm (95 %: {interval_text(best.interval_um)})"
+    weighted = f"least weighted mean ΔE {best.mean_delta_e:.3f} at {best.pitch_um:.2f} µm (95 %: {interval(best.interval_um)})"
     worst = f"least worst regret {regret.delta_e:.3f} ΔE, in {regret.condition}, at {regret.pitch_um:.2f} µm"
-    return headline_lines([f"{found.label}: {weighted}", f"{worst} (95 %: {interval_text(regret.interval_um)})"])
+    return headline([f"{found.label}: {weighted}", f"{worst} (95 %: {interval(regret.interval_um)})"])
 
 
 def no_difference_words(curve: Any) -> str:
@@ -202,7 +198,7 @@ def view_words(
     return words
 
 
-def study_view_line(result: Any) -> list[str]:
+def study_view_words(result: Any) -> list[str]:
     """Return a line on how a study of a data sheet's sensor or of a window is shown; none for other studies."""
     study = result.study
     if study.own_um is None and study.window_mm is None:
@@ -215,7 +211,7 @@ def study_view_line(result: Any) -> list[str]:
     return [f"{words}{own}"] if words else []
 
 
-def study_light_lines(result: Any) -> list[str]:
+def study_light_words(result: Any) -> list[str]:
     """Return a line on the lens of a study, its field, what is display white, and the exposure; in cases, as far as all have it."""
     parts = result.cases
     lenses, whites = [], []
@@ -233,15 +229,15 @@ def study_light_lines(result: Any) -> list[str]:
     return ["; ".join([*(lenses[:1] if len(set(lenses)) == 1 else []), shown])]
 
 
-def study_lines(result: Any) -> list[str]:
+def study_words(result: Any) -> list[str]:
     """Return what follows the optima of a study: causes, errors of its light, what it depends on, how its sensors are shown."""
-    return [*result.cause_notes, *study_unconverged_lines(result), *study_light_lines(result), *study_view_line(result)]
+    return [*result.cause_notes, *study_unconverged_lines(result), *study_light_words(result), *study_view_words(result)]
 
 
-def budget_lines(budget: dict[str, Any] | None) -> list[str]:
-    """Return the lines of an error budget, the largest source first; none without a tolerance."""
+def budget_blocks(budget: dict[str, Any] | None) -> tuple[Text | Listed, ...]:
+    """Return an error budget, the largest source first; nothing without a tolerance."""
     if budget is None:
-        return []
+        return ()
 
     def text(effect: dict[str, float | None]) -> str:
         size = "unknown" if effect["delta_e"] is None else f"{effect['delta_e']:.1e}"
@@ -250,15 +246,12 @@ def budget_lines(budget: dict[str, Any] | None) -> list[str]:
     chosen = ", ".join(f"{name} {value:g}" for name, value in budget["settings"].items())
     sizes = {name: math.inf if effect["delta_e"] is None else effect["delta_e"] for name, effect in budget["sources"].items()}
     largest_first = sorted(budget["sources"].items(), key=lambda source: -sizes[source[0]])
-    lines = [f"  {name:21} {text(effect)}" for name, effect in largest_first]
+    items = [f"{name:21} {text(effect)}" for name, effect in largest_first]
     if not budget["bounded"]:
-        lines.append("  spectral quadrature: the requested tolerance, not a bound, since the plan does not know all surfaces")
+        items.append("spectral quadrature: the requested tolerance, not a bound, since the plan does not know all surfaces")
+    items.append(f"{'total without display':21} {text(budget['total'])}")
     verdict = "met" if budget["met"] else "NOT met"
-    return [
-        f"error budget for {budget['tolerance_delta_e']:g} ΔE ({verdict}), with {chosen}:",
-        *lines,
-        f"  {'total without display':21} {text(budget['total'])}",
-    ]
+    return f"error budget for {budget['tolerance_delta_e']:g} ΔE ({verdict}), with {chosen}:", Listed(tuple(items))
 
 
 def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> str:

@@ -11,11 +11,12 @@ from pixsim.base.errors import invalid
 from pixsim.measure.lens import LensData
 from pixsim.report.axes import write_axes_report
 from pixsim.report.compare import write_compared_cases, write_comparison
-from pixsim.report.lens import write_lens
+from pixsim.report.lens import lens_document
 from pixsim.report.run import write_run
 from pixsim.report.study import write_study
-from pixsim.report.uncertainty import write_uncertainty
+from pixsim.report.uncertainty import uncertainty_document
 from pixsim.show.pages import Figures
+from pixsim.show.render import write, write_files
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.conditions import compromises_of
@@ -48,12 +49,12 @@ def write_report(
     if isinstance(result, RunResult):
         return write_run(result, folder, seconds)
     if isinstance(result, LensData):
-        return write_lens(result, Path(folder), figures)
+        return write(lens_document(result), Path(folder), figures=figures)
     if isinstance(result, Comparison):
         return write_comparison(result, folder, seconds)
     if isinstance(result, ComparedCases):
         return write_compared_cases(result, folder, seconds)
-    more = partial(write_uncertainty, result=result, figures=figures) if result.uncertainty else None
+    more = partial(write_files, uncertainty_document(result), figures=figures) if result.uncertainty else None
     if not isinstance(result, CasesResult):
         return write_study(result, folder, seconds, more=more, figures=figures)
     compromises = compromises_of(result.study, result.curves)

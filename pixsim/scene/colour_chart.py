@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -27,6 +28,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.files import files_are_finished, replacing, resolved
 from pixsim.light.exr import fill_channels, writing
 from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W, colour_matching, d65, grid_nm
+from pixsim.light.standard import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
 from pixsim.scene.charts import LUMINANCE_CD_PER_M2, csf_contrast, make_chart
 
 PRIMARIES = ("red", "green", "blue")
@@ -218,3 +220,20 @@ def write_colour_chart(
     except OSError as error:
         raise invalid("output file", f"'{path}' ({error.strerror or error})", "a path that can be written") from None
     return slides
+
+
+def write_colour_axis(axis: str, output: Path, width: int | None, height: int | None, die_mm: float | None) -> dict[str, Any]:
+    """Write the CSF chart that changes one opponent channel of S-CIELAB, and return what it is, for JSON.
+
+    axis : red-green or blue-yellow
+    """
+    # The channels are positive for green and for blue.
+    channel, sign = {"red-green": (1, -1), "blue-yellow": (2, 1)}[axis]
+    change = modulation(sign * XYZ_FROM_OPPONENT[:, channel])
+    title = f"The contrast-sensitivity chart of Chen et al. (2000), {axis} at constant luminance."
+    slides = write_colour_chart(output, change, title, width, height, die_mm)
+    contrasts = dict(zip(PRIMARIES, change.contrasts.tolist(), strict=True))
+    opponent = OPPONENT_FROM_XYZ @ (change.xyz * MEAN * max(map(abs, contrasts.values())))
+    white = OPPONENT_FROM_XYZ[0] @ primaries_xyz().sum(axis=1)
+    result = {"file": str(output), "kind": "csf", "colour_axis": axis, "slides": [path.name for path in slides]}
+    return {**result, "contrasts": contrasts, "opponent_amplitude": abs(float(opponent[channel] / white))}

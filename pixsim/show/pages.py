@@ -1,18 +1,15 @@
-"""Figures and their data as SVG and CSV files, and self-contained HTML pages."""
+"""Figures and tables as SVG and CSV files, and files as data URIs."""
 
 from __future__ import annotations
 
 import base64
 import csv
-import html
 import io
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -20,77 +17,14 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.files import replacing
-from pixsim.base.version import VERSION
 from pixsim.show.figures import pdf_bytes, svg_text
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
     from matplotlib.figure import Figure
 
 
 # Characters that a data URI in double quotes cannot hold; the percent sign first.
 ENCODED = {character: f"%{ord(character):02X}" for character in '%\r\n\t"#&\\`'}
-OF_EACH_PAGE = ("base.html.j2", "style.css.j2", "macros.html.j2")  # templates
-# The end of a sentence; behind "f/4." or "eq." follows no capital letter.
-SENTENCE_END = re.compile(r"(?<=[.?!])\s+(?=[A-ZΔ\d])")
-CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
-
-
-def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
-    """Fill in a packaged template, with every string escaped, and return the path."""
-    with replacing(path) as partial:
-        partial.write_text(_environment().get_template(template).render(**content), encoding="utf-8")
-    return path
-
-
-def compile_page(template: str) -> None:
-    """Compile a packaged template for `write_page`, and those that it is made of: that takes longer than to fill it in."""
-    for name in (template, *OF_EACH_PAGE):
-        _environment().get_template(name)
-
-
-@cache
-def _environment() -> Environment:
-    """Templates that are compiled once: that takes longer than to fill them in."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    from markupsafe import Markup, escape
-
-    folder = str(resources.files("pixsim") / "data")
-    options: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
-    environment = Environment(loader=FileSystemLoader(folder), **options)
-    environment.filters["png"] = lambda content: data_uri("image/png", content)
-    environment.filters["code"] = lambda text: Markup(CODE.sub(r"<code>\1</code>", str(escape(text))))
-    environment.filters["answer"] = lambda caption: answer_and_rest(caption)[0]
-    environment.filters["captioned"] = lambda caption: _captioned(caption, environment.filters["code"])
-    environment.globals["pixsim_version"] = VERSION
-    return environment
-
-
-def answer_and_rest(caption: str) -> tuple[str, str]:
-    """Return the first sentence of a caption, which answers the question of its figure, and the others."""
-    first, *rest = SENTENCE_END.split(caption, maxsplit=1)
-    return first, "".join(rest)
-
-
-def _captioned(caption: str, code: Callable[[str], Any]) -> Any:
-    """Return a caption as HTML with its answer in bold."""
-    from markupsafe import Markup
-
-    answer, rest = (code(part) for part in answer_and_rest(caption))
-    return Markup("<strong>{}</strong> {}").format(answer, rest)
-
-
-def shown_value(value: Any, name: str = "") -> Any:
-    """Return a value for a table cell: a curve of (wavelength in nm, value) in words, by its size and range, and so is a table.
-
-    name : of the setting
-    """
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {shown_value(inner, name)}" for name, inner in value.items())
-    if isinstance(value, tuple | list) and value and isinstance(value[0], tuple | list):
-        unit = "mm" if name == "chief_ray_angle" else "nm"
-        return f"curve of {len(value)} points, {value[0][0]:g} to {value[-1][0]:g} {unit}"
-    return value
 
 
 Column = Sequence[float | str]
@@ -150,7 +84,8 @@ class Drawn:
 def write_figures(folder: Path, drawn: Sequence[Drawn]) -> Sequence[Drawn]:
     """Write figures/*.svg, their data, figures/*.csv, and their PDFs, if they have some, and return `drawn`."""
     figures = folder / "figures"
-    figures.mkdir(exist_ok=True)
+    if drawn:
+        figures.mkdir(exist_ok=True)
     for plate in drawn:
         plate.write(figures)
     return drawn
@@ -163,39 +98,6 @@ def coarse_table(values: Array, name: str) -> dict[str, Column]:
     coarse = np.stack([by_row[:, block].mean(axis=1) for block in columns], axis=1)
     table: dict[str, Column] = {"row": list(range(len(rows)))}
     return table | {f"{name}_column_{index}": coarse[:, index].tolist() for index in range(len(columns))}
-
-
-def html_cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure: Figure, notes: Sequence[str] = ()) -> str:
-    """Return a notebook cell of a title, a figure, a table and lines below it, with every string escaped. It needs no scripts.
-
-    The figure is a separate image, so that its ids cannot clash with those of other cells.
-    """
-
-    def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
-
-    body = "".join(line(row, "td") for row in rows)
-    top = line(head, "th") if any(head) else ""
-    image = data_uri("image/svg+xml", svg_text(figure).encode())
-    below = "".join(f"<p>{html.escape(note)}</p>" for note in notes)
-    return (
-        f'<div><strong>{html.escape(title)}</strong><br><img alt="{html.escape(title)}" style="max-width:100%;background:#fff" '
-        f'src="{image}"><table>{top}{body}</table>{below}</div>'
-    )
-
-
-def rounded(value: float, digits: int = 2) -> str:
-    """Return a value in significant digits, without an exponent if it is large.
-
-    >>> rounded(1.648e4, 3), rounded(0.0123), rounded(6.4e-6)
-    ('16500', '0.012', '6.4e-06')
-    """
-    return f"{float(f'{value:.{digits}g}'):.15g}"
-
-
-def set_words(settings: Mapping[str, Any]) -> str:
-    """Return settings as one line; a curve by its size and range."""
-    return ", ".join(f"{name} = {shown_value(value, name)}" for name, value in settings.items())
 
 
 def table_csv(table: dict[str, Column], path: str | os.PathLike[str] | None = None) -> str:

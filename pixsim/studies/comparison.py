@@ -9,7 +9,7 @@ import numpy as np
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.show.figures import literal, new_figure, own_style
-from pixsim.show.pages import html_cell
+from pixsim.show.render import html_cell
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.lineup import ComparisonJob, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty

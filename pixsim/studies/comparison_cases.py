@@ -14,7 +14,7 @@ import numpy as np
 from pixsim.base.parameters import MAX_CASE_NAME, Axis, Study, merge
 from pixsim.base.units import unit_of
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
-from pixsim.show.pages import html_cell
+from pixsim.show.render import html_cell
 from pixsim.studies.averages import Averaged
 from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, values_at, with_range_ends
 from pixsim.studies.circumstances import study_of

@@ -18,6 +18,7 @@ from pixsim.optics.field_blur import blur_work
 from pixsim.scene.film import PROGRAM_BYTES, film_bytes, film_memory_bytes
 from pixsim.scene.plan import FEWEST_RENDERS, Plan
 from pixsim.sensor.integration import pixels_on
+from pixsim.show.sentences import duration
 from pixsim.studies.engine import workers_here
 from pixsim.studies.preparation import choose_view, fitted_range
 from pixsim.studies.sampling import BYTES_PER_PIXEL, study_pitches_um
@@ -64,14 +65,7 @@ class Cost:
 
     def __str__(self) -> str:
         processes = f" on {self.jobs} processes" if self.jobs > 1 else ""
-        return f"about {duration_words(self.seconds)}{processes}, {self.memory_bytes / 1e9:.2g} GB of memory"
-
-
-def duration_words(seconds: float) -> str:
-    """Return a duration to two digits, as text."""
-    if seconds < 90:
-        return f"{float(f'{seconds:.2g}'):g} s"
-    return f"{float(f'{seconds / 60:.2g}'):g} min" if seconds < 5400 else f"{float(f'{seconds / 3600:.2g}'):g} h"
+        return f"about {duration(self.seconds)}{processes}, {self.memory_bytes / 1e9:.2g} GB of memory"
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,9 @@ from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.pixel import PixelPhysics, has_microlens, smallest_pitch_um
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
-from pixsim.show.pages import Column, Plate, html_cell, rows_csv, set_words
+from pixsim.show.pages import Column, Plate, rows_csv
+from pixsim.show.render import html_cell
+from pixsim.show.sentences import interval, settings_line
 from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import Counts, blocks_of, frames_of, task_of
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
@@ -448,7 +450,7 @@ class StudyResult:
             f"{evaluations} evaluations, seed {self.study.seed}",
             *(
                 [f"Pixels: {given}"]
-                if (given := set_words(self.study.pixel.model_dump(exclude_unset=True, exclude_none=True)))
+                if (given := settings_line(self.study.pixel.model_dump(exclude_unset=True, exclude_none=True)))
                 else []
             ),
         ]
@@ -623,18 +625,18 @@ def interval_words(curve: Curve) -> str:
         return "unknown beside the steep flank"
     low, high = curve.optimum.interval_um
     first, last = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
+    if (low is None) == (high is None):
+        return interval((low, high))
     if low is None:
         if high is None:
             return "no limit among the sizes tried"
         if high <= first:
             return "at or below the smallest size tried"
         size = "smallest possible size" if curve.from_smallest else "smallest size tried"
-        return f"below {high:.2f} µm, {flat_words(curve, 0, size) or 'no lower limit among the sizes tried'}"
-    if high is None:
-        if low >= last:
-            return "at or above the largest size tried"
-        return f"above {low:.2f} µm, {flat_words(curve, -1, 'largest size tried') or 'no upper limit among the sizes tried'}"
-    return f"{low:.2f} to {high:.2f} µm"
+        return f"{interval((low, high))}, {flat_words(curve, 0, size) or 'no lower limit among the sizes tried'}"
+    if low >= last:
+        return "at or above the largest size tried"
+    return f"{interval((low, high))}, {flat_words(curve, -1, 'largest size tried') or 'no upper limit among the sizes tried'}"
 
 
 def viewed_words(curve: Curve, inside: bool = True) -> str:

@@ -30,7 +30,8 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
-from pixsim.show.pages import html_cell, rows_csv
+from pixsim.show.pages import rows_csv
+from pixsim.show.render import html_cell
 from pixsim.studies.budget import ProbeDesign, Settled, settle
 from pixsim.studies.oversampling import Demand, Light, light_of
 from pixsim.studies.paired import mean_interval

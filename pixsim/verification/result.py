@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.parameters import Run
-from pixsim.show.pages import Figures, html_cell, plain, rows_csv
+from pixsim.show.pages import Figures, plain, rows_csv
+from pixsim.show.render import notebook, write
 from pixsim.studies.budget import Calibration, Effect, ProbeDesign
 from pixsim.verification.ladders import METRICS, Metric, Rung
 from pixsim.verification.orders import Order, beaten_by, fit_order
@@ -146,9 +147,9 @@ class Accuracy:
         Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
         pixsim did not write.
         """
-        from pixsim.verification.report import write_accuracy
+        from pixsim.verification.report import accuracy_document
 
-        return write_accuracy(self, Path(folder), figures)
+        return write(accuracy_document(self), Path(folder), figures=figures)
 
     def plot(self) -> Figure:
         """Return a Matplotlib figure of error against wall time, with the Pareto front."""
@@ -157,13 +158,9 @@ class Accuracy:
         return work_precision(self).figure
 
     def _repr_html_(self) -> str:
-        from pixsim.verification.report import SHORT, number, stability_words
+        from pixsim.verification.report import accuracy_document
 
-        rungs = [self.shipped, *(rung for rung in self.rungs if not (rung.left_out or rung.shipped))]
-        fields = "seconds", *METRICS
-        rows = [(rung.ladder, rung.setting, *(number(getattr(rung, name)) for name in fields)) for rung in rungs]
-        notes = [f"Errors are those against the reference: {self.reference}.", stability_words(self), *self.notes]
-        return html_cell(repr(self)[1:-1], ("ladder", "setting", "seconds", *SHORT.values()), rows, self.plot(), notes)
+        return notebook(accuracy_document(self))
 
     def __repr__(self) -> str:
         from pixsim.verification.report import error_words

@@ -26,6 +26,7 @@ import scipy.fft
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import STRIP_DOTS, dct, empty_planes, first_where, inverse_dct, strips, strips_of
 from pixsim.base.errors import invalid
+from pixsim.light.standard import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
 
 # The public interface, as docs/reference lists it.
 __all__ = ["colour_delta_e_map", "delta_e", "delta_e_map", "filtered_grey_lab", "filtered_lab", "grey_delta_e_map", "xyz_to_lab"]
@@ -202,11 +203,6 @@ def _centred_positions(samples_per_deg: float) -> Floats:
 Formula = Literal["1976", "1994", "2000"]
 Lab = tuple[Planes, Planes, Planes]  # L*, a*, b*, each (…)
 Strips = Iterator[tuple[slice, Lab]]  # rows, and planes (rows, W)
-# Luminance, red-green, blue-yellow from XYZ: [ZW] and [1996].
-OPPONENT_FROM_XYZ = np.array(
-    [[0.2787336, 0.7218031, -0.1065520], [-0.4487736, 0.2898056, 0.0771569], [0.0859513, -0.5899859, 0.5011089]]
-)
-XYZ_FROM_OPPONENT = np.linalg.inv(OPPONENT_FROM_XYZ).astype(np.float64)
 # CIELAB's f(t) is the cube root above a threshold, and slope t + 16/116 up to it, where L* is dark_slope Y/Yn.
 CIE_LAB = (216 / 24389, 841 / 108, 24389 / 27)  # [CIE]: (6/29)^3, (29/6)^2 / 3, (29/3)^3
 ZHANG1996_LAB = (0.008856, 7.787, 903.3)  # [1996]

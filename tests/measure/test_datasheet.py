@@ -20,7 +20,7 @@ from pixsim.base.parameters import MIN_FRACTION, Exposure, Pixel
 from pixsim.measure import datasheet, estimators
 from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
 from pixsim.measure.datasheet import DataSheet, Entry, expected_moments, make_datasheet, mean_offset_e, variance_peak_e
-from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_plates, described, sheet_name, spectrogram
+from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_document, described, sheet_name, spectrogram
 from pixsim.measure.estimators import Estimate, Series, Stack, daylight_e_per_lx_s
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.pixel import derive
@@ -266,7 +266,7 @@ def test_entries_at_gain_and_with_mismatch_within_standard_errors(options: dict[
     noise_e2 = plain.reset_noise_e**2 + plain.read_noise_e**2 + (options.get("read_noise_after_gain_e", 0.0) / g) ** 2
     dark_e = plain.dark_current_e_per_s * made.experiment.integration_s
     assert by_symbol(made)["σ_d"].true == pytest.approx(math.sqrt(noise_e2 + dark_e), rel=1e-12)
-    assert (f"{gain_db:g} dB" in "; ".join(described(made))) == (gain_db > 0)
+    assert (f"{gain_db:g} dB" in str(described(made))) == (gain_db > 0)
     assert not any("hot pixels" in note for note in made.notes)
 
 
@@ -349,7 +349,7 @@ def test_colour_entries_measured_within_standard_errors(colour_sheet: DataSheet)
     """Of 46 entries; a normal pull exceeds 4.5 once in 150 000."""
     test_entries_measured_within_standard_errors(colour_sheet)
     physics, lines = derive(colour_pixel()), by_symbol(colour_sheet)
-    assert "530 nm on channel G" in "; ".join(described(colour_sheet))
+    assert "530 nm on channel G" in str(described(colour_sheet))
     assert any("those of G" in note for note in colour_sheet.notes)
     for symbol, letter in (("η", "G"), ("η_R", "R"), ("η_B", "B")):
         (channel,) = (one for one in physics.channels if one.channel == letter)
@@ -559,8 +559,8 @@ def test_datasheet_report_fits_browser_and_print(sheet: DataSheet, tmp_path: Pat
     assert_prints(page, tmp_path, range(4, 9), texts, ["Measured and true", "Figures", "How it was made"])
 
 
-def test_datasheet_plates_lines_differ_in_greyscale(sheet: DataSheet) -> None:
-    for plate in datasheet_plates(sheet):
+def test_datasheet_figures_lines_differ_in_greyscale(sheet: DataSheet) -> None:
+    for plate in (plot.draw() for plot in datasheet_document(sheet).plots):
         for axes in plate.figure.axes:
             assert axes.get_xlabel()
             assert axes.get_ylabel()

@@ -14,9 +14,10 @@ from helpers.runs import run_result
 
 from pixsim.base.headline import MOST_WORDS, with_headline
 from pixsim.measure.sfr import sfr_parts
-from pixsim.report.uncertainty import uncertainty_lines
-from pixsim.report.wording import compromise_lines, optimum_line, optimum_parts, score_parts
+from pixsim.report.uncertainty import uncertainty_blocks
+from pixsim.report.wording import compromise_answer, optimum_line, optimum_parts, score_parts
 from pixsim.sensor.outside import outside_words
+from pixsim.show.document import Answer
 from pixsim.studies.run import RunResult
 from pixsim.studies.viewing import Viewing
 from pixsim.viewer.causes import Cause
@@ -98,9 +99,9 @@ def test_headlines_of_compromises_are_short() -> None:
     for interval in ((2.3, 2.9), (None, 2.9), (2.3, None), (None, None)):
         best = SimpleNamespace(mean_delta_e=0.615, pitch_um=2.45, interval_um=interval)
         regret = SimpleNamespace(delta_e=0.027, pitch_um=2.26, interval_um=interval, condition="a dim room with a warm lamp")
-        lines = compromise_lines(SimpleNamespace(label="data sheet", best=best, regret=regret))
-        assert len(lines[0].split()) <= MOST_WORDS
-        assert "worst regret" in " ".join(lines)
+        answer = compromise_answer(SimpleNamespace(label="data sheet", best=best, regret=regret))
+        assert len(str(answer.head).split()) <= MOST_WORDS
+        assert "worst regret" in str(answer)
 
 
 @pytest.mark.parametrize("quantile", [7.5, None])
@@ -108,8 +109,9 @@ def test_headlines_of_compromises_are_short() -> None:
 def test_headlines_of_sensor_types_are_short(quantile: float | None, own_sd: float) -> None:
     optimum = SimpleNamespace(quantiles=dict.fromkeys(("p05", "p50", "p95"), quantile), own_sd=own_sd)
     found = SimpleNamespace(label="data sheet, night", outcomes=range(200), optimum=optimum, verdicts={})
-    lines = uncertainty_lines([found])  # type: ignore[list-item]
-    assert len(lines[0].split()) <= MOST_WORDS
+    answer, *_ = uncertainty_blocks([found])  # type: ignore[list-item]
+    assert isinstance(answer, Answer)
+    assert len(str(answer.head).split()) <= MOST_WORDS
 
 
 def test_headlines_of_edges_are_short() -> None:

@@ -181,7 +181,7 @@ def test_keep_or_write_other_code_is_written(
     with monkeypatch.context() as patch:
         if what == "a template":
             digests = kept.digest_of
-            patch.setattr(kept, "digest_of", lambda path: "other" if path.name == "report.html.j2" else digests(path))
+            patch.setattr(kept, "digest_of", lambda path: "other" if path.name == "document.html.j2" else digests(path))
         else:
             patch.setattr(kept, "versions", lambda: {"pixsim": "another"})
         assert digest_of_report(made[0]) != before

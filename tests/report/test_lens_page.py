@@ -16,7 +16,7 @@ from helpers.looks import Elements, text_of
 
 import pixsim
 from pixsim.measure.lens import lens_data
-from pixsim.report.lens import FIGURES, lens_plates
+from pixsim.report.lens import FIGURES, lens_document
 
 
 @pytest.mark.parametrize("name", ["triplet", "singlet", "double_gauss"])
@@ -24,7 +24,7 @@ def test_texts_of_figures_lie_inside_and_apart(name: str) -> None:
     """With labels of three digits and a sign, and of three decimals."""
     scale = {"singlet": 1.0, "double_gauss": 0.005}
     data = triplet() if name == "triplet" else lens_data(pixsim.load_lens(name).scaled(scale[name]), [486.1, 656.3])
-    for plate in lens_plates(data):
+    for plate in (plot.draw() for plot in lens_document(data).plots):
         plate.figure.canvas.draw()
         width, height = plate.figure.canvas.get_width_height()
         inside = plate.figure.get_tightbbox().transformed(plate.figure.dpi_scale_trans)
@@ -48,7 +48,7 @@ def test_texts_of_figures_lie_inside_and_apart(name: str) -> None:
 def test_first_sentences_are_of_all_fields() -> None:
     """Not of those shown only: the smallest and the largest spot of the table, and the field of the lowest MTF."""
     data = triplet()
-    said = {plate.name: plate.caption.partition(". ")[0] for plate in lens_plates(data)}
+    said = {plate.name: plate.caption.partition(". ")[0] for plate in (plot.draw() for plot in lens_document(data).plots)}
     rms = [spot.rms_um for spot in data.spots]
     least, most = int(np.argmin(rms)), int(np.argmax(rms))
     assert said["spots"].startswith(f"The spot is smallest at {data.field_deg[least]:.3g}° ({rms[least]:.3g} µm rms)")

@@ -29,7 +29,8 @@ from pixsim.report.study import light_against_detail, optimum_against_technology
 from pixsim.report.views import study_pictures
 from pixsim.scene.charts import DIE_MM
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_style, svg_text
-from pixsim.show.pages import Plate, answer_and_rest
+from pixsim.show.pages import Plate
+from pixsim.show.render import answer_and_rest
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
 from pixsim.studies.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.studies.optimum import Optimum

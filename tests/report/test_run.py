@@ -20,7 +20,7 @@ import pixsim
 from pixsim.base.parameters import CameraOptions, LensOptions, Run
 from pixsim.light.exr import read_channels, write_channels
 from pixsim.optics.exchange import read_with_camera, write_npz
-from pixsim.report.outline import outline_lines, run_outline
+from pixsim.report.outline import outline_document, run_outline
 from pixsim.report.run import FILES, colour_rows, shown_picture
 from pixsim.report.wording import lens_words
 from pixsim.scene.film import PATH_SAMPLES
@@ -368,7 +368,7 @@ def test_dry_run_says_what_limits_the_render_noise(more, rays, words):
     run = Run.model_validate({"camera": {"die_mm": 0.64}, "pixel": {"pitch_um": 10.0}, "resolution": 32, **more})
     outline = run_outline(prepare("macbeth", run))
     assert outline["errors"]["rays_a_pixel"] == (rays and pytest.approx(rays))
-    line = next(line for line in outline_lines(outline, Path("out")) if line.startswith("errors"))
+    line = next(line for line in map(str, outline_document("run", outline, Path("out")).terminal) if line.startswith("errors"))
     assert words in line
     assert ("film: at least" in line) == ("tolerance_delta_e" not in more), "where a calibration does not choose another film"
 
@@ -383,7 +383,7 @@ def test_focal_length_of_a_given_die_is_assumed(given, assumed):
     camera = pixsim.load_scene("csf").camera(run.camera)
     words = run.camera.assumption(camera)
     assert words == ("focal length 3.86 mm assumed, that of the scene: a field of 94.6° × 94.6°" if assumed else "")
-    line = outline_lines(run_outline(prepare("csf", run)), Path("out"))[1]
+    _, line, *_ = map(str, outline_document("run", run_outline(prepare("csf", run)), Path("out")).terminal)
     assert line.startswith("camera")
     assert ("assumed" in line) == assumed
 
@@ -426,7 +426,7 @@ def test_run_page_has_a_short_headline(ran: Path) -> None:
 
 
 def test_run_page_states_viewing_distance(ran: Path) -> None:
-    page = " ".join(text_of(ran).split())
+    page = " ".join(html.unescape(text_of(ran)).split())
     distance_mm = 23 * 25.4 / 96 / np.tan(np.radians(1))  # 23 dots a degree, 96 an inch
     view = f"at a distance where 23 dots span a degree ({distance_mm:.0f} mm away where a screen has 96 dots"
     assert f"view it at 100 % zoom, {view}" in page

@@ -15,7 +15,7 @@ from helpers.tiny import rows
 
 import pixsim
 from pixsim.base.config import packaged, read_toml
-from pixsim.report.wording import study_view_line
+from pixsim.report.wording import study_view_words
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.convergence import NO_TIME_LIMIT_S
 from pixsim.studies.result import StudyResult
@@ -219,7 +219,7 @@ def test_settings_of_cases_state_the_display_that_was_chosen(
     settings = tomllib.loads(result.settings_toml)
     found = settings["display"]["dots"], settings["scene"].get("parameters", {}).get("max_lp_per_mm")
     assert found == (dots, highest if highest is None else pytest.approx(highest, rel=1e-12))
-    assert study_view_line(result)[0].startswith(f"shown on {dots} dots (from the sensor's pixels), 1 pixel a dot")
+    assert study_view_words(result)[0].startswith(f"shown on {dots} dots (from the sensor's pixels), 1 pixel a dot")
     again = repeated(result, tmp_path / "again")
     for first, second in zip(result.curves, again.curves, strict=True):
         assert np.array_equal(first.delta_e, second.delta_e)

@@ -14,7 +14,8 @@ import pytest
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.report.wording import budget_lines
+from pixsim.report.wording import budget_blocks
+from pixsim.show.render import lines as lines_of
 from pixsim.studies import budget
 from pixsim.studies.budget import (
     FINEST_NOISE,
@@ -271,7 +272,8 @@ def test_budget_lines_are_aligned():
     budget = effects(calibration(), 512, 0.1, 1e-3, 1)
     sources = {name: {"delta_e": item.delta_e, "optimum_um": None} for name, item in budget.items()}
     message = {"tolerance_delta_e": 0.01, "met": True, "bounded": True, "settings": {"sensors": 2}, "sources": sources}
-    _, *lines = budget_lines(message | {"total": {"delta_e": 0.5, "optimum_um": None}})
+    blocks = budget_blocks(message | {"total": {"delta_e": 0.5, "optimum_um": None}})
+    _, *lines = (line for block in blocks for line in lines_of(block))
     largest_first = sorted(SOURCES, key=lambda name: -(math.inf if math.isnan(budget[name].delta_e) else budget[name].delta_e))
     assert [line[2:23].rstrip() for line in lines] == [*largest_first, "total without display"]
     assert lines[0][23:] == f" {max(item.delta_e for item in budget.values()):.1e} ΔE"

@@ -7,7 +7,7 @@ import pytest
 
 from pixsim.base.parameters import Study
 from pixsim.report.axes import conditions_plate, conditions_table
-from pixsim.report.wording import compromise_lines
+from pixsim.report.wording import compromise_answer
 from pixsim.studies.conditions import compromise, compromises_of, weighted_mean
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import Curve
@@ -166,7 +166,7 @@ def test_conditions_plate_and_tables_have_the_numbers() -> None:
     assert table["pixel_of"] == ["day", "night", "never", "least weighted mean ΔE", "least worst regret"]
     assert table["pitch_um"][3:] == [found.best.pitch_um, found.regret.pitch_um]
     assert table["worst_regret_delta_e"][4] == found.regret.delta_e
-    line = "; ".join(compromise_lines(found))
+    line = "; ".join(map(str, ((answer := compromise_answer(found)).head, *answer.below)))
     assert (
         f"least worst regret {found.regret.delta_e:.3f} ΔE, in {found.regret.condition}, at {found.regret.pitch_um:.2f} µm" in line
     )

@@ -18,7 +18,7 @@ from scipy import stats
 from pixsim.base.config import checked, packaged, with_data_sheets
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Layer, Pixel, Spread, Study, merge
-from pixsim.report.uncertainty import uncertainty_lines
+from pixsim.report.uncertainty import uncertainty_blocks
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.studies.indices import total_indices
 from pixsim.studies.optimum import fit_curve
@@ -249,7 +249,7 @@ def test_own_interval_as_wide_as_scatter_leaves_the_optima_as_they_are(half_um: 
     np.testing.assert_allclose(quantiles(result.optimum), 3.1 + 0.5 * Z, atol=0.1)
     (line,) = [line for line in result.statements if "do not tell" in line]
     assert f"known to {half_um / 1.96:.3g} µm" in line
-    assert f"±{half_um:.2g} µm by its own 95 % interval" in uncertainty_lines([result])[0]
+    assert f"±{half_um:.2g} µm by its own 95 % interval" in str(uncertainty_blocks([result])[0])
 
 
 @pytest.mark.parametrize(

@@ -24,11 +24,12 @@ import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import Run
 from pixsim.scene.renderer import render
+from pixsim.show.render import text as text_of_document
 from pixsim.studies.budget import SOURCES, ProbeDesign, brighter, pitch_range_um, pitches_around_optimum_um, probe
 from pixsim.verification import ladders, stability, survey as surveys
 from pixsim.verification.ladders import METRICS, QUICK, Clock, Rung, seed_rungs
 from pixsim.verification.reference import analytic_reference
-from pixsim.verification.report import FILES, accuracy_lines, plates_of
+from pixsim.verification.report import FILES, accuracy_document, plots_of
 from pixsim.verification.result import Accuracy
 from pixsim.verification.stability import compare
 from pixsim.viewer.imaging import Imaging
@@ -112,7 +113,7 @@ def check(accuracy: Accuracy, folder: Path) -> dict:
     Page(text)
     assert "by &lt;hand&gt;" in text
     assert "nan" not in re.sub(r'"data:[^"]*"', "", text).lower()
-    lines = accuracy_lines(accuracy)
+    lines = text_of_document(accuracy_document(accuracy)).splitlines()
     assert lines[0] == f"reference: {accuracy.reference}"
     assert f"stability: {sum(case.passed for case in accuracy.cases)} of {len(accuracy.cases)} " in "\n".join(lines)
     assert sum(line.startswith("skipped: ") for line in lines) == sum(bool(rung.left_out) for rung in accuracy.rungs)
@@ -138,7 +139,7 @@ def test_survey_csf_has_all_ladders(tmp_path):
         page, headings = tmp_path / "out/report.html", ["Error against run time", "All settings"]
         assert_fits(page, tmp_path)
         assert_prints(page, tmp_path, range(4, 10), ["Default settings", "formula of the csf chart"], headings)
-    for plate in plates_of(accuracy):
+    for plate in (plot.draw() for plot in plots_of(accuracy)):
         for legend in [axes.get_legend() for axes in plate.figure.axes if axes.get_legend()] + plate.figure.legends:
             looks = [grey_look(rung) for rung in legend.get_lines()]
             assert len(set(looks)) == len(looks), plate.name

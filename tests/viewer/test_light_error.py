@@ -10,7 +10,7 @@ from helpers.runs import run_result
 
 import pixsim
 from pixsim.base.caller import command_line
-from pixsim.report.wording import optimum_line, score_parts, study_light_lines
+from pixsim.report.wording import optimum_line, score_parts, study_light_words
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
@@ -131,7 +131,7 @@ def test_study_shows_the_errors_of_its_light(tiny_result: StudyResult):
 
 
 def test_study_states_its_field_and_exposure(tiny_result: StudyResult):
-    (line,) = study_light_lines(tiny_result)
+    (line,) = study_light_words(tiny_result)
     times_ms = 1e3 * np.concatenate([curve.mean("integration_s") for curve in tiny_result.curves])
     ends = dict.fromkeys(f"{time_ms:.3g}" for time_ms in (times_ms.min(), times_ms.max()))
     assert line.endswith(f"exposed for {' to '.join(ends)} ms")

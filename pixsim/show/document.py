@@ -1,0 +1,251 @@
+"""What a command answers, as records of text, tables, figures and pictures; `render` shows it.
+
+Strings are plain text, with `code` in backticks. Every string is escaped where it is shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any, TypeAlias
+
+from pixsim.base.headline import with_headline
+from pixsim.show.pages import Drawn, Figures, Plate
+from pixsim.show.pictures import Picture
+
+
+@dataclass(frozen=True)
+class Strong:
+    """Words that stand out, such as the number that answers the question."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Link:
+    """Words that lead to a file beside the page."""
+
+    text: str
+    address: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Words in the colour of what is as it should be, or of what is not."""
+
+    text: str
+    good: bool
+
+
+Text: TypeAlias = str | tuple[str | Strong | Link | Verdict, ...]
+
+
+@dataclass(frozen=True)
+class Record:
+    """A record that keeps what it is given in lists and iterators as tuples, and a text alone as the only one."""
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            given = getattr(self, each.name)
+            if each.type.startswith("Iterable"):
+                object.__setattr__(self, each.name, (given,) if isinstance(given, str) else tuple(given))
+
+
+@dataclass(frozen=True)
+class Answer(Record):
+    """A headline, and what belongs to it in smaller letters."""
+
+    head: Text
+    below: Iterable[Text] = ()
+
+
+@dataclass(frozen=True)
+class Note:
+    """A warning, without a full stop."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Listed(Record):
+    """A list; in a terminal, lines that are set off."""
+
+    items: Iterable[Text]
+
+
+@dataclass(frozen=True)
+class Table(Record):
+    """Rows of text; the first column names them.
+
+    A row of one cell is the heading of those below it. The last cell of another short row takes the columns that are left.
+
+    name : of what is in it, for those who do not see it
+    head : names of the columns, with their units in a second line where that is shorter; empty for a table without
+    words : columns that are not numbers, beside the first; None for all
+    stacks : whether a row becomes lines on a small screen, its numbers behind the names of their columns
+    """
+
+    name: str
+    head: Iterable[str]
+    rows: Iterable[tuple[Text, ...]]
+    caption: str = ""
+    words: tuple[int, ...] | None = ()
+    stacks: bool = False
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Small tables side by side."""
+
+    tables: tuple[Table, ...]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A figure with its data, drawn when it is first asked for."""
+
+    draw: Callable[[], Plate | Drawn] = field(repr=False)
+
+    @cached_property
+    def _made(self) -> Plate | Drawn:
+        return self.draw()
+
+    @cached_property
+    def drawn(self) -> Drawn:
+        return self._made if isinstance(self._made, Drawn) else self._made.drawn()
+
+    def drawn_as(self, figures: Figures) -> Drawn:
+        """Return the figure with the files that are asked for; one that was drawn elsewhere has those of its drawing."""
+        if figures == "svg" or isinstance(self._made, Drawn):
+            return self.drawn
+        return self._made.drawn(figures)
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Rows of three pictures, a dot of the screen for each of theirs.
+
+    of : what all of them show
+    """
+
+    rows: tuple[tuple[Picture, ...], ...]
+    of: str
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """Pictures one behind the other, as many a line as have room.
+
+    of : what all of them show
+    """
+
+    pictures: tuple[Picture, ...]
+    of: str
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The colour scale of the ΔE maps."""
+
+    picture: Picture
+
+
+@dataclass(frozen=True)
+class Map:
+    """A ΔE map with its axes, as PNG."""
+
+    png: bytes = field(repr=False)
+    caption: str
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A whole picture on the left of a border that moves, and one of others on its right.
+
+    id : of its place in the page
+    left_words, right_words : what is on each side
+    """
+
+    id: str
+    heading: str
+    left: Picture
+    others: tuple[Picture, ...]
+    left_words: str = "the ideal image"
+    right_words: str = "the sensor's picture"
+
+
+@dataclass(frozen=True)
+class Section(Record):
+    """Blocks under a heading; without any, it is not shown.
+
+    id : of its place in the page; may be empty below another section
+    together : whether it is printed on one sheet
+    folded : whether only the heading is seen until a reader opens it
+    """
+
+    id: str
+    title: str
+    blocks: Iterable[Block]
+    together: bool = False
+    folded: bool = False
+
+
+Block: TypeAlias = Text | Answer | Note | Listed | Table | Beside | Plot | Pictures | Tiles | Scale | Map | Slider | Section
+
+
+@dataclass(frozen=True)
+class Document(Record):
+    """What a command answers.
+
+    command : that gives such a document
+    kind : of document, in a few words
+    data : for JSON
+    terminal : what a terminal shows
+    cell : what a notebook shows
+    answers, lead, sections : what the page shows, from top to bottom, without empty texts
+    files : name -> content of further files
+    data_file, page : names of the files of `data` and of the page
+    """
+
+    command: str
+    kind: str
+    title: str
+    data: Mapping[str, Any]
+    terminal: Iterable[Block] = ()
+    cell: Iterable[Block] = ()
+    answers: Iterable[Answer] = ()
+    lead: Iterable[Block] = ()
+    sections: Iterable[Section] = ()
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
+    data_file: str = "summary.json"
+    page: str = "report.html"
+
+    @property
+    def plots(self) -> list[Plot]:
+        """The figures of the page, from top to bottom."""
+        return list(_plots((*self.lead, *self.sections)))
+
+
+def _plots(blocks: Iterable[Block]) -> Iterator[Plot]:
+    for block in blocks:
+        if isinstance(block, Plot):
+            yield block
+        elif isinstance(block, Section):
+            yield from _plots(block.blocks)
+
+
+def pairs(caption: str, values: Mapping[str, Any], form: str = "") -> Table:
+    """Return a table of names and values, in the form of `format`."""
+    return Table(caption, (), tuple((name, format(value, form)) for name, value in values.items()), caption)
+
+
+def plain_text(text: Text) -> str:
+    """Return words without their marks."""
+    return text if isinstance(text, str) else "".join(part if isinstance(part, str) else part.text for part in text)
+
+
+def headline(parts: Sequence[str], unsure: str = "") -> Answer:
+    """Return the answer whose headline is the first parts that have room in it; see `with_headline`."""
+    head, *below = with_headline(parts, unsure)
+    return Answer(head, tuple(below))
