@@ -17,13 +17,13 @@ from helpers.tiny import rows, tiny, tiny_toml, toml_of
 
 import pixsim
 from pixsim.base.config import read_toml
-from pixsim.base.headline import BELOW
 from pixsim.base.parameters import Pixel, Study, is_data_sheet
 from pixsim.cli.options import SceneOptions
 from pixsim.measure import datasheet
 from pixsim.measure.datasheet import make_datasheet
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
+from pixsim.show.render import BELOW
 from pixsim.studies.pixels import technology_of
 from pixsim.studies.preparation import check_technologies, prepare
 from pixsim.studies.study_file import load_study
