@@ -347,10 +347,11 @@ NO_COUNTERPART = (
     'above, under "Curves".'
 )
 PARTS = (
-    "At the size of the least error tried, for the first sensor and its first frame. Each part is what leaving it out takes off, in "
-    "this order: noise; the mosaic, when every pixel knows all channels; crosstalk, when no light reaches neighbours through other "
-    "filters; colour error, when the channels are those of the observer; the rest is blur. The noise of the matrix that takes crosstalk "
-    "apart is in noise. A part may be below 0 where one fault hides another. Dots that are larger than pixels average their noise."
+    "At the size of the least error tried, for the first sensor and its first frame. Each part is what leaving it out takes "
+    "off, in this order: noise; the mosaic, when every pixel knows all channels; crosstalk, when no light reaches neighbours "
+    "through other filters; colour error, when the channels are those of the observer; the rest is blur. The noise of the "
+    "matrix that takes crosstalk apart is in noise. A part may be below 0 where one fault hides another. Dots that are larger"
+    " than pixels average their noise."
 )
 PAPER = (
     'Chen, Catrysse, El Gamal and Wandell, "How small should pixel size be?", Proc. SPIE 3965 (2000). Its parameter table, lens, '
