@@ -42,7 +42,7 @@ from pixsim.studies.prepared import Prepared
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sizes
-from pixsim.studies.sensor_types import TYPES_FILE
+from pixsim.studies.sensor_types import TYPES_FILE, sample_of
 from pixsim.studies.series import Series
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import elsewhere_note
@@ -394,12 +394,18 @@ def differences_of_types(
 ) -> list[PairUncertainty]:
     """Evaluate the sensor types of both sensors of each pair under all conditions, and return what is known of their differences.
 
+    Warns of pairs without an unknown number, of which there is nothing to tell.
+
     result : with the sensors as they are
     pairs : the light of each pair
     file : as `results` of `evaluate_all`
     """
     wanted: dict[tuple[int, str], tuple[Lit, Series]] = {}  # light and sensor
-    for pair, lit in zip(result.pairs, pairs, strict=True):
+    unsure = [(pair, lit) for pair, lit in zip(result.pairs, pairs, strict=True) if sample_of(types.sample, *pair.names).inputs]
+    for pair in result.pairs:
+        if all(pair is not each for each, _ in unsure):
+            warn(f"{' and '.join(pair.names)}: no number of these two is unknown, so that nothing is drawn for them")
+    for pair, lit in unsure:
         for each in lit:
             own = {series.name: series for series in each.series}
             wanted |= {(id(each), name): (each, own[name]) for name in pair.names}
@@ -411,7 +417,7 @@ def differences_of_types(
     values = np.array(delta_e_of(flat, sizes, [cost for cost in costs for _ in range(count)], file, workers, progress))
     of_types = dict(zip(wanted, values.reshape(len(wanted), count, FEW_SENSORS).mean(axis=2), strict=True))
     found = []
-    for pair, lit in zip(result.pairs, pairs, strict=True):
+    for pair, lit in unsure:
         first, other = pair.names
         weighted = [(weight, each) for (weight, _), each in zip(pair.parts, lit, strict=True) if weight]
         drawn = sum(weight * (of_types[id(each), other] - of_types[id(each), first]) for weight, each in weighted)

@@ -85,6 +85,13 @@ def test_sensors_of_one_technology_share_its_numbers(tmp_path: Path) -> None:
     assert "does not vary" in found.words
 
 
+def test_pair_without_an_unknown_number_is_left_out(tmp_path: Path) -> None:
+    certain = [sheet(tmp_path / f"{name}.toml", read_noise_e) for name, read_noise_e in (("a", 20.0), ("b", 25.0))]
+    result = of(*certain, unsure(tmp_path / "c.toml", 20.0, 10.0, 30.0), draws=8)
+    assert [found.names for found in result.uncertainty] == [("a", "c")]
+    assert "a and b: no number of these two is unknown, so that nothing is drawn for them" in result.notes
+
+
 def test_third_sensor_and_conditions_change_no_type_of_a_pair(tmp_path: Path) -> None:
     """Types of a pair see what the pair sees; under conditions, their differences are weighted means."""
     files = [unsure(tmp_path / "a.toml", 20.0, 10.0, 30.0), sheet(tmp_path / "b.toml", 25.0)]
