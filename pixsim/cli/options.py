@@ -101,7 +101,7 @@ OF_A_TECHNOLOGY = "from the technology"
 NAMES = {float: "FLOAT", int: "INT", bool: "BOOL", str: "TEXT"}
 
 
-def value_name(annotation: Any) -> str:
+def value_name(annotation: object) -> str:
     """Name of the values of a field in the help: FLOAT, INT, TEXT, or the choices, as mosis|paper.
 
     A table of pairs is given as a FILE, a pair of numbers as INTxINT.
@@ -117,10 +117,10 @@ def value_name(annotation: Any) -> str:
         return "FILE"
     if origin is tuple:
         return "FILE" if inner[-1] is Ellipsis else "x".join(map(value_name, inner))
-    return NAMES.get(annotation, "TEXT")
+    return NAMES.get(annotation, "TEXT") if isinstance(annotation, type) else "TEXT"
 
 
-def choices_of(annotation: Any) -> tuple[str, ...]:
+def choices_of(annotation: object) -> tuple[str, ...]:
     """The texts that a field allows, if they are a list."""
     if get_origin(annotation) is Literal:
         return tuple(map(str, get_args(annotation)))
@@ -212,7 +212,7 @@ Variant = Annotated[
 ]
 
 
-def option_table(record: type[Record], name: str, inside: str = "") -> Any:
+def option_table(record: type[Record], name: str, inside: str = "") -> object:
     """The fields of a record as dotted options, as text that the record validates; None if no option is given.
 
     name : of the options; of a record in a field of another one, that of the field
@@ -271,11 +271,11 @@ class SceneOptions:
     correction: CorrectionTable = None
     develop: DevelopTable = None
 
-    def settings(self, effort: Effort | None = None, **others: Any) -> Run:
+    def settings(self, effort: Effort | None = None, **others: object) -> Run:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""
         return run_settings(self.config or [], self.tables(effort, **others))
 
-    def tables(self, effort: Effort | None = None, **others: Any) -> dict[str, Any]:
+    def tables(self, effort: Effort | None = None, **others: object) -> dict[str, Any]:
         """The options without the files, as tables of `Run`.
 
         others : further tables and fields
@@ -284,7 +284,7 @@ class SceneOptions:
         del values["config"]
         return given({"scene": definitions(values.pop("define"), values.pop("linear")), **values})
 
-    def study_tables(self, scene: str | None, effort: Effort, **others: Any) -> dict[str, Any]:
+    def study_tables(self, scene: str | None, effort: Effort, **others: object) -> dict[str, Any]:
         """The options as tables of a study, in place of those of its file.
 
         scene : XML file or name of a packaged scene
@@ -373,7 +373,7 @@ def _values_of(text: str, values: str) -> dict[str, Any]:
     return {"values": [_value(part) for part in parts]}
 
 
-def _of_labels(text: str, table: dict[str, Any], known: Any) -> dict[str, Any]:
+def _of_labels(text: str, table: dict[str, Any], known: object) -> dict[str, Any]:
     """The values of a known axis that the text of an --axis names by their labels, if they have some."""
     tables = [value for value in known if isinstance(value, dict)] if isinstance(known, list) else []
     if not tables:

@@ -16,7 +16,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from types import FrameType
-    from typing import Any, NoReturn
+    from typing import NoReturn
 
 ENDING = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "the terminal was closed"}
 SIGNAL_EXIT = 128  # the exit code of a shell for a process that a signal ended, less the signal's number
@@ -133,7 +133,7 @@ class Interruption:
         else:
             raise KeyboardInterrupt
 
-    def _unraisable(self, failure: Any) -> None:
+    def _unraisable(self, failure: sys.UnraisableHookArgs) -> None:
         """Raise again later what Python can only print, since it was raised in a finalizer or a callback."""
         if isinstance(failure.exc_value, KeyboardInterrupt) and self.received is not None:
             signal.setitimer(signal.ITIMER_REAL, WAIT_S)

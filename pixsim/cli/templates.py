@@ -145,7 +145,7 @@ def number(value: float) -> str:
     return str(int(value)) if value == int(value) and abs(value) < 1e9 else f"{value:g}"
 
 
-def toml_value(value: Any) -> str:
+def toml_value(value: object) -> str:
     """A value in TOML, which differs from JSON for tables only."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{json.dumps(key)} = {toml_value(inner)}" for key, inner in value.items()) + " }"

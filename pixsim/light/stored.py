@@ -78,7 +78,7 @@ class StoredImage(SpectralImage):
         return given[inside] if self._spectra is None else given[:, *inside]
 
     @property
-    def factors(self) -> Any:  # type: ignore[override]
+    def factors(self) -> tuple[NDArray[Any], NDArray[Any]] | None:  # type: ignore[override]
         """(spectra (r, B), pictures (r, H, W)), or None."""
         return None if self._spectra is None else (self._spectra, self._values)
 
@@ -94,7 +94,7 @@ class StoredImage(SpectralImage):
         content |= {"within": self.within, "header": self.header, "margin": self.margin}
         return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um, **content)
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self) -> tuple[Any, ...]:
         return _itself, (self.in_memory(),)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
 from pixsim.base.labels import label_of
@@ -525,7 +526,7 @@ def cases_document(result: ComparedCases) -> Document:
     )
 
 
-def _picture(luminance: Any, name: str) -> Picture:
+def _picture(luminance: Array, name: str) -> Picture:
     return Picture(display_codes(reduced(luminance)), name)
 
 

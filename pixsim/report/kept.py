@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
@@ -68,7 +67,7 @@ def digest_of_report(result: StudyResult, figures: Figures = "svg") -> str:
     return digest_of_content([part.processes for part in (result, *result.cases)], result, figures)
 
 
-def digest_of_content(*content: Any) -> str:
+def digest_of_content(*content: object) -> str:
     """Hash of content, and of all else that decides on files that are made from it.
 
     Raises TypeError for a value of an unknown kind.
@@ -85,7 +84,7 @@ def _environment() -> list[object]:
     return [cache.version_fingerprint(*DEPENDENCIES, *DRAWING), versions(), *map(digest_of, templates)]
 
 
-def _texts(value: Any, digest: hashlib.blake2b) -> Iterator[str]:
+def _texts(value: object, digest: hashlib.blake2b) -> Iterator[str]:
     """Yield texts that tell a value from others; arrays go to `digest` themselves.
 
     Raises TypeError for a value of another kind: what it holds would not be compared.

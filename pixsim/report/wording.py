@@ -14,10 +14,11 @@ from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, Display
 from pixsim.show.document import Answer, Listed, Text, headline
 from pixsim.show.sentences import interval
+from pixsim.studies.conditions import Compromise
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.merit import LENSES, detail_frequency_lp_per_mm, mtf_terms, of_sensor
-from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, interval_words, viewed_words, within_words
+from pixsim.studies.result import NO_VISIBLE_DELTA_E, Curve, StudyResult, alike_words, interval_words, viewed_words, within_words
 from pixsim.studies.run import RunResult
 from pixsim.studies.unconverged import study_unconverged_lines, unconverged_lines
 
@@ -32,7 +33,7 @@ DELTA_E = (
 )
 
 
-def optimum_parts(curve: Any) -> list[str]:
+def optimum_parts(curve: Curve) -> list[str]:
     """Return the optimum of a curve with its interval and the sizes within 1 % of its error, if the film can tell sizes apart.
 
     Where a wide range of sizes shows no visible difference, that range comes first. What the optimum is on other displays follows.
@@ -42,12 +43,12 @@ def optimum_parts(curve: Any) -> list[str]:
     return [f"{curve.label}: {first}", *others, *filter(None, (viewed_words(curve, inside) for inside in (True, False)))]
 
 
-def optimum_line(curve: Any) -> str:
+def optimum_line(curve: Curve) -> str:
     """Return `optimum_parts` as one text."""
     return "; ".join(optimum_parts(curve))
 
 
-def _optimum_parts(curve: Any) -> list[str]:
+def _optimum_parts(curve: Curve) -> list[str]:
     """Return `optimum_parts` on the chosen display."""
     if curve.alike_um:
         return [alike_words(curve), f"least mean ΔE {curve.light.shown(curve.mean().min())}"]
@@ -78,7 +79,7 @@ def map_words(start: str, mean: float, p99: float, end: float) -> str:
     )
 
 
-def compromise_answer(found: Any) -> Answer:
+def compromise_answer(found: Compromise) -> Answer:
     """Return the pixel sizes that suit all conditions, with their intervals; none where the conditions share too few sizes."""
     if found.best is None or found.regret is None:
         return Answer(f"{found.label}: the conditions share too few pixel sizes for one that suits all")
@@ -88,7 +89,7 @@ def compromise_answer(found: Any) -> Answer:
     return headline([f"{found.label}: {weighted}", f"{worst} (95 %: {interval(regret.interval_um)})"])
 
 
-def no_difference_words(curve: Any) -> str:
+def no_difference_words(curve: Curve) -> str:
     """Return the range of sizes that look alike, as text; empty if it is narrow."""
     if curve.no_difference_um is None:
         return ""
@@ -97,7 +98,7 @@ def no_difference_words(curve: Any) -> str:
     return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to {high:.3g} µm{whole}"
 
 
-def outside_words(curve: Any) -> list[str]:
+def outside_words(curve: Curve) -> list[str]:
     """Return where the fitted curve is least, in parts, if that is outside the sizes that look alike; empty otherwise.
 
     The best size tried is among those.
@@ -198,7 +199,7 @@ def view_words(
     return words
 
 
-def study_view_words(result: Any) -> list[str]:
+def study_view_words(result: StudyResult) -> list[str]:
     """Return a line on how a study of a data sheet's sensor or of a window is shown; none for other studies."""
     study = result.study
     if study.own_um is None and study.window_mm is None:
@@ -211,7 +212,7 @@ def study_view_words(result: Any) -> list[str]:
     return [f"{words}{own}"] if words else []
 
 
-def study_light_words(result: Any) -> list[str]:
+def study_light_words(result: StudyResult) -> list[str]:
     """Return a line on the lens of a study, its field, what is display white, and the exposure; in cases, as far as all have it."""
     parts = result.cases
     lenses, whites = [], []
@@ -229,7 +230,7 @@ def study_light_words(result: Any) -> list[str]:
     return ["; ".join([*(lenses[:1] if len(set(lenses)) == 1 else []), shown])]
 
 
-def study_words(result: Any) -> list[str]:
+def study_words(result: StudyResult) -> list[str]:
     """Return what follows the optima of a study: causes, errors of its light, what it depends on, how its sensors are shown."""
     return [*result.cause_notes, *study_unconverged_lines(result), *study_light_words(result), *study_view_words(result)]
 

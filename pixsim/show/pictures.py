@@ -21,6 +21,7 @@ from pixsim.base.errors import one_line
 if TYPE_CHECKING:
     from PIL.Image import Image
     from PIL.ImageDraw import ImageDraw
+    from PIL.ImageFont import FreeTypeFont
 
 
 SCALE_ENDS = (1.0, 2.0, 5.0, 10.0)  # of the colour scale: few, so that most maps can be compared
@@ -144,13 +145,13 @@ def _upright(canvas: Image, text: str, left: float, middle: float) -> None:
 
 
 @lru_cache
-def font(size: int) -> Any:
+def font(size: int) -> FreeTypeFont:
     """Return Matplotlib's DejaVu Sans without importing Matplotlib."""
-    from PIL import ImageFont
+    from PIL.ImageFont import truetype
 
     home = util.find_spec("matplotlib")
     folder = next(iter(home.submodule_search_locations or [])) if home else ""
-    return ImageFont.truetype(str(Path(folder) / "mpl-data/fonts/ttf/DejaVuSans.ttf"), size)
+    return truetype(str(Path(folder) / "mpl-data/fonts/ttf/DejaVuSans.ttf"), size)
 
 
 def png_bytes(codes: NDArray[np.uint8]) -> bytes:

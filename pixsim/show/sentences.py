@@ -79,7 +79,7 @@ def smallest_and_largest(what: str, at: Sequence[float], values: Sequence[float]
     return f"{what} is smallest at {near:.3g}{unit_of_at} ({least}) and largest at {far:.3g}{unit_of_at} ({most})."
 
 
-def setting_value(value: Any, name: str = "") -> Any:
+def setting_value(value: object, name: str = "") -> object:
     """Return the value of a setting for a table; a curve of (wavelength in nm, value) by its size and range, and so is a table.
 
     name : of the setting

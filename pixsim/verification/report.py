@@ -51,7 +51,7 @@ def stability_words(accuracy: Accuracy) -> str:
 
 
 RENDERED = ("methods", "spp", "film", "sampler", "lens", "bands")
-LEGEND_COLUMNS = 6
+LEGEND_COLUMNS = 2  # for each panel
 JOINED = ("spp", "film")  # ladders drawn with a line
 VIEWING = ("seeds", "raster")
 SETTINGS = {
@@ -98,7 +98,7 @@ def work_precision(accuracy: Accuracy) -> Plate:
             axes.plot(accuracy.shipped.seconds, value, "*", label="default settings", **star)
         log_axes(axes, "seconds of render and score, warm", METRICS[metric])
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=LEGEND_COLUMNS, fontsize=8, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=LEGEND_COLUMNS * len(metrics), fontsize=8, frameon=False)
     caption = (
         f"The default settings err by {error_words(accuracy)}, in {accuracy.shipped.seconds:.2g} s. Error against run time; down "
         "and left is better. Each series varies one setting from the defaults (star). "

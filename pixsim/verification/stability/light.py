@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import norm, poisson
 
 from pixsim.base.arrays import Array
@@ -43,11 +43,11 @@ def scene(picture: Array, luminance_cd_per_m2: float, diffraction: bool = False)
     return SpectralImage([GREEN_NM], WIDTH_NM, 1e3 * CAMERA.die_mm / picture.shape[1], factors=(spectrum, [picture]), header=header)
 
 
-def electrons(luminance_cd_per_m2: Any, time_s: float = TIME_S) -> Any:
+def electrons(luminance_cd_per_m2: ArrayLike, time_s: float = TIME_S) -> Array:
     """Mean electrons of a pixel of `CLEAN`: L · π sin²α · A · t · λ/hc · QE / K(λ)."""
     sin2 = 1 / (1 + 4 * (CAMERA.f_number * (1 + CAMERA.magnification)) ** 2)
-    watts = luminance_cd_per_m2 / LM_PER_W * math.pi * sin2 * 0.5 * (PITCH_UM * 1e-6) ** 2
-    return watts * PHOTONS_PER_J * 0.5 * time_s
+    watts = np.asarray(luminance_cd_per_m2, float) / LM_PER_W * math.pi * sin2 * 0.5 * (PITCH_UM * 1e-6) ** 2
+    return np.asarray(watts * PHOTONS_PER_J * 0.5 * time_s)
 
 
 def captured(image: SpectralImage, physics: PixelPhysics, exposure: Exposure, seed: int = 0) -> sensors.Frame:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import norm, poisson
 
 from pixsim.base.arrays import Array
@@ -71,7 +72,8 @@ def _junction_well_e(area_um2: float, technology: Technology) -> float:
     return float(np.trapezoid(_junction_ff(j, area_um2, v), v) * 1e-15 / ELECTRON_C)
 
 
-def _junction_ff(j: Junction, area_um2: float, v: Any) -> Any:
+def _junction_ff(j: Junction, area_um2: float, v: ArrayLike) -> Array:
+    v = np.asarray(v, float)
     c_ff = j.cj_ff_per_um2 * area_um2 * (1 + v / j.pb_v) ** -j.mj + j.node_capacitance_ff
     return c_ff + j.cjsw_ff_per_um * 4 * math.sqrt(area_um2) * (1 + v / j.pbsw_v) ** -j.mjsw
 
