@@ -187,7 +187,7 @@ def made(kind: type[T], *fields: Any, **named: Any) -> T:
     return instance
 
 
-def check_of(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> Check:
+def check_of(hint: object, bounds: Bounds | None = None, axes: int | None = None) -> Check:
     """The check of an annotation.
 
     axes : of an array
@@ -220,7 +220,7 @@ def check_of(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -
         return _kind("True or False", lambda value: type(value).__name__ in ("bool", "bool_"))  # of NumPy, too
     if hint is str:
         return _instance(str, "a text")
-    kind = origin or hint
+    kind: Any = origin or hint
     if kind is os.PathLike:
         return _path
     return _instance(kind, "a pathlib.Path" if kind is Path else f"a {kind.__name__}")
@@ -238,7 +238,7 @@ def brief(value: object) -> str:
 
 
 def _kind(expected: str, holds: Callable[[Any], bool]) -> Check:
-    def check(name: str, value: Any) -> Any:
+    def check(name: str, value: object) -> object:
         if not holds(value):
             raise invalid(name, brief(value), expected)
         return value
@@ -247,7 +247,7 @@ def _kind(expected: str, holds: Callable[[Any], bool]) -> Check:
 
 
 def _instance(kind: type, expected: str) -> Check:
-    def check(name: str, value: Any) -> Any:
+    def check(name: str, value: object) -> object:
         if not isinstance(value, kind):
             raise invalid(name, brief(value), expected)
         return value
@@ -255,7 +255,7 @@ def _instance(kind: type, expected: str) -> Check:
     return check
 
 
-def _path(name: str, value: Any) -> Any:
+def _path(name: str, value: object) -> object:
     if not isinstance(value, str | os.PathLike) or not os.fspath(value) or "\0" in str(value):
         raise invalid(name, brief(value), "the path of a file")
     return value
@@ -266,7 +266,7 @@ def _number(kind: type, bounds: Bounds | None) -> Check:
     expected = f"a {bounds.of('whole number' if kind is int else 'number')}"
     low, high = bounds.low, min(bounds.high, sys.float_info.max)
 
-    def check(name: str, value: Any) -> Any:
+    def check(name: str, value: Any) -> object:
         number, own = value, type(value)
         if own is kind:
             if low < value < high:  # what most are, and quickly seen to be
@@ -286,7 +286,7 @@ def _number(kind: type, bounds: Bounds | None) -> Check:
     return check
 
 
-def _array_check(hint: Any, bounds: Bounds | None, axes: int | None = None) -> Check:
+def _array_check(hint: object, bounds: Bounds | None, axes: int | None = None) -> Check:
     import numpy as np
     from numpy.typing import ArrayLike
 
@@ -297,7 +297,7 @@ def _array_check(hint: Any, bounds: Bounds | None, axes: int | None = None) -> C
     is_free = bounds is None and axes is None
     is_open = bounds is not None and bounds.infinite and bounds.high == math.inf
 
-    def check(name: str, value: Any) -> Any:
+    def check(name: str, value: object) -> object:
         try:
             array = np.asarray(value)
             if is_free and array.dtype.kind == "f":  # what most are, and quickly seen to be
@@ -329,7 +329,7 @@ def _within(array: Any, bounds: Bounds) -> Any:
     return finite & above & (array <= bounds.high)
 
 
-def _any_of(hint: Any, bounds: Bounds | None) -> Check:
+def _any_of(hint: object, bounds: Bounds | None) -> Check:
     """One of several kinds; the message is that of the last, which is the most general."""
     from numpy.typing import ArrayLike
 
@@ -341,7 +341,7 @@ def _any_of(hint: Any, bounds: Bounds | None) -> Check:
         kinds = [kind for kind in kinds if kind is not str]  # a path may be a text
     checks = [check_of(kind, bounds) for kind in kinds]
 
-    def check(name: str, value: Any) -> Any:
+    def check(name: str, value: object) -> object:
         allowed = []
         for one in checks:
             try:
@@ -353,14 +353,14 @@ def _any_of(hint: Any, bounds: Bounds | None) -> Check:
     return _optional(check if len(checks) > 1 else checks[0], optional)
 
 
-def _is_array_like(hint: Any) -> bool:
+def _is_array_like(hint: object) -> bool:
     """Whether a union is NumPy's `ArrayLike`, perhaps with None, which typing flattens."""
     from numpy.typing import ArrayLike
 
     return set(get_args(ArrayLike) or (ArrayLike,)) <= set(get_args(hint))
 
 
-def _without_alias(hint: Any) -> Any:
+def _without_alias(hint: object) -> object:
     """The type that an alias of a `type` statement stands for, as NumPy's `NDArray` is one from 2.5 on; any other type as it is."""
     stands_for, inner = getattr(get_origin(hint) or hint, "__value__", None), get_args(hint)
     if stands_for is None:
@@ -380,7 +380,7 @@ def _tuple_of(inner: tuple[Any, ...], bounds: Bounds | None) -> Check:
     endless = inner[-1] is Ellipsis
     checks = [check_of(kind, bounds) for kind in inner if kind is not Ellipsis]
 
-    def check(name: str, value: Any) -> Any:
+    def check(name: str, value: object) -> object:
         if not isinstance(value, tuple | list) or not (endless or len(value) == len(checks)):
             raise invalid(name, brief(value), "a tuple" if endless else f"a tuple of {len(checks)}")
         each = checks * len(value) if endless else checks
@@ -389,10 +389,10 @@ def _tuple_of(inner: tuple[Any, ...], bounds: Bounds | None) -> Check:
     return check
 
 
-def _several(kind: Any, bounds: Bounds | None, origin: Any) -> Check:
+def _several(kind: object, bounds: Bounds | None, origin: object) -> Check:
     one = check_of(kind, bounds)
 
-    def check(name: str, value: Any) -> Any:
+    def check(name: str, value: object) -> object:
         if not isinstance(value, collections.abc.Iterable) or isinstance(value, str | bytes | Mapping):
             raise invalid(name, brief(value), "a list" if origin is collections.abc.Sequence else "a list, or a generator")
         if origin is collections.abc.Sequence:
@@ -402,10 +402,10 @@ def _several(kind: Any, bounds: Bounds | None, origin: Any) -> Check:
     return check
 
 
-def _table(kind: Any, bounds: Bounds | None) -> Check:
+def _table(kind: object, bounds: Bounds | None) -> Check:
     one = check_of(kind, bounds)
 
-    def check(name: str, value: Any) -> Any:
+    def check(name: str, value: object) -> object:
         if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
             raise invalid(name, brief(value), "a table with texts as keys")
         for key, part in value.items():

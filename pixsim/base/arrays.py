@@ -258,7 +258,7 @@ def stream(*key: object) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(int.from_bytes(digest, "little")))
 
 
-def values_of(name: str, function: Callable[..., Any], shape: tuple[int, ...], *arguments: Any) -> Array:
+def values_of(name: str, function: Callable[..., Any], shape: tuple[int, ...], *arguments: object) -> Array:
     """What a function that was given as an argument returns: numbers of a shape, or one number.
 
     Raises PixsimError that names the argument if it fails, or returns something else.

@@ -10,7 +10,7 @@ from functools import lru_cache, reduce
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -98,7 +98,7 @@ def _check_schema(path: Path, text: str) -> None:
             warn(f"settings '{path}' state {of_another(None)}: their results may differ from those beside them; write them anew.")
 
 
-def depth(value: Any) -> int:
+def depth(value: object) -> int:
     """Nesting depth of tables and lists, computed without recursion, which a file could exhaust."""
     deepest, stack = 0, [(value, 0)]
     while stack:
@@ -109,7 +109,7 @@ def depth(value: Any) -> int:
     return deepest
 
 
-def resolve_file(path: Path, name: Any) -> Any:
+def resolve_file(path: Path, name: object) -> Any:
     """Path of a file named in a configuration file: in the folder of that file, or else in the working directory."""
     if isinstance(name, str) and name and (path.parent / name).is_file():
         return str(path.parent / name)
@@ -123,7 +123,10 @@ def packaged(folder: str) -> Mapping[str, Path]:
     return MappingProxyType({path.stem: path for path in sorted(root.glob("*.toml"))})
 
 
-def checked(record: type[BaseModel], layers: Sequence[Layer]) -> Any:
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def checked(record: type[Model], layers: Sequence[Layer]) -> Model:
     """Merge layers and validate the record. Raises PixsimError that lists every problem with the file that it comes from.
 
     Warns of what a file states of a thin lens if a later layer names a real one.
@@ -228,12 +231,12 @@ def without_uncertainty(pixel: dict[str, Any], source: str) -> tuple[dict[str, A
     return plain, spreads
 
 
-def kind_of_value(value: Any) -> str:
+def kind_of_value(value: object) -> str:
     """A value that stands where a table should, for a message: a number as it is, else what it is."""
     return f"{value}" if isinstance(value, bool | int | float) else "a list" if isinstance(value, list) else "a text"
 
 
-def _spread(entry: Any, value: Any, where: str, name: str) -> Spread:
+def _spread(entry: object, value: object, where: str, name: str) -> Spread:
     """Return the spread of a number of [pixel]. Raises PixsimError if it is invalid, or does not hold the number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         hint = "A curve cannot be uncertain; give a number." if value is not None else ""
@@ -423,7 +426,7 @@ STATED = re.compile(rf"{HEAD}(?:, {KEY} (\d{{1,9}}))?\.")
 SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`
 
 
-def settings_text(record: Record, command: str, uncertainty: Uncertainty | None = None, **changes: Any) -> str:
+def settings_text(record: Record, command: str, uncertainty: Uncertainty | None = None, **changes: object) -> str:
     """TOML file of all settings of a result, from which a command makes the same numbers again, bit for bit.
 
     command : that makes them, in the file's folder
@@ -503,7 +506,7 @@ def scene_table(folder: Path, parameters: Mapping[str, Any]) -> dict[str, Any]:
     return {name: _scene_value(folder, value) for name, value in parameters.items()}
 
 
-def _scene_value(folder: Path, value: Any) -> Any:
+def _scene_value(folder: Path, value: object) -> object:
     if not isinstance(value, str):
         return value
     for kind in (int, float):

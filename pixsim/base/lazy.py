@@ -30,13 +30,13 @@ def load_when_used(*names: str) -> None:
 class PlainDocstring:
     """A docstring as it is, in place of SciPy's `FunctionDoc`, which parses it."""
 
-    def __init__(self, function: Any) -> None:
+    def __init__(self, function: object) -> None:
         self.text = function.__doc__ or ""
 
     def __getitem__(self, section: str) -> list[Any]:
         return []
 
-    def __setitem__(self, section: str, content: Any) -> None:
+    def __setitem__(self, section: str, content: object) -> None:
         pass
 
     def __str__(self) -> str:

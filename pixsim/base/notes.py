@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
 
 from pixsim.base.errors import shown
 
@@ -49,7 +48,7 @@ def collected_notes() -> Iterator[list[str]]:
     of_machine: list[str] = []  # each once too: a cache folder that cannot be written fails for every entry
     filters, show = list(warnings.filters), warnings.showwarning
 
-    def collect(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any, **__: Any) -> None:
+    def collect(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object, **__: object) -> None:
         text = str(message).removesuffix(".")
         if issubclass(category, UserWarning):
             texts = of_machine if issubclass(category, MachineWarning) else notes

@@ -237,7 +237,7 @@ def _in_metres(value: float, unit: str) -> str:
     return f"It is in {unit.replace('um', 'µm')}, and {value:g} m are {converted:.6g}: write {converted:.6g}."
 
 
-def _value(value: Any, layer: Layer | None) -> str:
+def _value(value: object, layer: Layer | None) -> str:
     """A value for a message: numbers as they are, texts of a file as `excerpt` has them."""
     if layer is None or not layer.source:
         return repr(value)
@@ -301,7 +301,7 @@ def _record(title: str, path: list[str]) -> type[BaseModel] | None:
     return record if isinstance(record, type) and issubclass(record, BaseModel) else None
 
 
-def _record_in(annotation: Any) -> Any:
+def _record_in(annotation: object) -> object:
     """The first class of a record in an annotation, such as that of a list of records; None if there is none."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         return annotation
@@ -321,7 +321,7 @@ class RecordType(ModelMetaclass):
             raise PixsimError(explain(error)) from None
 
 
-def not_tiny(value: Any) -> Any:
+def not_tiny(value: object) -> object:
     """A value with 0 in place of -0, also in lists. ValueError if a number in it is below `SMALLEST`, and not 0."""
     if isinstance(value, float):
         if 0 < abs(value) < SMALLEST:
@@ -339,7 +339,7 @@ class Record(BaseModel, metaclass=RecordType):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _reject_bool_as_number(cls, value: Any, info: ValidationInfo) -> Any:
+    def _reject_bool_as_number(cls, value: object, info: ValidationInfo) -> object:
         """Pydantic converts true to 1: `bits = true` would be a sensor of one bit."""
         if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is not bool:
             raise ValueError(f"got {value}; allowed: a number or a name")
@@ -347,7 +347,7 @@ class Record(BaseModel, metaclass=RecordType):
 
     @field_validator("*", mode="after")
     @classmethod
-    def _no_tiny_numbers(cls, value: Any) -> Any:
+    def _no_tiny_numbers(cls, value: object) -> object:
         """A fixed rule beside the bounds of a field: 0, without a sign, or a number that a processor divides by in usual time."""
         return not_tiny(value)
 
@@ -368,7 +368,7 @@ MIN_FRACTION = 1e-12  # smaller fractions of the light leave no signal
 AnyNumber = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]  # whose own bounds are those of what it is used for
 
 
-def _free_number(value: Any) -> Any:
+def _free_number(value: object) -> object:
     if isinstance(value, int | float) and not abs(value) <= LARGEST:
         raise ValueError(f"got {brief(value)}; allowed: a number from {-LARGEST:g} to {LARGEST:g}, or a text")
     return not_tiny(value)
@@ -409,7 +409,7 @@ ALLOWED_NM = (100.0, 2000.0)
 ALLOWED = "wavelengths in nm that increase, 100 to 2000, each with a quantum efficiency of 0 to 1, not all of them 0"
 
 
-def as_quantum_efficiency(value: Any) -> Any:
+def as_quantum_efficiency(value: Any) -> object:
     """Quantum efficiency as a number or pairs, from a number, pairs, or the path of a CSV file. ValueError if it is neither."""
     if value is None:
         return None
@@ -497,7 +497,7 @@ CHIEF_RAY_HEIGHTS_MM = (1e-6, 1e4)  # 1 nm ... ten times the largest die
 MAX_CHIEF_RAYS = 1000  # rows; makers' tables have 10 to 100
 
 
-def as_chief_ray_angles(value: Any) -> Any:
+def as_chief_ray_angles(value: Any) -> object:
     """Chief ray angles as rows of numbers, from rows, or from the path of a CSV file. ValueError if it is neither."""
     if value is None:
         return None
@@ -591,7 +591,7 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
     highest : that a value may be
     """
 
-    def validate(value: Any) -> Any:
+    def validate(value: object) -> object:
         if value is None:
             return None
         if isinstance(value, str | Path):
@@ -778,7 +778,7 @@ def is_data_sheet(values: dict[str, Any], pitch: str) -> bool:
     return pitch in given and not missing_of_data_sheet(given | efficiencies_of(values.get("colour")))
 
 
-def efficiencies_of(colour: Any) -> set[str]:
+def efficiencies_of(colour: object) -> set[str]:
     """The name of the quantum efficiency, if [pixel.colour], a table or a record, states those of all channels."""
     stated = colour if isinstance(colour, dict) else vars(colour) if isinstance(colour, ColourOptions) else {}
     return {"quantum_efficiency"} if any(stated.get(name) is not None for name in RESPONSES[:2]) else set()
@@ -907,7 +907,7 @@ class DarkCurrent(Record):
     )
 
 
-def _as_list(value: Any) -> Any:
+def _as_list(value: object) -> object:
     """Split the text of an option, as 1.4,2.0,2.8."""
     return value.replace(",", " ").split() if isinstance(value, str) else value
 
@@ -1344,7 +1344,7 @@ class Pixel(PixelOptions):
 
     @model_validator(mode="before")
     @classmethod
-    def _complete_data_sheet_needs_no_technology(cls, values: Any) -> Any:
+    def _complete_data_sheet_needs_no_technology(cls, values: object) -> object:
         if not isinstance(values, dict):
             return values
         none = values["technology"] is None if "technology" in values else is_data_sheet(values, "pitch_um")
@@ -1387,7 +1387,7 @@ LARGEST_MAGNIFICATION = 1e6  # green light is half a metre long in the image; be
 CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
 
 
-def as_file_names(value: Any) -> Any:
+def as_file_names(value: object) -> object:
     """Names of files, from a list or from text with commas, as an option has it."""
     return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
 
@@ -1667,7 +1667,7 @@ def values_of_lens_geometry(fov_deg: float, aperture_radius_m: float, focus_dist
 DIE_DIGITS = 9  # of a die in mm: 1 pm, so that 2448 × 3.45 µm is 8.4456 mm
 
 
-def as_pixel_count(value: Any) -> Any:
+def as_pixel_count(value: object) -> object:
     """Columns and rows, from numbers or from text as in `2448x2048`. ValueError if it is not a pair."""
     given = value
     if isinstance(value, str):
@@ -1801,7 +1801,7 @@ NO_CORRECTION = Correction()
 Gain = Annotated[float, Field(ge=1e-6, le=1e6)]
 
 
-def _as_gains(value: Any) -> Any:
+def _as_gains(value: object) -> object:
     return value if value == "known" else _as_list(value)
 
 
@@ -1986,14 +1986,14 @@ def setting_path(dotted: str) -> tuple[str, ...]:
     return tuple(path)
 
 
-def setting_table(path: Sequence[str], value: Any) -> dict[str, Any]:
+def setting_table(path: Sequence[str], value: object) -> dict[str, Any]:
     """Nested tables that set one value. The technology of the pixel is a study's only technology."""
     if tuple(path) == ("pixel", "technology"):
         return {"technologies": [value]}
     return nested(path, value)
 
 
-def nested(path: Sequence[str], value: Any) -> dict[str, Any]:
+def nested(path: Sequence[str], value: object) -> dict[str, Any]:
     """Nested tables with one value."""
     table: Any = value
     for part in reversed(path):
@@ -2036,14 +2036,14 @@ def _settings(table: Any) -> Any:
     return table
 
 
-def _of_condition(table: Any) -> Any:
+def _of_condition(table: Any) -> object:
     """As `_settings`. A technology is what a condition leaves as it is."""
     if isinstance(pixel := _settings(table).get("pixel"), dict) and "technology" in pixel:
         raise ValueError("pixel.technology cannot be changed by a condition; name technologies in the study, or vary it by an axis")
     return table
 
 
-def _as_paths(value: Any) -> Any:
+def _as_paths(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
 
@@ -2068,7 +2068,7 @@ def _case_name(value: str) -> str:
     return value
 
 
-def _axis_number(value: Any) -> Any:
+def _axis_number(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, float | int | str) or value == "":
         raise ValueError(f"got {brief(value)}; allowed: a number, a name, or a table of label and set")
     if isinstance(value, str) and (fault := name_fault(value)):
@@ -2076,7 +2076,7 @@ def _axis_number(value: Any) -> Any:
     return value
 
 
-def _is_table(value: Any) -> str:
+def _is_table(value: object) -> str:
     return BRANCHES[0] if isinstance(value, dict | AxisValue) else BRANCHES[1]
 
 
@@ -2341,7 +2341,7 @@ class Study(Setting):
 
     @model_validator(mode="before")
     @classmethod
-    def _complete_data_sheet_needs_no_technology(cls, values: Any) -> Any:
+    def _complete_data_sheet_needs_no_technology(cls, values: object) -> object:
         """The rule of `Pixel` for a study whose own [pixel] is a data sheet."""
         if not isinstance(values, dict) or "technologies" in values:
             return values
