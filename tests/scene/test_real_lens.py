@@ -337,7 +337,7 @@ def test_shapes_of_unknown_size_and_mirrors_are_told_with_the_defocus() -> None:
     plan = make_render_plan(scene, camera, PIXEL)
     assert any("gets a thin lens's disc and the blur that the real lens has in focus" in note for note in plan.warnings)
     (decision,) = [decision for decision in plan.decisions if decision.subject == "defocus of the lens"]
-    assert "what surfaces mirror or refract lies at other depths, which are not judged" in decision.reason
+    assert "what surfaces mirror or refract lies at other depths, which are not looked at" in decision.reason
 
 
 def test_depths_are_those_of_the_shapes_in_view() -> None:
