@@ -31,6 +31,7 @@ from pixsim.studies.result import StudyResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.patches import PathPatch
 
 PAPER_PLATES = (
     "figure_2a_dr_snr", "figure_2b_mtf", "figure_3_pixels_on_die", "figure_4_scene", "figure_5_pictures_8um",
@@ -121,21 +122,32 @@ def figure_2b(result: StudyResult) -> Plate:
     return Plate("figure_2b_mtf", caption, figure, table)
 
 
+def squares(corners_um: Sequence[tuple[float, float]], side_um: float, fc: str, lw: float, ec: str = "none") -> PathPatch:
+    """Return equal squares as one path, which takes fewer bytes than a path for each.
+
+    corners_um : upper left corners, (x, y)
+    """
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
+    unit = np.asarray(Outline.unit_rectangle().vertices)
+    parts = [Outline(unit * side_um + np.array(corner), closed=True) for corner in corners_um]
+    return PathPatch(Outline.make_compound_path(*parts), facecolor=fc, edgecolor=ec, linewidth=lw)
+
+
 @own_style()
 def figure_3(result: StudyResult) -> Plate:
     """Show a corner of the die with pixels of three sizes, and the photodiode of each."""
-    from matplotlib.patches import Rectangle
-
     figure = new_figure(7.6, 3.1)
     table: dict[str, list[float]] = {name: [] for name in ("pitch_um", "rows", "columns", "fill_factor", "photodiode_side_um")}
     for axes, pitch_um in zip(figure.subplots(1, len(FIGURE_3_PITCHES_UM), sharey=True), FIGURE_3_PITCHES_UM, strict=True):
         physics, (rows, columns) = result.physics(REFERENCE_TECHNOLOGY, pitch_um), pixels_on_die(result, pitch_um)
         side_um = physics.photodiode_side_um
-        places = np.arange(0, FIGURE_3_SIDE_UM, pitch_um).tolist()
-        for x, y in product(places, places):
-            inset_um = (pitch_um - side_um) / 2
-            axes.add_patch(Rectangle((x, y), pitch_um, pitch_um, facecolor="white", edgecolor="0.6", lw=0.6))
-            axes.add_patch(Rectangle((x + inset_um, y + inset_um), side_um, side_um, facecolor=LOOKS[0].colour, lw=0))
+        places, inset_um = np.arange(0, FIGURE_3_SIDE_UM, pitch_um).tolist(), (pitch_um - side_um) / 2
+        corners_um = list(product(places, places))
+        axes.add_patch(squares(corners_um, pitch_um, fc="white", ec="0.6", lw=0.6))
+        within_um = [(x + inset_um, y + inset_um) for x, y in corners_um]
+        axes.add_patch(squares(within_um, side_um, fc=LOOKS[0].colour, lw=0.0))
         axes.set_title(f"{columns} × {rows} pixels of {pitch_um:g} µm\nfill factor {100 * physics.fill_factor:.0f} %", fontsize=9)
         axes.set(xlim=(0, FIGURE_3_SIDE_UM), ylim=(FIGURE_3_SIDE_UM, 0), aspect="equal", xlabel="x on the die (µm)")
         for name, value in zip(table, (pitch_um, rows, columns, physics.fill_factor, side_um), strict=True):

@@ -219,11 +219,11 @@ def test_figure_3_draws_the_pixels_of_one_die(plates: dict[str, Plate], evidence
     np.testing.assert_allclose(side_um, pitch_um * np.sqrt(fill_factor), rtol=1e-12)
     assert (np.diff(fill_factor) > 0).all()
     for axes, pitch, side in zip(plate.figure.axes, pitch_um, side_um, strict=True):
-        pixel, photodiode = axes.patches[:2]
-        assert (pixel.get_width(), pixel.get_height()) == (pitch, pitch)
-        assert photodiode.get_xy() == pytest.approx([(pitch - side) / 2] * 2)
-        assert photodiode.get_width() == side
-        assert len(axes.patches) == 2 * math.ceil(45 / pitch) ** 2
+        pixels, photodiodes = (patch.get_path().vertices.reshape(-1, 5, 2) for patch in axes.patches)  # closed squares
+        assert len(pixels) == len(photodiodes) == math.ceil(45 / pitch) ** 2
+        np.testing.assert_allclose(np.ptp(pixels, axis=1), pitch, rtol=1e-12)
+        np.testing.assert_allclose(np.ptp(photodiodes, axis=1), side, rtol=1e-12)
+        np.testing.assert_allclose(photodiodes.min(axis=1) - pixels.min(axis=1), (pitch - side) / 2, rtol=1e-9)
 
 
 def test_figure_6_shows_the_contrasts_of_its_curves(plates: dict[str, Plate], evidence: Evidence) -> None:
