@@ -243,15 +243,12 @@ def plan(
     Example: pixsim plan macbeth --tolerance-e 1e-4
     """
     import_less()
-    from pixsim.scene.scene import load_scene
+    from pixsim.studies.prepared import loaded_scene
     from pixsim.studies.run import plan_of
 
     chosen = options.settings(tolerance_e=tolerance_e)
-    loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
-    camera = loaded.camera(chosen.camera, chosen.lens)
-    if chosen.resolution:
-        loaded = loaded.with_resolution(chosen.resolution)
-    made = plan_of(loaded, camera, chosen, full)
+    loaded = loaded_scene(scene, chosen.scene, chosen.resolution, variant=variant, sensor=sensor)
+    made = plan_of(loaded, loaded.camera(chosen.camera, chosen.lens), chosen, full)
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
     assumed = chosen.pixel.assumption
     show(

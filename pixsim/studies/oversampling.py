@@ -541,9 +541,15 @@ def light_of(demand: Demand, progress: Progress | None = None) -> tuple[Light, P
     fixed = "set by --resolution" if settings.resolution else ""
     fixed = "chosen for the tolerance" if settled and settled.film_is_free else fixed
     render = partial(demand.render, progress=share_of(progress, 0.0, rendering))
-    own = scene, demand.camera, plan
     light, last = render_on_film(
-        *own, render=render, plan_of=demand.plan_of, measure=measure, fixed=fixed, max_seconds=settings.max_seconds
+        scene,
+        demand.camera,
+        plan,
+        render=render,
+        plan_of=demand.plan_of,
+        measure=measure,
+        fixed=fixed,
+        max_seconds=settings.max_seconds,
     )
     if plan.exact or cache.has_room(4 * light.image.planes.size):
         remember_rendered(scene, demand.camera, plan, settings, light.image.shape[1])

@@ -158,8 +158,20 @@ def prepare(
     complete = settings.model_copy(update=chosen)
     if scene is not None:
         light = demand_of(view.scene(scene), camera, complete, full)
-    of_run = source, settings, complete, camera, light, view
-    return RunJob(*of_run, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
+    return RunJob(
+        source,
+        settings,
+        complete,
+        camera,
+        light,
+        view,
+        full=full,
+        repeats=repeats,
+        frames=frames,
+        sensor=sensor,
+        variant=variant,
+        units=units,
+    )
 
 
 def demand_of(scene: Scene, camera: Camera, settings: Run, full: bool, settled: Settled | None = None) -> Demand:

@@ -21,10 +21,11 @@ from pixsim.report.run import write_all
 from pixsim.scene.convergence import RENDER_NOISE
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.scene import Scene, chart_parameters, load_scene
+from pixsim.scene.scene import Scene, chart_parameters
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.budget import MAX_DOTS, ProbeDesign, calibrate, effects, pitches_around_optimum_um, probe
+from pixsim.studies.prepared import loaded_scene
 from pixsim.studies.run import RunJob, RunResult
 from pixsim.verification import ladders, stability
 from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
@@ -150,10 +151,8 @@ def survey(
     depth = ladders.QUICK if quick else ladders.FULL
     progress("parse and render")
     start = time.perf_counter()
-    scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
+    scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
     camera = scene.camera(settings.camera, settings.lens)
-    if settings.resolution:
-        scene = scene.with_resolution(settings.resolution)
     plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, tolerance_e=settings.tolerance_e)
     if plan.resolution:
         scene = scene.with_resolution(plan.resolution)
