@@ -163,7 +163,7 @@ def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_pat
     cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>.*?</tr>", table)]
     message = {cell[0]: cell[1:] for cell in cells}
     assert message["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
-    assert [message[name][0] for name in ("file", "film", "integration_s")] == ["csf.xml", "384 × 384", "100 ms"]
+    assert [message[name][0] for name in ("file", "film", "integration_s")] == ["csf.xml", "384\u00a0×\u00a0384", "100 ms"]
     brighter = result.study.display.model_copy(update={"white_cd_per_m2": 250.0})
     write_study(replace(result, study=result.study.model_copy(update={"display": brighter})), tmp_path)
     assert "display white is 250 cd/m² in the scene" in words_of(tmp_path)
