@@ -33,8 +33,9 @@ from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.guard.meshes import inspect_mesh
 from pixsim.scene.guard.plugins import MAX_ELEMENTS, PLUGINS
 from pixsim.scene.guard.tracer import Job, OutOfTimeError, OwnTracer
-from pixsim.scene.mitsuba import nodes_of, parse, speaking_mitsuba
+from pixsim.scene.mitsuba import parse, speaking_mitsuba
 from pixsim.scene.scene import packaged_scenes
+from pixsim.scene.tree import nodes_of
 
 VARIANT = "scalar_spectral"
 SIDE = 8

@@ -528,7 +528,7 @@ def compare(
     from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, studies_of
     from pixsim.studies.lineup import prepare
 
-    shared = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
+    shared: dict[str, Any] = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
     axes, cases = cases_of_comparison(study)
     with collected_notes() as notes:

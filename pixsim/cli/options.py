@@ -181,9 +181,6 @@ complete_technology = packaged_or_files(lambda: packaged("data/technologies"), "
 complete_sensor = packaged_or_files(lambda: [*packaged("data/technologies"), NO_TECHNOLOGY], ".toml")
 
 
-complete_lens = packaged_or_files(lambda: packaged("data/lenses"), ".toml", ".zmx")
-
-
 Config = Annotated[list[Path] | None, Parameter(help="TOML file with tables [camera], [pixel], …; later files take precedence.")]
 Define = Annotated[
     list[str] | None,
@@ -237,14 +234,14 @@ def option_table(record: type[Record], name: str, inside: str = "") -> object:
 if TYPE_CHECKING:
     from pixsim.show.document import Document
 
-    CameraTable: TypeAlias = Any
-    LensTable: TypeAlias = Any
-    PixelTable: TypeAlias = Any
-    ExposureTable: TypeAlias = Any
-    CorrectionTable: TypeAlias = Any
-    DevelopTable: TypeAlias = Any
-    DisplayTable: TypeAlias = Any
-    PitchTable: TypeAlias = Any
+    CameraTable: TypeAlias = object
+    LensTable: TypeAlias = object
+    PixelTable: TypeAlias = object
+    ExposureTable: TypeAlias = object
+    CorrectionTable: TypeAlias = object
+    DevelopTable: TypeAlias = object
+    DisplayTable: TypeAlias = object
+    PitchTable: TypeAlias = object
 else:
     CameraTable = option_table(CameraOptions, "camera")
     LensTable = option_table(LensOptions, "lens")

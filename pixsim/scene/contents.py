@@ -20,7 +20,8 @@ from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, WHITE_LAMPS, Spectrum, grid_nm, tabulated
 from pixsim.scene.guard.assets import EIGHT_BIT, check_share
-from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
+from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum
+from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, plain
 
 # The property with the spectrum of each stock emitter.
 EMISSION = dict.fromkeys(("area", "constant", "directionalarea"), "radiance")
@@ -52,7 +53,7 @@ class Lamp:
         return float(spectral.LUMINOUS_EFFICACY_LM_PER_W * LUMINANCE_STEP_NM * luminous.sum())
 
 
-def find_lamps(state: Any, variant: str) -> list[Lamp]:
+def find_lamps(state: Tree, variant: str) -> list[Lamp]:
     """Group the emitters by spectrum, in scene order; those whose spectrum varies over them are the last group."""
     groups: dict[tuple[Any, ...], list[tuple[int, str, float, int | None]]] = {}
     coloured: dict[int, tuple[str, int | float]] = {}
@@ -79,13 +80,13 @@ def find_lamps(state: Any, variant: str) -> list[Lamp]:
     return [*lamps, Lamp(None, coloured)] if coloured else lamps
 
 
-def find_lamp(state: Any, variant: str) -> Lamp | None:
+def find_lamp(state: Tree, variant: str) -> Lamp | None:
     """Return the lamp of all emitters if they share one spectrum, else None."""
     lamps = find_lamps(state, variant)
     return lamps[0] if len(lamps) == 1 and lamps[0].spectrum is not None else None
 
 
-def _emission(state: Any, emitter: Any) -> tuple[tuple[Any, ...], float, int | None] | None:
+def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int | None] | None:
     """Return an emitter's spectrum (a hashable key), scale and neutral picture (a node); None if they cannot be separated."""
     name = EMISSION.get(emitter.props.plugin_name())
     if name is None:
@@ -128,7 +129,7 @@ def _emission(state: Any, emitter: Any) -> tuple[tuple[Any, ...], float, int | N
     return None
 
 
-def is_neutral(texture: Any) -> bool:
+def is_neutral(texture: Node) -> bool:
     """Return whether a texture multiplies all wavelengths alike: a raw bitmap does."""
     return texture.props.plugin_name() == "bitmap" and bool(texture.props.get("raw", False))
 
@@ -138,12 +139,12 @@ def numbers(text: object) -> list[float]:
     return [float(number) for number in str(text).strip("[]").replace(",", " ").split()]
 
 
-def parsed_table(value: Any) -> Spectrum:
+def parsed_table(value: Table) -> Spectrum:
     """Return a spectrum that the parser stores as a table."""
     return Spectrum(np.array(value.wavelengths, float), np.array(value.values, float))
 
 
-def table_of(node: Any) -> Spectrum | None:
+def table_of(node: Node) -> Spectrum | None:
     """Return the table of a `regular` or `irregular` spectrum whose values are in the XML, else None."""
     props, plugin = node.props, node.props.plugin_name()
     if plugin not in ("regular", "irregular"):
@@ -210,7 +211,7 @@ def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
     return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral() > 0]
 
 
-def white_of(state: Any, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spectrum, ...]:
+def white_of(state: Tree, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spectrum, ...]:
     """Return the spectra that add up to the light of the scene's white, in one unit; none if that is unknown.
 
     lamps : of `find_lamps`
@@ -289,7 +290,7 @@ class Surfaces:
         return np.vstack([single, *powers, *series, *([pairs[index] for index in spread] or [single[:0]])])
 
 
-def find_surfaces(state: Any, variant: str) -> Surfaces:
+def find_surfaces(state: Tree, variant: str) -> Surfaces:
     """Return the spectra that BSDFs multiply light with, from the parsed tree."""
     spectra: list[Array] = []
     short: set[str] = set()
@@ -317,7 +318,7 @@ def find_surfaces(state: Any, variant: str) -> Surfaces:
     return Surfaces(np.array(list(unique.values())).reshape(-1, grid_nm().size), "", tuple(sorted(short)))
 
 
-def _property(state: Any, node: Any, name: str, variant: str, short: set[str]) -> list[Array] | None:
+def _property(state: Tree, node: Node, name: str, variant: str, short: set[str]) -> list[Array] | None:
     """Return the spectra that a property of a node may have: none if it is neutral, None if they are unknown."""
     kind = node.props.type(name).name
     if kind in ("Float", "Integer"):
@@ -349,13 +350,21 @@ def _table(table: Spectrum, short: set[str]) -> Array:
     return table.at(grid_nm())
 
 
-def _metal(state: Any, node: Any, variant: str) -> list[Array] | None:
+def _spectrum_dict(table: Table) -> dict[str, Any]:
+    """Return the plugin description of a spectrum that the parser stores."""
+    if table.is_uniform():
+        return {"type": "uniform", "value": float(table.values[0])}
+    columns = {name: ", ".join(repr(float(value)) for value in getattr(table, name)) for name in ("wavelengths", "values")}
+    return {"type": "irregular", **columns}
+
+
+def _metal(state: Tree, node: Node, variant: str) -> list[Array] | None:
     """Return the Fresnel reflectances of a conductor at several angles, from Mitsuba; None if its index is unknown."""
     described: dict[str, Any] = {"type": "conductor"}
     values, textures = dict(plain(node)), children(node, state)
     for key in ("material", "eta", "k"):
         if key in values:
-            described[key] = spectrum_dict(values[key]) if hasattr(values[key], "wavelengths") else values[key]
+            described[key] = _spectrum_dict(values[key]) if isinstance(values[key], Table) else values[key]
         elif key in textures:
             texture = state.nodes[textures[key]]
             if texture.props.plugin_name() not in ("uniform", "regular", "irregular"):
@@ -404,7 +413,7 @@ class Body:
         return bool(np.any(z > IN_FRONT_M))
 
 
-def matrix_of(node: Any, name: str = "to_world") -> Array:
+def matrix_of(node: Node, name: str = "to_world") -> Array:
     if name not in node.props:
         return np.eye(4)
     if "Transform" not in node.props.type(name).name:
@@ -412,7 +421,7 @@ def matrix_of(node: Any, name: str = "to_world") -> Array:
     return np.asarray(node.props[name].matrix, float).reshape(4, 4)
 
 
-def check_transforms(state: Any) -> None:
+def check_transforms(state: Tree) -> None:
     """Raise PixsimError if a transform is singular or not finite."""
     for node in state.nodes:
         matrix = matrix_of(node)
@@ -420,7 +429,7 @@ def check_transforms(state: Any) -> None:
             raise invalid(f"{node.props.plugin_name()}.to_world", matrix.tolist(), "a finite, invertible transform")
 
 
-def find_bodies(state: Any, sensor: Any) -> list[Body]:
+def find_bodies(state: Tree, sensor: Node) -> list[Body]:
     """Return every shape that may be in view; the members of a shape group are placed at its instances."""
     to_camera = np.asarray(np.linalg.inv(matrix_of(sensor)), float)
     groups = [(index, node) for index, node in nodes_of(state, "Shape") if node.props.plugin_name() == "shapegroup"]
@@ -445,7 +454,7 @@ def find_bodies(state: Any, sensor: Any) -> list[Body]:
     return bodies
 
 
-def _box(node: Any) -> Array | None:
+def _box(node: Node) -> Array | None:
     """Return the corners of a bounding box of a stock shape in world coordinates, or None."""
     props, plugin = node.props, node.props.plugin_name()
     if plugin in FLAT:
@@ -464,7 +473,7 @@ def _box(node: Any) -> Array | None:
     return _moved(matrix_of(node), unit)
 
 
-def _facing(to_camera: Array, node: Any) -> Array | None:
+def _facing(to_camera: Array, node: Node) -> Array | None:
     """Return the unit normal of the front side of a flat shape in the camera's frame, else None."""
     if node.props.plugin_name() not in FLAT:
         return None
@@ -508,12 +517,12 @@ MAPS = ("normalmap", "bumpmap", "mask", "blendbsdf")
 MAP_NAMES = ("alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic", "weight", "opacity")
 
 
-def named_files(state: Any) -> list[Path]:
+def named_files(state: Tree) -> list[Path]:
     """Return the files of all nodes, which are inspected: pictures, meshes and volumes."""
     return [_file_of(node) for node in state.nodes if "filename" in node.props]
 
 
-def _file_of(node: Any) -> Path:
+def _file_of(node: Node) -> Path:
     return Path(str(node.props["filename"]))
 
 
@@ -532,7 +541,7 @@ def _channels_of(path: Path, digest: str) -> dict[str, NDArray[np.float32]]:
     return channels
 
 
-def check_textures(state: Any) -> None:
+def check_textures(state: Tree) -> None:
     """Raise PixsimError for NaN, infinite and negative texels, which Mitsuba would interpolate into their neighbours."""
     maps_or_weights: set[int] = set()  # textures of normals, bumps, opacity, weights, roughness
     others: set[int] = set()
@@ -590,7 +599,7 @@ class EmittedPicture:
     source: str = ""
 
 
-def emitted_picture(state: Any, emitter: Any) -> EmittedPicture | None:
+def emitted_picture(state: Tree, emitter: Node) -> EmittedPicture | None:
     """Return an emitter's neutral EXR, or one texel of value 1 if it has no picture.
 
     Returns None if the picture is of another kind, rotated, repeated or not centred.

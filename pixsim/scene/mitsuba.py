@@ -8,7 +8,8 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,14 @@ from pixsim.scene.guard import graphics
 from pixsim.scene.guard.assets import mitsuba_folder
 from pixsim.scene.guard.variant import UNUSABLE_HINT
 
+if TYPE_CHECKING:
+    from mitsuba import Spectrum, SurfaceInteraction3f
+    from mitsuba.parser import ParserState
+
 _process: int | None = None  # in which Mitsuba works
 
 
-def import_mitsuba(variant: str) -> Any:
+def import_mitsuba(variant: str) -> ModuleType:
     """Import Mitsuba and set its variant; call `pixsim.scene.guard.variant.choose` first.
 
     A process whose first variant is not for graphics cards cannot take one later.
@@ -55,7 +60,7 @@ def import_mitsuba(variant: str) -> Any:
     return mi
 
 
-def drjit() -> Any:
+def drjit() -> ModuleType:
     """Return Dr.Jit, whose types vary with Mitsuba's variant; call `import_mitsuba` first."""
     import drjit as dr
 
@@ -69,7 +74,7 @@ def read_bitmap(path: Path, variant: str) -> NDArray[Any]:
 
 
 @contextmanager
-def speaking_mitsuba(variant: str) -> Iterator[Any]:
+def speaking_mitsuba(variant: str) -> Iterator[ModuleType]:
     """Give Mitsuba with only its own folder on its search path, and turn its errors into PixsimError.
 
     Mitsuba looks for its plugins on that path too, and runs what it finds there.
@@ -102,40 +107,10 @@ def _is_interrupt(error: BaseException | None) -> bool:
     return False
 
 
-def parse(text: str, variant: str) -> Any:
+def parse(text: str, variant: str) -> ParserState:
     """Return Mitsuba's parser state, the tree of nodes before objects are built, of an inspected text."""
     with speaking_mitsuba(variant) as mi:
         return mi.parser.parse_string(mi.parser.ParserConfig(variant), text)
-
-
-def children(node: Any, state: Any) -> dict[str, int]:
-    """Return property -> index of the node that it refers to. Raises PixsimError if there is no such node."""
-    indices = {}
-    for key in node.props.keys():  # noqa: SIM118  (Properties is no dict)
-        kind = node.props.type(key).name
-        if kind == "ResolvedReference":
-            indices[key] = node.props[key].index()
-        elif kind == "Reference":
-            name = node.props[key].id()
-            if name not in state.id_to_index:
-                raise invalid("scene", f"a reference to '{name}', which does not exist", "ids of the scene's nodes")
-            indices[key] = state.id_to_index[name]
-    return indices
-
-
-def plain(node: Any, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
-    """Iterate over the properties of a node that are values, not references."""
-    for key in node.props.keys():  # noqa: SIM118
-        if node.props.type(key).name not in ("ResolvedReference", "Reference", "Object"):
-            try:
-                yield key, node.props[key]
-            except RuntimeError:  # an <rgb> has no Python value
-                if not numbers_only:
-                    yield key, node.props.as_string(key)
-
-
-def nodes_of(state: Any, kind: str) -> list[tuple[int, Any]]:
-    return [(index, node) for index, node in enumerate(state.nodes) if node.type.name == kind]
 
 
 def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
@@ -161,22 +136,14 @@ def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str
         bsdf, context = mi.load_dict(description), mi.BSDFContext()
         towards = [math.sqrt(1 - cosine**2), 0.0, cosine]
 
-        def reflected(interaction: Any) -> Any:
-            interaction.wi = towards if variant.startswith("scalar") else mi.Vector3f(*towards)
+        def reflected(interaction: SurfaceInteraction3f) -> Spectrum:
+            interaction.wi = mi.Vector3f(*towards)
             return bsdf.sample(context, interaction, 0.5, mi.Point2f(0.5, 0.5))[1]
 
         return _at_each_wavelength(mi, variant, reflected)
 
 
-def spectrum_dict(table: Any) -> dict[str, Any]:
-    """Return the plugin description of a spectrum that the parser stores."""
-    if table.is_uniform():
-        return {"type": "uniform", "value": float(table.values[0])}
-    columns = {name: ", ".join(repr(float(value)) for value in getattr(table, name)) for name in ("wavelengths", "values")}
-    return {"type": "irregular", **columns}
-
-
-def _at_each_wavelength(mi: Any, variant: str, value: Callable[[Any], Any]) -> Array:
+def _at_each_wavelength(mi: ModuleType, variant: str, value: Callable[[SurfaceInteraction3f], Spectrum]) -> Array:
     """Evaluate `value` for surface interactions that differ in wavelength only, (471,)."""
     import drjit as dr
 

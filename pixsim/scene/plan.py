@@ -33,10 +33,10 @@ from pixsim.scene import bands as spectral_bands, film, rules
 from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces, light_range_nm, white_of
 from pixsim.scene.film import GREEN_NM
-from pixsim.scene.mitsuba import nodes_of
 from pixsim.scene.real_lens import decide_defocus, decide_real_lens, real_lens_warnings
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
+from pixsim.scene.tree import Node, nodes_of
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.noise import SOURCES
@@ -234,7 +234,7 @@ class Plan:
         )
 
 
-def shutter_note(sensor: Any) -> str:
+def shutter_note(sensor: Node) -> str:
     """Return what to say of a sensor that states a shutter time; empty for others. No scene that pixsim reads has motion."""
     opens, closes = (float(sensor.props.get(name, 0.0)) for name in ("shutter_open", "shutter_close"))
     if opens == closes:

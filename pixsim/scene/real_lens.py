@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -14,9 +13,9 @@ from pixsim.optics.camera_lens import MIN_SPACING, TILES, Tiling, choose_tiling,
 from pixsim.optics.lens_defocus import Defocus, defocus_at, largest_disc_um, signed_disc_um, smallest_disc_um
 from pixsim.scene.contents import LAMBERTIAN, Body
 from pixsim.scene.film import FILM_ROUNDING, SAMPLES_PER_DETAIL
-from pixsim.scene.mitsuba import nodes_of
 from pixsim.scene.rules import ALIKE, Decision
 from pixsim.scene.scene import Scene
+from pixsim.scene.tree import Tree, nodes_of
 from pixsim.sensor.pixel import derive
 
 SEEN_NM = np.arange(400.0, 701.0, 10.0)  # light for which tiles are chosen: even in energy, as the sensor sees it
@@ -70,7 +69,7 @@ def decide_real_lens(
 
 
 def decide_defocus(
-    state: Any, bodies: Sequence[Body], camera: Camera, seen: Camera, aspect: float, pixel: Pixel | None, tolerance_e: float
+    state: Tree, bodies: Sequence[Body], camera: Camera, seen: Camera, aspect: float, pixel: Pixel | None, tolerance_e: float
 ) -> tuple[list[Defocus], list[Decision]]:
     """Return what the thin lens's defocus is off at depths of the scene, largest errors first, and the decision.
 
@@ -96,7 +95,7 @@ def decide_defocus(
     return found, [Decision(DEFOCUS, False, words, "a trace for each depth", bounded=False)]
 
 
-def depth_ranges_m(bodies: Sequence[Body], camera: Camera, state: Any) -> tuple[list[tuple[float, float]], str]:
+def depth_ranges_m(bodies: Sequence[Body], camera: Camera, state: Tree) -> tuple[list[tuple[float, float]], str]:
     """Return the nearest and farthest depths of bodies, and what of the scene has no known place.
 
     Bodies reach to a part of the distance in focus at least; from there to infinity goes what has no known place.

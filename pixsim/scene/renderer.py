@@ -34,7 +34,7 @@ from pixsim.scene.guard.tracer import Job, Lamps, Passes, Tracer, regular
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
-from pixsim.scene.tree import parse_tree
+from pixsim.scene.tree import Tree, parse_tree
 
 
 def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:
@@ -62,7 +62,7 @@ Pictures = list[NDArray[np.float32]]
 KIND = "render"
 
 
-def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int) -> str:
+def hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: int) -> str:
     """Return a hash of all that a job's runs depend on (`state`: parsed for the camera); pixel and display act by the plan."""
     lights = []
     for light in plan.lights:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,11 @@ from pixsim.base.parameters import Camera, Pixel
 from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
 from pixsim.optics.diffraction import diffract
 from pixsim.scene.contents import FLAT, LAMBERTIAN, Body, emitted_picture, face_one_way, greatest_blur_um, parsed_table
-from pixsim.scene.mitsuba import children, nodes_of
+from pixsim.scene.tree import Tree, children, nodes_of
 from pixsim.sensor.pixel import derive
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Sample counts, besides 1 and 2, for which pictures are the same bit for bit on any number of threads.
 SAMPLE_COUNTS = (4, 16, 64, 256, 1024)
@@ -74,7 +77,7 @@ class Chart:
         in_threads(compute, strips(*picture.shape), picture.size)  # the matrices are sparse; strips save memory
         return picture
 
-    def _shown(self, weights: Any, n: int) -> tuple[Any, NDArray[np.intp]]:
+    def _shown(self, weights: csr_array, n: int) -> tuple[csr_array, NDArray[np.intp]]:
         """Return the weights of those of n texels along an axis that cells show, and their numbers.
 
         weights : (cells, n + 2), the first and the last of the texels beyond the sides
@@ -150,7 +153,7 @@ def finest_detail(chart: Chart) -> float:
     return max(found, default=1.0)
 
 
-def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice) -> Any:
+def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice) -> csr_array:
     """Return the weights of texels in the means of film cells along one axis, a sparse matrix (cells, n + 2).
 
     Between the centres of texels, the chart is linear: a texel's value is weighted with the integral of a tent of unit area.
@@ -280,7 +283,7 @@ class Decision:
     bounded: bool = True
 
 
-def decide_bounces(state: Any, bodies: list[Body], full: bool) -> tuple[dict[str, Any] | None, int, Decision]:
+def decide_bounces(state: Tree, bodies: list[Body], full: bool) -> tuple[dict[str, Any] | None, int, Decision]:
     """Return an integrator in place of the scene's, the number of surfaces that light can meet, and the decision.
 
     A flat emitter alone needs depth 1. Light meets one surface at most if the scene sets that depth, or if flat, diffuse,
@@ -312,7 +315,7 @@ def decide_bounces(state: Any, bodies: list[Body], full: bool) -> tuple[dict[str
     return None, met, Decision("bounces", True, f"surfaces may light each other; as set in the scene: {allowed}")
 
 
-def irregular_tables(state: Any) -> dict[tuple[int, str], tuple[Spectrum, Array]]:
+def irregular_tables(state: Tree) -> dict[tuple[int, str], tuple[Spectrum, Array]]:
     """Return (node, property) -> (table, values at equal steps) of the surface tables that allow equal steps."""
     tables = {}
     for index, node in enumerate(state.nodes):
@@ -327,7 +330,7 @@ def irregular_tables(state: Any) -> dict[tuple[int, str], tuple[Spectrum, Array]
     return tables
 
 
-def decide_tables(state: Any, full: bool) -> tuple[bool, Decision]:
+def decide_tables(state: Tree, full: bool) -> tuple[bool, Decision]:
     """Decide whether tables with equal steps are looked up by index; Mitsuba searches tables of pairs."""
     count = len(irregular_tables(state))
     if full or not count:
@@ -336,7 +339,7 @@ def decide_tables(state: Any, full: bool) -> tuple[bool, Decision]:
 
 
 def decide_lens(
-    state: Any, camera: Camera, bodies: list[Body], aspect: float, pixel: Pixel | None, tolerance_e: float, full: bool
+    state: Tree, camera: Camera, bodies: list[Body], aspect: float, pixel: Pixel | None, tolerance_e: float, full: bool
 ) -> tuple[Literal["thinlens", "perspective"], Decision]:
     """Replace the lens by a pinhole if everything in view is in focus and looks the same from every point of the lens."""
     visible = [body for body in bodies if body.in_view(camera, aspect)]
@@ -360,7 +363,7 @@ def decide_lens(
     return "perspective", Decision("lens samples", False, reason, "2 of 5 dimensions", error)
 
 
-def lone_chart(state: Any, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> Chart | None:
+def lone_chart(state: Tree, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> Chart | None:
     """Return the chart if the scene is one flat emitter that faces the lens upright, centred, and fills the film."""
     emitters = nodes_of(state, "Emitter")
     if len(bodies) != 1 or len(emitters) != 1 or emitters[0][1].props.plugin_name() != "area":
@@ -387,7 +390,7 @@ def lone_chart(state: Any, camera: Camera, bodies: list[Body], shape: tuple[int,
     return Chart(np.ascontiguousarray(texels), (per_sample[0], per_sample[1]), shape, beyond, source)
 
 
-def _facing_half(state: Any, body: Body) -> tuple[float, float] | None:
+def _facing_half(state: Tree, body: Body) -> tuple[float, float] | None:
     """Return half the height and width, m, of a rectangle that faces the lens upright and centred; None for other shapes."""
     if state.nodes[body.node].props.plugin_name() != FLAT[0] or body.corners is None or body.normal is None:
         return None
@@ -406,7 +409,7 @@ def _view(camera: Camera, body: Body, shape: tuple[int, int]) -> tuple[float, fl
     return tangent * depth * shape[0] / shape[1], tangent * depth
 
 
-def ends_with_film(state: Any, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> tuple[bool, bool]:
+def ends_with_film(state: Tree, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> tuple[bool, bool]:
     """Return whether a scene ends where the film ends, above and below, and at the left and the right.
 
     It does so if it is one rectangle, as large as the view, with nothing behind it. Such a rectangle is the picture: that the

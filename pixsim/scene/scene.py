@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,9 +26,8 @@ from pixsim.scene.guard import variant as variants
 from pixsim.scene.guard.inspector import SceneText, open_scene
 from pixsim.scene.guard.plugins import REASONS
 from pixsim.scene.illuminance import ILLUMINANCE, strength
-from pixsim.scene.mitsuba import children, nodes_of, plain
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
-from pixsim.scene.tree import Table, Transform, Tree, parse_tree
+from pixsim.scene.tree import Node, Table, Transform, Tree, children, nodes_of, parse_tree, plain
 
 CHART, CHART_LINEAR = "chart", "chart_linear"
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
@@ -143,7 +141,7 @@ class Scene:
         return self.text(**named)
 
     @checks_arguments
-    def film_shape(self, camera: Camera, state: Any) -> tuple[int, int]:
+    def film_shape(self, camera: Camera, state: Tree) -> tuple[int, int]:
         """Return (height, width) of the film in samples; the renderer checks their range.
 
         The width is `resolution`, or else that in the XML. The height follows the die's shape, rounded up; without a
@@ -424,7 +422,7 @@ def _positive(name: str, value: object) -> float:
     return number
 
 
-def check_supported(state: Any) -> None:
+def check_supported(state: Tree) -> None:
     """Raise PixsimError for unsupported features: media without volumetric paths, dispersion, a cropped film."""
     integrators = [node.props.plugin_name() for _, node in nodes_of(state, "Integrator")]
     for _, node in nodes_of(state, "Sensor"):
@@ -445,7 +443,7 @@ def check_supported(state: Any) -> None:
                 raise invalid(what, "a spectrum: dispersive glass", allowed, hint)
 
 
-def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
+def sensor_node(state: Tree, sensor_id: str | None) -> tuple[int, Node]:
     """Return the scene's sensor. Raises PixsimError if it is missing, ambiguous or not a thin lens."""
     sensors = nodes_of(state, "Sensor")
     ids = ", ".join(f"'{node.props.id()}'" for _, node in sensors)
@@ -467,7 +465,7 @@ def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
     return index, node
 
 
-def film_size(state: Any, sensor: Any) -> tuple[int, int]:
+def film_size(state: Tree, sensor: Node) -> tuple[int, int]:
     """Return (height, width) of the sensor's film in samples. Raises PixsimError if one is out of range."""
     film = _child(state, sensor, "Film")
     size = _whole(film, "height", 576), _whole(film, "width", 768)
@@ -483,17 +481,17 @@ def check_resolution(side: int) -> None:
         raise invalid("resolution", side, f"{low} to {high}")
 
 
-def sample_count(state: Any, sensor: Any) -> int:
+def sample_count(state: Tree, sensor: Node) -> int:
     """Return the samples per film cell of the sensor's sampler."""
     return _whole(_child(state, sensor, "Sampler"), "sample_count", 4)
 
 
-def _child(state: Any, sensor: Any, kind: str) -> Any:
+def _child(state: Tree, sensor: Node, kind: str) -> Node | None:
     """Return the sensor's film or sampler, or None."""
     return next((state.nodes[index] for index in children(sensor, state).values() if state.nodes[index].type.name == kind), None)
 
 
-def _whole(node: Any, name: str, default: int) -> int:
+def _whole(node: Node | None, name: str, default: int) -> int:
     if node is None or name not in node.props:
         return default
     value = node.props[name]
@@ -502,7 +500,7 @@ def _whole(node: Any, name: str, default: int) -> int:
     return value
 
 
-def fov_x_deg(sensor: Any, aspect: float = 1.0) -> float:
+def fov_x_deg(sensor: Node, aspect: float = 1.0) -> float:
     """Return the horizontal field of view, from `fov` along its axis or `focal_length` (35 mm equivalent)."""
     axis = str(sensor.props.get("fov_axis", "x"))
     if "focal_length" in sensor.props:
@@ -521,7 +519,7 @@ def fov_x_deg(sensor: Any, aspect: float = 1.0) -> float:
     return math.degrees(2 * math.atan(half * factor))
 
 
-def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0, options: CameraOptions | None = None) -> Camera:
+def read_camera(sensor: Node, die_mm: float, aspect: float = 1.0, options: CameraOptions | None = None) -> Camera:
     """Return the camera of a thinlens node; f and N are rounded to six digits, since XMLs round the field of view.
 
     options : whose values replace those of the node, before these are checked
@@ -536,7 +534,7 @@ def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0, options: Camera
         raise PixsimError(f"the scene's lens with a die of {die_mm:g} mm: {error}") from None
 
 
-def hash_of_tree(state: Any) -> str:
+def hash_of_tree(state: Tree) -> str:
     """Return a hash of a parsed tree and its textures, 16 hexadecimal digits. Raises PixsimError if a file is missing."""
     tree = []
     for node in state.nodes:
@@ -549,7 +547,7 @@ def hash_of_tree(state: Any) -> str:
     return content_hash([tree, [digest_of(path) for path in named_files(state)]])
 
 
-def in_full(value: Any) -> str:
+def in_full(value: object) -> str:
     """Return a property with all its digits."""
     match value:
         case Table():

@@ -8,14 +8,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
 from pixsim.base.parameters import content_hash
 from pixsim.scene.mitsuba import parse
+
+if TYPE_CHECKING:
+    import mitsuba
+    from mitsuba.parser import ParserState, SceneNode
 
 MAX_TEXT = 1 << 20  # characters of a scene whose tree is kept
 MAX_SMALL, SMALL_TREES = 1 << 16, 32  # characters of a scene whose tree stays in memory, and how many do
@@ -128,6 +134,37 @@ class Tree(NamedTuple):
     id_to_index: dict[str, int]
 
 
+def children(node: Node | SceneNode, state: Tree | ParserState) -> dict[str, int]:
+    """Return property -> index of the node that it refers to. Raises PixsimError if there is no such node."""
+    indices = {}
+    for key in node.props.keys():  # noqa: SIM118  (Properties is no dict)
+        kind = node.props.type(key).name
+        if kind == "ResolvedReference":
+            indices[key] = node.props[key].index()
+        elif kind == "Reference":
+            name = node.props[key].id()
+            if name not in state.id_to_index:
+                raise invalid("scene", f"a reference to '{name}', which does not exist", "ids of the scene's nodes")
+            indices[key] = state.id_to_index[name]
+    return indices
+
+
+def plain(node: Node | SceneNode, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
+    """Iterate over the properties of a node that are values, not references."""
+    for key in node.props.keys():  # noqa: SIM118
+        if node.props.type(key).name not in ("ResolvedReference", "Reference", "Object"):
+            try:
+                yield key, node.props[key]
+            except RuntimeError:  # an <rgb> has no Python value
+                if not numbers_only:
+                    yield key, node.props.as_string(key)
+
+
+def nodes_of(state: Tree, kind: str) -> list[tuple[int, Node]]:
+    """Return the nodes of a kind, with their indices."""
+    return [(index, node) for index, node in enumerate(state.nodes) if node.type.name == kind]
+
+
 def parse_tree(text: str, variant: str) -> Tree:
     """Return the tree of an inspected text. Raises PixsimError if Mitsuba cannot parse it."""
     if len(text) > MAX_TEXT:
@@ -144,7 +181,7 @@ def _kept_tree(text: str, variant: str) -> Tree:
 _last_trees = lru_cache(SMALL_TREES)(_kept_tree)  # a case of a study asks for its trees ten times
 
 
-def tree_of(state: Any) -> Tree:
+def tree_of(state: ParserState) -> Tree:
     """Return the tree of Mitsuba's parser state."""
     nodes = []
     for node in state.nodes:
@@ -153,7 +190,7 @@ def tree_of(state: Any) -> Tree:
     return Tree(nodes, {str(name): int(index) for name, index in dict(state.id_to_index).items()})
 
 
-def _property(props: Any, name: str) -> Property:
+def _property(props: mitsuba.Properties, name: str) -> Property:
     kind = props.type(name).name
     text = props.as_string(name) if kind == "Color" else ""
     try:
@@ -180,7 +217,7 @@ def _plain(kind: str, value: Any) -> Any:
     return value
 
 
-def _fixed(numbers: Any) -> Array:
+def _fixed(numbers: ArrayLike) -> Array:
     """Return an array that is not to be changed: many ask for the same tree."""
     array = np.array(numbers, float)
     array.setflags(write=False)
@@ -188,7 +225,7 @@ def _fixed(numbers: Any) -> Array:
 
 
 def _to_json(tree: Tree) -> dict[str, Any]:
-    def plain(value: Any) -> Any:
+    def plain(value: object) -> object:
         match value:
             case Transform():
                 return value.matrix.tolist()

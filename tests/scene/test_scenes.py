@@ -15,7 +15,8 @@ import pixsim
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.scene.guard.inspector import open_scene
-from pixsim.scene.mitsuba import import_mitsuba, nodes_of, parse, plain, speaking_mitsuba
+from pixsim.scene.mitsuba import import_mitsuba, parse, speaking_mitsuba
+from pixsim.scene.tree import nodes_of, plain
 
 SCENES = ["line_lamp", "macbeth", "still_life"]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]

@@ -14,10 +14,10 @@ from pixsim.base import cache
 from pixsim.base.parameters import Exposure
 from pixsim.scene import mitsuba, tree as trees
 from pixsim.scene.convergence import render_until
-from pixsim.scene.mitsuba import children, parse
+from pixsim.scene.mitsuba import parse
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.scene import load_scene, packaged_scenes
-from pixsim.scene.tree import Reference, Table, Transform, parse_tree, tree_of
+from pixsim.scene.tree import Reference, Table, Transform, children, parse_tree, tree_of
 
 VARIANT = "scalar_spectral"
 EVERY_KIND = """<scene version="3.0.0">

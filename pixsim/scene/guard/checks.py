@@ -11,13 +11,17 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING
 
 from pixsim.base.errors import PixsimError
 from pixsim.base.machine import mapped_files
 from pixsim.scene.guard import variant as variants
 from pixsim.scene.guard.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver, without_driver
 from pixsim.scene.guard.trial import Line
+
+if TYPE_CHECKING:
+    from pixsim.base.arrays import Array
+    from pixsim.base.parameters import Camera
 
 TRIED_SCENE, TRIED_RESOLUTION = "csf", 64
 CAPABILITY = 75, 76  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR
@@ -122,7 +126,7 @@ def render(variant: str = "") -> Iterator[Line]:
     }  # fmt: skip
 
 
-def closed_form_lx(camera: Any, resolution: int) -> Any:
+def closed_form_lx(camera: Camera, resolution: int) -> Array:
     """Illuminance on the sensor, (H, W) lx, from the formula of the chart and Foote's factor, without Mitsuba or textures."""
     import numpy as np
 

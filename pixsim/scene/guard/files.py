@@ -19,7 +19,6 @@ import re
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any
 from xml.parsers import expat
 
 from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid, names_in, quoted
@@ -215,7 +214,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
         elif children:
             raise invalid(f"scene '{path}'", f"an element within <{tag}> in line {line}", "none")
 
-    def has_document_type(*_: Any) -> None:
+    def has_document_type(*_: object) -> None:
         raise invalid(f"scene '{path}'", "a DOCTYPE", "none", "Remove it and its entities.")
 
     def is_declared(_: str, encoding: str | None, __: int) -> None:

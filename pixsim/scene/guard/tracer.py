@@ -6,16 +6,22 @@ A job and its requests are of plain numbers and texts, so that they can be sent 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import LOW_NM, grid_nm
-from pixsim.scene.mitsuba import children, drjit, nodes_of, parse, plain, speaking_mitsuba
+from pixsim.scene.mitsuba import drjit, parse, speaking_mitsuba
+from pixsim.scene.tree import children, plain
+
+if TYPE_CHECKING:
+    from mitsuba import Float, Point2f, RayDifferential3f, Sampler, SamplingIntegrator, Scene, Sensor, Spectrum, UInt32, Vector2f
 
 SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
 WAVELENGTHS = 4  # of a ray in Mitsuba's spectral variants
@@ -130,7 +136,7 @@ class Tracer(Protocol):
         """Return rows of the pictures of all pulses of a scene's `Passes`, (rows, columns, pulses); `spp` of each pass."""
 
 
-_loaded: tuple[tuple[object, ...], list[tuple[Any, Any]]] | None = None  # of the last job
+_loaded: tuple[tuple[object, ...], list[tuple[Scene, SamplingIntegrator]]] | None = None  # of the last job
 
 
 class OwnTracer:
@@ -138,15 +144,15 @@ class OwnTracer:
 
     def __init__(self, job: Job) -> None:
         self.job = job
-        self._sensor: tuple[Any, Any] = None, None  # the last one, and what describes it
-        self._tables: dict[int, tuple[Any, ...]] = {}  # in Mitsuba, of the passes of each scene
+        self._sensor: tuple[Sensor, object] | None = None  # the last one, and what describes it
+        self._tables: dict[int, tuple[UInt32, Float, Float, Float]] = {}  # in Mitsuba, of the passes of each scene
 
     @property
     def _scalar(self) -> bool:
         return self.job.variant.startswith("scalar")
 
     @property
-    def loaded(self) -> list[tuple[Any, Any]]:
+    def loaded(self) -> list[tuple[Scene, SamplingIntegrator]]:
         """Mitsuba's scene and integrator for each group of lamps: those of the last job in this process, if it has the same.
 
         A kernel holds what all scenes in memory are made of, so that others beside them would make it larger and another one.
@@ -165,24 +171,24 @@ class OwnTracer:
         node = parse(self.job.text, self.job.variant).nodes[self.job.sensor]
         return {key: value for key, value in plain(node) if key not in OF_THE_LENS} | self.job.lens
 
-    def _build(self, mi: Any, lamps: Lamps | None) -> Any:
+    def _build(self, mi: ModuleType, lamps: Lamps | None) -> Scene:
         """Build the scene, with some emitters only, each as its neutral picture or power."""
         state = parse(self.job.text, self.job.variant)
-        emitters = nodes_of(state, "Emitter") if lamps else []
-        dark = {index for index, _ in emitters} - (lamps.pictures.keys() if lamps else set())
+        emitters = {index: node for index, node in enumerate(state.nodes) if node.type.name == "Emitter"} if lamps else {}
+        dark = emitters.keys() - (lamps.pictures.keys() if lamps else set())
         for parent in state.nodes if dark else ():
             for name, child in children(parent, state).items():
                 if child in dark:
                     del parent.props[name]
-        for index, node in emitters:
+        for index, node in emitters.items():
             if lamps and lamps.neutral and index in lamps.pictures:
                 name, picture = lamps.pictures[index]
                 if isinstance(picture, int):
                     node.props[name] = mi.Properties.ResolvedReference(picture)
                 else:
                     node.props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65
-        for _, node in nodes_of(state, "Integrator"):
-            if self._scalar and "block_size" not in node.props:
+        for node in state.nodes:
+            if self._scalar and node.type.name == "Integrator" and "block_size" not in node.props:
                 node.props["block_size"] = SCALAR_BLOCK
         for index, name, table in self.job.tables:
             state.nodes[index].props[name] = mi.load_dict(table)
@@ -191,8 +197,8 @@ class OwnTracer:
         built = mi.parser.instantiate(config, state)
         return next(item for item in built if isinstance(item, mi.Scene)) if isinstance(built, list) else built
 
-    def _integrator(self, mi: Any, scene: Any) -> Any:
-        scene_integrator = None if self.job.integrator else scene.integrator()
+    def _integrator(self, mi: ModuleType, scene: Scene) -> SamplingIntegrator:
+        scene_integrator: Any = None if self.job.integrator else scene.integrator()
         return scene_integrator or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.job.integrator or {}))
 
     def sample_count(self, sampler: str, samples: int) -> int:
@@ -206,9 +212,9 @@ class OwnTracer:
             rendered = mi.render(world, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
             return np.array(rendered, np.float32)
 
-    def _sensor_with(self, mi: Any, film: dict[str, Any], sampler: str, spp: int) -> Any:
+    def _sensor_with(self, mi: ModuleType, film: dict[str, Any], sampler: str, spp: int) -> Sensor:
         described = film, sampler, spp
-        if self._sensor[1] != described:
+        if self._sensor is None or self._sensor[1] != described:
             parts = {"sampler": {"type": sampler, "sample_count": spp}, "film": film}
             self._sensor = mi.load_dict(self._lens | parts), described
         return self._sensor[0]
@@ -237,11 +243,11 @@ class OwnTracer:
             inside = _spread(mi, index - sequence * spp, spp, group, count, cell, dr.opaque(mi.UInt32, seed), draws.next_2d())
             place = (corner + inside) * mi.ScalarVector2f(1 / width, 1 / height)
             aperture = draws.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
-            time_s = sensor.shutter_open()
+            time_s = mi.Float(sensor.shutter_open())
             if sensor.shutter_open_time() > 0:
                 time_s += draws.next_1d() * sensor.shutter_open_time()
             at = draws.next_1d()
-            ray, _ = sensor.sample_ray(time_s, 0.5, place, aperture)
+            ray, _ = sensor.sample_ray(time_s, mi.Float(0.5), place, aperture)
             wavelengths_nm = []
             for lane in range(WAVELENGTHS):
                 pulse = dr.gather(mi.UInt32, lanes, group * WAVELENGTHS + lane)
@@ -254,7 +260,9 @@ class OwnTracer:
             return pictures.reshape(rows[1] - rows[0], width, -1)
 
 
-def _spread(mi: Any, number: Any, spp: int, group: Any, count: int, cell: Any, seed: Any, jitter: Any) -> Any:
+def _spread(
+    mi: ModuleType, number: UInt32, spp: int, group: UInt32, count: int, cell: UInt32, seed: UInt32, jitter: Point2f
+) -> Vector2f:
     """Return places in film cells, (x, y) from 0 to 1, that are stratified in each pass and over all passes together.
 
     As in Kensler's correlated multi-jittered sampling (Pixar technical memo 13-01), the `spp` samples of a pass have one in each
@@ -274,7 +282,7 @@ def _spread(mi: Any, number: Any, spp: int, group: Any, count: int, cell: Any, s
     return mi.Vector2f((column + (beside + x) / rows) / columns, (row + (above + y) / columns) / rows)
 
 
-def _tables(mi: Any, passes: Passes) -> tuple[Any, ...]:
+def _tables(mi: ModuleType, passes: Passes) -> tuple[UInt32, Float, Float, Float]:
     """Return lanes, shifts, densities and the share of each pulse's area up to each node, as flat arrays of Dr.Jit."""
     density = passes.densities
     running = np.cumsum((density[:, 1:] + density[:, :-1]) / 2, axis=1)
@@ -283,7 +291,7 @@ def _tables(mi: Any, passes: Passes) -> tuple[Any, ...]:
     return mi.UInt32(np.ascontiguousarray(passes.lanes.ravel(), np.uint32)), *(mi.Float(array) for array in numbers)
 
 
-def _inverted(mi: Any, density: Any, share: Any, pulse: Any, at: Any, step_nm: float) -> Any:
+def _inverted(mi: ModuleType, density: Float, share: Float, pulse: UInt32, at: Float, step_nm: float) -> Float:
     """Return the wavelength up to which a pulse, linear between its nodes, has a share `at` (0 to 1) of its area, in nm.
 
     density : of all pulses, per step: a share of the area, so that it is `share` in a step of constant density
@@ -301,7 +309,7 @@ def _inverted(mi: Any, density: Any, share: Any, pulse: Any, at: Any, step_nm: f
     return LOW_NM + step_nm * (mi.Float(above) - 1 + inside)
 
 
-def _radiance(mi: Any, integrator: Any, world: Any, sampler: Any, ray: Any) -> Any:
+def _radiance(mi: ModuleType, integrator: SamplingIntegrator, world: Scene, sampler: Sampler, ray: RayDifferential3f) -> Spectrum:
     """Return the radiance at the wavelengths of rays, as the integrator's own render estimates it."""
     if not isinstance(integrator, mi.ad.integrators.common.ADIntegrator):
         return integrator.sample(world, sampler, ray)[0]
@@ -311,7 +319,7 @@ def _radiance(mi: Any, integrator: Any, world: Any, sampler: Any, ray: Any) -> A
     return integrator.sample(mode=dr.ADMode.Primal, scene=world, sampler=sampler, ray=ray, **nothing)[0]
 
 
-def regular(low_nm: float, high_nm: float, values: Any) -> dict[str, Any]:
+def regular(low_nm: float, high_nm: float, values: Iterable[float]) -> dict[str, Any]:
     """Describe a spectrum with equal steps."""
     text = ", ".join(repr(float(value)) for value in values)
     return {"type": "regular", "wavelength_min": low_nm, "wavelength_max": high_nm, "values": text}
