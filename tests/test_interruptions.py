@@ -587,6 +587,19 @@ def test_locked_folder_again_in_thread_and_after(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_without_locks_nothing_is_refused_or_removed(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    left = tmp_path / ".pixsim-0123abcd"
+    left.mkdir()
+    with in_use(tmp_path), output_folder(tmp_path), output_folder(tmp_path), replacing(tmp_path / "a.txt") as part:
+        part.write_text("a")
+    assert {path.name for path in tmp_path.iterdir()} == {left.name, "a.txt"}
+
+
 def test_replacing_at_the_same_time_gives_one_of_the_whole_files(tmp_path: Path) -> None:
     barrier = threading.Barrier(8)
 

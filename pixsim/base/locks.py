@@ -2,19 +2,21 @@
 
 The system releases such a lock (flock) when its process ends, however it ends; a number of a process could be in use again, or
 belong to another container. Where there are no such locks (Windows, some network file systems), nothing is refused or removed.
+
+filelock takes them; by hand is what it does not promise: that a folder is locked by itself, that a lock leaves no file, and that
+what is no lock of pixsim stays.
 """
 
 from __future__ import annotations
 
 import atexit
+import errno
 import os
 import re
 import secrets
 import shutil
 import stat
-import sys
 import tempfile
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import lru_cache
@@ -22,29 +24,24 @@ from pathlib import Path
 
 from pixsim.base.errors import invalid
 
-if sys.platform != "win32":
-    import fcntl
-
 LOCK = ".pixsim.lock"  # in an output folder
 TOKEN = re.compile(r"[0-9a-f]{8}")  # in the name of an unfinished file or folder
 PARTIAL_FOLDER, PARTIAL_FILE = ".pixsim-", ".part"
 TEMPORARY = "pixsim-temporary-"
 OTHER_FOLDER = "Move it away, or choose another folder with --out."
 TRIES = 20  # for a file that another process removes at the moment when it is locked
-_of_thread = threading.local()
+JUST_ENDING_S = 0.1  # of another process, between its removal of a lock and its end
+NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL}  # what flock says where a file system has none
 
 
 def _lock(descriptor: int) -> bool | None:
     """Lock an open file or folder until it is closed; False if it is locked already, None if there are no locks."""
-    if sys.platform == "win32":
-        return None
+    from filelock import lock_descriptor  # takes 10 ms
+
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
+        return lock_descriptor(descriptor, blocking=False)
     except OSError:  # this file system has none
         return None
-    return True
 
 
 def _is_there(path: Path, descriptor: int) -> bool:
@@ -63,36 +60,31 @@ def locked_folder(folder: Path) -> Iterator[None]:
 
     Raises PixsimError if the folder is in use, OSError if it cannot be written.
     """
-    folders: set[str] = _of_thread.__dict__.setdefault("folders", set())
-    key = os.path.realpath(folder)
-    if key in folders:
+    from filelock import FileLock, Timeout
+
+    path = Path(os.path.realpath(folder), LOCK)
+    lock = FileLock(path, timeout=JUST_ENDING_S, is_singleton=True, fallback_to_soft=False)  # one a thread
+    if lock.is_locked:
         yield
         return
-    path = folder / LOCK
-    for attempt in range(1, TRIES + 1):
-        # Not blocking, of what may be a pipe.
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY, 0o666)
-        status = os.fstat(descriptor)
-        if status.st_size or not stat.S_ISREG(status.st_mode):
-            os.close(descriptor)
-            raise invalid("output folder", f"'{folder}', where '{LOCK}' is no lock of pixsim", "a folder without it", OTHER_FOLDER)
-        is_free = _lock(descriptor) is not False
-        if is_free and _is_there(path, descriptor):
-            break
-        os.close(descriptor)
-        if not is_free or attempt == TRIES:
-            hint = "Wait until it ends, or choose another folder with --out."
-            raise invalid("output folder", f"'{folder}', in use by another process", "a folder that is not in use", hint)
-    folders.add(key)
+    if os.path.lexists(path) and (not stat.S_ISREG((status := path.lstat()).st_mode) or status.st_size):
+        raise invalid("output folder", f"'{folder}', where '{LOCK}' is no lock of pixsim", "a folder without it", OTHER_FOLDER)
+    try:
+        lock.acquire()
+    except Timeout:
+        hint = "Wait until it ends, or choose another folder with --out."
+        raise invalid("output folder", f"'{folder}', in use by another process", "a folder that is not in use", hint) from None
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
     try:
         remove_leftovers(folder)
         with suppress(OSError):  # no folder for temporary files
             remove_leftovers(Path(tempfile.gettempdir()))
         yield
     finally:
-        folders.discard(key)
         path.unlink(missing_ok=True)
-        os.close(descriptor)
+        lock.release()
 
 
 def is_unfinished(name: str) -> bool:
