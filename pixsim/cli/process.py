@@ -26,7 +26,6 @@ WAIT_S = 0.02  # before another try to raise
 LONGEST_WAIT_S = 3.0
 IMPORTING = "<frozen importlib._bootstrap>"  # file name of Python's import, in its frames
 ENTERING = ("__enter__", "__exit__", "enter_context")
-STARTING = ("_adjust_process_count", "_ensure_executor_running")  # joblib's: of workers, and of the thread that ends them
 
 
 class Interruption:
@@ -34,9 +33,9 @@ class Interruption:
 
     Before the command begins, the process ends at once: nothing is written, nothing else runs. Afterwards a KeyboardInterrupt
     is raised, so that everything opened is closed. It is not raised while Python imports a module, since libraries in C++ turn
-    it into other errors, nor while a context manager is entered or left: what is opened is then always closed. Nor is it while
-    workers start: joblib ends only those that it has registered. From `end_or_raise` on it is not raised: the files of a command
-    are all moved into place, or none is. Then a result is printed, which a reader may hold up.
+    it into other errors, nor while a context manager is entered or left, as workers are: what is opened is then always closed.
+    From `end_or_raise` on it is not raised: the files of a command are all moved into place, or none is. Then a result is
+    printed, which a reader may hold up.
     """
 
     received: int | None = None  # number of the signal
@@ -156,14 +155,10 @@ class Interruption:
 
 
 def must_wait(frame: FrameType | None) -> bool:
-    """Whether a module is imported, a context manager entered or left, or workers started, in a frame or those that called it."""
+    """Whether a module is imported, or a context manager entered or left, in a frame or those that called it."""
     while frame is not None:
         code = frame.f_code
-        if (
-            code.co_filename == IMPORTING
-            or (code.co_name in STARTING and code.co_filename.endswith("process_executor.py"))
-            or (code.co_name in ENTERING and code.co_filename.endswith("contextlib.py"))
-        ):
+        if code.co_filename == IMPORTING or (code.co_name in ENTERING and code.co_filename.endswith("contextlib.py")):
             return True
         frame = frame.f_back
     return False

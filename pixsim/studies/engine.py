@@ -343,24 +343,30 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
                     path = files.path(make)
                 yield delayed(_numbered_from)(function, index, task, path)
 
-        # Workers of other arguments are not used again: those of another current folder would take a relative path from there.
-        watched: dict[str, Any] = {"initializer": begin_worker, "initargs": (os.getpid(), current_folder())}
-        with parallel_config("loky", inner_max_num_threads=1, **watched):
-            warnings.filterwarnings("ignore", REPLACED, UserWarning)
+        @contextmanager
+        def begun() -> Iterator[Iterator[Reply[Result]]]:
+            """The replies of running calls: entered and left as a whole, since joblib ends only workers that it has registered."""
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
             with ctrl_c_blocked() as taken:
                 results = parallel(numbered(taken))
             try:
-                # `yield from` would close them itself, with a warning of the calls that are given up.
-                for reply in results:
+                yield results
+            finally:
+                # Python would close them itself, with a warning of the calls that are given up.
+                with warnings.catch_warnings(action="ignore"):
+                    results.close()
+
+        # Workers of other arguments are not used again: those of another current folder would take a relative path from there.
+        watched: dict[str, Any] = {"initializer": begin_worker, "initargs": (os.getpid(), current_folder())}
+        with parallel_config("loky", inner_max_num_threads=1, **watched):
+            warnings.filterwarnings("ignore", REPLACED, UserWarning)
+            with begun() as replies:
+                for reply in replies:
                     yield reply
                     make = makers[reply[0]]
                     left[id(make)] -= 1
                     if not left[id(make)]:
                         files.drop(make)
-            finally:
-                with warnings.catch_warnings(action="ignore"):
-                    results.close()
 
 
 class SharedFiles:
