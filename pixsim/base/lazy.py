@@ -91,7 +91,8 @@ _nobody_reads = False  # docstrings, in the process of a command
 def leave_out_docstrings_of_matplotlib() -> None:
     """Let Matplotlib list no properties in the docstrings of its classes, where nobody reads them; call before it draws.
 
-    It asks each class for its properties when it is imported. Its figures are the same.
+    It asks each class for its properties when it is imported. Its figures are the same. Without that, `pixsim lens singlet` takes
+    4 % more processor time (0.09 s of 2.2 s). The function that is replaced is public.
     """
     if _nobody_reads:
         with suppress(ImportError):
