@@ -22,7 +22,7 @@ from pixsim.base.mapped import release
 from pixsim.light.spectral import EDGE, LAMP, WHITE_LAMPS, WHOLE, SpectralImage
 
 MAGIC = 20000630
-LONG_NAMES, TILED = 0x400, 0x200
+TILED = 0x200
 OTHER_KINDS = {0x800: "a deep image", 0x1000: "several parts"}
 MAX_HEADER_NAME = 255
 MAX_ATTRIBUTES = 4096

@@ -547,7 +547,7 @@ FAR = 1e10  # where an object is at infinity, as OpticStudio takes it
 HOW_TO_GIVE_ZMX = "Or give n_d and V_d in its line: GLAS ___BLANK 1 0 1.5168 64.17."
 OWN_CATALOGUE = 'A maker\'s catalogue is read with lens.glass_catalogues = ["my.agf"].'
 PLACEHOLDER = (1.5, 40.0)  # n_d and V_d that Zemax writes where it knows none
-CATALOGUE_GLASS, MODEL_GLASS, SHIFTED_GLASS = 0, 1, 4  # what a GLAS line says of its glass
+MODEL_GLASS, SHIFTED_GLASS = 1, 4  # what a GLAS line says of its glass
 FIXED = ("1", "2")  # flags of a semi-diameter: typed, and picked up from another surface
 # Keywords of the head of a file. Files that others wrote have them anywhere, and surfaces without indentation.
 HEAD = frozenset(
