@@ -33,9 +33,8 @@ OF_LIGHT = (
 )
 OF_FRAME = ("exposure", "correction")  # beside the light, the pixel and the random streams
 OF_SCORE = ("display", "develop")
-# On which no frame depends: what is said of them, which of them are made, and the cases, whose settings are their own.
+# What is said of frames, on which none depends.
 OF_WORDS = ("title", "iso_delta_e", "detail", "paper", "sources")
-OF_NO_FRAME = (*OF_WORDS, "repeats", "max_repeats", "target_ci_um", "max_evaluations", "refine", "axis", "condition", "quick")
 
 
 def light_hash(study: Study) -> str:
