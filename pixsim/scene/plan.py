@@ -306,7 +306,7 @@ def make_render_plan(
     bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
     defocus: list[Defocus] = []
     if tiling is not None and focus.kept:
-        defocus, of_depth = decide_defocus(state, bodies, camera, seen, width / height, pixels[0] if pixels else None, tolerance_e)
+        defocus, of_depth = decide_defocus(state, bodies, camera, seen, width / height, pixels[0] if pixels else None)
         real_lens += of_depth
     warnings = real_lens_warnings(whole, tiling, defocus, tolerance_e)
     if surfaces.short:

@@ -69,7 +69,7 @@ def decide_real_lens(
 
 
 def decide_defocus(
-    state: Tree, bodies: Sequence[Body], camera: Camera, seen: Camera, aspect: float, pixel: Pixel | None, tolerance_e: float
+    state: Tree, bodies: Sequence[Body], camera: Camera, seen: Camera, aspect: float, pixel: Pixel | None
 ) -> tuple[list[Defocus], list[Decision]]:
     """Return what the thin lens's defocus is off at depths of the scene, largest errors first, and the decision.
 

@@ -16,7 +16,7 @@ NEGLIGIBLE = 1e-12  # of the light on a pixel: shares below are left out
 
 
 @checks_arguments
-def share_with_neighbours(signal_e_per_s: Array, shares: Array, *, about_centres: bool = False) -> Array:
+def share_with_neighbours(signal_e_per_s: Array, shares: Array) -> Array:
     """Return what each pixel collects, (rows, columns), of the light on it and on the pixels around.
 
     A pixel collects the share [dy + 2, dx + 2] of the light of the pixel that is dy rows above and dx columns to the left of it,
@@ -26,21 +26,21 @@ def share_with_neighbours(signal_e_per_s: Array, shares: Array, *, about_centres
     signal_e_per_s : (rows, columns) of the light on pixels, as if each collected all of its own
     shares : (5, 5), or (y, x, 5, 5) at points of a grid over the array, the first and last at the centres of the outermost pixels;
         linear between them. They vary little from a pixel to its neighbours
-    about_centres : reflect about the centres of the outermost pixels, which keeps the phase of a mosaic, not about their edges
 
     Raises PixsimError if the shares have another shape.
     """
     if shares.shape[-2:] != (5, 5) or shares.ndim not in (2, 4) or 0 in shares.shape:
         raise invalid("shares", f"an array of shape {shares.shape}", "(5, 5), or (y, x, 5, 5) with at least one point")
     nodes = shares.reshape(*(shares.shape[:-2] or (1, 1)), 5, 5)
-    return _collected(signal_e_per_s, [nodes], np.zeros(signal_e_per_s.shape, np.intp), "reflect" if about_centres else "symmetric")
+    return _collected(signal_e_per_s, [nodes], np.zeros(signal_e_per_s.shape, np.intp), "symmetric")
 
 
 @checks_arguments
 def share_with_neighbours_of_channels(signal_e_per_s: Array, shares: Sequence[Array], channels: NDArray[np.intp]) -> Array:
     """Return `share_with_neighbours` of light that falls through the filters of a mosaic, each with shares of its own.
 
-    It is the sum over the channels of their light alone, about centres, in the time of one of them.
+    It is the sum over the channels of their light alone, in the time of one of them. At the border the picture is
+    reflected about the centres of the outermost pixels, which keeps the phase of the mosaic, not about their edges.
 
     signal_e_per_s : (rows, columns) of the light on pixels, through their own filters
     shares : of each channel's light

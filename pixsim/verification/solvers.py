@@ -112,14 +112,17 @@ class Response:
     deviation_percent: Array
 
 
-def dn_against_light(pixel: Pixel, integration_s: float = 0.03, points: int = 601, wells: float = 3.0) -> list[Response]:
-    """Responses of both well limits with both conversions, up to `wells` times the full well of the swing limit.
+POINTS, WELLS = 601, 3.0  # of each response, and its end in full wells
+
+
+def dn_against_light(pixel: Pixel, integration_s: float = 0.03) -> list[Response]:
+    """Responses of both well limits with both conversions, up to `WELLS` times the full well of the swing limit.
 
     `Frame.electrons` assumes the straight line. Raises PixsimError for a pinned photodiode.
     """
     models = [(limit, conversion) for limit in ("swing", "diode") for conversion in ("linear", "junction")]
     pixels = [derive(pixel.model_copy(update={"well_limit": limit, "conversion": conversion})) for limit, conversion in models]
-    generated_e = np.linspace(0.0, wells * pixels[0].full_well_e, points)
+    generated_e = np.linspace(0.0, WELLS * pixels[0].full_well_e, POINTS)
     black, top = pixel.black_level_dn, 2.0**pixel.bits - 1
     responses = []
     for (limit, conversion), physics in zip(models, pixels, strict=True):

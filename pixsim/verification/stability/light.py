@@ -50,10 +50,10 @@ def electrons(luminance_cd_per_m2: ArrayLike, time_s: float = TIME_S) -> Array:
     return np.asarray(watts * PHOTONS_PER_J * 0.5 * time_s)
 
 
-def captured(image: SpectralImage, physics: PixelPhysics, exposure: Exposure, seed: int = 0) -> sensors.Frame:
+def captured(image: SpectralImage, physics: PixelPhysics, exposure: Exposure) -> sensors.Frame:
     rate = mean_signal_rate(image, CAMERA, physics)
-    sensor = sensors.sample_sensor(physics, rate.shape, np.random.default_rng(seed))
-    return sensors.capture_from_rates(rate, sensor, exposure, np.random.default_rng(seed + 1))
+    sensor = sensors.sample_sensor(physics, rate.shape, np.random.default_rng(0))
+    return sensors.capture_from_rates(rate, sensor, exposure, np.random.default_rng(1))
 
 
 def _shot_noise() -> Iterator[Case]:
