@@ -455,26 +455,12 @@ def rgb_to_xyz(rgb: Array) -> Array:
 
     Raises PixsimError for another shape.
     """
-    return _in_colour(XYZ_FROM_RGB, "rgb", rgb)
-
-
-@checks_arguments
-def xyz_to_rgb(xyz: Array) -> Array:
-    """Return the light of the display's primaries, (..., 3), 1 for white, that makes XYZ (..., 3); the inverse of `rgb_to_xyz`.
-
-    Below 0 or above 1 where the display cannot show a colour. Raises PixsimError for another shape.
-    """
-    return _in_colour(RGB_FROM_XYZ, "xyz", xyz)
-
-
-@checks_arguments
-def shown_rgb(rgb: Array, display: Display) -> Array:
-    """Return the light of the primaries, (..., 3), 1 for white, as a display of finite bits and range shows `rgb` (..., 3).
-
-    Each primary has the codes of `shown_luminance`: colours outside the gamut are clipped, and high lights to white. Raises
-    PixsimError for another shape.
-    """
-    return shown_luminance(_of_three("rgb", rgb), display)
+    planes = np.moveaxis(_of_three("rgb", rgb), -1, 0)
+    dtype = np.float32 if rgb.dtype == np.float32 else float
+    result: Array = np.empty_like(rgb, dtype=dtype)  # planes stay planes in memory
+    # Not by BLAS, whose rounding depends on the number of threads.
+    np.einsum("ij,j...->i...", XYZ_FROM_RGB.astype(dtype), planes, out=np.moveaxis(result, -1, 0), optimize=False)
+    return result
 
 
 @checks_arguments
@@ -503,12 +489,3 @@ def _of_three(name: str, values: Array) -> Array:
     if values.ndim == 0 or values.shape[-1] != 3 or not values.size:
         raise invalid(f"{name}, shape", values.shape, "(..., 3), not empty", "Move the three values last.")
     return values
-
-
-def _in_colour(matrix: Array, name: str, values: Array) -> Array:
-    """Return a matrix (3, 3) times values (..., 3); not by BLAS, whose rounding depends on the number of threads."""
-    planes = np.moveaxis(_of_three(name, values), -1, 0)
-    dtype = np.float32 if values.dtype == np.float32 else float
-    result: Array = np.empty_like(values, dtype=dtype)  # planes stay planes in memory
-    np.einsum("ij,j...->i...", matrix.astype(dtype), planes, out=np.moveaxis(result, -1, 0), optimize=False)
-    return result
