@@ -191,18 +191,6 @@ def collected_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Arr
 
 
 @checks_arguments
-def largest_collection(stack: Stack, pupil: Pupil) -> Array:
-    """Return the bound of étendue on the share that a photodiode collects, fill factor · n² π/area of the pupil, at most 1, (...).
-
-    For a disc of direction cosines it is fill factor · n²/NA². A photodiode receives light from at most a half space of the
-    medium, π n² w²; the pixel has p² · area of the pupil. An ideal microlens, whose landing point depends on the direction only,
-    keeps to it down to h = p/√π; `Stack` refuses lower ones.
-    """
-    with np.errstate(divide="ignore"):
-        return np.minimum(stack.fill_factor * stack.index**2 * np.pi / pupil.area, 1.0)
-
-
-@checks_arguments
 def aperture_mtf(
     stack: Stack, pupil: Pupil | Directions, frequency_x_cy_per_mm: ArrayLike, frequency_y_cy_per_mm: ArrayLike = 0.0
 ) -> Array:

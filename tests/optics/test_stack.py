@@ -14,7 +14,7 @@ from pixsim import optics
 from pixsim.base.errors import PixsimError
 from pixsim.optics import stack as stacks
 from pixsim.optics.pupil import Directions, Pupil, elliptic_pupil, numerical_aperture
-from pixsim.optics.stack import Stack, aperture_mtf, aperture_side_um, collected_shares, largest_collection, model_limits
+from pixsim.optics.stack import Stack, aperture_mtf, aperture_side_um, collected_shares, model_limits
 from pixsim.optics.thin_lens import thin_lens_pupil
 
 DATA = Path(__file__).parents[1] / "data" / "microlens"
@@ -173,7 +173,6 @@ def test_no_stack_collects_more_than_etendue_allows():
         pupil = random_pupils(rng, 100)
         shares = collected_shares(stack, pupil)
         bound = np.minimum(stack.fill_factor * stack.index**2 * np.pi / pupil.area, 1.0)
-        np.testing.assert_allclose(largest_collection(stack, pupil), bound, rtol=1e-12)
         assert np.all(shares[..., 2, 2] <= bound * (1 + 1e-12))
         assert shares.min() > -1e-15
         assert shares.sum(axis=(-2, -1)).max() < 1 + 1e-12
@@ -186,7 +185,6 @@ def test_lowest_microlens_reaches_the_bound_of_etendue():
     pupil = elliptic_pupil(0.9)
     lowest = Stack(2.0, 0.4, 2.0 / math.sqrt(math.pi), 1.0, refraction="paraxial")
     assert collected_shares(lowest, pupil)[2, 2] == pytest.approx(0.04 / 0.81, rel=1e-13)
-    assert largest_collection(lowest, pupil) == pytest.approx(0.04 / 0.81, rel=1e-13)
     with pytest.raises(PixsimError, match=r"height_um: got 1\.12; allowed: at least p/√π = 1\.12838 .* pitch_um = 2.*étendue"):
         Stack(2.0, 0.4, 1.12, 1.0)
     assert Stack(2.0, 0.4, 1.12, 1.0, microlens=False).fill_factor == pytest.approx(0.04)  # bare: no limit
