@@ -98,12 +98,6 @@ def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM, highest_lp_per
 
 
 @checks_arguments
-def sine_value(x: ArrayLike, frequency_lp_per_mm: float, contrast: float = 0.9, die_mm: float = DIE_MM) -> Array:
-    """Return a sinusoidal grating of a Michelson contrast and mean 0.5, (...) at x in [0, 1], as relative luminance."""
-    return 0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * die_mm * np.asarray(x, float)))
-
-
-@checks_arguments
 def csf(
     width: int = 8192, height: int = 256, die_mm: float = DIE_MM, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM
 ) -> NDArray[np.float32]:

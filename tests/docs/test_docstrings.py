@@ -60,7 +60,6 @@ EXCEPTIONS = {
     ("source", "pixsim.viewer.display.average_axis"): "the mean of a spline",
     ("source", "pixsim.viewer.display.means_on_dots"): "the mean of a picture",
     ("source", "pixsim.make_chart"): "the charts name theirs",
-    ("source", "pixsim.scene.charts.sine_value"): "a sine",
     ("source", "pixsim.scene.charts.siemens_star"): "sectors",
     ("source", "pixsim.scene.charts.flat"): "ones",
     ("errors", "pixsim.sensor.photodiode.default_diode"): "it has no arguments that could be invalid",

@@ -111,14 +111,6 @@ def test_siemens_star_has_72_cycles():
     assert texels[512 + 10, 512 + 400] == pytest.approx(0.025)
 
 
-def test_sine_value_is_sinusoid():
-    x = np.linspace(0, 1, 100_001)
-    wave = charts.sine_value(x, 10.0, contrast=0.5)
-    assert (wave.min(), wave.max()) == pytest.approx((0.25, 0.75), abs=1e-6)
-    # 27.136 cycles of 10 lp/mm in 2.7136 mm.
-    assert np.count_nonzero(np.diff(np.sign(wave[1:] - 0.5))) == 54
-
-
 # --- Files and sizes ---
 
 
