@@ -128,7 +128,7 @@ def grating(camera: pixsim.Camera, frequency_lp_per_mm: float, folder: Path) -> 
     """Render 16 of 1024 rows of the packaged scene with a sinusoid; 0 lp/mm is a uniform field."""
     x = (np.arange(16384) + 0.5) / 16384  # 100 texels a cycle: bilinear interpolation keeps 0.03 % of 60 lp/mm
     contrast = 0.9 if frequency_lp_per_mm else 0.0
-    texels = (0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * camera.die_mm * x))).astype(np.float32)
+    texels = (0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * charts.DIE_MM * x))).astype(np.float32)
     pixsim.write_chart(folder / "sine.exr", np.tile(texels, (2, 1)))
     height = '<integer name="height" value="{}"/>'
     text = packaged_scenes()["csf"].read_text()
