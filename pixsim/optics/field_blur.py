@@ -408,17 +408,6 @@ def _on_film(transform: NDArray[np.complexfloating], shape: tuple[int, ...]) -> 
     return found
 
 
-def point_spread(light: Light, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
-    """Return the PSF of an image point, cut off to an odd number of film cells along a side.
-
-    x_um, y_um : of the image point, from the optical axis, along columns and rows
-    """
-    whole = periodic_psf(light, x_um, y_um, pitch_um, even_window(light, x_um, y_um, pitch_um, cells))
-    reach = cells // 2
-    kernel = np.roll(whole, (reach, reach), axis=(0, 1))[:cells, :cells]
-    return Psf(kernel.astype(np.float32))
-
-
 def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
     """Return the transform of light that falls as 1/r³ beyond a radius, as that of a pupil with an edge does; 1 at frequency 0.
 
@@ -492,7 +481,10 @@ class RadialPsfs:
         return self._splines[point]
 
     def at(self, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
-        """Return the PSF of an image point as `point_spread` does, from those of the four nearest distances.
+        """Return the PSF of an image point, cut off to an odd number of film cells along a side, from those of the four nearest
+        distances.
+
+        x_um, y_um : of the image point, from the optical axis, along columns and rows
 
         Raises PixsimError beyond `reach_um`, and for a film with cells smaller than `pitch_um`.
         """

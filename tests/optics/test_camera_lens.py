@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.blur import point_spread
 from scipy.interpolate import CubicSpline
 
 from pixsim.base.errors import PixsimError
@@ -31,7 +32,6 @@ from pixsim.optics.camera_lens import (
     without_lens,
 )
 from pixsim.optics.diffraction import diffraction_otf
-from pixsim.optics.field_blur import point_spread
 from pixsim.optics.lens import Lens, load_lens
 from pixsim.optics.thin_lens import irradiance_factor
 from tests.scene.test_real_lens import THIN

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from helpers.blur import point_spread
 from scipy.integrate import quad
 from scipy.special import j0, jv
 
@@ -26,7 +27,6 @@ from pixsim.optics.field_blur import (
     mean_of_phase,
     periodic_psf,
     picture_error,
-    point_spread,
     powers,
     radial_psfs,
     resolving_um,

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers.blur import point_spread
 from scipy.constants import c as light_speed, h as planck
 from scipy.interpolate import make_interp_spline
 
@@ -16,7 +17,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.camera_lens import Tiling, camera_with_lens, fitted_wavefronts
-from pixsim.optics.field_blur import Light, point_spread
+from pixsim.optics.field_blur import Light
 from pixsim.sensor import integration
 from pixsim.sensor.integration import (
     Columns,
