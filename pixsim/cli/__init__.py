@@ -28,7 +28,7 @@ def command() -> NoReturn:
     """Run `main` as a process of its own."""
     leave_current_folder()  # before anything else is imported
     interruption.guard()
-    gc.disable()  # a tenth of the time of the imports; `stages` enables it
+    gc.disable()  # 7 % of `pixsim run` with a filled cache (0.07 s of processor time); `stages` enables it
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # pydantic looks for them in all installed packages
     try:
         open_closed_streams()

@@ -88,7 +88,7 @@ def set_cache_folders() -> None:
 @contextmanager
 def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
     """`pixsim.base.progress.stages` with the verbosity of the command."""
-    gc.freeze()  # what was imported stays
+    gc.freeze()  # what was imported stays; looking at it takes 0.1 s of `pixsim run`
     gc.enable()
     durations_s = {} if seconds is None else seconds
     with progress.stages(durations_s, quiet=verbosity.quiet) as stage:
