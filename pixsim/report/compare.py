@@ -18,7 +18,7 @@ from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, 
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
 from pixsim.base.labels import label_of
 from pixsim.base.machine import processors
-from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, paths_of
+from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, Study, paths_of
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import record_rows, scene_rows, settings_table
@@ -39,14 +39,13 @@ from pixsim.show.pictures import (
 from pixsim.show.render import PAGE, html, write
 from pixsim.show.sentences import rounded, sentence, setting_value
 from pixsim.studies.averages import Averaged, Compared
-from pixsim.studies.circumstances import SHARED, Circumstances
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.extent import stated_end_lp_per_mm
 from pixsim.studies.keys import rendered_across
 from pixsim.studies.light_level import LightLevel
-from pixsim.studies.lineup import OF_A_SENSOR, ComparisonJob, Lineup, pixels_of
+from pixsim.studies.lineup import OF_A_SENSOR, SHARED, ComparisonJob, Lineup, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
 from pixsim.studies.prepared import Prepared
 from pixsim.studies.sensor_types import TYPES_FILE
@@ -96,11 +95,10 @@ def conditions_line(prepared: ComparisonJob) -> str:
 
 def _study_words(prepared: ComparisonJob) -> list[str]:
     """Return the study and its conditions in words, if there are any."""
-    of_study = prepared.circumstances
-    if of_study is None:
+    if prepared.study is None:
         return []
-    unused = f" (not used: {', '.join(of_study.not_used)})" if of_study.not_used else ""
-    words = [f"the study {of_study.name}{unused}"]
+    unused = f" (not used: {', '.join(prepared.not_used)})" if prepared.not_used else ""
+    words = [f"the study {prepared.study.name}{unused}"]
     if prepared.conditions:
         weights = ", ".join(f"{part.condition} ({part.weight:.3g})" for part in prepared.conditions)
         words.append(f"ΔE is the mean over its conditions with the weights {weights}")
@@ -119,7 +117,7 @@ def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
     highest = stated_end_lp_per_mm({"parameters": lineup.sensors[0].scene.parameters})
     chart = "one scene"
     if highest is not None:
-        limit = lineup.view.limited_by
+        limit = lineup.view.get("limited_by")
         of = f", {limit.replace('the sensor', lineup.finest)}" if limit else ""
         chart = f"one chart, to {highest * camera.die_mm:.4g} cycles across{of}"
     rows, columns = lineup.scored_dots
@@ -166,8 +164,8 @@ def outline(prepared: ComparisonJob) -> dict[str, Any]:
     cost = Cost(PAGE_S + START_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
     scene = first.scene.with_resolution(lineup.film_width)
     more: dict[str, Any] = {}
-    if (of_study := prepared.circumstances) is not None:
-        more["study"] = {"name": of_study.name, "not_used": list(of_study.not_used)}
+    if prepared.study is not None:
+        more["study"] = {"name": prepared.study.name, "not_used": list(prepared.not_used)}
     if prepared.conditions:
         more["shown_condition"] = lineup.condition
         more["conditions"] = {part.condition: {"weight": part.weight} for part in prepared.conditions}
@@ -307,8 +305,8 @@ def settings_files(prepared: ComparisonJob) -> dict[str, str]:
     for option, value in (("--sensor", prepared.sensor_id), ("--variant", prepared.variant)):
         words += [option, value] if value else []
     command = shlex.join(words)
-    if prepared.conditions and prepared.circumstances is not None:
-        texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.circumstances), command)}
+    if prepared.conditions and prepared.study is not None:
+        texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.study), command)}
     else:
         first, chosen = prepared.base[0], set(OF_VIEWING) - set(prepared.shown.viewing.stated)
         scene = scene_table(prepared.shown.sensors[0].scene.path.parent, first.scene)
@@ -326,17 +324,17 @@ def _all_but_sensor(own: Run) -> dict[str, Any]:
     return {name: {} for name in type(own).model_fields if name not in OF_A_SENSOR}
 
 
-def _study_table(prepared: ComparisonJob, of_study: Circumstances) -> dict[str, Any]:
+def _study_table(prepared: ComparisonJob, study: Study) -> dict[str, Any]:
     """Return the tables of a study that makes the same conditions: what all sensors share, and the conditions."""
     first = prepared.base[0]
     shared = first.model_dump(mode="json", exclude_unset=True, include=set(SHARED) - set(OF_A_SENSOR))
     scenes = [part.sensors[0].scene.path.parent for part in prepared.conditions]
-    scene = {"file": whole_path(of_study.scene), "parameters": scene_table(scenes[0], first.scene)}
+    scene = {"file": whole_path(study.scene.file), "parameters": scene_table(scenes[0], first.scene)}
     conditions = [
         condition.model_dump(mode="json") | {"set": _whole_settings(condition, folder)}
-        for condition, folder in zip(of_study.conditions, scenes, strict=True)
+        for condition, folder in zip(study.condition, scenes, strict=True)
     ]
-    return {"name": of_study.name} | shared | {"scene": scene, "condition": conditions}
+    return {"name": study.name} | shared | {"scene": scene, "condition": conditions}
 
 
 def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
@@ -625,7 +623,7 @@ def _settings(result: Comparison) -> Iterator[Table]:
         records: dict[str, Record] = {"camera": sensor.camera, "pixel": pixel, "exposure": exposure}
         for name, record in records.items():
             yield settings_table(f"{sensor.name}: {name}", record_rows(name, record, sheet))
-    for each in () if prepared.circumstances is None else prepared.circumstances.conditions:
+    for each in () if prepared.study is None else prepared.study.condition:
         values = [(path, reduce(getitem, path, each.set)) for path in paths_of(each.set)]
         rows = [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in values]
         yield settings_table(f"condition {each.name}", rows)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def run_outline(prepared: RunJob) -> dict[str, Any]:
     """Return what a run would do; nothing is rendered or written."""
-    shared = prepared.settings, prepared.camera, prepared.asked.camera, prepared.view.as_dict()
+    shared = prepared.settings, prepared.camera, prepared.asked.camera, {**prepared.view}
     planned = planned_run(prepared)
     return common(prepared.source, prepared.header, *shared, planned["sensors"]) | planned
 
@@ -33,7 +33,7 @@ def study_outline(job: StudyJob, jobs: int | None = None, asked: Study | None = 
     first = job.cases[0]
     study, header = first.settings, {"parameters": first.scene.parameters}
     sensors = planned_sensors(study, first.camera)
-    shared = common(study.scene.file, header, study, first.camera, study.camera, job.view.as_dict(), sensors)
+    shared = common(study.scene.file, header, study, first.camera, study.camera, job.view, sensors)
     return shared | planned_study(job, jobs, asked, types)
 
 

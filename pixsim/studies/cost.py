@@ -20,7 +20,7 @@ from pixsim.scene.plan import FEWEST_RENDERS, Plan
 from pixsim.sensor.integration import pixels_on
 from pixsim.show.sentences import duration
 from pixsim.studies.engine import workers_here
-from pixsim.studies.preparation import choose_view, fitted_range
+from pixsim.studies.preparation import choose_view, fitted_range, with_view
 from pixsim.studies.sampling import BYTES_PER_PIXEL, study_pitches_um
 from pixsim.studies.viewing import SENSORS_VIEWED, STUDY_VIEWINGS
 from pixsim.viewer.score import SCENE_CACHE_BYTES
@@ -244,9 +244,7 @@ def window_within(study: Study, camera: Camera, plan: Plan, shape: tuple[int, in
                 window = camera.window(width)
                 fitted = fitted_range(study, window)
                 if study.own_um is not None:
-                    fitted = fitted.model_copy(
-                        update={"display": choose_view(study.own_um, window, study.display, None).display(study.display)}
-                    )
+                    fitted = with_view(fitted, choose_view(study.own_um, window, study.display, None))
                 if study_cost(fitted, window, plan, shape, jobs).seconds < LONG_S:
                     return width
         except PixsimError:  # too few pixels or dots

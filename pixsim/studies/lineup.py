@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +22,25 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.labels import file_label, labels_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import NO_TECHNOLOGY, REGISTERED_BORDER, Camera, CameraOptions, Display, Layer, Record, Run, Study
+from pixsim.base.parameters import (
+    NO_TECHNOLOGY,
+    NOT_SETTINGS,
+    OF_DIE,
+    REGISTERED_BORDER,
+    Camera,
+    CameraOptions,
+    Condition,
+    Display,
+    Effort,
+    Layer,
+    Record,
+    Run,
+    Setting,
+    Study,
+    StudyScene,
+    owner_of,
+    paths_of,
+)
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.integration import check_pixel_count, pixels_on
@@ -31,13 +49,13 @@ from pixsim.sensor.technology import check_name
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Case
-from pixsim.studies.circumstances import Circumstances, circumstances_of
 from pixsim.studies.cost import VIEWED_S_PER_DOT, Cost, dots_on, frame_cost
 from pixsim.studies.matched_cameras import Match, matched_cameras
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
-from pixsim.studies.preparation import ALLOWED_DOTS, View, choose_view
+from pixsim.studies.preparation import ALLOWED_DOTS, choose_view, with_view
 from pixsim.studies.prepared import Prepared, loaded_scene
+from pixsim.studies.study_file import study_of
 from pixsim.studies.viewing import OF_VIEWING, Viewing, ViewingRange
 from pixsim.viewer.display import dot_edges_um
 
@@ -52,6 +70,12 @@ NOT_COMPARED = {
     "tolerance_delta_e": "the film's error is measured and stated; --repeats and --render-noise make results surer",
     "max_seconds": "a number of samples limits each render; --render-noise changes it",
 }
+# What a study says to a comparison: the scene and the settings of all sensors, and a lens for files that state none. Its pixels,
+# technologies and pixel sizes are not used.
+OF_STUDY = [name for name in sorted(Setting.model_fields, key=Effort.model_fields.__contains__) if name not in NOT_COMPARED]
+SHARED = [name for name in OF_STUDY if name not in ("scene", "camera", "lens", "pixel")]
+WORDS = {name for name, hint in NOT_SETTINGS.items() if not hint} - {"sensors"}  # of a study, that say nothing of a sensor
+SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own, as of its die
 DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
 
 
@@ -68,7 +92,7 @@ class Lineup:
     scene : file, or name of a packaged scene
     settings : what all sensors share, and the first one's camera, pixel and exposure
     sensors : each with its own camera, pixel and exposure; the frequencies of its chart on the sensor go with the die
-    view : display and chart that pixsim chose for data sheets, from the sensor with the most pixels
+    view : of `choose_view`, for data sheets: of the sensor with the most pixels
     finest : name of that sensor
     border : width of the border that is not scored, as a fraction of the width of the field
     viewing : displays on which the frames are scored; the first one is that of `settings`
@@ -79,7 +103,7 @@ class Lineup:
     scene: str
     settings: Run
     sensors: tuple[Prepared[Run], ...]
-    view: View
+    view: dict[str, Any]
     finest: str
     border: float
     viewing: ViewingRange
@@ -117,7 +141,7 @@ class Lineup:
         return {
             "fov_deg": self.sensors[0].camera.fov_deg,
             "scored_dots": list(self.scored_dots),
-            "chosen": self.view.as_dict() | {"finest": self.finest},
+            "chosen": self.view | {"finest": self.finest},
             "viewing": self.viewing.as_dict(),
         }
 
@@ -147,7 +171,8 @@ class ComparisonJob:
     base : settings of each sensor, as the files and options have them without a condition
     lineups : all sensors under each condition; one without conditions
     pairs : the first sensor and each other one alone, likewise
-    circumstances : the study under whose conditions the sensors are compared, if any
+    study : whose conditions and settings are those of all sensors, if any; its scene is that of the comparison
+    not_used : settings of the study that are not used, by their dotted names
     types : sensor types over which the comparison is repeated, if they are asked for
     """
 
@@ -158,7 +183,8 @@ class ComparisonJob:
     pairs: tuple[tuple[Lineup, ...], ...]
     sensor_id: str | None = None
     variant: str | None = None
-    circumstances: Circumstances | None = None
+    study: Study | None = None
+    not_used: tuple[str, ...] = ()
     types: Types | None = None
 
     @property
@@ -232,6 +258,58 @@ def check_files(files: Sequence[str]) -> None:
             raise invalid("sensors", got, "different files", "A copy of the file may have other numbers, or the same.")
 
 
+def as_run(table: Mapping[str, Any], names: Sequence[str], scene: bool = True) -> dict[str, Any]:
+    """Return some tables of a study or of a condition as those of `Run`: of the camera without the die, of which each has its own.
+
+    scene : whether its parameters are among them
+    """
+    own = {name: table[name] for name in names if name in table}
+    if "camera" in own:
+        own["camera"] = {name: value for name, value in own["camera"].items() if name not in OF_DIE}
+    return own | ({"scene": table["scene"]["parameters"]} if scene and "parameters" in table.get("scene", {}) else {})
+
+
+def not_used_of(table: Mapping[str, Any], other_scene: bool) -> tuple[str, ...]:
+    """Return the settings of a study's table that a comparison does not use, by their dotted names.
+
+    other_scene : whether the comparison has another scene
+    """
+    found = [name for name in table if name not in (*SHARED, *WORDS, "scene", "camera", "lens")]
+    found += [f"camera.{name}" for name in OF_DIE if name in table.get("camera", {})]
+    return *found, *(["scene"] if other_scene and "scene" in table else [])
+
+
+def warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
+    """Warn of options, as tables of `Run`, that every condition of a study overrides."""
+    for path in paths_of(options):
+        in_study = ("scene", "parameters", *path[1:]) if path[0] == "scene" else path
+        if owner := owner_of(study, in_study):
+            warn(f"{'.'.join(path)} is not used: {owner} sets it")
+
+
+def condition_layer(condition: Condition, source: str) -> Layer:
+    """Return a condition's settings as tables of `Run`. Raises PixsimError for a setting that a comparison does not have.
+
+    source : file of its study, or empty
+    """
+    table, where = condition.set, ": ".join(filter(None, (source, f"condition {condition.name}")))
+    allowed = [name for name in OF_STUDY if name != "seed"]
+    if others := [name for name in table if name not in allowed]:
+        hint = "The sensors of a comparison have their numbers from their own files."
+        raise invalid(where, f"set.{others[0]}", ", ".join(f"set.{name}" for name in allowed), hint)
+    camera, pixel, scene = (table.get(name) for name in ("camera", "pixel", "scene"))
+    if isinstance(camera, Mapping) and (die := [name for name in OF_DIE if name in camera]):
+        raise invalid(where, f"set.camera.{die[0]}", "settings of the lens: each sensor has its own die")
+    if isinstance(pixel, Mapping) and (own := [name for name in SIZE if name in pixel]):
+        raise invalid(where, f"set.pixel.{own[0]}", "settings that leave each sensor its own pixel size")
+    files = "set.scene.file, set.scene.parameters.<name>"
+    if scene is not None and not isinstance(scene, Mapping):
+        raise invalid(where, f"set.scene = {scene!r}", files)
+    if unknown := [name for name in scene or {} if name not in StudyScene.model_fields]:
+        raise invalid(where, f"set.scene.{unknown[0]}", files)
+    return Layer(as_run(table, [name for name in allowed if name != "scene"]), where)
+
+
 @contextmanager
 def named(part: str) -> Iterator[None]:
     """Name the sensor, or the condition if there is one, in an error about its settings."""
@@ -267,18 +345,24 @@ def prepare(
         raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
     layers, options = [settings_layer(path) for path in config], options or {}
     names = labels_of([file_label(source) for source in sources])
-    of_study = None if study is None else circumstances_of(study, scene)
-    if of_study is not None:
-        of_study.warn_of_unused(options)
-        layers = [of_study.shared, *layers]
-    lens = Layer({}) if of_study is None else of_study.lens
+    plan, lens, file, not_used = None, Layer({}), "csf" if scene is None else str(scene), tuple[str, ...]()
+    if study is not None:
+        stated, plan = study_of(study)
+        not_used = not_used_of(stated.table, scene is not None)
+        if scene is not None:
+            stated = Layer({name: value for name, value in stated.table.items() if name != "scene"}, stated.source)
+            plan = plan.model_copy(update={"scene": StudyScene(file=file)})
+        warn_of_overridden(plan, options)
+        file, layers = plan.scene.file, [Layer(as_run(stated.table, SHARED), stated.source), *layers]
+        lens = Layer(as_run(stated.table, ("camera", "lens"), scene=False), stated.source)
     base = read_sensors(sources, lens, layers, options)
-    under = [Stated("", 1.0, str("csf" if scene is None else scene) if of_study is None else of_study.scene, base)]
-    if of_study is not None and of_study.conditions:
-        under, total = [], sum(each.weight for each in of_study.conditions)
-        for each in of_study.conditions:
-            runs = read_sensors(sources, lens, layers, options, of_study.layer_of(each))
-            under.append(Stated(each.name, each.weight / total, of_study.scene_of(each), runs))
+    under = [Stated("", 1.0, file, base)]
+    if plan is not None and plan.condition:
+        under, total = [], sum(each.weight for each in plan.condition)
+        for each in plan.condition:
+            of_condition = condition_layer(each, stated.source)
+            runs = read_sensors(sources, lens, layers, options, of_condition)
+            under.append(Stated(each.name, each.weight / total, str(each.set.get("scene", {}).get("file", file)), runs))
 
     def setups_of(*chosen: int) -> tuple[Lineup, ...]:
         """Return some of the sensors under each condition, as if there were no others."""
@@ -303,7 +387,7 @@ def prepare(
         types = Types.of(uncertainty, names, sources, [run.pixel for run in base], base[0].seed)
     else:
         warn_of_uncertainty(sources)
-    return ComparisonJob(match, repeats, tuple(base), lineups, pairs, sensor, variant, of_study, types)
+    return ComparisonJob(match, repeats, tuple(base), lineups, pairs, sensor, variant, plan, not_used, types)
 
 
 def warn_of_uncertainty(sources: Sequence[str]) -> None:
@@ -385,17 +469,15 @@ def lineup_of(
             check_pixel_count(pixels_on(camera.die_um, run.pixel.pitch_um), run.pixel.pitch_um)
     sizes = [math.prod(pixels_on(camera.die_um, run.pixel.pitch_um)) for camera, run in zip(cameras, runs, strict=True)]
     finest = int(np.argmax(sizes))
-    view = View()
+    view: dict[str, Any] = {}
     if any(run.pixel.technology == NO_TECHNOLOGY for run in runs):
         view = choose_view(runs[finest].pixel.pitch_um, cameras[finest], settings.display, loaded)
     if common is not None:
-        view = view.as_chosen(common.view)
-    parameters = dict(settings.scene)
-    if view.max_lp_per_mm is not None:
-        parameters[MAX_LP_PER_MM] = on_other_die(view.max_lp_per_mm, cameras[finest], cameras[0])
-    settings = settings.model_copy(update={"display": view.display(settings.display), "scene": parameters})
+        view = {name: common.view.get(name, value) for name, value in view.items()}
+    of_first = {name: on_other_die(view[name], cameras[finest], cameras[0]) for name in view if name == MAX_LP_PER_MM}
+    settings = with_view(settings, view | of_first)
     border = REGISTERED_BORDER * max(run.pixel.pitch_um / camera.die_um[1] for camera, run in zip(cameras, runs, strict=True))
-    given = parameters.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
+    given = settings.scene.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
     sensors = []
     for name, source, camera, run in zip(names, sources, cameras, runs, strict=True):
         of_sensor = loaded

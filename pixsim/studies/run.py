@@ -35,7 +35,7 @@ from pixsim.show.render import html_cell
 from pixsim.studies.budget import ProbeDesign, Settled, settle
 from pixsim.studies.oversampling import Demand, Light, light_of
 from pixsim.studies.paired import mean_interval
-from pixsim.studies.preparation import View, choose_view
+from pixsim.studies.preparation import choose_view, scene_with_view, with_view
 from pixsim.studies.prepared import loaded_scene
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
@@ -64,7 +64,7 @@ class RunJob:
     asked : settings as they were given
     settings : with what they left open
     camera : of the window
-    view : display and chart that pixsim chose for the sensor of a data sheet
+    view : of `choose_view`, for the sensor of a data sheet
     settled : settings that a calibration chose for a tolerance of ΔE; None before it, and without a tolerance
     full : whether no effect is left out
     repeats : number of sensors of the kind; a tolerance of ΔE may take more
@@ -77,7 +77,7 @@ class RunJob:
     settings: Run
     camera: Camera
     light: SpectralImage | Demand = field(repr=False)
-    view: View = field(default_factory=View)
+    view: Mapping[str, Any] = field(default_factory=dict)
     settled: Settled | None = None
     full: bool = False
     repeats: int = 1
@@ -149,15 +149,14 @@ def prepare(
         scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
         whole = scene.camera(settings.camera, settings.lens)
     warn_of_unused_settings({"": [given]})
-    camera, view = whole.window(settings.window_mm), View()
-    if settings.pixel.technology == NO_TECHNOLOGY:
-        view = choose_view(pitch_um, camera, settings.display, scene)
+    camera = whole.window(settings.window_mm)
+    of_sheet = settings.pixel.technology == NO_TECHNOLOGY
+    view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}
     check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
     dot_edges_um(camera.die_um, pitch_um, settings.display, pitch_um)
-    chosen = {"camera": whole.options, "display": view.display(settings.display), "scene": view.parameters(settings.scene)}
-    complete = settings.model_copy(update=chosen)
+    complete = with_view(settings, view).model_copy(update={"camera": whole.options})
     if scene is not None:
-        light = demand_of(view.scene(scene), camera, complete, full)
+        light = demand_of(scene_with_view(scene, view), camera, complete, full)
     return RunJob(
         source,
         settings,
@@ -344,7 +343,7 @@ class RunResult:
         `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the border that is not scored.
         """
         prepared, settings, score = self.prepared, self.settings, self.score
-        more: dict[str, Any] = {"chosen": prepared.view.as_dict()}
+        more: dict[str, Any] = {"chosen": {**prepared.view}}
         if self.rendered is not None and self.plan is not None:
             more |= {"render_noise": asdict(self.rendered.noise), "plan": self.plan.as_dict(), "film": self.film}
             more |= {"window_mm": settings.window_mm} if settings.window_mm else {}

@@ -29,7 +29,7 @@ from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, ch
 from pixsim.studies.keys import remember_evaluated
 from pixsim.studies.lights import render_all
 from pixsim.studies.oversampling import Light
-from pixsim.studies.preparation import StudyJob, View, prepare
+from pixsim.studies.preparation import StudyJob, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of, few
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
@@ -109,7 +109,7 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
 def evaluate_cases(
     cases: Sequence[Case[Study]],
     lights: Sequence[Light],
-    view: View,
+    view: dict[str, Any],
     results: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
@@ -209,9 +209,7 @@ def evaluate_cases(
             )
             for number in numbers
         )
-        found.append(
-            StudyResult(case.settings, complete, light.image, light.camera, light.film, view=view.as_dict(), lights=scenes)
-        )
+        found.append(StudyResult(case.settings, complete, light.image, light.camera, light.film, view=view, lights=scenes))
     return found, evaluations.counts
 
 
@@ -369,7 +367,7 @@ def run_prepared(
         warn_of_idle_axes(chosen, found)
         curves = found[0].curves
         if not job.has_cases and chosen.own_um is not None and chosen.display.raster == "fixed_size":
-            curves = curves_viewed(found[0], job.view, workers, stage("on other displays"))
+            curves = curves_viewed(found[0], workers, stage("on other displays"))
         findings: tuple[tuple[Any, ...], ...] = ()
         if job.has_cases and chosen.paper:
             from pixsim.studies.claims import findings_of_cases

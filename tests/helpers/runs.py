@@ -7,7 +7,6 @@ from types import SimpleNamespace
 from typing import Any
 
 from pixsim.base.parameters import Camera, Run
-from pixsim.studies.preparation import View
 from pixsim.studies.run import RunResult
 from pixsim.viewer.causes import Cause
 
@@ -32,7 +31,7 @@ def run_result(
     settings : tables of `Run`
     known : properties in place of what would be computed
     """
-    prepared: Any = SimpleNamespace(settings=Run.model_validate(settings or {}), camera=Camera(), view=View(), light=None)
+    prepared: Any = SimpleNamespace(settings=Run.model_validate(settings or {}), camera=Camera(), view={}, light=None)
     prepared.asked = prepared.settings
     physics, border = SimpleNamespace(pitch_um=pitch_um), (border_um, border_um)
     score: Any = SimpleNamespace(frame=SimpleNamespace(**frame), physics=physics, border_um=border, mean_delta_e=delta_e[0])
