@@ -43,7 +43,6 @@ from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.extent import stated_end_lp_per_mm
-from pixsim.studies.keys import rendered_across
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.lineup import OF_A_SENSOR, SHARED, ComparisonJob, Lineup, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
@@ -73,7 +72,7 @@ def sensor_words(sensor: Prepared[Run]) -> str:
 
 def exposure_words(lineup: Lineup) -> str:
     """Return the exposure rule of the sensors in words."""
-    exposures = [sensor.settings.exposure for sensor in lineup.sensors]
+    exposures = [sensor.settings.exposure for sensor in lineup.cases]
     if any(exposure != exposures[0] for exposure in exposures):
         return "each sensor's own exposure rule"
     if exposures[0].integration_s is not None:
@@ -107,14 +106,14 @@ def _study_words(prepared: ComparisonJob) -> list[str]:
 
 def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
     """Return what all sensors of a comparison have in common under one condition, in parts."""
-    camera, display = lineup.sensors[0].camera, lineup.settings.display
-    first, field = lineup.sensors[0].name, f"the same field of {camera.field_words}"
+    camera, display = lineup.cases[0].camera, lineup.settings.display
+    first, field = lineup.cases[0].name, f"the same field of {camera.field_words}"
     lens = {
         "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
         "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
         "own": f"each file's own lens, and {field}, which all have",
     }[prepared.match]
-    highest = stated_end_lp_per_mm({"parameters": lineup.sensors[0].scene.parameters})
+    highest = stated_end_lp_per_mm({"parameters": lineup.cases[0].scene.parameters})
     chart = "one scene"
     if highest is not None:
         limit = lineup.view.get("limited_by")
@@ -157,7 +156,7 @@ def _terminal(result: Comparison, notes: Sequence[str]) -> tuple[Block, ...]:
 def outline(prepared: ComparisonJob) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
     lineup = prepared.shown
-    first = lineup.sensors[0]
+    first = lineup.cases[0]
     lineups = dict.fromkeys(each for group in (prepared.lineups, *prepared.pairs) for each in group)
     repeats = prepared.repeats + (0 if prepared.types is None else FEW_SENSORS * len(prepared.types.sample.quantiles))
     costs = [_cost_of(each, repeats) for each in lineups]
@@ -185,7 +184,7 @@ def outline(prepared: ComparisonJob) -> dict[str, Any]:
                 "pixels": list(pixels_of(sensor)),
                 "pixel": sensor.settings.pixel.model_dump(),
             }
-            for sensor in lineup.sensors
+            for sensor in lineup.cases
         },
         "estimate": asdict(cost),
     }
@@ -193,14 +192,10 @@ def outline(prepared: ComparisonJob) -> dict[str, Any]:
 
 def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     """Estimate the renders and frames of the sensors under one condition."""
-    width = lineup.film_width
     seconds, largest = 0.0, 0.0
-    for sensor in lineup.sensors:
-        scene = sensor.scene.with_resolution(width)
-        height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
-        plan, settings = lineup.plan(sensor, scene), sensor.settings
-        film = known_film((height, width), rendered_across(scene, sensor.camera, plan, settings))
-        render = render_cost(plan, sensor.camera, *film, processors().usable, begun=True)
+    for sensor in lineup.cases:
+        demand = lineup.demand(sensor, lineup.film_width)
+        render = render_cost(demand.plan, sensor.camera, *known_film(demand), processors().usable, begun=True)
         frame = lineup.cost_of_frame(sensor)
         seconds += render.seconds + repeats * frame.seconds / processors().usable
         largest = max(largest, render.memory_bytes + frame.memory_bytes)
@@ -221,8 +216,8 @@ def outline_document(places: Sequence[tuple[ComparisonJob, Path]], has_cases: bo
 def _outline_words(prepared: ComparisonJob, shown: dict[str, Any], out: Path) -> list[str]:
     """Return what a comparison would do in words."""
     lineup = prepared.shown
-    width = max(len(sensor.name) for sensor in lineup.sensors)
-    lines = [f"{sensor.name:{width}}  {sensor_words(sensor)}" for sensor in lineup.sensors]
+    width = max(len(sensor.name) for sensor in lineup.cases)
+    lines = [f"{sensor.name:{width}}  {sensor_words(sensor)}" for sensor in lineup.cases]
     height, across = shown["film"]["samples"]
     where = f", in {lineup.condition}" if prepared.conditions else ""
     lines += [conditions_line(prepared), f"film of {across} × {height} samples for all{where}"]
@@ -243,7 +238,7 @@ def comparison_files(prepared: ComparisonJob) -> dict[str, str]:
         JSON_FILE: "all numbers and settings, for programs",
         SETTINGS_FILE: "settings of all sensors; its first lines have the command that makes the same numbers again",
     }
-    for sensor in prepared.shown.sensors:
+    for sensor in prepared.shown.cases:
         files |= {
             f"sensors/{sensor.name}.toml": f"pixel, camera and exposure of {sensor.name}, as its file and the options have them",
             f"pictures/image_{sensor.name}.png": f"image of {sensor.name}, as shown",
@@ -269,7 +264,7 @@ def write_comparison(result: Comparison, folder: str | os.PathLike[str], seconds
     prepared = result.prepared
     with output_folder(folder) as path:
         check_output(prepared, path)
-        keep = [Path(sensor.case.source) for sensor in prepared.shown.sensors]
+        keep = [Path(sensor.case.source) for sensor in prepared.shown.cases]
         with publishing(path, "compare", {"seconds": seconds or {}}, keep) as partial:
             for name in ("sensors", "pictures"):
                 (partial / name).mkdir()
@@ -296,20 +291,20 @@ def settings_files(prepared: ComparisonJob) -> dict[str, str]:
 
     They state what was stated, and leave open what pixsim chose, such as a display: the command chooses the same again.
     """
-    files = [f"sensors/{sensor.name}.toml" for sensor in prepared.shown.sensors]
+    files = [f"sensors/{sensor.name}.toml" for sensor in prepared.shown.cases]
     words = ["pixsim", "compare", *files]
     words += [] if prepared.conditions else ["--scene", whole_path(prepared.shown.scene)]
     words += ["--study" if prepared.conditions else "--config", SETTINGS_FILE]
     words += ["--match", prepared.match, "--repeats", str(prepared.repeats)]
     words += [] if prepared.types is None else ["--uncertainty", str(prepared.types.asked)]
-    for option, value in (("--sensor", prepared.sensor_id), ("--variant", prepared.variant)):
+    for option, value in (("--sensor", prepared.shown.sensor), ("--variant", prepared.shown.variant)):
         words += [option, value] if value else []
     command = shlex.join(words)
     if prepared.conditions and prepared.study is not None:
         texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.study), command)}
     else:
         first, chosen = prepared.base[0], set(OF_VIEWING) - set(prepared.shown.viewing.stated)
-        scene = scene_table(prepared.shown.sensors[0].scene.path.parent, first.scene)
+        scene = scene_table(prepared.shown.cases[0].scene.path.parent, first.scene)
         display = first.display.model_dump(mode="json", exclude_none=True, exclude=chosen)
         text = settings_text(first, command, scene=scene, display=display, camera={}, lens={}, pixel={}, exposure={})
         texts = {SETTINGS_FILE: text}
@@ -328,7 +323,7 @@ def _study_table(prepared: ComparisonJob, study: Study) -> dict[str, Any]:
     """Return the tables of a study that makes the same conditions: what all sensors share, and the conditions."""
     first = prepared.base[0]
     shared = first.model_dump(mode="json", exclude_unset=True, include=set(SHARED) - set(OF_A_SENSOR))
-    scenes = [part.sensors[0].scene.path.parent for part in prepared.conditions]
+    scenes = [part.cases[0].scene.path.parent for part in prepared.conditions]
     scene = {"file": whole_path(study.scene.file), "parameters": scene_table(scenes[0], first.scene)}
     conditions = [
         condition.model_dump(mode="json") | {"set": _whole_settings(condition, folder)}

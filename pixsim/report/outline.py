@@ -25,15 +25,14 @@ def run_outline(prepared: RunJob) -> dict[str, Any]:
     """Return what a run would do; nothing is rendered or written."""
     shared = prepared.settings, prepared.camera, prepared.asked.camera, {**prepared.view}
     planned = planned_run(prepared)
-    return common(prepared.source, prepared.header, *shared, planned["sensors"]) | planned
+    return common(prepared.source, prepared.cases[0].header, *shared, planned["sensors"]) | planned
 
 
 def study_outline(job: StudyJob, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
     """Return what a study would do; nothing is rendered or written. The arguments are those of `planned_study`."""
     first = job.cases[0]
-    study, header = first.settings, {"parameters": first.scene.parameters}
-    sensors = planned_sensors(study, first.camera)
-    shared = common(study.scene.file, header, study, first.camera, study.camera, job.view, sensors)
+    study, sensors = first.settings, planned_sensors(first.settings, first.camera)
+    shared = common(study.scene.file, first.header, study, first.camera, study.camera, {**job.view}, sensors)
     return shared | planned_study(job, jobs, asked, types)
 
 

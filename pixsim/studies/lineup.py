@@ -42,7 +42,6 @@ from pixsim.base.parameters import (
     paths_of,
 )
 from pixsim.scene.charts import MAX_LP_PER_MM
-from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.technology import check_name
@@ -50,11 +49,13 @@ from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Case
 from pixsim.studies.cost import VIEWED_S_PER_DOT, Cost, dots_on, frame_cost
+from pixsim.studies.lights import demand_of
 from pixsim.studies.matched_cameras import Match, matched_cameras
+from pixsim.studies.oversampling import Demand
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.preparation import ALLOWED_DOTS, choose_view, with_view
-from pixsim.studies.prepared import Prepared, loaded_scene
+from pixsim.studies.prepared import Job, Prepared, loaded_scene
 from pixsim.studies.study_file import study_of
 from pixsim.studies.viewing import OF_VIEWING, Viewing, ViewingRange
 from pixsim.viewer.display import dot_edges_um
@@ -84,16 +85,14 @@ def pixels_of(sensor: Prepared[Run]) -> tuple[int, int]:
     return pixels_on(sensor.camera.die_um, sensor.settings.pixel.pitch_um)
 
 
-@dataclass(frozen=True, eq=False)
-class Lineup:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Lineup(Job[Run]):
     """Sensors of a comparison under one condition, with the display and the chart that they share.
 
+    cases : the sensors, each with its own camera, pixel and exposure; the frequencies of its chart on the sensor go with the die
     condition, weight : name and share of the condition; an empty name and 1 without conditions
     scene : file, or name of a packaged scene
-    settings : what all sensors share, and the first one's camera, pixel and exposure
-    sensors : each with its own camera, pixel and exposure; the frequencies of its chart on the sensor go with the die
-    view : of `choose_view`, for data sheets: of the sensor with the most pixels
-    finest : name of that sensor
+    finest : name of the sensor with the most pixels, whose view all have
     border : width of the border that is not scored, as a fraction of the width of the field
     viewing : displays on which the frames are scored; the first one is that of `settings`
     """
@@ -101,9 +100,6 @@ class Lineup:
     condition: str
     weight: float
     scene: str
-    settings: Run
-    sensors: tuple[Prepared[Run], ...]
-    view: dict[str, Any]
     finest: str
     border: float
     viewing: ViewingRange
@@ -113,35 +109,28 @@ class Lineup:
         """The condition, for messages; empty without conditions."""
         return f"condition {self.condition}" if self.condition else ""
 
-    def plan(self, sensor: Prepared[Run], scene: Scene) -> Plan:
-        """Return the plan of a sensor's render on the film of `scene`."""
-        display, tolerance_e = self.settings.display, self.settings.tolerance_e
-        own = sensor.settings
-        return make_plan(scene, sensor.camera, own.pixel, exposure=own.exposure, display=display, tolerance_e=tolerance_e)
-
     @cached_property
     def film_width(self) -> int:
         """Samples across the first film, the most that any of the sensors needs: with one film, all see the same picture."""
-        widths = []
-        for sensor in self.sensors:
-            plan = self.plan(sensor, sensor.scene)
-            shape = sensor.scene.film_shape(sensor.camera, sensor.scene.for_camera(sensor.camera))
-            widths.append(plan.resolution or shape[1])
-        return max(widths)
+        return max(demand_of(sensor).shape[1] for sensor in self.cases)
+
+    def demand(self, sensor: Prepared[Run], width: int) -> Demand:
+        """Return what a sensor asks of its light on a film of so many samples across."""
+        return demand_of(replace(sensor, source=sensor.scene.with_resolution(width)))
 
     @property
     def scored_dots(self) -> tuple[int, int]:
         """Rows and columns of the display's dots that are shown and scored."""
-        camera, pitch_um = self.sensors[0].camera, self.sensors[0].settings.pixel.pitch_um
+        camera, pitch_um = self.camera, self.settings.pixel.pitch_um
         rows, columns = dot_edges_um(camera.die_um, pitch_um, self.settings.display, self.border_um(camera))
         return rows.size - 1, columns.size - 1
 
     def as_dict(self) -> dict[str, Any]:
         """Return the field, the scored dots and the displays for JSON."""
         return {
-            "fov_deg": self.sensors[0].camera.fov_deg,
+            "fov_deg": self.camera.fov_deg,
             "scored_dots": list(self.scored_dots),
-            "chosen": self.view | {"finest": self.finest},
+            "chosen": {**self.view, "finest": self.finest},
             "viewing": self.viewing.as_dict(),
         }
 
@@ -181,8 +170,6 @@ class ComparisonJob:
     base: tuple[Run, ...]
     lineups: tuple[Lineup, ...]
     pairs: tuple[tuple[Lineup, ...], ...]
-    sensor_id: str | None = None
-    variant: str | None = None
     study: Study | None = None
     not_used: tuple[str, ...] = ()
     types: Types | None = None
@@ -387,7 +374,7 @@ def prepare(
         types = Types.of(uncertainty, names, sources, [run.pixel for run in base], base[0].seed)
     else:
         warn_of_uncertainty(sources)
-    return ComparisonJob(match, repeats, tuple(base), lineups, pairs, sensor, variant, plan, not_used, types)
+    return ComparisonJob(match, repeats, tuple(base), lineups, pairs, plan, not_used, types)
 
 
 def warn_of_uncertainty(sources: Sequence[str]) -> None:
@@ -492,7 +479,18 @@ def lineup_of(
     viewing = _viewing(sensors, settings.display, of_viewing, border)
     if common is not None:
         viewing = common.viewing.under(settings.display, of_viewing)
-    return Lineup(stated.condition, stated.weight, scene, settings, tuple(sensors), view, names[finest], border, viewing)
+    return Lineup(
+        cases=tuple(sensors),
+        view=view,
+        sensor=sensor,
+        variant=variant,
+        condition=stated.condition,
+        weight=stated.weight,
+        scene=scene,
+        finest=names[finest],
+        border=border,
+        viewing=viewing,
+    )
 
 
 def _viewing(sensors: Sequence[Prepared[Run]], display: Display, stated: Sequence[str], border: float) -> ViewingRange:

@@ -17,13 +17,13 @@ from pixsim.base.config import Uncertainty
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.labels import label_of, labels_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Display, PitchRange, Setting, Study, content_hash
+from pixsim.base.parameters import Camera, Display, PitchRange, Run, Setting, Study, content_hash
 from pixsim.base.schema import KEY
 from pixsim.optics.camera_lens import rendered_camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
-from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
+from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
@@ -32,7 +32,7 @@ from pixsim.sensor.technology import check_name
 from pixsim.sensor.unused import warn_of_unused_settings
 from pixsim.studies.cases import Case, cases_of, with_range_ends
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
-from pixsim.studies.prepared import Prepared, loaded_scene
+from pixsim.studies.prepared import Job, Prepared, loaded_scene
 from pixsim.studies.results_file import COLUMNS
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.unused import StudyConfiguration
@@ -196,6 +196,16 @@ def finest_pixel(study: Study) -> PixelPhysics:
     return min(smallest, key=lambda physics: physics.aperture_side_um)
 
 
+def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool = False, *, film_is_known: bool = False) -> Plan:
+    """Return the plan of the render of one frame.
+
+    film_is_known : whether the film of the scene is that of a calibration, in place of the one that suits the display
+    """
+    display, tolerance_e = None if film_is_known else settings.display, settings.tolerance_e
+    pixel, exposure = settings.pixel, settings.exposure
+    return make_plan(scene, camera, pixel, exposure=exposure, display=display, tolerance_e=tolerance_e, full=full)
+
+
 def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
     """Return the plan of a study's render. With a tolerance of ΔE, samples are a part of the calibrated error."""
     coloured = [name for name in study.technologies if study.options_of(name).colour is not None]
@@ -267,30 +277,18 @@ def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] 
     return scene, scene.camera(study.camera, study.lens).window(study.window_mm)
 
 
-@dataclass(frozen=True)
-class StudyJob:
-    """A study with everything that it left open, found and checked before anything is rendered.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StudyJob(Job[Study]):
+    """A study that is prepared.
 
-    study : with its pixel sizes, display and chart
-    scene, camera : of the study; the camera is that of the window
-    view : of `choose_view`, for the sensor of a data sheet
-    cases : of its axes and conditions; a study without them is its own only case
-    variant : of Mitsuba; None means the fastest that works
+    study : with its pixel sizes, display and chart; one without axes and conditions is its own only case
+    scene : of the study itself
     uncertainty : of the study's [pixel] and data sheets, as its files state it
     """
 
     study: Study
     scene: Scene
-    camera: Camera
-    view: dict[str, Any]
-    cases: tuple[Prepared[Study], ...]
-    variant: str | None = None
     uncertainty: Uncertainty = field(default_factory=dict)
-
-    @property
-    def has_cases(self) -> bool:
-        """Whether the study has axes or conditions."""
-        return self.study.has_cases
 
     @property
     def evaluations(self) -> int:
@@ -319,7 +317,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
         view = _chosen_view(fitted, scene, camera)
         whole = _checked(Case(with_view(fitted, view)), scene_with_view(scene, view), camera)
         warn_of_unused([(study, whole.settings)])
-        return StudyJob(whole.settings, whole.scene, camera, view, (whole,), variant)
+        return StudyJob(study=whole.settings, scene=whole.scene, view=view, cases=(whole,), variant=variant)
     # Display and chart are those of the study itself, so that all of its cases are comparable.
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
@@ -342,7 +340,8 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
     warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, prepared, strict=True)])
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
     kept = view if all(_same_chart(each.settings, own) for each in prepared) else without_chart(view)
-    return StudyJob(with_view(study, kept), scene_with_view(scene, view), camera, view, tuple(prepared), variant)
+    shown_scene = scene_with_view(scene, view)
+    return StudyJob(study=with_view(study, kept), scene=shown_scene, view=view, cases=tuple(prepared), variant=variant)
 
 
 def warn_of_unused(cases: Sequence[tuple[Study, Study]]) -> None:

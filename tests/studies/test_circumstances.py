@@ -113,7 +113,7 @@ def test_view_of_all_conditions_is_that_of_the_shown_one(files: list[Path]) -> N
         made = prepare(files, study=study, match="view", repeats=2)
         assert all(part.view == made.shown.view for part in made.conditions)
         assert made.shown.view["limited_by"] == limit
-        own = {part.sensors[0].scene.parameters["max_lp_per_mm"] for part in made.conditions}
+        own = {part.cases[0].scene.parameters["max_lp_per_mm"] for part in made.conditions}
         assert len(own) == 1
     fewer = {"name": "fewer", "set": {"display": {"dots": 30}}}
     made = prepare(files, study=Study.model_validate({"name": "dots", "condition": [fast, fewer]}), match="view", repeats=2)
@@ -127,14 +127,14 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     study = plan(camera={"f_number": 2.0, "die_mm": 9.0}, technologies=["4t-bsi"], condition=BOTH)
     made = prepare([b, a], study=study, match="own", repeats=2, options={"exposure": {"well_target": 0.5}})
     day, night = made.conditions
-    assert [each.camera.f_number for each in day.sensors] == [2.0, 8.0], "the study's lens is for files that state none"
-    assert [each.camera.f_number for each in night.sensors] == [2.0, 2.0], "a condition's is for all"
-    assert [each.settings.exposure.max_integration_s for each in day.sensors] == [0.02, 0.02]
-    assert [each.settings.exposure.max_integration_s for each in night.sensors] == [0.05, 0.05], (
+    assert [each.camera.f_number for each in day.cases] == [2.0, 8.0], "the study's lens is for files that state none"
+    assert [each.camera.f_number for each in night.cases] == [2.0, 2.0], "a condition's is for all"
+    assert [each.settings.exposure.max_integration_s for each in day.cases] == [0.02, 0.02]
+    assert [each.settings.exposure.max_integration_s for each in night.cases] == [0.05, 0.05], (
         "the study's takes precedence over a file's"
     )
-    assert {each.settings.exposure.well_target for part in made.conditions for each in part.sensors} == {0.5}
-    assert made.shown.sensors[0].camera.die_mm == 1.28
+    assert {each.settings.exposure.well_target for part in made.conditions for each in part.cases} == {0.5}
+    assert made.shown.cases[0].camera.die_mm == 1.28
     assert set(made.not_used) == {"technologies", "camera.die_mm"}
 
 
@@ -146,8 +146,8 @@ def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list
     same = prepare(files, study=plan(), options=tables | {"lens": {"file": "cooke_triplet"}}, **options)
     assert made.shown.settings == same.shown.settings
     assert made.shown.settings.correction.dark_frames == 4
-    assert [each.camera for each in made.shown.sensors] == [each.camera for each in same.shown.sensors]
-    assert made.shown.sensors[0].camera.lens is not None
+    assert [each.camera for each in made.shown.cases] == [each.camera for each in same.shown.cases]
+    assert made.shown.cases[0].camera.lens is not None
     assert made.not_used == ()
 
 
@@ -163,7 +163,7 @@ def test_scene_of_option_is_without_the_parameters_of_the_study(files: list[Path
     made = prepare(files, "flat", study=study, match="view", repeats=2)
     assert made.shown.scene == "flat"
     assert made.not_used == ("scene",)
-    assert prepare(files, study=study, match="view", repeats=2).shown.sensors[0].scene.parameters["max_lp_per_mm"] == "12.0"
+    assert prepare(files, study=study, match="view", repeats=2).shown.cases[0].scene.parameters["max_lp_per_mm"] == "12.0"
 
 
 def test_condition_with_a_scene_of_its_own(files: list[Path]) -> None:

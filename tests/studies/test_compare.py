@@ -126,12 +126,12 @@ def test_prepare_scores_one_part_of_the_scene(match: str, tmp_path: Path) -> Non
         sheet(tmp_path / "fine.toml", pitch_um=7.7, pixels="[150, 151]", more=lens),
     ]
     made = prepared(files, match=match)
-    coarse, fine = made.sensors
+    coarse, fine = made.cases
     assert made.finest == "fine"
     assert made.settings.display.dots == pixels_of(fine)[1]  # those of the common field
-    widest = max(sensor.settings.pixel.pitch_um / (1e3 * sensor.camera.die_mm) for sensor in made.sensors)
+    widest = max(sensor.settings.pixel.pitch_um / (1e3 * sensor.camera.die_mm) for sensor in made.cases)
     assert made.border == pytest.approx(1.5 * widest, rel=1e-12)
-    cycles = [float(sensor.scene.parameters[MAX_LP_PER_MM]) * sensor.camera.die_mm for sensor in made.sensors]
+    cycles = [float(sensor.scene.parameters[MAX_LP_PER_MM]) * sensor.camera.die_mm for sensor in made.cases]
     assert cycles[0] == pytest.approx(cycles[1], rel=1e-11)
     assert cycles[1] == pytest.approx(fine.camera.die_mm * 1e3 / (2 * 7.7), rel=1e-11)  # its Nyquist frequency
     assert pixels_of(coarse) == pixels_on(coarse.camera.die_um, 21.3)
@@ -160,9 +160,9 @@ def test_half_a_dot_has_the_same_rows_on_every_die() -> None:
 
 def test_technology_without_die_has_that_of_the_sheet(tmp_path: Path) -> None:
     made = prepared([Path("4t-bsi"), sheet(tmp_path / "a.toml", pixels="[100, 60]"), Path("0.35um")], match="lens")
-    assert [each.camera.die_mm for each in made.sensors] == pytest.approx([2.0] * 3)
-    assert [each.camera.height_mm for each in made.sensors] == pytest.approx([1.2] * 3)
-    assert [each.name for each in made.sensors] == ["4t-bsi", "a", "0.35um"]
+    assert [each.camera.die_mm for each in made.cases] == pytest.approx([2.0] * 3)
+    assert [each.camera.height_mm for each in made.cases] == pytest.approx([1.2] * 3)
+    assert [each.name for each in made.cases] == ["4t-bsi", "a", "0.35um"]
 
 
 def test_technologies_keep_the_view_of_run() -> None:
@@ -170,7 +170,7 @@ def test_technologies_keep_the_view_of_run() -> None:
     made = prepared([Path("0.35um"), Path("0.18um")])
     assert made.view == {}
     assert made.settings.display == pixsim.Display()
-    assert MAX_LP_PER_MM not in made.sensors[1].scene.parameters
+    assert MAX_LP_PER_MM not in made.cases[1].scene.parameters
 
 
 def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
@@ -184,7 +184,7 @@ def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
         UserWarning, match=r"b\.toml: only \[camera\], \[lens\], \[pixel\], \[exposure\] are used, not display, scene"
     ):
         made = prepared([a, b])
-    assert [each.settings.exposure.max_integration_s for each in made.sensors] == [0.1, 0.01]
+    assert [each.settings.exposure.max_integration_s for each in made.cases] == [0.1, 0.01]
     assert made.settings.display.gamma == 2.2
 
 
