@@ -33,11 +33,11 @@ from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, 
 from pixsim.studies.cost import Cost, frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
-from pixsim.studies.lineup import ComparisonJob, Lineup, named, prepare
+from pixsim.studies.lineup import ComparisonJob, Lineup, prepare
 from pixsim.studies.matched_cameras import Match
 from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, light_of
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
-from pixsim.studies.prepared import Prepared
+from pixsim.studies.prepared import Prepared, named
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sizes

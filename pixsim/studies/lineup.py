@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -55,7 +54,7 @@ from pixsim.studies.oversampling import Demand
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.preparation import ALLOWED_DOTS, choose_view, with_view
-from pixsim.studies.prepared import Job, Prepared, loaded_scene
+from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
 from pixsim.studies.study_file import study_of
 from pixsim.studies.viewing import OF_VIEWING, Viewing, ViewingRange
 from pixsim.viewer.display import dot_edges_um
@@ -295,15 +294,6 @@ def condition_layer(condition: Condition, source: str) -> Layer:
     if unknown := [name for name in scene or {} if name not in StudyScene.model_fields]:
         raise invalid(where, f"set.scene.{unknown[0]}", files)
     return Layer(as_run(table, [name for name in allowed if name != "scene"]), where)
-
-
-@contextmanager
-def named(part: str) -> Iterator[None]:
-    """Name the sensor, or the condition if there is one, in an error about its settings."""
-    try:
-        yield
-    except PixsimError as error:
-        raise PixsimError(f"{part}: {error}" if part else str(error)) from None
 
 
 def prepare(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
@@ -50,19 +51,14 @@ def planned_run(prepared: RunJob) -> dict[str, Any]:
             cost = replace(cost, seconds=cost.seconds + more_s)
     frame = frame_cost(camera, pitch_um, settings.display)
     cost = Cost(cost.seconds + RUN_PAGE_S + (repeats + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
-    pixels = [list(pixels_on(camera.die_um, pitch_um))]
-    sensors = {"technology": settings.pixel.technology, "pitch_um": [pitch_um], "pixels": pixels, "sensors": repeats}
+    sensors = planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)
     return planned | ({"frames": frames} if frames > 1 else {}) | {"sensors": [sensors], "estimate": asdict(cost)}
 
 
-def planned_sensors(study: Study, camera: Camera) -> list[dict[str, Any]]:
-    """Return the pixel sizes of each technology of a study, with their rows and columns, and the sensors of each size."""
-    sensors = []
-    for name in study.technologies:
-        pitches_um = study_pitches_um(study, name).tolist()
-        counts = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
-        sensors.append({"technology": name, "pitch_um": pitches_um, "pixels": counts, "sensors": study.repeats})
-    return sensors
+def planned_sensors(technology: str, pitches_um: Sequence[float], sensors: int, camera: Camera) -> dict[str, Any]:
+    """Return the pixel sizes of a technology, with their rows and columns, and the sensors of each size."""
+    pixels = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
+    return {"technology": technology, "pitch_um": [*pitches_um], "pixels": pixels, "sensors": sensors}
 
 
 def planned_study(job: StudyJob, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
@@ -78,7 +74,10 @@ def planned_study(job: StudyJob, jobs: int | None = None, asked: Study | None = 
     of_cases = [(case.settings, case.camera) for case in job.cases]
     known = Known(rendered, evaluated_before([case for case, _ in of_cases]))
     cost = cases_cost(of_cases, lights, demand.plan, film_shape, jobs, types, known)
-    planned = planned_light(demand) | {"estimate": asdict(cost), "study": study.name, "evaluations": job.evaluations}
+    sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}
+    sensors = [planned_sensors(name, pitches_um, study.repeats, job.camera) for name, pitches_um in sizes.items()]
+    planned = planned_light(demand) | {"sensors": sensors, "estimate": asdict(cost)}
+    planned |= {"study": study.name, "evaluations": job.evaluations}
     if types:
         planned["sensor_types"] = types
     if job.study.has_cases:

@@ -8,8 +8,7 @@ that the sensor, the lens and the display can show. Both are chosen once a comma
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -30,9 +29,9 @@ from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.technology import check_name
 from pixsim.sensor.unused import warn_of_unused_settings
-from pixsim.studies.cases import Case, cases_of, with_range_ends
+from pixsim.studies.cases import BASE, Case, cases_of, with_range_ends
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
-from pixsim.studies.prepared import Job, Prepared, loaded_scene
+from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
 from pixsim.studies.results_file import COLUMNS
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.unused import StudyConfiguration
@@ -331,7 +330,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
     prepared: list[Prepared[Study]] = []
     cases = cases_of(study)
     for case in cases:
-        with _named(case):
+        with named(case.words or BASE):
             shown = _same_chart(case.settings, own) or scene_for(case.settings, variant, scenes)[0].shows_csf
             complete = with_view(case.settings, view if shown else without_chart(view))
             check_technologies(complete)
@@ -370,15 +369,6 @@ def _without_axes(study: Study) -> Study:
         if "technologies" in axis.points[0].table:
             table |= axis.points[0].table
     return Study.model_validate(table)
-
-
-@contextmanager
-def _named(case: Case[Study]) -> Iterator[None]:
-    """Name the case in an error."""
-    try:
-        yield
-    except PixsimError as error:
-        raise PixsimError(f"{case.words or 'base'}: {error}") from None
 
 
 def _chosen_view(study: Study, scene: Scene, camera: Camera) -> dict[str, Any]:

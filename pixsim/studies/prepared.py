@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic
 
+from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage
 from pixsim.studies.cases import Case, Settings
@@ -77,6 +79,15 @@ class Job(Generic[Settings]):
     def camera(self) -> Camera:
         """The camera of the first case."""
         return self.cases[0].camera
+
+
+@contextmanager
+def named(part: str) -> Iterator[None]:
+    """Name a case, a sensor or a condition in an error about its settings; nothing, if there is only one."""
+    try:
+        yield
+    except PixsimError as error:
+        raise PixsimError(f"{part}: {error}" if part else str(error)) from None
 
 
 def loaded_scene(
