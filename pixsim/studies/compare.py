@@ -311,16 +311,14 @@ def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], image: SpectralImage
     pair : of `lit_lineup`
     """
     with named(sensor.name):
-        settings = lineup.settings
-        shared = settings.display, settings.correction, settings.develop
-        pixel, exposure = sensor.settings.pixel, sensor.settings.exposure
-        imaging = Imaging(sensor.camera, pixel, exposure, *shared, None, lineup.border_um(sensor.camera), True)
+        border_um, pixel = lineup.border_um(sensor.camera), sensor.settings.pixel
+        imaging = replace(Imaging.of(sensor.settings, sensor.camera), border_um=border_um, single=True)
         for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
             warn(f"{sensor.name}: {text}")
         first, *others = lineup.displays.values()
         scenes = SceneCache(image, sensor.camera, first, len(imaging.physics.channels), single=True, others=others)
         columns = {"pair": pair, "condition": lineup.condition}
-        series = Series(sensor.name, imaging, scenes, ("compare", settings.seed), False, columns, lineup.condition, False)
+        series = Series(sensor.name, imaging, scenes, ("compare", sensor.settings.seed), False, columns, lineup.condition, False)
         light = series.light()
         assert isinstance(light, PreparedScene)
         warn_of_clipping(light.beyond_white)
