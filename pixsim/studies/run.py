@@ -169,13 +169,7 @@ def prepare(
 
 @dataclass(frozen=True)
 class LitRun:
-    """A run whose light is known.
-
-    prepared : what was run: source, settings and camera, with what a tolerance of ΔE chose
-    irradiance : light on the sensor, before diffraction
-    rendered, plan : the light as it was rendered, with its errors, and the plan of that; None for light of another program
-    warned : warnings meanwhile
-    """
+    """A run whose light is known. The fields are those of `RunResult`."""
 
     prepared: RunJob = field(repr=False)
     irradiance: SpectralImage = field(repr=False)
@@ -193,6 +187,10 @@ class LitRun:
 class RunResult(LitRun):
     """A scene as one sensor sees it, with its score.
 
+    prepared : what was run: source, settings and camera, with what a tolerance of ΔE chose
+    irradiance : light on the sensor, before diffraction
+    rendered, plan : the light as it was rendered, with its errors, and the plan of that; None for light of another program
+    warned : warnings meanwhile
     chain : from the light to frames and scores of further sensors of the kind
     score : of the first frame of the first sensor, with its pictures
     statistics : `Score.statistics` of the first frame of each sensor

@@ -21,7 +21,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
-from pixsim.studies import evaluations
+from pixsim.studies import evaluations, oversampling
 from pixsim.studies.averages import Averaged
 from pixsim.studies.compare import series_of_sensor
 from pixsim.studies.comparison import Comparison
@@ -375,6 +375,22 @@ class NoFilm:
 
 
 # --- the film's error -------------------------------------------------------------------------------------------------
+
+
+def test_film_of_each_sensor_is_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The render and the difference measure the same parts of so small a picture; the next comparison measures none."""
+    measured, steps = [], oversampling.film_steps
+    monkeypatch.setattr(oversampling, "film_steps", lambda *own: measured.append(own) or steps(*own))
+    files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", 12.0, 15.0, "[64, 48]")]
+    first, again = (pixsim.compare(files, parameters={"luminance_cd_per_m2": 31.0}, repeats=2, jobs=1, **SMALL) for _ in range(2))
+    assert len(measured) == len(files)
+    assert again.film_delta_e == first.film_delta_e
+    for sensor, own in zip(first.sensors, measured, strict=True):
+        anew = steps(*own)
+        assert anew.delta_e.size
+        np.testing.assert_array_equal(sensor.steps.delta_e, anew.delta_e)
+        np.testing.assert_array_equal(sensor.steps.finer_delta_e, anew.finer_delta_e)
+        assert sensor.steps.error() == anew.error()
 
 
 @pytest.mark.slow
