@@ -394,7 +394,7 @@ def study(
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
             types, evaluations = check_types(job.study, [case.settings for case in job.cases], asked, yes or dry_run)
-        outline = study_outline(job, jobs, plan.quickened if quick else plan, types)
+        outline = study_outline(job, jobs, types)
         if dry_run:
             answer(outline_document("study", outline, folder), json)
             return

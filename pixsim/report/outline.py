@@ -28,9 +28,9 @@ def run_outline(prepared: RunJob) -> dict[str, Any]:
     return common(prepared, prepared.source, prepared.asked.camera) | planned
 
 
-def study_outline(job: StudyJob, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
+def study_outline(job: StudyJob, jobs: int | None = None, types: int = 0) -> dict[str, Any]:
     """Return what a study would do; nothing is rendered or written. The arguments are those of `planned_study`."""
-    return common(job, job.settings.scene.file, job.settings.camera) | planned_study(job, jobs, asked, types)
+    return common(job, job.settings.scene.file, job.settings.camera) | planned_study(job, jobs, types)
 
 
 def common(job: Job[Run] | Job[Study], source: str, given: CameraOptions) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.machine import processors
-from pixsim.base.parameters import Camera, Study
+from pixsim.base.parameters import Camera
 from pixsim.sensor.integration import pixels_on
 from pixsim.studies.cost import (
     COLOUR_S,
@@ -61,11 +61,10 @@ def planned_sensors(technology: str, pitches_um: Sequence[float], sensors: int, 
     return {"technology": technology, "pitch_um": [*pitches_um], "pixels": pixels, "sensors": sensors}
 
 
-def planned_study(job: StudyJob, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
+def planned_study(job: StudyJob, jobs: int | None = None, types: int = 0) -> dict[str, Any]:
     """Return the film, errors, evaluations, cases and cost of a study; nothing is rendered.
 
     jobs : processes; None means as many as it would take
-    asked : the study before it was prepared, for the window that would take less than a minute
     types : number of sensor types of --uncertainty or --sobol
     """
     study, demand = job.settings, demand_of(job.cases[0])
@@ -83,7 +82,7 @@ def planned_study(job: StudyJob, jobs: int | None = None, asked: Study | None = 
     if job.study.has_cases:
         labels = [each.case for each in job.cases]
         planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in labels]
-    elif cost.seconds > LONG_S and (window := window_within(asked or study, job.camera, demand.plan, demand.shape, jobs)):
+    elif cost.seconds > LONG_S and (window := window_within(job.asked, job.camera, demand.plan, demand.shape, jobs)):
         planned["window_within_a_minute_mm"] = window
     return planned | ({} if study.own_um is None else {"own_um": study.own_um})
 

@@ -280,11 +280,13 @@ def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] 
 class StudyJob(Job[Study]):
     """A study that is prepared.
 
+    asked : as it was given
     study : with its pixel sizes, display and chart; one without axes and conditions is its own only case
     scene : of the study itself
     uncertainty : of the study's [pixel] and data sheets, as its files state it
     """
 
+    asked: Study
     study: Study
     scene: Scene
     uncertainty: Uncertainty = field(default_factory=dict)
@@ -308,7 +310,8 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
             warn(f"the [quick] table of the study {study.name} changes nothing: what it sets was given otherwise")
         else:
             warn(f"the study {study.name} has no [quick] table: running it in full")
-    study = with_range_ends(study.quickened if quick else study)
+    asked = study.quickened if quick else study
+    study = with_range_ends(asked)
     if not study.has_cases:
         check_technologies(study)
         scene, camera = scene_for(study, variant)
@@ -316,7 +319,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
         view = _chosen_view(fitted, scene, camera)
         whole = _checked(Case(with_view(fitted, view)), scene_with_view(scene, view), camera)
         warn_of_unused([(study, whole.settings)])
-        return StudyJob(study=whole.settings, scene=whole.scene, view=view, cases=(whole,), variant=variant)
+        return StudyJob(asked=asked, study=whole.settings, scene=whole.scene, view=view, cases=(whole,), variant=variant)
     # Display and chart are those of the study itself, so that all of its cases are comparable.
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
@@ -339,8 +342,8 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
     warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, prepared, strict=True)])
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
     kept = view if all(_same_chart(each.settings, own) for each in prepared) else without_chart(view)
-    shown_scene = scene_with_view(scene, view)
-    return StudyJob(study=with_view(study, kept), scene=shown_scene, view=view, cases=tuple(prepared), variant=variant)
+    study, scene = with_view(study, kept), scene_with_view(scene, view)
+    return StudyJob(asked=asked, study=study, scene=scene, view=view, cases=tuple(prepared), variant=variant)
 
 
 def warn_of_unused(cases: Sequence[tuple[Study, Study]]) -> None:
