@@ -244,15 +244,10 @@ def check_files(files: Sequence[str]) -> None:
             raise invalid("sensors", got, "different files", "A copy of the file may have other numbers, or the same.")
 
 
-def as_run(table: Mapping[str, Any], names: Sequence[str], scene: bool = True) -> dict[str, Any]:
-    """Return some tables of a study or of a condition as those of `Run`: of the camera without the die, of which each has its own.
-
-    scene : whether its parameters are among them
-    """
-    own = {name: table[name] for name in names if name in table}
-    if "camera" in own:
-        own["camera"] = {name: value for name, value in own["camera"].items() if name not in OF_DIE}
-    return own | ({"scene": table["scene"]["parameters"]} if scene and "parameters" in table.get("scene", {}) else {})
+def as_run(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Return some tables of a study or of a condition, and the parameters of its scene, as those of `Run`."""
+    scene = {"scene": table["scene"]["parameters"]} if "parameters" in table.get("scene", {}) else {}
+    return {name: table[name] for name in names if name in table and name != "scene"} | scene
 
 
 def not_used_of(table: Mapping[str, Any], other_scene: bool) -> tuple[str, ...]:
@@ -293,7 +288,7 @@ def condition_layer(condition: Condition, source: str) -> Layer:
         raise invalid(where, f"set.scene = {scene!r}", files)
     if unknown := [name for name in scene or {} if name not in StudyScene.model_fields]:
         raise invalid(where, f"set.scene.{unknown[0]}", files)
-    return Layer(as_run(table, [name for name in allowed if name != "scene"]), where)
+    return Layer(as_run(table, allowed), where)
 
 
 def prepare(
@@ -331,7 +326,9 @@ def prepare(
             plan = plan.model_copy(update={"scene": StudyScene(file=file)})
         warn_of_overridden(plan, options)
         file, layers = plan.scene.file, [Layer(as_run(stated.table, SHARED), stated.source), *layers]
-        lens = Layer(as_run(stated.table, ("camera", "lens"), scene=False), stated.source)
+        camera = {name: value for name, value in stated.table.get("camera", {}).items() if name not in OF_DIE}
+        of_lens = {"camera": camera, "lens": stated.table.get("lens", {})}
+        lens = Layer({name: own for name, own in of_lens.items() if own}, stated.source)
     base = read_sensors(sources, lens, layers, options)
     under = [Stated("", 1.0, file, base)]
     if plan is not None and plan.condition:
