@@ -1684,6 +1684,9 @@ PixelCount = Annotated[
 ]
 
 
+OF_DIE = ("die_mm", "die_height_mm", "pixels")  # of `CameraOptions`: what a sensor has of its own, not a lens
+
+
 class CameraOptions(Record):
     """Camera fields that replace those of the scene; None keeps the value of the scene."""
 

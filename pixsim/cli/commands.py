@@ -243,8 +243,8 @@ def plan(
     Example: pixsim plan macbeth --tolerance-e 1e-4
     """
     import_less()
+    from pixsim.studies.preparation import plan_of
     from pixsim.studies.prepared import loaded_scene
-    from pixsim.studies.run import plan_of
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = loaded_scene(scene, chosen.scene, chosen.resolution, variant=variant, sensor=sensor)
@@ -394,12 +394,12 @@ def study(
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
             types, evaluations = check_types(job.study, [case.settings for case in job.cases], asked, yes or dry_run)
-        outline = study_outline(job, jobs, plan.quickened if quick else plan, types)
+        outline = study_outline(job, jobs, types)
         if dry_run:
             answer(outline_document("study", outline, folder), json)
             return
         check_number(len(job.cases), job.evaluations, yes)
-        names = (axes_files if job.has_cases else report_files)(job.study)
+        names = (axes_files if job.study.has_cases else report_files)(job.study)
         if asked is not None:
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
@@ -547,7 +547,7 @@ def compare(
             )
             for own in studies_of(study, cases)
         ]
-        folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.sensors)
+        folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.cases)
         places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))
         if dry_run:
             answer(outline_document(places, bool(cases)), json)

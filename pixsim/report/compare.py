@@ -18,7 +18,7 @@ from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, 
 from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
 from pixsim.base.labels import label_of
 from pixsim.base.machine import processors
-from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, paths_of
+from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, Study, paths_of
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import record_rows, scene_rows, settings_table
@@ -39,14 +39,12 @@ from pixsim.show.pictures import (
 from pixsim.show.render import PAGE, html, write
 from pixsim.show.sentences import rounded, sentence, setting_value
 from pixsim.studies.averages import Averaged, Compared
-from pixsim.studies.circumstances import SHARED, Circumstances
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.extent import stated_end_lp_per_mm
-from pixsim.studies.keys import rendered_across
 from pixsim.studies.light_level import LightLevel
-from pixsim.studies.lineup import OF_A_SENSOR, ComparisonJob, Lineup, pixels_of
+from pixsim.studies.lineup import OF_A_SENSOR, SHARED, ComparisonJob, Lineup, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
 from pixsim.studies.prepared import Prepared
 from pixsim.studies.sensor_types import TYPES_FILE
@@ -74,7 +72,7 @@ def sensor_words(sensor: Prepared[Run]) -> str:
 
 def exposure_words(lineup: Lineup) -> str:
     """Return the exposure rule of the sensors in words."""
-    exposures = [sensor.settings.exposure for sensor in lineup.sensors]
+    exposures = [sensor.settings.exposure for sensor in lineup.cases]
     if any(exposure != exposures[0] for exposure in exposures):
         return "each sensor's own exposure rule"
     if exposures[0].integration_s is not None:
@@ -96,11 +94,10 @@ def conditions_line(prepared: ComparisonJob) -> str:
 
 def _study_words(prepared: ComparisonJob) -> list[str]:
     """Return the study and its conditions in words, if there are any."""
-    of_study = prepared.circumstances
-    if of_study is None:
+    if prepared.study is None:
         return []
-    unused = f" (not used: {', '.join(of_study.not_used)})" if of_study.not_used else ""
-    words = [f"the study {of_study.name}{unused}"]
+    unused = f" (not used: {', '.join(prepared.not_used)})" if prepared.not_used else ""
+    words = [f"the study {prepared.study.name}{unused}"]
     if prepared.conditions:
         weights = ", ".join(f"{part.condition} ({part.weight:.3g})" for part in prepared.conditions)
         words.append(f"ΔE is the mean over its conditions with the weights {weights}")
@@ -109,17 +106,17 @@ def _study_words(prepared: ComparisonJob) -> list[str]:
 
 def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
     """Return what all sensors of a comparison have in common under one condition, in parts."""
-    camera, display = lineup.sensors[0].camera, lineup.settings.display
-    first, field = lineup.sensors[0].name, f"the same field of {camera.field_words}"
+    camera, display = lineup.cases[0].camera, lineup.settings.display
+    first, field = lineup.cases[0].name, f"the same field of {camera.field_words}"
     lens = {
         "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
         "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
         "own": f"each file's own lens, and {field}, which all have",
     }[prepared.match]
-    highest = stated_end_lp_per_mm({"parameters": lineup.sensors[0].scene.parameters})
+    highest = stated_end_lp_per_mm({"parameters": lineup.cases[0].scene.parameters})
     chart = "one scene"
     if highest is not None:
-        limit = lineup.view.limited_by
+        limit = lineup.view.get("limited_by")
         of = f", {limit.replace('the sensor', lineup.finest)}" if limit else ""
         chart = f"one chart, to {highest * camera.die_mm:.4g} cycles across{of}"
     rows, columns = lineup.scored_dots
@@ -159,15 +156,15 @@ def _terminal(result: Comparison, notes: Sequence[str]) -> tuple[Block, ...]:
 def outline(prepared: ComparisonJob) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
     lineup = prepared.shown
-    first = lineup.sensors[0]
+    first = lineup.cases[0]
     lineups = dict.fromkeys(each for group in (prepared.lineups, *prepared.pairs) for each in group)
     repeats = prepared.repeats + (0 if prepared.types is None else FEW_SENSORS * len(prepared.types.sample.quantiles))
     costs = [_cost_of(each, repeats) for each in lineups]
     cost = Cost(PAGE_S + START_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
     scene = first.scene.with_resolution(lineup.film_width)
     more: dict[str, Any] = {}
-    if (of_study := prepared.circumstances) is not None:
-        more["study"] = {"name": of_study.name, "not_used": list(of_study.not_used)}
+    if prepared.study is not None:
+        more["study"] = {"name": prepared.study.name, "not_used": list(prepared.not_used)}
     if prepared.conditions:
         more["shown_condition"] = lineup.condition
         more["conditions"] = {part.condition: {"weight": part.weight} for part in prepared.conditions}
@@ -187,7 +184,7 @@ def outline(prepared: ComparisonJob) -> dict[str, Any]:
                 "pixels": list(pixels_of(sensor)),
                 "pixel": sensor.settings.pixel.model_dump(),
             }
-            for sensor in lineup.sensors
+            for sensor in lineup.cases
         },
         "estimate": asdict(cost),
     }
@@ -195,14 +192,10 @@ def outline(prepared: ComparisonJob) -> dict[str, Any]:
 
 def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     """Estimate the renders and frames of the sensors under one condition."""
-    width = lineup.film_width
     seconds, largest = 0.0, 0.0
-    for sensor in lineup.sensors:
-        scene = sensor.scene.with_resolution(width)
-        height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
-        plan, settings = lineup.plan(sensor, scene), sensor.settings
-        film = known_film((height, width), rendered_across(scene, sensor.camera, plan, settings))
-        render = render_cost(plan, sensor.camera, *film, processors().usable, begun=True)
+    for sensor in lineup.cases:
+        demand = lineup.demand(sensor, lineup.film_width)
+        render = render_cost(demand.plan, sensor.camera, *known_film(demand), processors().usable, begun=True)
         frame = lineup.cost_of_frame(sensor)
         seconds += render.seconds + repeats * frame.seconds / processors().usable
         largest = max(largest, render.memory_bytes + frame.memory_bytes)
@@ -223,8 +216,8 @@ def outline_document(places: Sequence[tuple[ComparisonJob, Path]], has_cases: bo
 def _outline_words(prepared: ComparisonJob, shown: dict[str, Any], out: Path) -> list[str]:
     """Return what a comparison would do in words."""
     lineup = prepared.shown
-    width = max(len(sensor.name) for sensor in lineup.sensors)
-    lines = [f"{sensor.name:{width}}  {sensor_words(sensor)}" for sensor in lineup.sensors]
+    width = max(len(sensor.name) for sensor in lineup.cases)
+    lines = [f"{sensor.name:{width}}  {sensor_words(sensor)}" for sensor in lineup.cases]
     height, across = shown["film"]["samples"]
     where = f", in {lineup.condition}" if prepared.conditions else ""
     lines += [conditions_line(prepared), f"film of {across} × {height} samples for all{where}"]
@@ -245,7 +238,7 @@ def comparison_files(prepared: ComparisonJob) -> dict[str, str]:
         JSON_FILE: "all numbers and settings, for programs",
         SETTINGS_FILE: "settings of all sensors; its first lines have the command that makes the same numbers again",
     }
-    for sensor in prepared.shown.sensors:
+    for sensor in prepared.shown.cases:
         files |= {
             f"sensors/{sensor.name}.toml": f"pixel, camera and exposure of {sensor.name}, as its file and the options have them",
             f"pictures/image_{sensor.name}.png": f"image of {sensor.name}, as shown",
@@ -271,7 +264,7 @@ def write_comparison(result: Comparison, folder: str | os.PathLike[str], seconds
     prepared = result.prepared
     with output_folder(folder) as path:
         check_output(prepared, path)
-        keep = [Path(sensor.case.source) for sensor in prepared.shown.sensors]
+        keep = [Path(sensor.case.source) for sensor in prepared.shown.cases]
         with publishing(path, "compare", {"seconds": seconds or {}}, keep) as partial:
             for name in ("sensors", "pictures"):
                 (partial / name).mkdir()
@@ -298,20 +291,20 @@ def settings_files(prepared: ComparisonJob) -> dict[str, str]:
 
     They state what was stated, and leave open what pixsim chose, such as a display: the command chooses the same again.
     """
-    files = [f"sensors/{sensor.name}.toml" for sensor in prepared.shown.sensors]
+    files = [f"sensors/{sensor.name}.toml" for sensor in prepared.shown.cases]
     words = ["pixsim", "compare", *files]
     words += [] if prepared.conditions else ["--scene", whole_path(prepared.shown.scene)]
     words += ["--study" if prepared.conditions else "--config", SETTINGS_FILE]
     words += ["--match", prepared.match, "--repeats", str(prepared.repeats)]
     words += [] if prepared.types is None else ["--uncertainty", str(prepared.types.asked)]
-    for option, value in (("--sensor", prepared.sensor_id), ("--variant", prepared.variant)):
+    for option, value in (("--sensor", prepared.shown.sensor), ("--variant", prepared.shown.variant)):
         words += [option, value] if value else []
     command = shlex.join(words)
-    if prepared.conditions and prepared.circumstances is not None:
-        texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.circumstances), command)}
+    if prepared.conditions and prepared.study is not None:
+        texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.study), command)}
     else:
         first, chosen = prepared.base[0], set(OF_VIEWING) - set(prepared.shown.viewing.stated)
-        scene = scene_table(prepared.shown.sensors[0].scene.path.parent, first.scene)
+        scene = scene_table(prepared.shown.cases[0].scene.path.parent, first.scene)
         display = first.display.model_dump(mode="json", exclude_none=True, exclude=chosen)
         text = settings_text(first, command, scene=scene, display=display, camera={}, lens={}, pixel={}, exposure={})
         texts = {SETTINGS_FILE: text}
@@ -326,17 +319,17 @@ def _all_but_sensor(own: Run) -> dict[str, Any]:
     return {name: {} for name in type(own).model_fields if name not in OF_A_SENSOR}
 
 
-def _study_table(prepared: ComparisonJob, of_study: Circumstances) -> dict[str, Any]:
+def _study_table(prepared: ComparisonJob, study: Study) -> dict[str, Any]:
     """Return the tables of a study that makes the same conditions: what all sensors share, and the conditions."""
     first = prepared.base[0]
     shared = first.model_dump(mode="json", exclude_unset=True, include=set(SHARED) - set(OF_A_SENSOR))
-    scenes = [part.sensors[0].scene.path.parent for part in prepared.conditions]
-    scene = {"file": whole_path(of_study.scene), "parameters": scene_table(scenes[0], first.scene)}
+    scenes = [part.cases[0].scene.path.parent for part in prepared.conditions]
+    scene = {"file": whole_path(study.scene.file), "parameters": scene_table(scenes[0], first.scene)}
     conditions = [
         condition.model_dump(mode="json") | {"set": _whole_settings(condition, folder)}
-        for condition, folder in zip(of_study.conditions, scenes, strict=True)
+        for condition, folder in zip(study.condition, scenes, strict=True)
     ]
-    return {"name": of_study.name} | shared | {"scene": scene, "condition": conditions}
+    return {"name": study.name} | shared | {"scene": scene, "condition": conditions}
 
 
 def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
@@ -625,7 +618,7 @@ def _settings(result: Comparison) -> Iterator[Table]:
         records: dict[str, Record] = {"camera": sensor.camera, "pixel": pixel, "exposure": exposure}
         for name, record in records.items():
             yield settings_table(f"{sensor.name}: {name}", record_rows(name, record, sheet))
-    for each in () if prepared.circumstances is None else prepared.circumstances.conditions:
+    for each in () if prepared.study is None else prepared.study.condition:
         values = [(path, reduce(getitem, path, each.set)) for path in paths_of(each.set)]
         rows = [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in values]
         yield settings_table(f"condition {each.name}", rows)

@@ -7,58 +7,46 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.labels import label_of
-from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Setting, Study
+from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Run, Study
 from pixsim.report.wording import lens_words, view_words
 from pixsim.show.document import Document
 from pixsim.show.sentences import duration, rounded
 from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost
 from pixsim.studies.extent import columns_on
-from pixsim.studies.outline import planned_run, planned_sensors, planned_study
+from pixsim.studies.outline import planned_run, planned_study
 from pixsim.studies.oversampling import TOLERATED_SHARE
 
 if TYPE_CHECKING:
     from pixsim.studies.preparation import StudyJob
+    from pixsim.studies.prepared import Job
     from pixsim.studies.run import RunJob
 
 
 def run_outline(prepared: RunJob) -> dict[str, Any]:
     """Return what a run would do; nothing is rendered or written."""
-    shared = prepared.settings, prepared.camera, prepared.asked.camera, prepared.view.as_dict()
     planned = planned_run(prepared)
-    return common(prepared.source, prepared.header, *shared, planned["sensors"]) | planned
+    return common(prepared, prepared.source, prepared.asked.camera) | planned
 
 
-def study_outline(job: StudyJob, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
+def study_outline(job: StudyJob, jobs: int | None = None, types: int = 0) -> dict[str, Any]:
     """Return what a study would do; nothing is rendered or written. The arguments are those of `planned_study`."""
-    first = job.cases[0]
-    study, header = first.settings, {"parameters": first.scene.parameters}
-    sensors = planned_sensors(study, first.camera)
-    shared = common(study.scene.file, header, study, first.camera, study.camera, job.view.as_dict(), sensors)
-    return shared | planned_study(job, jobs, asked, types)
+    return common(job, job.settings.scene.file, job.settings.camera) | planned_study(job, jobs, types)
 
 
-def common(
-    source: str,
-    header: dict[str, Any],
-    settings: Setting,
-    camera: Camera,
-    given: CameraOptions,
-    chosen: dict[str, Any],
-    sensors: list[dict[str, Any]],
-) -> dict[str, Any]:
+def common(job: Job[Run] | Job[Study], source: str, given: CameraOptions) -> dict[str, Any]:
     """Return the entries that runs and studies share.
 
     given : options of the camera, as the user gave them
     """
+    settings, camera = job.settings, job.camera
     limits = settings.model_dump(include=set(Effort.model_fields), exclude_none=True)
     return {
         "scene": source,
-        "irradiance": header,
+        "irradiance": job.cases[0].header,
         "camera": camera.model_dump(),
         "display": settings.display.model_dump(exclude_none=True),
         "exposure": settings.exposure.model_dump(exclude_none=True),
-        "chosen": chosen,
-        "sensors": sensors,
+        "chosen": {**job.view},
         "limits": limits,
         "seed": settings.seed,
         "assumption": given.assumption(camera),

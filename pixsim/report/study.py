@@ -385,7 +385,7 @@ def study_page(
     return replace(
         study_document(result),
         data=result.as_dict() | ({"paper": [asdict(row) for row in rows]} if rows else {}),
-        answers=[curve_answer(curve, light_of(result, [curve])) for curve in result.curves],
+        answers=[curve_answer(curve, light_level_of(result, [curve])) for curve in result.curves],
         lead=_lead(result),
         sections=(
             Section("see", "Pictures", _pictures(result, views)),
@@ -409,7 +409,7 @@ def plot_of(made: Plate | Drawn) -> Plot:
     return Plot(lambda: made)
 
 
-def light_of(result: StudyResult, curves: Sequence[Curve]) -> LightLevel:
+def light_level_of(result: StudyResult, curves: Sequence[Curve]) -> LightLevel:
     """Return display white and the exposures of some curves."""
     times_s = np.concatenate([curve.mean("integration_s") for curve in curves])
     return LightLevel.of(result.irradiance, result.study.display, times_s)
@@ -570,7 +570,7 @@ def numbers_table(curve: Curve) -> Table:
 
 def _assumptions(result: StudyResult) -> Iterator[Block]:
     """Yield the settings with their meaning and source, and all numbers of the technologies."""
-    yield from settings(result, light_of(result, result.curves))
+    yield from settings(result, light_level_of(result, result.curves))
     processes = [curve.technology for curve in result.curves if not curve.data_sheet]
     if processes:
         yield "All other parameters come from the technology, below."

@@ -138,7 +138,7 @@ def score_parts(result: RunResult) -> list[str]:
 
 def run_view_words(result: RunResult) -> list[str]:
     """Return `view_words` of a run."""
-    settings, chosen = result.settings, result.prepared.view.as_dict()
+    settings, chosen = result.settings, result.prepared.view
     return view_words(settings.display, result.irradiance.header, chosen, settings.window_mm, result.score.frame.pixels[1])
 
 
@@ -183,7 +183,7 @@ def view_words(
     """Return how a sensor is shown: its pixels a dot, the window, and the end of a chart whose frequencies are not the paper's.
 
     header : of the irradiance
-    chosen : `View.as_dict`
+    chosen : of `choose_view`
     columns : of its pixels
     """
     words = []

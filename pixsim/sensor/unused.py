@@ -18,6 +18,7 @@ from pixsim.base.notes import warn
 from pixsim.base.parameters import (
     ABSOLUTE_ZERO_C,
     NO_TECHNOLOGY,
+    OF_DIE,
     Camera,
     CameraOptions,
     Correction,
@@ -265,7 +266,7 @@ RULES = (
     Rule(("camera.die_height_mm",), lambda c: of_die(c, 0)),
     Rule(("camera.die_mm",), lambda c: of_die(c, 1)),
     Rule(
-        (*fields_of("camera", CameraOptions, "die_mm", "die_height_mm", "pixels"), *fields_of("lens", LensOptions)),
+        (*fields_of("camera", CameraOptions, *OF_DIE), *fields_of("lens", LensOptions)),
         lambda c: f"all sensors have the lens of {c.lens_of} (--match)" if c.lens_of else "",
     ),
     Rule(

@@ -10,9 +10,8 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,11 +33,11 @@ from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, 
 from pixsim.studies.cost import Cost, frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
-from pixsim.studies.lineup import ComparisonJob, Lineup, named, prepare
+from pixsim.studies.lineup import ComparisonJob, Lineup, prepare
 from pixsim.studies.matched_cameras import Match
-from pixsim.studies.oversampling import Demand, FilmSteps, Light, film_steps, light_of
+from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, light_of
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
-from pixsim.studies.prepared import Prepared
+from pixsim.studies.prepared import Prepared, named
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sizes
@@ -58,9 +57,6 @@ from pixsim.viewer.score import (
     warn_of_clipping,
     white_header,
 )
-
-if TYPE_CHECKING:
-    pass
 
 FEW_SECONDS = 3.0  # of all frames: processes take a second to start
 
@@ -194,13 +190,13 @@ class Lit:
 
     def sizes(self, repeats: int) -> list[Sizes]:
         """Return the pixel size of each sensor, and its frames."""
-        return [{sensor.settings.pixel.pitch_um: repeats} for sensor in self.lineup.sensors]
+        return [{sensor.settings.pixel.pitch_um: repeats} for sensor in self.lineup.cases]
 
     @cached_property
     def compared(self) -> dict[str, Compared]:
         """Each sensor with what its frames show, by its name."""
         found = {}
-        for sensor, light, plan, series in zip(self.lineup.sensors, self.made, self.plans, self.series, strict=True):
+        for sensor, light, plan, series in zip(self.lineup.cases, self.made, self.plans, self.series, strict=True):
             chain = first_chain(series)
             score = chain.simulate(*series.stream, 0)
             time_s = score.frame.integration_s
@@ -226,7 +222,7 @@ def weighted_parts(lineups: Sequence[Lineup], lit: Sequence[Lit]) -> tuple[tuple
     lit : their light and frames, perhaps among more sensors
     """
     pairs = zip(lineups, lit, strict=True)
-    return tuple((lineup.weight, Observed(lineup, tuple(each.compared[s.name] for s in lineup.sensors))) for lineup, each in pairs)
+    return tuple((lineup.weight, Observed(lineup, tuple(each.compared[s.name] for s in lineup.cases))) for lineup, each in pairs)
 
 
 def first_chain(series: Series) -> ImagingChain:
@@ -244,8 +240,8 @@ def lit_lineup(lineup: Lineup, stage: Stage, pair: str = "") -> Lit:
         return stage(": ".join(filter(None, (pair, lineup.condition, name))))
 
     with named(lineup.words):
-        made, plans = render_all(lineup, part)
-        lights = zip(lineup.sensors, made, strict=True)
+        made, plans = lights_on_one_film(lineup, part)
+        lights = zip(lineup.cases, made, strict=True)
         series = [series_of_sensor(lineup, sensor, light.image, pair) for sensor, light in lights]
         chains = {each.name: first_chain(each) for each in series}
         grey = [name for name, chain in chains.items() if chain.rendition is None]
@@ -260,7 +256,7 @@ def lit_pair(lineups: Sequence[Lineup], whole: Sequence[Lit], stage: Stage) -> l
         if lineup is of_all.lineup or is_alike(lineup, of_all):
             found.append(of_all)
             continue
-        pair = " and ".join(sensor.name for sensor in lineup.sensors)
+        pair = " and ".join(sensor.name for sensor in lineup.cases)
         with without_warnings(), named(f"{pair} alone"):
             found.append(lit_lineup(lineup, stage, pair))
     return found
@@ -269,11 +265,11 @@ def lit_pair(lineups: Sequence[Lineup], whole: Sequence[Lit], stage: Stage) -> l
 def is_alike(lineup: Lineup, of_all: Lit) -> bool:
     """Return whether the comparison of two sensors is the same among more: field, chart, film and displays."""
     among = of_all.lineup
-    alike = ("settings", "border", "viewing", "film_width")
+    alike = ("border", "viewing", "film_width")
     if any(getattr(lineup, name) != getattr(among, name) for name in alike):
         return False
     # Another sensor may have asked for a finer film.
-    return all(sensor in among.sensors for sensor in lineup.sensors) and of_all.made[0].image.shape[1] == among.film_width
+    return all(sensor in among.cases for sensor in lineup.cases) and of_all.made[0].image.shape[1] == among.film_width
 
 
 def _notes_of(parts: Sequence[Observed]) -> tuple[str, ...]:
@@ -284,34 +280,27 @@ def _notes_of(parts: Sequence[Observed]) -> tuple[str, ...]:
     return *of_all, *(f"{part.lineup.condition}: {note}" for part, own in named_notes for note in own if note not in of_all)
 
 
-def render_all(lineup: Lineup, stage: Stage) -> tuple[list[Light], list[Plan]]:
+def lights_on_one_film(lineup: Lineup, stage: Stage) -> tuple[list[Light], list[Plan]]:
     """Return the light of every sensor on one film, fine enough for all, and the plans of that film."""
     width = lineup.film_width
     while True:
         made: list[Light] = []
         plans: list[Plan] = []
-        for sensor in lineup.sensors:
-            light, plan = render_one(lineup, sensor, width, stage(f"render {sensor.name}"))
+        for sensor in lineup.cases:
+            with named(sensor.name):
+                light, plan = light_of(lineup.demand(sensor, width), stage(f"render {sensor.name}"))
             if light.image.shape[1] > width:  # its film had to be finer: the others take that one too
                 width = light.image.shape[1]
                 break
             made.append(light)
             plans.append(plan)
         else:
-            pairs = list(zip(lineup.sensors, made, strict=True))
+            pairs = list(zip(lineup.cases, made, strict=True))
             seen = [Seen(light.image, s.camera, derive(s.settings.pixel), lineup.border_um(s.camera)) for s, light in pairs]
             white = white_header(seen, lineup.settings.display)
             for light in made:
                 light.image.header |= white
             return made, plans
-
-
-def render_one(lineup: Lineup, sensor: Prepared[Run], width: int, progress: Progress) -> tuple[Light, Plan]:
-    """Return the light of a sensor on a film of so many samples across, or more if the film's error asks for them."""
-    with named(sensor.name):
-        scene, plan_of = sensor.scene.with_resolution(width), partial(lineup.plan, sensor)
-        measured = [Imaging.of(sensor.settings, sensor.camera)]
-        return light_of(Demand(scene, plan_of(scene), plan_of, sensor.settings, sensor.settings.pixel, measured), progress)
 
 
 def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], image: SpectralImage, pair: str = "") -> Series:
@@ -322,16 +311,14 @@ def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], image: SpectralImage
     pair : of `lit_lineup`
     """
     with named(sensor.name):
-        settings = lineup.settings
-        shared = settings.display, settings.correction, settings.develop
-        pixel, exposure = sensor.settings.pixel, sensor.settings.exposure
-        imaging = Imaging(sensor.camera, pixel, exposure, *shared, None, lineup.border_um(sensor.camera), True)
+        border_um, pixel = lineup.border_um(sensor.camera), sensor.settings.pixel
+        imaging = replace(Imaging.of(sensor.settings, sensor.camera), border_um=border_um, single=True)
         for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
             warn(f"{sensor.name}: {text}")
         first, *others = lineup.displays.values()
         scenes = SceneCache(image, sensor.camera, first, len(imaging.physics.channels), single=True, others=others)
         columns = {"pair": pair, "condition": lineup.condition}
-        series = Series(sensor.name, imaging, scenes, ("compare", settings.seed), False, columns, lineup.condition, False)
+        series = Series(sensor.name, imaging, scenes, ("compare", sensor.settings.seed), False, columns, lineup.condition, False)
         light = series.light()
         assert isinstance(light, PreparedScene)
         warn_of_clipping(light.beyond_white)
@@ -343,7 +330,7 @@ def steps_of(lineup: Lineup, sensor: Prepared[Run], light: Light, plan: Plan) ->
     """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
     with without_warnings():  # the result itself warns
         imaging = Imaging.of(sensor.settings, sensor.camera)
-        return film_steps(light.image, imaging, plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
+        return kept_steps(light.image, imaging, plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
 
 
 def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, workers: Workers | None, progress: Progress) -> None:
@@ -353,7 +340,7 @@ def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, worke
     workers : None takes as many processes as are worth it
     """
     series, sizes = [each for part in parts for each in part.series], [each for part in parts for each in part.sizes(repeats)]
-    costs = [part.lineup.cost_of_frame(sensor) for part in parts for sensor in part.lineup.sensors]
+    costs = [part.lineup.cost_of_frame(sensor) for part in parts for sensor in part.lineup.cases]
     left = iter(delta_e_of(series, sizes, costs, results, workers, progress))
     for part in parts:
         places = [list(part.lineup.displays).index(viewing) for viewing in part.lineup.viewing.viewings]

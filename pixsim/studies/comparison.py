@@ -54,8 +54,8 @@ class Comparison(Averaged):
         """Return compare.json. With conditions the answers are those of the weighted mean, and the rest is `shown`."""
         prepared, first, lineup = self.prepared, self.sensors[0], self.shown.lineup
         more: dict[str, Any] = {}
-        if (of_study := prepared.circumstances) is not None:
-            more["study"] = {"name": of_study.name, "not_used": list(of_study.not_used)}
+        if prepared.study is not None:
+            more["study"] = {"name": prepared.study.name, "not_used": list(prepared.not_used)}
         if self.conditions:
             more["shown_condition"] = lineup.condition
             more["conditions"] = {

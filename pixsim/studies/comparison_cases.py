@@ -17,8 +17,8 @@ from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.render import html_cell
 from pixsim.studies.averages import Averaged
 from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, values_at, with_range_ends
-from pixsim.studies.circumstances import study_of
 from pixsim.studies.comparison import FIGURE_BORDER_IN, FIGURE_WIDTH_IN, ROW_IN, Comparison
+from pixsim.studies.study_file import study_of
 from pixsim.studies.verdicts import headline
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pixsim.base.arrays import MEASURED
 from pixsim.base.errors import PixsimError
@@ -20,10 +20,14 @@ from pixsim.scene.plan import FEWEST_RENDERS, Plan
 from pixsim.sensor.integration import pixels_on
 from pixsim.show.sentences import duration
 from pixsim.studies.engine import workers_here
-from pixsim.studies.preparation import choose_view, fitted_range
+from pixsim.studies.keys import rendered_across
+from pixsim.studies.preparation import choose_view, fitted_range, with_view
 from pixsim.studies.sampling import BYTES_PER_PIXEL, study_pitches_um
 from pixsim.studies.viewing import SENSORS_VIEWED, STUDY_VIEWINGS
 from pixsim.viewer.score import SCENE_CACHE_BYTES
+
+if TYPE_CHECKING:
+    from pixsim.studies.oversampling import Demand
 
 # On one core of an ordinary machine.
 RENDER_S_PER_SAMPLE = 1.6e-7  # of a film cell's samples, both of the two renders that show the noise
@@ -79,12 +83,9 @@ class Known:
 UNKNOWN = Known()
 
 
-def known_film(shape: Sequence[int], across: int | None) -> tuple[tuple[int, int], bool]:
-    """Return the film (H, W) on which a render ends, as far as known, and whether the cache has that.
-
-    across : the samples of a render before; None if there was none
-    """
-    height, width = shape
+def known_film(demand: Demand) -> tuple[tuple[int, int], bool]:
+    """Return the film (H, W) on which the render of a light ends, as far as known, and whether the cache has that."""
+    (height, width), across = demand.shape, rendered_across(demand.scene, demand.camera, demand.plan, demand.settings)
     return ((height, width), False) if across is None else ((round(height * across / width), across), True)
 
 
@@ -244,9 +245,7 @@ def window_within(study: Study, camera: Camera, plan: Plan, shape: tuple[int, in
                 window = camera.window(width)
                 fitted = fitted_range(study, window)
                 if study.own_um is not None:
-                    fitted = fitted.model_copy(
-                        update={"display": choose_view(study.own_um, window, study.display, None).display(study.display)}
-                    )
+                    fitted = with_view(fitted, choose_view(study.own_um, window, study.display, None))
                 if study_cost(fitted, window, plan, shape, jobs).seconds < LONG_S:
                     return width
         except PixsimError:  # too few pixels or dots

@@ -8,7 +8,7 @@ from pixsim.base.progress import Progress
 from pixsim.sensor.integration import pixels_along
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluations import DEGREE, DOTS, Evaluations
-from pixsim.studies.preparation import ALLOWED_DOTS, View
+from pixsim.studies.preparation import ALLOWED_DOTS
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.series import scenes_of, series_of
 from pixsim.studies.viewing import OF_VIEWING, SENSORS_VIEWED, OptimumViewed, ViewingRange
@@ -16,16 +16,15 @@ from pixsim.studies.viewing import OF_VIEWING, SENSORS_VIEWED, OptimumViewed, Vi
 DOTS_FACTOR = 2.0  # of the data sheet's dots to those of larger pixels, and of smaller ones to them
 
 
-def viewing_of(result: StudyResult, view: View) -> ViewingRange:
+def viewing_of(result: StudyResult) -> ViewingRange:
     """Return the displays of a data sheet's study: half and twice the dots, or half and twice the dots per degree.
 
-    The dots are those of the largest and the smallest pixels at most, and those of a display.
-
-    view : that pixsim chose; dots that it did not choose are stated
+    The dots are those of the largest and the smallest pixels at most, and those of a display. Dots that pixsim did not choose are
+    stated.
     """
     study, width_um = result.study, result.camera.die_um[1]
     display = study.display
-    stated = [name for name in OF_VIEWING if name in display.model_fields_set and (name != "dots" or view.dots is None)]
+    stated = [name for name in OF_VIEWING if name in display.model_fields_set and (name != "dots" or "dots" not in result.view)]
     tried_um = [float(pitch_um) for curve in result.curves for pitch_um in (curve.pitch_um[0], curve.pitch_um[-1])]
     coarse, fine = (pixels_along(width_um, pitch_um) for pitch_um in (max(tried_um), min(tried_um)))
     low = max(coarse, round(display.dots / DOTS_FACTOR), ALLOWED_DOTS[0])
@@ -41,12 +40,12 @@ def viewing_of(result: StudyResult, view: View) -> ViewingRange:
     return replace(whole, viewings=tuple(one_moves))
 
 
-def curves_viewed(result: StudyResult, view: View, workers: Workers, progress: Progress | None = None) -> tuple[Curve, ...]:
+def curves_viewed(result: StudyResult, workers: Workers, progress: Progress | None = None) -> tuple[Curve, ...]:
     """Return the curves of a study without axes with their optima on the displays of `viewing_of`.
 
     Frames that the cache has are shown again. The others are simulated, with the same random numbers.
     """
-    study, viewing = result.study, viewing_of(result, view)
+    study, viewing = result.study, viewing_of(result)
     if not (others := viewing.viewings[1:]):
         return result.curves
     first, *more = [each.display(study.display) for each in others]

@@ -1,4 +1,4 @@
-"""The lights of a study: one for all of its cases that see the same, each on a film that is fine enough."""
+"""What the pixels of a case ask of their light; and the lights of a study: one for all of its cases that see the same."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pixsim.base.labels import label_in
-from pixsim.base.parameters import Camera, Study
+from pixsim.base.parameters import Camera, Run, Study
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, render_until
@@ -17,7 +17,8 @@ from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.keys import light_hash
 from pixsim.studies.oversampling import Demand, Light, light_of
 from pixsim.studies.pixels import imaging_of, physics_of
-from pixsim.studies.preparation import first_film, scene_for, smallest_pixels, study_plan
+from pixsim.studies.preparation import first_film, plan_of, scene_for, smallest_pixels, study_plan
+from pixsim.studies.prepared import Prepared
 from pixsim.studies.sampling import largest_pixel_um, study_pitches_um
 from pixsim.studies.sight import Sight, clearest
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -28,19 +29,25 @@ if TYPE_CHECKING:
     from pixsim.studies.budget import Settled
 
 
-def demand_of(study: Study, variant: str | None = None, settled: Settled | None = None) -> Demand:
-    """Return what the pixels of a study without axes ask of their light.
+def demand_of(case: Prepared[Run] | Prepared[Study], settled: Settled | None = None, *, full: bool = False) -> Demand:
+    """Return what the pixels of a case ask of its light.
 
-    Its noise is adequate for the largest pixel that the study allows, the least noisy one, and its film for the smallest
-    photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
+    The noise is adequate for the largest pixel that a study allows, the least noisy one, and the film for the smallest photodiode.
+    Neither depends on the pitches that are added, so a row does not depend on the others.
+
+    settled : a calibration that chose the film of the scene, in place of which the plan of a run has a finer one otherwise
+    full : whether no effect is left out of the light of a run
     """
-    scene, camera = scene_for(study, variant)
+    scene, camera, study = case.scene, case.camera, case.settings
+    if isinstance(study, Run):
+        planned = partial(plan_of, camera=camera, settings=study, full=full, film_is_known=settled is not None)
+        return Demand(scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)], settled=settled)
     first = study.technologies[0]
     scene, plan = first_film(study, scene, camera)
     pitches_um = study_pitches_um(study, first).tolist() if study.options_of(first).colour is not None else []
     larger = [imaging_of(study, camera, first, pitch_um) for pitch_um in pitches_um]
-    largest, plan_of = physics_of(study, first, largest_pixel_um(study, first)), partial(study_plan, camera=camera, study=study)
-    return Demand(scene, plan, plan_of, study, largest, measured_pixels(study, camera), larger, settled)
+    largest, of_film = physics_of(study, first, largest_pixel_um(study, first)), partial(study_plan, camera=camera, study=study)
+    return Demand(scene, plan, of_film, study, largest, measured_pixels(study, camera), larger, settled)
 
 
 def render_for(
@@ -50,7 +57,7 @@ def render_for(
 
     words : of the case, for an error
     """
-    demand, first = demand_of(study, variant, settled), study.technologies[0]
+    demand, first = demand_of(Prepared(Case(study), *scene_for(study, variant)), settled), study.technologies[0]
     try:
         light, _ = light_of(demand, progress)
     except AlikeChannelsError as error:
@@ -71,7 +78,7 @@ def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
     return [imaging_of(study, camera, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
 
 
-def render_all(
+def lights_of_cases(
     cases: Sequence[Case[Study]],
     variant: str | None,
     stage: Stage,
@@ -148,7 +155,7 @@ def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[
     None in place of the light if it takes samples, or if the film may be too coarse.
     """
     key, study, variant = task
-    demand = demand_of(study, variant)
+    demand = demand_of(Prepared(Case(study), *scene_for(study, variant)))
     if not demand.plan.exact:
         return key, None
     camera, plan = demand.camera, demand.plan

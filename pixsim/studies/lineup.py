@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,22 +21,41 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.labels import file_label, labels_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import NO_TECHNOLOGY, REGISTERED_BORDER, Camera, CameraOptions, Display, Layer, Record, Run, Study
+from pixsim.base.parameters import (
+    NO_TECHNOLOGY,
+    NOT_SETTINGS,
+    OF_DIE,
+    REGISTERED_BORDER,
+    Camera,
+    CameraOptions,
+    Condition,
+    Display,
+    Effort,
+    Layer,
+    Record,
+    Run,
+    Setting,
+    Study,
+    StudyScene,
+    owner_of,
+    paths_of,
+)
 from pixsim.scene.charts import MAX_LP_PER_MM
-from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.technology import check_name
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Case
-from pixsim.studies.circumstances import Circumstances, circumstances_of
 from pixsim.studies.cost import VIEWED_S_PER_DOT, Cost, dots_on, frame_cost
+from pixsim.studies.lights import demand_of
 from pixsim.studies.matched_cameras import Match, matched_cameras
+from pixsim.studies.oversampling import Demand
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
-from pixsim.studies.preparation import ALLOWED_DOTS, View, choose_view
-from pixsim.studies.prepared import Prepared, loaded_scene
+from pixsim.studies.preparation import ALLOWED_DOTS, choose_view, with_view
+from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
+from pixsim.studies.study_file import study_of
 from pixsim.studies.viewing import OF_VIEWING, Viewing, ViewingRange
 from pixsim.viewer.display import dot_edges_um
 
@@ -52,6 +70,12 @@ NOT_COMPARED = {
     "tolerance_delta_e": "the film's error is measured and stated; --repeats and --render-noise make results surer",
     "max_seconds": "a number of samples limits each render; --render-noise changes it",
 }
+# What a study says to a comparison: the scene and the settings of all sensors, and a lens for files that state none. Its pixels,
+# technologies and pixel sizes are not used.
+OF_STUDY = [name for name in sorted(Setting.model_fields, key=Effort.model_fields.__contains__) if name not in NOT_COMPARED]
+SHARED = [name for name in OF_STUDY if name not in ("scene", "camera", "lens", "pixel")]
+WORDS = {name for name, hint in NOT_SETTINGS.items() if not hint} - {"sensors"}  # of a study, that say nothing of a sensor
+SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own, as of its die
 DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
 
 
@@ -60,16 +84,14 @@ def pixels_of(sensor: Prepared[Run]) -> tuple[int, int]:
     return pixels_on(sensor.camera.die_um, sensor.settings.pixel.pitch_um)
 
 
-@dataclass(frozen=True, eq=False)
-class Lineup:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Lineup(Job[Run]):
     """Sensors of a comparison under one condition, with the display and the chart that they share.
 
+    cases : the sensors, each with its own camera, pixel and exposure; the frequencies of its chart on the sensor go with the die
     condition, weight : name and share of the condition; an empty name and 1 without conditions
     scene : file, or name of a packaged scene
-    settings : what all sensors share, and the first one's camera, pixel and exposure
-    sensors : each with its own camera, pixel and exposure; the frequencies of its chart on the sensor go with the die
-    view : display and chart that pixsim chose for data sheets, from the sensor with the most pixels
-    finest : name of that sensor
+    finest : name of the sensor with the most pixels, whose view all have
     border : width of the border that is not scored, as a fraction of the width of the field
     viewing : displays on which the frames are scored; the first one is that of `settings`
     """
@@ -77,9 +99,6 @@ class Lineup:
     condition: str
     weight: float
     scene: str
-    settings: Run
-    sensors: tuple[Prepared[Run], ...]
-    view: View
     finest: str
     border: float
     viewing: ViewingRange
@@ -89,35 +108,28 @@ class Lineup:
         """The condition, for messages; empty without conditions."""
         return f"condition {self.condition}" if self.condition else ""
 
-    def plan(self, sensor: Prepared[Run], scene: Scene) -> Plan:
-        """Return the plan of a sensor's render on the film of `scene`."""
-        display, tolerance_e = self.settings.display, self.settings.tolerance_e
-        own = sensor.settings
-        return make_plan(scene, sensor.camera, own.pixel, exposure=own.exposure, display=display, tolerance_e=tolerance_e)
-
     @cached_property
     def film_width(self) -> int:
         """Samples across the first film, the most that any of the sensors needs: with one film, all see the same picture."""
-        widths = []
-        for sensor in self.sensors:
-            plan = self.plan(sensor, sensor.scene)
-            shape = sensor.scene.film_shape(sensor.camera, sensor.scene.for_camera(sensor.camera))
-            widths.append(plan.resolution or shape[1])
-        return max(widths)
+        return max(demand_of(sensor).shape[1] for sensor in self.cases)
+
+    def demand(self, sensor: Prepared[Run], width: int) -> Demand:
+        """Return what a sensor asks of its light on a film of so many samples across."""
+        return demand_of(replace(sensor, source=sensor.scene.with_resolution(width)))
 
     @property
     def scored_dots(self) -> tuple[int, int]:
         """Rows and columns of the display's dots that are shown and scored."""
-        camera, pitch_um = self.sensors[0].camera, self.sensors[0].settings.pixel.pitch_um
+        camera, pitch_um = self.camera, self.settings.pixel.pitch_um
         rows, columns = dot_edges_um(camera.die_um, pitch_um, self.settings.display, self.border_um(camera))
         return rows.size - 1, columns.size - 1
 
     def as_dict(self) -> dict[str, Any]:
         """Return the field, the scored dots and the displays for JSON."""
         return {
-            "fov_deg": self.sensors[0].camera.fov_deg,
+            "fov_deg": self.camera.fov_deg,
             "scored_dots": list(self.scored_dots),
-            "chosen": self.view.as_dict() | {"finest": self.finest},
+            "chosen": {**self.view, "finest": self.finest},
             "viewing": self.viewing.as_dict(),
         }
 
@@ -147,7 +159,8 @@ class ComparisonJob:
     base : settings of each sensor, as the files and options have them without a condition
     lineups : all sensors under each condition; one without conditions
     pairs : the first sensor and each other one alone, likewise
-    circumstances : the study under whose conditions the sensors are compared, if any
+    study : whose conditions and settings are those of all sensors, if any; its scene is that of the comparison
+    not_used : settings of the study that are not used, by their dotted names
     types : sensor types over which the comparison is repeated, if they are asked for
     """
 
@@ -156,9 +169,8 @@ class ComparisonJob:
     base: tuple[Run, ...]
     lineups: tuple[Lineup, ...]
     pairs: tuple[tuple[Lineup, ...], ...]
-    sensor_id: str | None = None
-    variant: str | None = None
-    circumstances: Circumstances | None = None
+    study: Study | None = None
+    not_used: tuple[str, ...] = ()
     types: Types | None = None
 
     @property
@@ -232,13 +244,51 @@ def check_files(files: Sequence[str]) -> None:
             raise invalid("sensors", got, "different files", "A copy of the file may have other numbers, or the same.")
 
 
-@contextmanager
-def named(part: str) -> Iterator[None]:
-    """Name the sensor, or the condition if there is one, in an error about its settings."""
-    try:
-        yield
-    except PixsimError as error:
-        raise PixsimError(f"{part}: {error}" if part else str(error)) from None
+def as_run(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Return some tables of a study or of a condition, and the parameters of its scene, as those of `Run`."""
+    scene = {"scene": table["scene"]["parameters"]} if "parameters" in table.get("scene", {}) else {}
+    return {name: table[name] for name in names if name in table and name != "scene"} | scene
+
+
+def not_used_of(table: Mapping[str, Any], other_scene: bool) -> tuple[str, ...]:
+    """Return the settings of a study's table that a comparison does not use, by their dotted names.
+
+    other_scene : whether the comparison has another scene
+    """
+    found = [name for name in table if name not in (*SHARED, *WORDS, "scene", "camera", "lens")]
+    found += [f"camera.{name}" for name in OF_DIE if name in table.get("camera", {})]
+    return *found, *(["scene"] if other_scene and "scene" in table else [])
+
+
+def warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
+    """Warn of options, as tables of `Run`, that every condition of a study overrides."""
+    for path in paths_of(options):
+        in_study = ("scene", "parameters", *path[1:]) if path[0] == "scene" else path
+        if owner := owner_of(study, in_study):
+            warn(f"{'.'.join(path)} is not used: {owner} sets it")
+
+
+def condition_layer(condition: Condition, source: str) -> Layer:
+    """Return a condition's settings as tables of `Run`. Raises PixsimError for a setting that a comparison does not have.
+
+    source : file of its study, or empty
+    """
+    table, where = condition.set, ": ".join(filter(None, (source, f"condition {condition.name}")))
+    allowed = [name for name in OF_STUDY if name != "seed"]
+    if others := [name for name in table if name not in allowed]:
+        hint = "The sensors of a comparison have their numbers from their own files."
+        raise invalid(where, f"set.{others[0]}", ", ".join(f"set.{name}" for name in allowed), hint)
+    camera, pixel, scene = (table.get(name) for name in ("camera", "pixel", "scene"))
+    if isinstance(camera, Mapping) and (die := [name for name in OF_DIE if name in camera]):
+        raise invalid(where, f"set.camera.{die[0]}", "settings of the lens: each sensor has its own die")
+    if isinstance(pixel, Mapping) and (own := [name for name in SIZE if name in pixel]):
+        raise invalid(where, f"set.pixel.{own[0]}", "settings that leave each sensor its own pixel size")
+    files = "set.scene.file, set.scene.parameters.<name>"
+    if scene is not None and not isinstance(scene, Mapping):
+        raise invalid(where, f"set.scene = {scene!r}", files)
+    if unknown := [name for name in scene or {} if name not in StudyScene.model_fields]:
+        raise invalid(where, f"set.scene.{unknown[0]}", files)
+    return Layer(as_run(table, allowed), where)
 
 
 def prepare(
@@ -267,18 +317,26 @@ def prepare(
         raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
     layers, options = [settings_layer(path) for path in config], options or {}
     names = labels_of([file_label(source) for source in sources])
-    of_study = None if study is None else circumstances_of(study, scene)
-    if of_study is not None:
-        of_study.warn_of_unused(options)
-        layers = [of_study.shared, *layers]
-    lens = Layer({}) if of_study is None else of_study.lens
+    plan, lens, file, not_used = None, Layer({}), "csf" if scene is None else str(scene), tuple[str, ...]()
+    if study is not None:
+        stated, plan = study_of(study)
+        not_used = not_used_of(stated.table, scene is not None)
+        if scene is not None:
+            stated = Layer({name: value for name, value in stated.table.items() if name != "scene"}, stated.source)
+            plan = plan.model_copy(update={"scene": StudyScene(file=file)})
+        warn_of_overridden(plan, options)
+        file, layers = plan.scene.file, [Layer(as_run(stated.table, SHARED), stated.source), *layers]
+        camera = {name: value for name, value in stated.table.get("camera", {}).items() if name not in OF_DIE}
+        of_lens = {"camera": camera, "lens": stated.table.get("lens", {})}
+        lens = Layer({name: own for name, own in of_lens.items() if own}, stated.source)
     base = read_sensors(sources, lens, layers, options)
-    under = [Stated("", 1.0, str("csf" if scene is None else scene) if of_study is None else of_study.scene, base)]
-    if of_study is not None and of_study.conditions:
-        under, total = [], sum(each.weight for each in of_study.conditions)
-        for each in of_study.conditions:
-            runs = read_sensors(sources, lens, layers, options, of_study.layer_of(each))
-            under.append(Stated(each.name, each.weight / total, of_study.scene_of(each), runs))
+    under = [Stated("", 1.0, file, base)]
+    if plan is not None and plan.condition:
+        under, total = [], sum(each.weight for each in plan.condition)
+        for each in plan.condition:
+            of_condition = condition_layer(each, stated.source)
+            runs = read_sensors(sources, lens, layers, options, of_condition)
+            under.append(Stated(each.name, each.weight / total, str(each.set.get("scene", {}).get("file", file)), runs))
 
     def setups_of(*chosen: int) -> tuple[Lineup, ...]:
         """Return some of the sensors under each condition, as if there were no others."""
@@ -303,7 +361,7 @@ def prepare(
         types = Types.of(uncertainty, names, sources, [run.pixel for run in base], base[0].seed)
     else:
         warn_of_uncertainty(sources)
-    return ComparisonJob(match, repeats, tuple(base), lineups, pairs, sensor, variant, of_study, types)
+    return ComparisonJob(match, repeats, tuple(base), lineups, pairs, plan, not_used, types)
 
 
 def warn_of_uncertainty(sources: Sequence[str]) -> None:
@@ -385,17 +443,15 @@ def lineup_of(
             check_pixel_count(pixels_on(camera.die_um, run.pixel.pitch_um), run.pixel.pitch_um)
     sizes = [math.prod(pixels_on(camera.die_um, run.pixel.pitch_um)) for camera, run in zip(cameras, runs, strict=True)]
     finest = int(np.argmax(sizes))
-    view = View()
+    view: dict[str, Any] = {}
     if any(run.pixel.technology == NO_TECHNOLOGY for run in runs):
         view = choose_view(runs[finest].pixel.pitch_um, cameras[finest], settings.display, loaded)
     if common is not None:
-        view = view.as_chosen(common.view)
-    parameters = dict(settings.scene)
-    if view.max_lp_per_mm is not None:
-        parameters[MAX_LP_PER_MM] = on_other_die(view.max_lp_per_mm, cameras[finest], cameras[0])
-    settings = settings.model_copy(update={"display": view.display(settings.display), "scene": parameters})
+        view = {name: common.view.get(name, value) for name, value in view.items()}
+    of_first = {name: on_other_die(view[name], cameras[finest], cameras[0]) for name in view if name == MAX_LP_PER_MM}
+    settings = with_view(settings, view | of_first)
     border = REGISTERED_BORDER * max(run.pixel.pitch_um / camera.die_um[1] for camera, run in zip(cameras, runs, strict=True))
-    given = parameters.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
+    given = settings.scene.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
     sensors = []
     for name, source, camera, run in zip(names, sources, cameras, runs, strict=True):
         of_sensor = loaded
@@ -410,7 +466,18 @@ def lineup_of(
     viewing = _viewing(sensors, settings.display, of_viewing, border)
     if common is not None:
         viewing = common.viewing.under(settings.display, of_viewing)
-    return Lineup(stated.condition, stated.weight, scene, settings, tuple(sensors), view, names[finest], border, viewing)
+    return Lineup(
+        cases=tuple(sensors),
+        view=view,
+        sensor=sensor,
+        variant=variant,
+        condition=stated.condition,
+        weight=stated.weight,
+        scene=scene,
+        finest=names[finest],
+        border=border,
+        viewing=viewing,
+    )
 
 
 def _viewing(sensors: Sequence[Prepared[Run]], display: Display, stated: Sequence[str], border: float) -> ViewingRange:

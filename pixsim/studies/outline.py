@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.machine import processors
-from pixsim.base.parameters import Camera, Setting, Study
-from pixsim.light.spectral import SpectralImage
+from pixsim.base.parameters import Camera
 from pixsim.sensor.integration import pixels_on
 from pixsim.studies.cost import (
     COLOUR_S,
@@ -25,15 +25,12 @@ from pixsim.studies.cost import (
     window_within,
 )
 from pixsim.studies.film_error import FilmSampling, film_error
-from pixsim.studies.keys import evaluated_before, light_hash, rendered_across
-from pixsim.studies.pixels import imaging_of
-from pixsim.studies.preparation import first_film
+from pixsim.studies.keys import evaluated_before, light_hash
+from pixsim.studies.lights import demand_of
 from pixsim.studies.sampling import study_pitches_um
-from pixsim.viewer.imaging import Imaging
 
 if TYPE_CHECKING:
-    from pixsim.scene.plan import Plan
-    from pixsim.scene.scene import Scene
+    from pixsim.studies.oversampling import Demand
     from pixsim.studies.preparation import StudyJob
     from pixsim.studies.run import RunJob
 
@@ -41,89 +38,72 @@ if TYPE_CHECKING:
 def planned_run(prepared: RunJob) -> dict[str, Any]:
     """Return the film, errors, pixels and cost of a run; nothing is rendered."""
     settings, camera, frames, repeats = prepared.settings, prepared.camera, prepared.frames, prepared.repeats
-    pitch_um, planned = settings.pixel.pitch_um, dict[str, Any]()
-    if isinstance(light := prepared.light, SpectralImage):
-        cost = Cost(START_S, 4.0 * light.wavelength_nm.size * math.prod(light.shape), 1)
-        planned["film"] = {"samples": list(light.shape), "pitch_um": light.pitch_um}
+    pitch_um, picture = settings.pixel.pitch_um, prepared.cases[0].picture
+    planned: dict[str, Any]
+    if picture is not None:
+        cost = Cost(START_S, 4.0 * picture.wavelength_nm.size * math.prod(picture.shape), 1)
+        planned = {"film": {"samples": list(picture.shape), "pitch_um": picture.pitch_um}}
     else:
-        scene, plan = light.scene, light.plan
-        planned["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
-        shape, rendered = known_film(planned["film"]["samples"], rendered_across(scene, camera, plan, settings))
-        cost = render_cost(plan, camera, shape, rendered, processors().usable)
+        planned, (shape, rendered) = planned_light(prepared.demand), known_film(prepared.demand)
+        cost = render_cost(prepared.demand.plan, camera, shape, rendered, processors().usable)
         if not rendered:
             more_s = COLOUR_S * (settings.pixel.colour is not None) + STACK_S * (settings.pixel.stack is not None)
             cost = replace(cost, seconds=cost.seconds + more_s)
-        planned["errors"] = errors_of(plan, planned["film"], Imaging.of(settings, camera), settings)
     frame = frame_cost(camera, pitch_um, settings.display)
     cost = Cost(cost.seconds + RUN_PAGE_S + (repeats + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
-    pixels = [list(pixels_on(camera.die_um, pitch_um))]
-    sensors = {"technology": settings.pixel.technology, "pitch_um": [pitch_um], "pixels": pixels, "sensors": repeats}
+    sensors = planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)
     return planned | ({"frames": frames} if frames > 1 else {}) | {"sensors": [sensors], "estimate": asdict(cost)}
 
 
-def planned_sensors(study: Study, camera: Camera) -> list[dict[str, Any]]:
-    """Return the pixel sizes of each technology of a study, with their rows and columns, and the sensors of each size."""
-    sensors = []
-    for name in study.technologies:
-        pitches_um = study_pitches_um(study, name).tolist()
-        counts = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
-        sensors.append({"technology": name, "pitch_um": pitches_um, "pixels": counts, "sensors": study.repeats})
-    return sensors
+def planned_sensors(technology: str, pitches_um: Sequence[float], sensors: int, camera: Camera) -> dict[str, Any]:
+    """Return the pixel sizes of a technology, with their rows and columns, and the sensors of each size."""
+    pixels = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
+    return {"technology": technology, "pitch_um": [*pitches_um], "pixels": pixels, "sensors": sensors}
 
 
-def planned_study(job: StudyJob, jobs: int | None = None, asked: Study | None = None, types: int = 0) -> dict[str, Any]:
+def planned_study(job: StudyJob, jobs: int | None = None, types: int = 0) -> dict[str, Any]:
     """Return the film, errors, evaluations, cases and cost of a study; nothing is rendered.
 
     jobs : processes; None means as many as it would take
-    asked : the study before it was prepared, for the window that would take less than a minute
     types : number of sensor types of --uncertainty or --sobol
     """
-    first = job.cases[0]
-    study, camera = first.settings, first.camera
-    scene, plan = first_film(study, first.scene, camera)
-    film = film_of(scene, camera, plan)
-    shape = tuple(film["samples"])
+    study, demand = job.settings, demand_of(job.cases[0])
     lights = len({light_hash(case.settings) for case in job.cases})
-    film_shape, rendered = known_film(film["samples"], rendered_across(scene, camera, plan, study))
+    film_shape, rendered = known_film(demand)
     of_cases = [(case.settings, case.camera) for case in job.cases]
     known = Known(rendered, evaluated_before([case for case, _ in of_cases]))
-    cost = cases_cost(of_cases, lights, plan, film_shape, jobs, types, known)
-    smallest = imaging_of(study, camera, study.technologies[0], float(study_pitches_um(study, study.technologies[0])[0]))
-    planned: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name, "evaluations": job.evaluations}
-    planned["errors"] = errors_of(plan, film, smallest, study)
+    cost = cases_cost(of_cases, lights, demand.plan, film_shape, jobs, types, known)
+    sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}
+    sensors = [planned_sensors(name, pitches_um, study.repeats, job.camera) for name, pitches_um in sizes.items()]
+    planned = planned_light(demand) | {"sensors": sensors, "estimate": asdict(cost)}
+    planned |= {"study": study.name, "evaluations": job.evaluations}
     if types:
         planned["sensor_types"] = types
-    if job.has_cases:
+    if job.study.has_cases:
         labels = [each.case for each in job.cases]
         planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in labels]
-    elif cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, shape, jobs)):
+    elif cost.seconds > LONG_S and (window := window_within(job.asked, job.camera, demand.plan, demand.shape, jobs)):
         planned["window_within_a_minute_mm"] = window
     return planned | ({} if study.own_um is None else {"own_um": study.own_um})
 
 
-def film_of(scene: Scene, camera: Camera, plan: Plan) -> dict[str, Any]:
-    """Return the film of a plan: its samples, rows and columns, their pitch, and the rays of each.
+def planned_light(demand: Demand) -> dict[str, Any]:
+    """Return the film of a light, and what is known of its errors before there is light.
 
-    scene : on that film
-    """
-    height, width = scene.film_shape(camera, scene.for_camera(camera))
-    return {"samples": [height, width], "pitch_um": 1e3 * camera.die_mm / width, "spp": plan.spp, "passes": plan.passes}
-
-
-def errors_of(plan: Plan, film: dict[str, Any], smallest: Imaging, settings: Setting) -> dict[str, float | None]:
-    """Return what is known of the errors of the light before there is light.
-
-    smallest : of the pixels
-
+    samples, pitch_um, spp : of the film, rows and columns of samples, their pitch, and the rays of each in each pass
     film_share : least error of the film as a share of mean ΔE, for details and dots that it cannot show; None if a calibration
         chooses the film
     rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits them, 0 if there are none
     render_noise : its target, as a fraction of the sensor's noise
     """
-    sampling = FilmSampling.of(film["samples"][1], smallest, plan.chart)
+    (height, width), plan, smallest, settings = demand.shape, demand.plan, demand.measured[0], demand.settings
+    sampling = FilmSampling.of(width, smallest, plan.chart)
     rays = plan.most_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
-    return {
+    pitch_um = 1e3 * demand.camera.die_mm / width
+    errors = {
         "film_share": None if settings.tolerance_delta_e else film_error(0.0, 0.0, 1.0, sampling),
         "rays_a_pixel": 0.0 if plan.exact else None if settings.max_seconds else rays,
         "render_noise": settings.render_noise,
     }
+    film = {"samples": [height, width], "pitch_um": pitch_um, "spp": plan.spp, "passes": plan.passes}
+    return {"film": film, "errors": errors}

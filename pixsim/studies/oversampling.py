@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, Array, in_threads
@@ -37,6 +36,7 @@ from pixsim.studies.budget import Settled, sensor_delta_e, without_warnings
 from pixsim.studies.film_error import (
     FINER,
     MAX_ORDER,
+    MEASURED_FINER,
     MIN_ORDER,
     MIN_PART_CELLS,
     SAFE,
@@ -187,41 +187,31 @@ def measure_film(
     measured : the pixels, with one camera and display
     chart : that the film shows, if nothing else; its detail is known
     tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
-    keep : use the cache, for the picture of a render, whose header states everything that it depends on
+    keep : use the cache, for the picture of a render (`kept_steps`)
     larger : increasing; the first whose channels are told apart takes the place of a smaller pixel whose channels are not
     """
 
-    def measure() -> FilmError:
-        with without_warnings():  # the run itself warns of the white
-            white = white_header([Seen(image, each.camera, each.physics) for each in measured], measured[0].display)
-            shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
+    with without_warnings():  # the run itself warns of the white
+        white = white_header([Seen(image, each.camera, each.physics) for each in measured], measured[0].display)
+        shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
 
-        def steps_of(number: int, imaging: Imaging) -> tuple[float, tuple[float, float]]:
-            part = share_of(progress, number / len(measured), (number + 1) / len(measured))
-            instead = [each for each in larger if each.pixel.pitch_um > imaging.pixel.pitch_um]
-            for each in (imaging, *instead):
-                try:
-                    return each.pixel.pitch_um, film_steps(shown, each, chart, progress=part).error()
-                except AlikeChannelsError:
-                    if each is (instead or [imaging])[-1]:
-                        raise
-            raise AssertionError("unreachable")
+    def steps_of(number: int, imaging: Imaging) -> tuple[float, tuple[float, float]]:
+        part = share_of(progress, number / len(measured), (number + 1) / len(measured))
+        instead = [each for each in larger if each.pixel.pitch_um > imaging.pixel.pitch_um]
+        for each in (imaging, *instead):
+            try:
+                return each.pixel.pitch_um, (kept_steps if keep else film_steps)(shown, each, chart, progress=part).error()
+            except AlikeChannelsError:
+                if each is (instead or [imaging])[-1]:
+                    raise
+        raise AssertionError("unreachable")
 
-        pitches, found = zip(*(steps_of(*each) for each in enumerate(measured)), strict=True)
-        if tolerance_delta_e is None:
-            tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in found]
-        else:
-            tolerated = [tolerance_delta_e] * len(found)
-        return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in found), tuple(tolerated))
-
-    if not keep:
-        return measure()
-    sensed = [[each.pixel.model_dump(), each.physics.technology.content] for each in (*measured, *larger)]
-    first = measured[0]
-    records = first.camera, first.exposure, first.correction, first.develop, first.display
-    settings = [*(record.model_dump() for record in records), tolerance_delta_e]
-    key = content_hash([image.header, sensed, *settings, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
-    return cache.load_or_compute("film", key, TypeAdapter(FilmError).validate_python, measure, asdict)
+    pitches, found = zip(*(steps_of(*each) for each in enumerate(measured)), strict=True)
+    if tolerance_delta_e is None:
+        tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in found]
+    else:
+        tolerated = [tolerance_delta_e] * len(found)
+    return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in found), tuple(tolerated))
 
 
 def film_for_tolerance(
@@ -250,6 +240,17 @@ class FilmSteps:
     finer_delta_e: Array
     sampling: FilmSampling
     blur_error: float = 0.0
+
+    @classmethod
+    def from_dict(cls, known: dict[str, Any]) -> FilmSteps:
+        """Return the steps of `as_dict`."""
+        delta_e, finer_delta_e = np.array(known["delta_e"], float), np.array(known["finer_delta_e"], float)
+        return cls(delta_e, finer_delta_e, FilmSampling(*known["sampling"]), known["blur_error"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the steps for JSON."""
+        arrays = {"delta_e": self.delta_e.tolist(), "finer_delta_e": self.finer_delta_e.tolist()}
+        return arrays | {"sampling": [self.sampling.per_detail, self.sampling.per_dot], "blur_error": self.blur_error}
 
     def error(self) -> tuple[float, float]:
         """Return mean ΔE and its error by the film; NaN if the film is too small to tell."""
@@ -283,6 +284,28 @@ def _error_of(delta_e: Array, finer_delta_e: Array, mean_delta_e: float, samplin
     return film_error(near, far, mean_delta_e, sampling, finest)
 
 
+def kept_steps(
+    image: SpectralImage, imaging: Imaging, chart: Chart | None, largest_um: float | None = None, progress: Progress | None = None
+) -> FilmSteps:
+    """Return `film_steps` of the picture of a render, from the cache if it has those of the same parts.
+
+    Its header states everything that the picture depends on.
+    """
+    size_um = largest_um or imaging.physics.as_read.read_pitch_um
+    places = [measured_places(image, size_um, imaging.display, most) for most in (None, MEASURED_FINER)]
+    of_parts = [[[side.start, side.stop] for place in own for side in place] for own in places]
+    records = imaging.pixel, imaging.camera, imaging.exposure, imaging.correction, imaging.develop, imaging.display
+    sensed = [*(record.model_dump() for record in records), imaging.physics.technology.content]
+    versions = cache.version_fingerprint("mitsuba", "drjit", "colour-science")
+    return cache.load_or_compute(
+        "film",
+        content_hash([image.header, image.shape, *sensed, of_parts, versions]),
+        FilmSteps.from_dict,
+        lambda: film_steps(image, imaging, chart, largest_um, progress),
+        FilmSteps.as_dict,
+    )
+
+
 def film_steps(
     image: SpectralImage, imaging: Imaging, chart: Chart | None, largest_um: float | None = None, progress: Progress | None = None
 ) -> FilmSteps:
@@ -297,7 +320,7 @@ def film_steps(
     parts = list(parts_of(image, size_um, display))
     sampling = FilmSampling.of(image.shape[1], imaging, chart)
     if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:
-        return FilmSteps(np.empty((0, 0)), np.empty((0, 0)), sampling)
+        return FilmSteps(np.empty(0), np.empty(0), sampling)
     lens = BehindLens.of(image, imaging)
     films = [parts]
     for _ in range(int(math.log2(BLOCK))):
@@ -406,7 +429,7 @@ def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, imaging: Imag
     film_done : called after each of the films `FINER`
     """
     if not parts:
-        return np.empty((0, 0))
+        return np.empty(0)
     delta_e = np.empty((len(FINER), len(parts)))
 
     def measure(film: int) -> None:
@@ -497,6 +520,16 @@ class Demand:
     def camera(self) -> Camera:
         """The camera, with its lens."""
         return self.measured[0].camera
+
+    @property
+    def first(self) -> Scene:
+        """The scene on the first film."""
+        return self.scene.with_resolution(self.plan.resolution) if self.plan.resolution else self.scene
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the first film in samples."""
+        return self.first.film_shape(self.camera, self.first.for_camera(self.camera))
 
     def render(self, scene: Scene, plan: Plan, *, progress: Progress | None = None) -> tuple[SpectralImage, RenderNoise]:
         """Return the picture of a film, and its noise, within the limits of the settings."""

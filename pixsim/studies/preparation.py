@@ -8,31 +8,30 @@ that the sensor, the lens and the display can show. Both are chosen once a comma
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 from pixsim.base.config import Uncertainty
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.labels import label_of, labels_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Display, PitchRange, Study, content_hash
+from pixsim.base.parameters import Camera, Display, PitchRange, Run, Setting, Study, content_hash
 from pixsim.base.schema import KEY
 from pixsim.optics.camera_lens import rendered_camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
-from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
+from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.technology import check_name
 from pixsim.sensor.unused import warn_of_unused_settings
-from pixsim.studies.cases import Case, cases_of, with_range_ends
+from pixsim.studies.cases import BASE, Case, cases_of, with_range_ends
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
-from pixsim.studies.prepared import Prepared, loaded_scene
+from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
 from pixsim.studies.results_file import COLUMNS
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.unused import StudyConfiguration
@@ -40,53 +39,15 @@ from pixsim.viewer.display import dot_edges_um
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
 MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
+Chosen = TypeVar("Chosen", bound=Setting)
 
 
-@dataclass(frozen=True)
-class View:
-    """Display and chart that pixsim chose for a data sheet's sensor; None for what was set, or does not apply.
+def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene | None) -> dict[str, Any]:
+    """Return the display's dots and the chart's end for a data sheet's sensor of a pitch, where nobody set them.
 
-    dots : across the die
-    max_lp_per_mm : highest frequency of the CSF chart on the sensor
-    limited_by : what limits that frequency
-    """
-
-    dots: int | None = None
-    max_lp_per_mm: float | None = None
-    limited_by: str | None = None
-
-    def display(self, display: Display) -> Display:
-        """Return the display with the chosen dots."""
-        return display if self.dots is None else display.model_copy(update={"dots": self.dots})
-
-    def parameters(self, given: Mapping[str, float | int | str]) -> dict[str, float | int | str]:
-        """Return the parameters of the scene with the chosen chart."""
-        return {**given} if self.max_lp_per_mm is None else {**given, MAX_LP_PER_MM: self.max_lp_per_mm}
-
-    def scene(self, scene: Scene) -> Scene:
-        """Return the scene with the chosen chart."""
-        return scene if self.max_lp_per_mm is None else scene.with_parameters(**{MAX_LP_PER_MM: repr(self.max_lp_per_mm)})
-
-    @property
-    def without_chart(self) -> View:
-        """The view without its chart, for a scene that has another one."""
-        return View(self.dots)
-
-    def as_chosen(self, other: View) -> View:
-        """Return the view with what another one chose too, so that scores under both are comparable."""
-        chart = self if self.max_lp_per_mm is None or other.max_lp_per_mm is None else other
-        return View(self.dots and (other.dots or self.dots), chart.max_lp_per_mm, chart.limited_by)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return what was chosen, as in score.json and summary.json."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
-
-
-def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene | None) -> View:
-    """Return display and chart for a data sheet's sensor of a pitch, where nobody set them.
-
-    The dots are the columns of pixels on the die, 8 to 2048. The chart ends at the least of the Nyquist frequencies of sensor and
-    display and the cut-off of the lens in green light.
+    `dots` are the columns of pixels on the die, 8 to 2048. The CSF chart ends at `max_lp_per_mm` on the sensor, the least of the
+    Nyquist frequencies of sensor and display and the cut-off of the lens in green light; `limited_by` names it. What was set, or
+    does not apply, is left out. `with_view` completes settings with them.
 
     camera : of the window that is simulated
     scene : None for a picture of another program
@@ -97,8 +58,9 @@ def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene 
     columns = pixels_along(camera.die_um[1], pitch_um)
     dots = min(max(columns, ALLOWED_DOTS[0]), ALLOWED_DOTS[1])
     free = fixed and "dots" not in display.model_fields_set
+    chosen: dict[str, Any] = {"dots": dots} if free else {}
     if scene is None or not scene.shows_csf or MAX_LP_PER_MM in scene.parameters:
-        return View(dots if free else None)
+        return chosen
     limits = {
         "the sensor's Nyquist frequency": 1e3 / (2 * pitch_um),
         "the lens's cut-off": float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)),
@@ -107,7 +69,28 @@ def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene 
         limits["the display's Nyquist frequency"] = (dots if free else display.dots) / (2 * camera.die_mm)
     limited_by = min(limits, key=lambda name: limits[name])
     lowest = MIN_FREQUENCY_LP_PER_MM * DIE_MM / camera.die_mm
-    return View(dots if free else None, max(limits[limited_by], 2**MIN_OCTAVES * lowest), limited_by)
+    return chosen | {MAX_LP_PER_MM: max(limits[limited_by], 2**MIN_OCTAVES * lowest), "limited_by": limited_by}
+
+
+def with_view(settings: Chosen, view: Mapping[str, Any]) -> Chosen:
+    """Return settings with the display and the chart of `choose_view`, except for what they state of them."""
+    display, scene = settings.display, settings.scene
+    if "dots" in view and "dots" not in display.model_fields_set:
+        display = display.model_copy(update={"dots": view["dots"]})
+    if MAX_LP_PER_MM in view:
+        chart = {MAX_LP_PER_MM: view[MAX_LP_PER_MM]}
+        scene = chart | scene if isinstance(scene, dict) else scene.model_copy(update={"parameters": chart | scene.parameters})
+    return settings.model_copy(update={"display": display, "scene": scene})
+
+
+def scene_with_view(scene: Scene, view: Mapping[str, Any]) -> Scene:
+    """Return a scene with the chart of `choose_view`."""
+    return scene.with_parameters(**{MAX_LP_PER_MM: repr(view[MAX_LP_PER_MM])}) if MAX_LP_PER_MM in view else scene
+
+
+def without_chart(view: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a view without its chart, for a scene that has another one."""
+    return {name: value for name, value in view.items() if name == "dots"}
 
 
 MIN_ACROSS = 16  # pixels across the die, of the largest pitch by default
@@ -212,6 +195,16 @@ def finest_pixel(study: Study) -> PixelPhysics:
     return min(smallest, key=lambda physics: physics.aperture_side_um)
 
 
+def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool = False, *, film_is_known: bool = False) -> Plan:
+    """Return the plan of the render of one frame.
+
+    film_is_known : whether the film of the scene is that of a calibration, in place of the one that suits the display
+    """
+    display, tolerance_e = None if film_is_known else settings.display, settings.tolerance_e
+    pixel, exposure = settings.pixel, settings.exposure
+    return make_plan(scene, camera, pixel, exposure=exposure, display=display, tolerance_e=tolerance_e, full=full)
+
+
 def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
     """Return the plan of a study's render. With a tolerance of ΔE, samples are a part of the calibrated error."""
     coloured = [name for name in study.technologies if study.options_of(name).colour is not None]
@@ -283,30 +276,20 @@ def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] 
     return scene, scene.camera(study.camera, study.lens).window(study.window_mm)
 
 
-@dataclass(frozen=True)
-class StudyJob:
-    """A study with everything that it left open, found and checked before anything is rendered.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StudyJob(Job[Study]):
+    """A study that is prepared.
 
-    study : with its pixel sizes, display and chart
-    scene, camera : of the study; the camera is that of the window
-    view : display and chart that pixsim chose for the sensor of a data sheet
-    cases : of its axes and conditions; a study without them is its own only case
-    variant : of Mitsuba; None means the fastest that works
+    asked : as it was given
+    study : with its pixel sizes, display and chart; one without axes and conditions is its own only case
+    scene : of the study itself
     uncertainty : of the study's [pixel] and data sheets, as its files state it
     """
 
+    asked: Study
     study: Study
     scene: Scene
-    camera: Camera
-    view: View
-    cases: tuple[Prepared[Study], ...]
-    variant: str | None = None
     uncertainty: Uncertainty = field(default_factory=dict)
-
-    @property
-    def has_cases(self) -> bool:
-        """Whether the study has axes or conditions."""
-        return self.study.has_cases
 
     @property
     def evaluations(self) -> int:
@@ -327,15 +310,16 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
             warn(f"the [quick] table of the study {study.name} changes nothing: what it sets was given otherwise")
         else:
             warn(f"the study {study.name} has no [quick] table: running it in full")
-    study = with_range_ends(study.quickened if quick else study)
+    asked = study.quickened if quick else study
+    study = with_range_ends(asked)
     if not study.has_cases:
         check_technologies(study)
         scene, camera = scene_for(study, variant)
         fitted = fitted_range(study, camera)
         view = _chosen_view(fitted, scene, camera)
-        whole = _checked(Case(_with_view(fitted, view)), view.scene(scene), camera)
+        whole = _checked(Case(with_view(fitted, view)), scene_with_view(scene, view), camera)
         warn_of_unused([(study, whole.settings)])
-        return StudyJob(whole.settings, whole.scene, camera, view, (whole,), variant)
+        return StudyJob(asked=asked, study=whole.settings, scene=whole.scene, view=view, cases=(whole,), variant=variant)
     # Display and chart are those of the study itself, so that all of its cases are comparable.
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
@@ -349,16 +333,17 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
     prepared: list[Prepared[Study]] = []
     cases = cases_of(study)
     for case in cases:
-        with _named(case):
+        with named(case.words or BASE):
             shown = _same_chart(case.settings, own) or scene_for(case.settings, variant, scenes)[0].shows_csf
-            complete = _with_view(case.settings, view if shown else view.without_chart)
+            complete = with_view(case.settings, view if shown else without_chart(view))
             check_technologies(complete)
             scene_of_case, its_camera = scene_for(complete, variant, scenes)
             prepared.append(_checked(replace(case, settings=fitted_range(complete, its_camera)), scene_of_case, its_camera))
     warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, prepared, strict=True)])
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
-    kept = view if all(_same_chart(each.settings, own) for each in prepared) else view.without_chart
-    return StudyJob(_with_view(study, kept), view.scene(scene), camera, view, tuple(prepared), variant)
+    kept = view if all(_same_chart(each.settings, own) for each in prepared) else without_chart(view)
+    study, scene = with_view(study, kept), scene_with_view(scene, view)
+    return StudyJob(asked=asked, study=study, scene=scene, view=view, cases=tuple(prepared), variant=variant)
 
 
 def warn_of_unused(cases: Sequence[tuple[Study, Study]]) -> None:
@@ -389,24 +374,8 @@ def _without_axes(study: Study) -> Study:
     return Study.model_validate(table)
 
 
-@contextmanager
-def _named(case: Case[Study]) -> Iterator[None]:
-    """Name the case in an error."""
-    try:
-        yield
-    except PixsimError as error:
-        raise PixsimError(f"{case.words or 'base'}: {error}") from None
-
-
-def _chosen_view(study: Study, scene: Scene, camera: Camera) -> View:
-    return View() if study.own_um is None else choose_view(study.own_um, camera, study.display, scene)
-
-
-def _with_view(study: Study, view: View) -> Study:
-    """Return the study with the display and the chart of a view, except for what an axis or a condition sets of them."""
-    display = study.display if "dots" in study.display.model_fields_set else view.display(study.display)
-    of_scene = study.scene.model_copy(update={"parameters": view.parameters({}) | study.scene.parameters})
-    return study.model_copy(update={"display": display, "scene": of_scene})
+def _chosen_view(study: Study, scene: Scene, camera: Camera) -> dict[str, Any]:
+    return {} if study.own_um is None else choose_view(study.own_um, camera, study.display, scene)
 
 
 def _checked(case: Case[Study], scene: Scene, camera: Camera) -> Prepared[Study]:

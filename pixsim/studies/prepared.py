@@ -1,12 +1,15 @@
-"""A case with everything that it left open, found and checked before anything is rendered."""
+"""Jobs and their cases: what a command runs, with everything that it left open, found and checked before anything is rendered."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic
 
+from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera
+from pixsim.light.spectral import SpectralImage
 from pixsim.studies.cases import Case, Settings
 
 if TYPE_CHECKING:
@@ -18,13 +21,29 @@ class Prepared(Generic[Settings]):
     """A case whose scene and camera are found.
 
     case : its settings are complete: with pixel sizes, display and chart
-    scene : with its chart
+    source : the scene with its chart, or the picture of another program
     camera : of the window, or of the part of the field that all sensors of a comparison see
     """
 
     case: Case[Settings]
-    scene: Scene
+    source: Scene | SpectralImage
     camera: Camera
+
+    @property
+    def picture(self) -> SpectralImage | None:
+        """The picture of another program; None for a scene."""
+        return self.source if isinstance(self.source, SpectralImage) else None
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of a case without a picture."""
+        assert not isinstance(self.source, SpectralImage)
+        return self.source
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """What is known of its light before a render: the header of a picture, or the parameters of a scene."""
+        return {"parameters": self.scene.parameters} if self.picture is None else self.picture.header
 
     @property
     def settings(self) -> Settings:
@@ -35,6 +54,40 @@ class Prepared(Generic[Settings]):
     def name(self) -> str:
         """Name of its sensor in a comparison."""
         return self.case.sensor
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Job(Generic[Settings]):
+    """Cases that were found and checked: of a run, of a study, or of a comparison under one condition.
+
+    cases : a run has one, a study those of its axes and conditions, a comparison one for each sensor
+    view : display and chart that pixsim chose for the sensor of a data sheet, of `choose_view`
+    sensor, variant : id of the scene's sensor, and variant of Mitsuba, as they were given
+    """
+
+    cases: tuple[Prepared[Settings], ...]
+    view: Mapping[str, Any] = field(default_factory=dict)
+    sensor: str | None = None
+    variant: str | None = None
+
+    @property
+    def settings(self) -> Settings:
+        """The complete settings of the first case."""
+        return self.cases[0].settings
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the first case."""
+        return self.cases[0].camera
+
+
+@contextmanager
+def named(part: str) -> Iterator[None]:
+    """Name a case, a sensor or a condition in an error about its settings; nothing, if there is only one."""
+    try:
+        yield
+    except PixsimError as error:
+        raise PixsimError(f"{part}: {error}" if part else str(error)) from None
 
 
 def loaded_scene(

@@ -233,7 +233,7 @@ class StudyResult:
     camera : with which it was rendered
     film : error of the film of its irradiance
     budget : error budget of the first curve, if a tolerance of ΔE was requested
-    view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.preparation.View`)
+    view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.preparation.choose_view`)
     settings_toml : text of settings.toml, from which `pixsim study` makes the same numbers again
     warned : warnings while it was computed
     uncertainty : for each curve a `pixsim.studies.uncertainty.UncertaintyResult`, if sensor types were asked for

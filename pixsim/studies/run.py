@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ from pixsim.base.progress import Stage, no_stage, share_of, watched
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.exchange import read_with_camera
 from pixsim.scene.convergence import without_clock
-from pixsim.scene.plan import Plan, make_plan
+from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene, packaged_scenes
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_on
 from pixsim.sensor.pixel import derive
@@ -33,10 +33,12 @@ from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.pages import rows_csv
 from pixsim.show.render import html_cell
 from pixsim.studies.budget import ProbeDesign, Settled, settle
+from pixsim.studies.cases import Case
+from pixsim.studies.lights import demand_of
 from pixsim.studies.oversampling import Demand, Light, light_of
 from pixsim.studies.paired import mean_interval
-from pixsim.studies.preparation import View, choose_view
-from pixsim.studies.prepared import loaded_scene
+from pixsim.studies.preparation import choose_view, scene_with_view, with_view
+from pixsim.studies.prepared import Job, Prepared, loaded_scene
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.imaging import Imaging
@@ -55,59 +57,49 @@ BEFORE_FRAME = 0.8  # of the work of "sense and score"
 # --- what is run, before anything is rendered ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class RunJob:
-    """A run with everything that it left open, found and checked before anything is rendered.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RunJob(Job[Run]):
+    """A run that is prepared.
 
     source : scene, or picture of another program
-    light : the picture, or what the pixel asks of the scene's light
     asked : settings as they were given
-    settings : with what they left open
-    camera : of the window
-    view : display and chart that pixsim chose for the sensor of a data sheet
     settled : settings that a calibration chose for a tolerance of ΔE; None before it, and without a tolerance
     full : whether no effect is left out
     repeats : number of sensors of the kind; a tolerance of ΔE may take more
     frames : number of frames of the first sensor
-    sensor, variant, units : id of the scene's sensor, variant of Mitsuba, and units of the picture, as they were given
+    units : of the picture, as they were given
     """
 
     source: str
     asked: Run
-    settings: Run
-    camera: Camera
-    light: SpectralImage | Demand = field(repr=False)
-    view: View = field(default_factory=View)
     settled: Settled | None = None
     full: bool = False
     repeats: int = 1
     frames: int = 1
-    sensor: str | None = None
-    variant: str | None = None
     units: str | None = None
 
-    @property
-    def header(self) -> dict[str, Any]:
-        """What is known of the light before it is rendered: the header of a picture, or the parameters of a scene."""
-        return self.light.header if isinstance(self.light, SpectralImage) else {"parameters": self.light.scene.parameters}
+    @cached_property
+    def demand(self) -> Demand:
+        """What the pixel asks of the scene's light."""
+        return demand_of(self.cases[0], self.settled, full=self.full)
 
     def repeating(self, irradiance: SpectralImage) -> Run:
         """Return the settings with which `pixsim run` makes the same numbers again.
 
         irradiance : of this run
         """
-        if isinstance(self.light, SpectralImage):
+        if self.cases[0].picture:
             return self.settings
         # Display and chart, too, may have been chosen; defaults in their place would count as given.
-        of_view = {"display": self.settings.display, "scene": scene_table(self.light.scene.path.parent, self.settings.scene)}
+        of_view = {"display": self.settings.display, "scene": scene_table(self.cases[0].scene.path.parent, self.settings.scene)}
         return without_clock(self.asked, self.settings, irradiance).model_copy(update=of_view)
 
     @property
     def whole_source(self) -> str:
         """The scene or picture, for a command in another folder."""
-        if isinstance(self.light, SpectralImage):
+        if self.cases[0].picture:
             return str(Path(self.source).resolve())
-        return self.source if self.source in packaged_scenes() else str(self.light.scene.path)
+        return self.source if self.source in packaged_scenes() else str(self.cases[0].scene.path)
 
 
 def prepare(
@@ -134,14 +126,13 @@ def prepare(
     if settings.tolerance_delta_e and full:
         allowed = f"one of the two: a tolerance selects cheaper settings, {setting('full')} uses none"
         raise invalid(setting("tolerance_delta_e"), f"with {setting('full')}", allowed)
-    light: SpectralImage | Demand
     scene: Scene | None = None
     if Path(source).suffix.lower() in PICTURE_SUFFIXES:
         if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.resolution or settings.window_mm:
             options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution, --window"
             raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
         picture, whole = read_with_camera(source, settings.camera, units, settings.lens)
-        light, given = picture, replace(given, light=picture)
+        given = replace(given, light=picture)
     else:
         if units:
             allowed = "a picture (.exr, .npz, .hdr); the units of a render are known"
@@ -149,22 +140,18 @@ def prepare(
         scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
         whole = scene.camera(settings.camera, settings.lens)
     warn_of_unused_settings({"": [given]})
-    camera, view = whole.window(settings.window_mm), View()
-    if settings.pixel.technology == NO_TECHNOLOGY:
-        view = choose_view(pitch_um, camera, settings.display, scene)
+    camera = whole.window(settings.window_mm)
+    of_sheet = settings.pixel.technology == NO_TECHNOLOGY
+    view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}
     check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
     dot_edges_um(camera.die_um, pitch_um, settings.display, pitch_um)
-    chosen = {"camera": whole.options, "display": view.display(settings.display), "scene": view.parameters(settings.scene)}
-    complete = settings.model_copy(update=chosen)
-    if scene is not None:
-        light = demand_of(view.scene(scene), camera, complete, full)
-    return RunJob(
-        source,
-        settings,
-        complete,
-        camera,
-        light,
-        view,
+    complete = with_view(settings, view).model_copy(update={"camera": whole.options})
+    case = Prepared(Case(complete), picture if scene is None else scene_with_view(scene, view), camera)
+    job = RunJob(
+        source=source,
+        asked=settings,
+        cases=(case,),
+        view=view,
         full=full,
         repeats=repeats,
         frames=frames,
@@ -172,58 +159,46 @@ def prepare(
         variant=variant,
         units=units,
     )
-
-
-def demand_of(scene: Scene, camera: Camera, settings: Run, full: bool, settled: Settled | None = None) -> Demand:
-    """Return what the pixel of a run asks of its light.
-
-    scene : on the film of a calibration, if there is one; else that of the user, in place of which the plan has a finer one
-    """
-    planned = partial(plan_of, camera=camera, settings=settings, full=full, film_is_known=settled is not None)
-    imaging = Imaging.of(settings, camera)
-    return Demand(scene, planned(scene), planned, settings, settings.pixel, [imaging], settled=settled)
-
-
-def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool, *, film_is_known: bool = False) -> Plan:
-    """Return the plan of a run's render.
-
-    film_is_known : whether the film of the scene is that of a calibration, in place of the one that suits the display
-    """
-    return make_plan(
-        scene,
-        camera,
-        settings.pixel,
-        exposure=settings.exposure,
-        display=None if film_is_known else settings.display,
-        tolerance_e=settings.tolerance_e,
-        full=full,
-    )
+    if scene is not None:
+        job.demand  # noqa: B018 – raises an error if the scene has no plan
+    return job
 
 
 # --- the result ------------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class RunResult:
+class LitRun:
+    """A run whose light is known. The fields are those of `RunResult`."""
+
+    prepared: RunJob = field(repr=False)
+    irradiance: SpectralImage = field(repr=False)
+    rendered: Light | None = field(default=None, repr=False)
+    plan: Plan | None = field(default=None, repr=False)
+    warned: tuple[str, ...] = ()
+
+    @property
+    def technology(self) -> Technology:
+        """The process of the pixel, as its file has it."""
+        return load_technology(self.prepared.settings.pixel.technology)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunResult(LitRun):
     """A scene as one sensor sees it, with its score.
 
     prepared : what was run: source, settings and camera, with what a tolerance of ΔE chose
     irradiance : light on the sensor, before diffraction
+    rendered, plan : the light as it was rendered, with its errors, and the plan of that; None for light of another program
+    warned : warnings meanwhile
     chain : from the light to frames and scores of further sensors of the kind
     score : of the first frame of the first sensor, with its pictures
     statistics : `Score.statistics` of the first frame of each sensor
-    rendered, plan : the light as it was rendered, with its errors, and the plan of that; None for light of another program
-    warned : warnings meanwhile
     """
 
-    prepared: RunJob = field(repr=False)
-    irradiance: SpectralImage = field(repr=False)
     chain: ImagingChain = field(repr=False)
     score: Score = field(repr=False)
     statistics: tuple[dict[str, float], ...] = field(repr=False)
-    rendered: Light | None = field(default=None, repr=False)
-    plan: Plan | None = field(default=None, repr=False)
-    warned: tuple[str, ...] = ()
 
     @property
     def settings(self) -> Run:
@@ -307,7 +282,7 @@ class RunResult:
     @property
     def assumption(self) -> str:
         """What was assumed of the technology and the lens, which nobody stated; empty for nothing."""
-        of_lens = "" if isinstance(self.prepared.light, SpectralImage) else self.prepared.asked.camera.assumption(self.camera)
+        of_lens = "" if self.prepared.cases[0].picture else self.prepared.asked.camera.assumption(self.camera)
         return "; ".join(filter(None, (self.settings.pixel.assumption, of_lens)))
 
     @property
@@ -344,7 +319,7 @@ class RunResult:
         `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the border that is not scored.
         """
         prepared, settings, score = self.prepared, self.settings, self.score
-        more: dict[str, Any] = {"chosen": prepared.view.as_dict()}
+        more: dict[str, Any] = {"chosen": {**prepared.view}}
         if self.rendered is not None and self.plan is not None:
             more |= {"render_noise": asdict(self.rendered.noise), "plan": self.plan.as_dict(), "film": self.film}
             more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
@@ -447,22 +422,6 @@ def run(
         return run_prepared(prepared, progress=progress)
 
 
-@dataclass(frozen=True)
-class LitRun:
-    """A run whose light is known. The fields are those of `RunResult`."""
-
-    prepared: RunJob
-    irradiance: SpectralImage = field(repr=False)
-    rendered: Light | None = field(default=None, repr=False)
-    plan: Plan | None = field(default=None, repr=False)
-    warned: tuple[str, ...] = ()
-
-    @property
-    def technology(self) -> Technology:
-        """The process of the pixel, as its file has it."""
-        return load_technology(self.prepared.settings.pixel.technology)
-
-
 def run_prepared(prepared: RunJob, *, progress: Stage | None = None) -> RunResult:
     """Run what is prepared.
 
@@ -475,10 +434,10 @@ def run_prepared(prepared: RunJob, *, progress: Stage | None = None) -> RunResul
 def light_run(prepared: RunJob, stage: Stage) -> LitRun:
     """Return a run with its light, with the white that it is shown with."""
     with collected_notes() as notes:
-        rendered, plan = None, None
-        if isinstance(image := prepared.light, Demand):
-            prepared, demand = with_tolerance(prepared, image, stage)
-            rendered, plan = light_of(demand, stage("render"))
+        image, rendered, plan = prepared.cases[0].picture, None, None
+        if image is None:
+            prepared = with_tolerance(prepared, stage)
+            rendered, plan = light_of(prepared.demand, stage("render"))
             image = rendered.image
         seen = Seen(image, prepared.camera, derive(prepared.settings.pixel))
         image.header |= white_header([seen], prepared.settings.display)
@@ -501,19 +460,19 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
             statistics.append(chain.simulate("evaluate", settings.seed, number).statistics())
             scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
     warned = tuple(dict.fromkeys([*lit.warned, *notes]))
-    result = RunResult(prepared, image, chain, score, tuple(statistics), lit.rendered, lit.plan, warned)
+    of_light = prepared, image, lit.rendered, lit.plan, warned
+    result = RunResult(*of_light, chain=chain, score=score, statistics=tuple(statistics))
     return replace(result, score=replace(score, light=result.light))
 
 
-def with_tolerance(prepared: RunJob, demand: Demand, stage: Stage) -> tuple[RunJob, Demand]:
-    """Return a run and its demand, with the settings that a calibration chooses if it has a tolerance of ΔE."""
+def with_tolerance(prepared: RunJob, stage: Stage) -> RunJob:
+    """Return a run with the settings that a calibration chooses if it has a tolerance of ΔE."""
     settings, camera = prepared.settings, prepared.camera
     if not settings.tolerance_delta_e:
-        return prepared, demand
+        return prepared
     stage("calibrate")
     probed = ProbeDesign(Imaging.of(settings, camera), settings.seed)
-    settled = settle(demand.scene, camera, probed, settings.tolerance_delta_e)
+    settled = settle(prepared.cases[0].scene, camera, probed, settings.tolerance_delta_e)
     chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
     settings = settings.model_copy(update=chosen | {"resolution": settled.scene.resolution})
-    demand = demand_of(settled.scene, camera, settings, prepared.full, settled)
-    return replace(prepared, settings=settings, light=demand, settled=settled), demand
+    return replace(prepared, cases=(Prepared(Case(settings), settled.scene, camera),), settled=settled)

@@ -27,9 +27,9 @@ from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
 from pixsim.studies.keys import remember_evaluated
-from pixsim.studies.lights import render_all
+from pixsim.studies.lights import lights_of_cases
 from pixsim.studies.oversampling import Light
-from pixsim.studies.preparation import StudyJob, View, prepare
+from pixsim.studies.preparation import StudyJob, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of, few
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
@@ -109,7 +109,7 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
 def evaluate_cases(
     cases: Sequence[Case[Study]],
     lights: Sequence[Light],
-    view: View,
+    view: Mapping[str, Any],
     results: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
@@ -209,9 +209,7 @@ def evaluate_cases(
             )
             for number in numbers
         )
-        found.append(
-            StudyResult(case.settings, complete, light.image, light.camera, light.film, view=view.as_dict(), lights=scenes)
-        )
+        found.append(StudyResult(case.settings, complete, light.image, light.camera, light.film, view=dict(view), lights=scenes))
     return found, evaluations.counts
 
 
@@ -345,13 +343,13 @@ def run_prepared(
     with collected_notes() as notes, ExitStack() as stack:
         ResultsFile(Path(out) / "results.csv").check_replaceable()
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
-        if chosen.tolerance_delta_e and not job.has_cases:
+        if chosen.tolerance_delta_e and not job.study.has_cases:
             stage("calibrate")
             from pixsim.studies.budget import settled_study
 
             chosen, settled = settled_study(chosen, job.scene, job.camera)
             job, cases = replace(job, study=chosen), [Case(chosen)]
-        lights = render_all(cases, job.variant, stage, workers, settled, store=PictureFile(folder).stored)
+        lights = lights_of_cases(cases, job.variant, stage, workers, settled, store=PictureFile(folder).stored)
         reasons = [light for light in lights if isinstance(light, str)]
         lit = [(case, light) for case, light in zip(cases, lights, strict=True) if not isinstance(light, str)]
         found: list[StudyResult] = []
@@ -368,21 +366,21 @@ def run_prepared(
             warn(note)
         warn_of_idle_axes(chosen, found)
         curves = found[0].curves
-        if not job.has_cases and chosen.own_um is not None and chosen.display.raster == "fixed_size":
-            curves = curves_viewed(found[0], job.view, workers, stage("on other displays"))
+        if not job.study.has_cases and chosen.own_um is not None and chosen.display.raster == "fixed_size":
+            curves = curves_viewed(found[0], workers, stage("on other displays"))
         findings: tuple[tuple[Any, ...], ...] = ()
-        if job.has_cases and chosen.paper:
+        if job.study.has_cases and chosen.paper:
             from pixsim.studies.claims import findings_of_cases
 
             findings = findings_of_cases(found, workers, stage("paper's statements"))
     first, budget = found[0], None
     irradiance = first.irradiance
-    settings_toml = repeated_settings(job, chosen if job.has_cases else first.study, irradiance, asked)
+    settings_toml = repeated_settings(job, chosen if job.study.has_cases else first.study, irradiance, asked)
     if settled is not None:
         noise, sensors = RenderNoise(**irradiance.header["render_noise"]), int(first.curves[0].sensors.min())
         budget = settled.budget(noise, irradiance.header["bound_e"], sensors)
     final = replace(first, warned=tuple(notes), curves=curves, settings_toml=settings_toml, budget=budget)
-    if job.has_cases:
+    if job.study.has_cases:
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
         final = CasesResult(
             chosen,

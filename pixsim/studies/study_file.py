@@ -175,6 +175,12 @@ def load_study(
     return checked_study(study_layers(read_study(name), [Path(path) for path in listed(config)], options), options)
 
 
+def study_of(study: Study | str | os.PathLike[str]) -> tuple[Layer, Study]:
+    """Return a study as its file states it, and checked. Raises PixsimError for an invalid one."""
+    layer = Layer(study.model_dump(mode="json", exclude_unset=True)) if isinstance(study, Study) else read_study(study)
+    return layer, checked_study([layer])
+
+
 def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = None) -> Study:
     """Return a study from its table and overriding options; its `quick` table is checked too, even if unused.
 

@@ -25,7 +25,8 @@ from pixsim.scene.scene import Scene, chart_parameters
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.budget import MAX_DOTS, ProbeDesign, calibrate, effects, pitches_around_optimum_um, probe
-from pixsim.studies.prepared import loaded_scene
+from pixsim.studies.cases import Case
+from pixsim.studies.prepared import Prepared, loaded_scene
 from pixsim.studies.run import RunJob, RunResult
 from pixsim.verification import ladders, stability
 from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
@@ -61,7 +62,8 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, design: ProbeDesign)
 
 def seconds_to_score(image: SpectralImage, design: ProbeDesign, source: str, settings: Run) -> dict[str, float]:
     """Seconds of each stage after the render, as in `pixsim run`; diffraction is timed alone, not in `prepare_scene`."""
-    prepared = RunJob(source, settings, settings, design.imaging.camera, image)
+    case = Prepared(Case(settings), image, design.imaging.camera)
+    prepared = RunJob(source=source, asked=settings, cases=(case,))
     without_diffraction = copy(image)
     without_diffraction.header = image.header | {"diffraction": False}
     imaging, ends = design.imaging, [time.perf_counter()]
@@ -75,7 +77,7 @@ def seconds_to_score(image: SpectralImage, design: ProbeDesign, source: str, set
         ends.append(time.perf_counter())
         score = chain.score_frame(frame)
         ends.append(time.perf_counter())
-        write_all(RunResult(prepared, image, chain, score, (score.statistics(),)), folder)
+        write_all(RunResult(prepared, image, chain=chain, score=score, statistics=(score.statistics(),)), folder)
         ends.append(time.perf_counter())
     diffraction, ideal, sensor, shown, report = (end - start for start, end in pairwise(ends))
     return {"diffraction": diffraction, "sensor": sensor, "S-CIELAB": ideal + shown, "report": report}

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 from typing import Any
 
 from pixsim.base.parameters import Camera, Run
-from pixsim.studies.preparation import View
 from pixsim.studies.run import RunResult
 from pixsim.viewer.causes import Cause
 
@@ -32,13 +31,16 @@ def run_result(
     settings : tables of `Run`
     known : properties in place of what would be computed
     """
-    prepared: Any = SimpleNamespace(settings=Run.model_validate(settings or {}), camera=Camera(), view=View(), light=None)
+    prepared: Any = SimpleNamespace(
+        settings=Run.model_validate(settings or {}), camera=Camera(), view={}, cases=[SimpleNamespace(picture=True)]
+    )
     prepared.asked = prepared.settings
     physics, border = SimpleNamespace(pitch_um=pitch_um), (border_um, border_um)
     score: Any = SimpleNamespace(frame=SimpleNamespace(**frame), physics=physics, border_um=border, mean_delta_e=delta_e[0])
     rendered: Any = film and SimpleNamespace(film=SimpleNamespace(as_dict=lambda: film))
     light: Any = SimpleNamespace(header=header)
     chain: Any = SimpleNamespace(rendition=None)
-    result = RunResult(prepared, light, chain, score, tuple({"mean_delta_e": value} for value in delta_e), rendered)
+    statistics = tuple({"mean_delta_e": value} for value in delta_e)
+    result = RunResult(prepared, light, rendered, chain=chain, score=score, statistics=statistics)
     result.__dict__.update({"causes": tuple(causes), "budget": None, **known})
     return result

@@ -15,9 +15,9 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Study
 from pixsim.studies.averages import Averaged
-from pixsim.studies.circumstances import circumstances_of
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.lineup import prepare
+from pixsim.studies.study_file import study_of
 from pixsim.studies.verdicts import headline
 
 DAY = {"scene": {"parameters": {"luminance_cd_per_m2": 300.0}}, "exposure": {"max_integration_s": 0.02}}
@@ -111,9 +111,9 @@ def test_view_of_all_conditions_is_that_of_the_shown_one(files: list[Path]) -> N
     for order, limit in (([slow, fast], "the lens's cut-off"), ([fast, slow], "the sensor's Nyquist frequency")):
         study = Study.model_validate({"name": "lenses", "condition": order})
         made = prepare(files, study=study, match="view", repeats=2)
-        assert {part.view for part in made.conditions} == {made.shown.view}
-        assert made.shown.view.limited_by == limit
-        own = {part.sensors[0].scene.parameters["max_lp_per_mm"] for part in made.conditions}
+        assert all(part.view == made.shown.view for part in made.conditions)
+        assert made.shown.view["limited_by"] == limit
+        own = {part.cases[0].scene.parameters["max_lp_per_mm"] for part in made.conditions}
         assert len(own) == 1
     fewer = {"name": "fewer", "set": {"display": {"dots": 30}}}
     made = prepare(files, study=Study.model_validate({"name": "dots", "condition": [fast, fewer]}), match="view", repeats=2)
@@ -127,16 +127,15 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     study = plan(camera={"f_number": 2.0, "die_mm": 9.0}, technologies=["4t-bsi"], condition=BOTH)
     made = prepare([b, a], study=study, match="own", repeats=2, options={"exposure": {"well_target": 0.5}})
     day, night = made.conditions
-    assert [each.camera.f_number for each in day.sensors] == [2.0, 8.0], "the study's lens is for files that state none"
-    assert [each.camera.f_number for each in night.sensors] == [2.0, 2.0], "a condition's is for all"
-    assert [each.settings.exposure.max_integration_s for each in day.sensors] == [0.02, 0.02]
-    assert [each.settings.exposure.max_integration_s for each in night.sensors] == [0.05, 0.05], (
+    assert [each.camera.f_number for each in day.cases] == [2.0, 8.0], "the study's lens is for files that state none"
+    assert [each.camera.f_number for each in night.cases] == [2.0, 2.0], "a condition's is for all"
+    assert [each.settings.exposure.max_integration_s for each in day.cases] == [0.02, 0.02]
+    assert [each.settings.exposure.max_integration_s for each in night.cases] == [0.05, 0.05], (
         "the study's takes precedence over a file's"
     )
-    assert {each.settings.exposure.well_target for part in made.conditions for each in part.sensors} == {0.5}
-    assert made.shown.sensors[0].camera.die_mm == 1.28
-    assert made.circumstances is not None
-    assert set(made.circumstances.not_used) == {"technologies", "camera.die_mm"}
+    assert {each.settings.exposure.well_target for part in made.conditions for each in part.cases} == {0.5}
+    assert made.shown.cases[0].camera.die_mm == 1.28
+    assert set(made.not_used) == {"technologies", "camera.die_mm"}
 
 
 def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list[Path]) -> None:
@@ -147,10 +146,9 @@ def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list
     same = prepare(files, study=plan(), options=tables | {"lens": {"file": "cooke_triplet"}}, **options)
     assert made.shown.settings == same.shown.settings
     assert made.shown.settings.correction.dark_frames == 4
-    assert [each.camera for each in made.shown.sensors] == [each.camera for each in same.shown.sensors]
-    assert made.shown.sensors[0].camera.lens is not None
-    assert made.circumstances is not None
-    assert made.circumstances.not_used == ()
+    assert [each.camera for each in made.shown.cases] == [each.camera for each in same.shown.cases]
+    assert made.shown.cases[0].camera.lens is not None
+    assert made.not_used == ()
 
 
 def test_options_that_every_condition_sets_are_named(files: list[Path], recwarn: pytest.WarningsRecorder) -> None:
@@ -164,9 +162,8 @@ def test_scene_of_option_is_without_the_parameters_of_the_study(files: list[Path
     study = plan(scene={"file": "csf", "parameters": {"max_lp_per_mm": 12.0}})
     made = prepare(files, "flat", study=study, match="view", repeats=2)
     assert made.shown.scene == "flat"
-    assert made.circumstances is not None
-    assert made.circumstances.not_used == ("scene",)
-    assert prepare(files, study=study, match="view", repeats=2).shown.sensors[0].scene.parameters["max_lp_per_mm"] == "12.0"
+    assert made.not_used == ("scene",)
+    assert prepare(files, study=study, match="view", repeats=2).shown.cases[0].scene.parameters["max_lp_per_mm"] == "12.0"
 
 
 def test_condition_with_a_scene_of_its_own(files: list[Path]) -> None:
@@ -252,9 +249,9 @@ def test_compare_invalid_study_raises(
         (".", ["study", "'.'", "a TOML file"]),
     ],
 )
-def test_circumstances_of_other_files_raise(study: str, texts: list[str]) -> None:
+def test_study_of_other_files_raises(study: str, texts: list[str]) -> None:
     with pytest.raises(PixsimError) as error:
-        circumstances_of(study)
+        study_of(study)
     assert not [text for text in texts if text not in str(error.value)], str(error.value)
 
 

@@ -21,7 +21,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
-from pixsim.studies import evaluations
+from pixsim.studies import evaluations, oversampling
 from pixsim.studies.averages import Averaged
 from pixsim.studies.compare import series_of_sensor
 from pixsim.studies.comparison import Comparison
@@ -126,12 +126,12 @@ def test_prepare_scores_one_part_of_the_scene(match: str, tmp_path: Path) -> Non
         sheet(tmp_path / "fine.toml", pitch_um=7.7, pixels="[150, 151]", more=lens),
     ]
     made = prepared(files, match=match)
-    coarse, fine = made.sensors
+    coarse, fine = made.cases
     assert made.finest == "fine"
     assert made.settings.display.dots == pixels_of(fine)[1]  # those of the common field
-    widest = max(sensor.settings.pixel.pitch_um / (1e3 * sensor.camera.die_mm) for sensor in made.sensors)
+    widest = max(sensor.settings.pixel.pitch_um / (1e3 * sensor.camera.die_mm) for sensor in made.cases)
     assert made.border == pytest.approx(1.5 * widest, rel=1e-12)
-    cycles = [float(sensor.scene.parameters[MAX_LP_PER_MM]) * sensor.camera.die_mm for sensor in made.sensors]
+    cycles = [float(sensor.scene.parameters[MAX_LP_PER_MM]) * sensor.camera.die_mm for sensor in made.cases]
     assert cycles[0] == pytest.approx(cycles[1], rel=1e-11)
     assert cycles[1] == pytest.approx(fine.camera.die_mm * 1e3 / (2 * 7.7), rel=1e-11)  # its Nyquist frequency
     assert pixels_of(coarse) == pixels_on(coarse.camera.die_um, 21.3)
@@ -160,17 +160,17 @@ def test_half_a_dot_has_the_same_rows_on_every_die() -> None:
 
 def test_technology_without_die_has_that_of_the_sheet(tmp_path: Path) -> None:
     made = prepared([Path("4t-bsi"), sheet(tmp_path / "a.toml", pixels="[100, 60]"), Path("0.35um")], match="lens")
-    assert [each.camera.die_mm for each in made.sensors] == pytest.approx([2.0] * 3)
-    assert [each.camera.height_mm for each in made.sensors] == pytest.approx([1.2] * 3)
-    assert [each.name for each in made.sensors] == ["4t-bsi", "a", "0.35um"]
+    assert [each.camera.die_mm for each in made.cases] == pytest.approx([2.0] * 3)
+    assert [each.camera.height_mm for each in made.cases] == pytest.approx([1.2] * 3)
+    assert [each.name for each in made.cases] == ["4t-bsi", "a", "0.35um"]
 
 
 def test_technologies_keep_the_view_of_run() -> None:
     """Without a data sheet display and chart are those of `pixsim run`."""
     made = prepared([Path("0.35um"), Path("0.18um")])
-    assert made.view.as_dict() == {}
+    assert made.view == {}
     assert made.settings.display == pixsim.Display()
-    assert MAX_LP_PER_MM not in made.sensors[1].scene.parameters
+    assert MAX_LP_PER_MM not in made.cases[1].scene.parameters
 
 
 def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
@@ -184,7 +184,7 @@ def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
         UserWarning, match=r"b\.toml: only \[camera\], \[lens\], \[pixel\], \[exposure\] are used, not display, scene"
     ):
         made = prepared([a, b])
-    assert [each.settings.exposure.max_integration_s for each in made.sensors] == [0.1, 0.01]
+    assert [each.settings.exposure.max_integration_s for each in made.cases] == [0.1, 0.01]
     assert made.settings.display.gamma == 2.2
 
 
@@ -375,6 +375,22 @@ class NoFilm:
 
 
 # --- the film's error -------------------------------------------------------------------------------------------------
+
+
+def test_film_of_each_sensor_is_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The render and the difference measure the same parts of so small a picture; the next comparison measures none."""
+    measured, steps = [], oversampling.film_steps
+    monkeypatch.setattr(oversampling, "film_steps", lambda *own: measured.append(own) or steps(*own))
+    files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", 12.0, 15.0, "[64, 48]")]
+    first, again = (pixsim.compare(files, parameters={"luminance_cd_per_m2": 31.0}, repeats=2, jobs=1, **SMALL) for _ in range(2))
+    assert len(measured) == len(files)
+    assert again.film_delta_e == first.film_delta_e
+    for sensor, own in zip(first.sensors, measured, strict=True):
+        anew = steps(*own)
+        assert anew.delta_e.size
+        np.testing.assert_array_equal(sensor.steps.delta_e, anew.delta_e)
+        np.testing.assert_array_equal(sensor.steps.finer_delta_e, anew.finer_delta_e)
+        assert sensor.steps.error() == anew.error()
 
 
 @pytest.mark.slow

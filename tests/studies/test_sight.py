@@ -11,7 +11,7 @@ from pixsim.base.parameters import Study, merge
 from pixsim.studies import lights as rendering
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.engine import Workers
-from pixsim.studies.lights import render_all, render_for
+from pixsim.studies.lights import lights_of_cases, render_for
 from pixsim.studies.oversampling import SURELY, TOLERATED_DELTA_E, FilmError, Light
 from pixsim.studies.sight import Sight, clearest
 
@@ -33,7 +33,7 @@ def lights_of(patch: pytest.MonkeyPatch, **over: Any) -> tuple[list[Case], list[
         return render_for(study, *more, **named)
 
     patch.setattr(rendering, "render_for", counted)
-    return list(cases), render_all(cases, None, lambda _: lambda *_: None, Workers(1), store=lambda image: image), measured
+    return list(cases), lights_of_cases(cases, None, lambda _: lambda *_: None, Workers(1), store=lambda image: image), measured
 
 
 def test_film_is_measured_for_the_brightest_light_and_the_sharpest_lens(monkeypatch: pytest.MonkeyPatch) -> None:
