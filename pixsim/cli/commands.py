@@ -6,47 +6,25 @@ import io
 import os
 import shutil
 import sys
-import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from cyclopts import Parameter
 
 from pixsim.base.caller import command_line
 from pixsim.base.config import checked, study_layers
 from pixsim.base.errors import UnwritableError, invalid
-from pixsim.base.files import MIB, check_replaceable, output_folder, told_of_finished_files, write_made_from
+from pixsim.base.files import check_replaceable, output_folder, told_of_finished_files, write_made_from
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Layer, LensOptions, Run
 from pixsim.cli import options as common
-from pixsim.cli.options import (
-    DEFAULT_OUT,
-    FILE_WIDTH,
-    HELP,
-    HELP_ALL,
-    Json,
-    Out,
-    SceneOptions,
-    answer,
-    app,
-    field_option,
-    given,
-    say,
-    show,
-    stages,
-)
+from pixsim.cli.options import DEFAULT_OUT, HELP, HELP_ALL, Json, Out, SceneOptions, answer, app, field_option, given, say, stages
 from pixsim.cli.process import interruption
-
-if TYPE_CHECKING:
-    from pixsim.cli.doctor import Finding
-    from pixsim.scene.plan import Plan
-
 
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
@@ -193,8 +171,8 @@ def run(
     """
     import_less()
     from pixsim.report.kept import kept_run
-    from pixsim.report.run import RunFiles, digest_of_run, run_document, write_run
-    from pixsim.show.render import text
+    from pixsim.report.run import RunFiles, digest_of_run, run_page
+    from pixsim.show.render import text, write
     from pixsim.studies.run import light_run, prepare, score_run
     from pixsim.studies.run_arrays import check_raw
 
@@ -221,8 +199,8 @@ def run(
                     warn(note)
         else:
             result = score_run(lit, stage)
-            write_run(result, folder, seconds, files, stage("write"))
-            document = run_document(result)
+            document = run_page(result, files, stage("write"))
+            write(document, folder, {"seconds": seconds})
             write_made_from(folder, "run", made_from, {"lines": text(document).splitlines(), "warned": list(result.warned)})
     answer(document, json, f"report: {folder / 'report.html'}")
 
@@ -243,47 +221,14 @@ def plan(
     Example: pixsim plan macbeth --tolerance-e 1e-4
     """
     import_less()
+    from pixsim.report.outline import plan_document
     from pixsim.studies.preparation import plan_of
     from pixsim.studies.prepared import loaded_scene
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = loaded_scene(scene, chosen.scene, chosen.resolution, variant=variant, sensor=sensor)
     made = plan_of(loaded, loaded.camera(chosen.camera, chosen.lens), chosen, full)
-    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
-    assumed = chosen.pixel.assumption
-    show(
-        made.as_dict() | {"assumption": assumed},
-        json,
-        "" if json else "\n".join([plan_table(made, width), *([assumed] if assumed else [])]),
-    )
-
-
-def plan_table(plan: Plan, width: int | None = None) -> str:
-    """Text table of the decisions of a plan, `width` columns wide or as wide as the terminal."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("", "", "why", "saved", "bound on e-"):
-        table.add_column(name, justify="right" if name.startswith("bound") else "left")
-    for decision in plan.decisions:
-        bound = f"{decision.bound_e:.1e}" if decision.bound_e else ("0" if not decision.kept else "")
-        bound = bound if decision.bounded else "unknown"
-        table.add_row(decision.subject, "kept" if decision.kept else "left out", decision.reason, decision.saved, bound)
-    text = io.StringIO()
-    Console(file=text, width=width or Console().width, markup=False, emoji=False).print(table)
-    lines = [line.rstrip() for line in text.getvalue().splitlines()]
-    lines += [f"warning: {note}" for note in plan.warnings]
-    lines.append(f"white: {plan.light_of_white}")
-    lines.append(
-        f"{'no samples' if plan.exact else f'{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples'} "
-        f"(scene file: {plan.full_spp}); "
-        f"relative error of the mean electrons at most {plan.bound_e:.1e}{'' if plan.bounded else ' plus unknown terms'}, "
-        f"tolerance {plan.tolerance_e:g}"
-    )
-    errors = "the film's error is" if plan.exact else "the film's error and the render noise are"
-    lines.append(f"{errors} measured by a run or a study, and stated in its result, beside mean ΔE if too large")
-    return "\n".join(lines)
+    answer(plan_document(made, scene, chosen.pixel.assumption), json)
 
 
 @app.command
@@ -360,12 +305,12 @@ def study(
     repeats it.
     """
     import_less()
-    from pixsim.report.axes import axes_document, axes_files, write_axes_report
+    from pixsim.report.axes import axes_document, axes_files, study_report
     from pixsim.report.kept import digest_of_report, keep_or_write
     from pixsim.report.outline import long_words, outline_document, study_outline
-    from pixsim.report.study import report_files, study_document, write_study
-    from pixsim.report.uncertainty import uncertainty_document, uncertainty_files
-    from pixsim.show.render import write_files
+    from pixsim.report.study import report_files, study_document
+    from pixsim.report.uncertainty import uncertainty_files
+    from pixsim.show.render import write
     from pixsim.show.sentences import duration
     from pixsim.studies.cases import CASE_S, MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.conditions import compromises_of
@@ -409,17 +354,15 @@ def study(
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
                 result = run_prepared(job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
-                more = partial(write_files, uncertainty_document(result), figures=figures) if result.uncertainty else None
                 stage("report")
                 first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
                 found = compromises_of(result.study, result.curves)
-                own = folder, seconds, drawing, more
-                if isinstance(result, CasesResult):
-                    write = partial(write_axes_report, result, *own, compromises=found, figures=figures)
-                else:
-                    write = partial(write_study, result, *own, figures=figures)
-                report = keep_or_write("study", digest_of_report(result, figures), folder, write)
+
+                def write_report() -> Path:
+                    return write(study_report(result, found, seconds, drawing, figures), folder, {"seconds": seconds}, figures)
+
+                report = keep_or_write("study", digest_of_report(result, figures), folder, write_report)
             warned = set(result.warned)  # they are on stderr
             if isinstance(result, CasesResult):
                 document = axes_document(result, found, warned)
@@ -522,7 +465,13 @@ def compare(
     settings.toml, the settings of each sensor, and report.html.
     """
     import_less()
-    from pixsim.report.compare import cases_document, check_output, comparison_document, outline_document, write_comparison
+    from pixsim.report.compare import (
+        cases_document,
+        check_output,
+        comparison_document,
+        comparison_outline_document,
+        comparison_page,
+    )
     from pixsim.show.render import write
     from pixsim.studies.compare import run_prepared
     from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, studies_of
@@ -550,7 +499,7 @@ def compare(
         folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.cases)
         places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))
         if dry_run:
-            answer(outline_document(places, bool(cases)), json)
+            answer(comparison_outline_document(places, bool(cases)), json)
             return
         for each, at in places:
             check_output(each, at)
@@ -560,7 +509,7 @@ def compare(
             for each, at in places:
                 results.append(run_prepared(each, jobs=jobs, scheduler=scheduler, progress=stage, out=at))
                 stage("report")
-                report = write_comparison(results[-1], at, seconds)
+                report = write(comparison_page(results[-1], at), at, {"seconds": seconds})
             if cases:
                 document = cases_document(ComparedCases(axes, tuple(zip(cases, results, strict=True))))
                 report = write(document, folder, {"seconds": seconds})
@@ -808,9 +757,10 @@ def sfr(
 
     Example: pixsim sfr pixsim-out/slanted_edge/raw.exr
 
-    Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
+    Writes report.html, sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
     from pixsim.measure.sfr import FILES, sfr as measured, sfr_document
+    from pixsim.show.render import write
 
     folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
     check_replaceable(folder, FILES)
@@ -823,8 +773,8 @@ def sfr(
         saturation=saturation,
         region=corners(region),
     )
-    response.write(folder, figures)
-    answer(sfr_document(response), json, f"curves in {folder}")
+    document = sfr_document(response)
+    answer(document, json, f"report: {write(document, folder, figures=figures)}")
 
 
 def corners(region: str | None) -> tuple[int, int, int, int] | None:
@@ -871,6 +821,7 @@ def chart(
     the scene.
     """
     from pixsim.scene import charts, colour_chart, own_chart
+    from pixsim.show.document import Document
 
     if colour_axis is not None:
         if kind != "csf" or linear or aspect is not None:
@@ -878,7 +829,8 @@ def chart(
         result = colour_chart.write_colour_axis(colour_axis, output, width, height, die_mm)
         contrasts = ", ".join(f"{name} {value:+.3f}" for name, value in result["contrasts"].items())
         line = f"{output} with slides {', '.join(result['slides'])}; contrasts up to {contrasts}"
-        show(result, json, f"{line}; opponent channel ±{result['opponent_amplitude']:.3f} of white's luminance channel")
+        line += f"; opponent channel ±{result['opponent_amplitude']:.3f} of white's luminance channel"
+        answer(Document("chart", "chart in colour", str(output), result, (line,)), json)
         return
     share = 0.0
     if Path(kind).suffix.lower() in own_chart.SUFFIXES:
@@ -895,7 +847,8 @@ def chart(
     charts.write_chart(output, texels)
     result = {"file": str(output), "kind": Path(kind).name, "width": texels.shape[1], "height": texels.shape[0], "border": share}
     border = f", {100 * share:.3g} % of them a grey border that keeps the picture's aspect" if share else ""
-    show(result, json, f"{result['width']} × {result['height']} texels in {output}{border}")
+    line = f"{result['width']} × {result['height']} texels in {output}{border}"
+    answer(Document("chart", "chart", str(output), result, (line,)), json)
 
 
 @app.command
@@ -924,18 +877,20 @@ def template(
     """
     from pixsim.base.files import write_new
     from pixsim.cli import templates
+    from pixsim.show.document import Document
 
     if of is not None and kind != "study":
         raise invalid("--of", f"'{of}' with {kind}", "a packaged study, with `pixsim template study`")
     text = templates.template(kind) if of is None else templates.packaged_study(of)
     if output is None:
-        show({"template": text}, json, text.rstrip())
+        answer(Document("template", "template", kind, {"template": text}, (text.rstrip(),)), json)
         return
     if output.suffix != ".toml":
         raise invalid("--output", f"'{output}'", "a name that ends in .toml")
     write_new(output, text)
     use = f"pixsim run csf --config {output}" if kind == "sensor" else f"pixsim study {output}"
-    show({"file": str(output), "use": use}, json, f"{output} written. Replace the numbers, then run: {use}")
+    line = f"{output} written. Replace the numbers, then run: {use}"
+    answer(Document("template", "template", kind, {"file": str(output), "use": use}, (line,)), json)
 
 
 @app.command
@@ -945,8 +900,9 @@ def schema(kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", 
     Example: pixsim schema study > study.schema.json
     """
     from pixsim.cli import templates
+    from pixsim.show.document import Document
 
-    show(templates.json_schema(kind), json, "")
+    answer(Document("schema", "JSON schema", kind, templates.json_schema(kind)), json)
 
 
 @app.command
@@ -968,21 +924,13 @@ def cache(
     as kinds of their own.
     """
     from pixsim.base import cache as entry_cache
+    from pixsim.report.inventory import cache_document
 
     kinds = cache_summary()["kinds"]
     if kind is not None and kind not in kinds:
         raise invalid("--kind", f"'{kind}'", ", ".join(kinds) or "none, since the cache is empty")
     freed = entry_cache.clear(kind) if clear else None
-    summary = cache_summary(kind)
-    lines = [f"{summary['folder']}: {summary['size_bytes'] / MIB:.1f} MiB of {summary['limit_bytes'] / MIB:.0f}"]
-    for name, total in summary["kinds"].items():
-        lines.append(f"  {name:<12} {total['entries']:>6} entries {total['size_bytes'] / MIB:>10.1f} MiB")
-    if summary["foreign_bytes"]:
-        lines.append(f"  {summary['foreign_bytes'] / MIB:.1f} MiB of other files, or of another release, which pixsim leaves alone")
-    if freed is not None:
-        summary["freed_bytes"] = freed
-        lines.insert(0, f"removed {freed / MIB:.1f} MiB")
-    show(summary, json, "\n".join(lines))
+    answer(cache_document(cache_summary(kind), freed), json)
 
 
 def cache_summary(kind: str | None = None) -> dict[str, Any]:
@@ -1008,21 +956,10 @@ def cameras(*, json: Json = False) -> None:
 
     Measured ones are of whole cameras with their infrared filter. Typical ones stand for sensors of a kind, and are marked so.
     """
+    from pixsim.report.inventory import cameras_document
     from pixsim.sensor import camera_data
 
-    entries = camera_data.cameras()
-    width = max(len(entry.name) for entry in entries)
-    lines = [
-        f"{entry.name:<{width}}  {entry.kind:<8}  {entry.channels:<4}  {entry.range_nm[0]:g}-{entry.range_nm[1]:g} nm, "
-        f"peaks {', '.join(f'{nm:g}' for nm in entry.peak_nm)} nm  {entry.title}"
-        + (f"; {camera_data.OWN_SCALES}" if camera_data.OWN_SCALES in entry.notes else "")
-        for entry in entries
-    ]
-    lines += [f"measured: {camera_data.ORIGIN}", f"typical: {camera_data.OF_TYPICAL}"]
-    lines += [
-        'use: pixel.colour.sensitivities = "NAME" with pixel.colour.peak_quantum_efficiency; pixsim cameras --json has the notes'
-    ]
-    show({"cameras": [asdict(entry) for entry in entries]}, json, "\n".join(lines))
+    answer(cameras_document(camera_data.cameras(), camera_data.SOURCES), json)
 
 
 @app.command
@@ -1037,12 +974,13 @@ def completion(
 
     Example: pixsim completion fish > ~/.config/fish/completions/pixsim.fish
     """
+    from pixsim.show.document import Document
+
     script = app.generate_completion(prog_name="pixsim", shell=shell)
-    show({"shell": shell, "script": script}, json, script)
+    answer(Document("completion", "shell completion", shell, {"shell": shell, "script": script}, (script,)), json)
 
 
 PROBLEM_FOUND = 1  # exit code
-SUBJECT_WIDTH = 20
 
 
 @app.command
@@ -1058,36 +996,12 @@ def doctor(
 
     A line is marked ok, note (renders work nevertheless) or problem. The exit code is 1 if there is a problem, else 0.
     """
-    from pixsim.cli.doctor import LIMIT_S, PROBLEM, examine
+    from pixsim.cli.doctor import LIMIT_S, doctor_document, examine
 
     if limit_s is not None and not 0 < limit_s < float("inf"):
         raise invalid("--limit-s", f"{limit_s:g}", "a number above 0")
     findings = examine(Path(out or DEFAULT_OUT), LIMIT_S if limit_s is None else limit_s)
-    has_problem = any(finding.mark == PROBLEM for finding in findings)
-    if json:
-        result = {"ok": not has_problem, "findings": [asdict(finding) for finding in findings]}
-        show(result, True, "")
-    else:
-        show({}, False, report(findings, shutil.get_terminal_size().columns if sys.stdout.isatty() else FILE_WIDTH))
-    if has_problem:
+    document = doctor_document(findings)
+    answer(document, json)
+    if not document.data["ok"]:
         sys.exit(PROBLEM_FOUND)
-
-
-def report(findings: list[Finding], width: int) -> str:
-    """One line per finding, grouped, each with the command that fixes it; a summary at the end."""
-    from pixsim.cli.doctor import NOTE, PROBLEM
-
-    lines: list[str] = []
-    for previous, finding in zip([None, *findings], findings, strict=False):
-        if previous is None or finding.room != previous.room:
-            lines += [*([""] if lines else []), finding.room]
-        start = f"  {finding.mark:<8} {finding.subject:<{SUBJECT_WIDTH}} "
-        columns = max(width - len(start), SUBJECT_WIDTH)
-        wrapped = textwrap.wrap(finding.found, columns, break_long_words=False, break_on_hyphens=False)
-        lines += [start + ("\n" + " " * len(start)).join(wrapped)]
-        if finding.mend:  # not wrapped, so that it can be copied
-            lines.append(" " * 11 + f"to fix it: {finding.mend}")
-    problems, notes = (sum(finding.mark == mark for finding in findings) for mark in (PROBLEM, NOTE))
-    verdict = "pixsim does not work on this machine" if problems else "renders work on this machine"
-    counts = (f"{number} {what}{'' if number == 1 else 's'}" for number, what in ((problems, "problem"), (notes, "note")))
-    return "\n".join([*lines, "", f"{verdict}: {', '.join(counts)}"])

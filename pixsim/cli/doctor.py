@@ -9,11 +9,13 @@ import platform
 import shlex
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib import metadata, resources
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from pixsim.base.version import VERSION
 from pixsim.scene.guard import graphics, variant
 from pixsim.scene.guard.trial import Trial, attempt, picture_fault
 from pixsim.scene.guard.variant import CUDA, LLVM, SCALAR
+from pixsim.show.document import Document, Table
 
 MODULES = {"colour-science": "colour", "openexr": "OpenEXR", "pillow": "PIL"}  # import names that differ from package names
 
@@ -128,6 +131,21 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
         *_optional(),
         _test_render(chosen, renders.get(SCALAR)),
     ]
+
+
+def doctor_document(findings: Sequence[Finding]) -> Document:
+    """Return the answer of `pixsim doctor`: the findings below their groups, each with the command that fixes it."""
+    rows: list[tuple[str, ...]] = []
+    for room, of_room in groupby(findings, attrgetter("room")):
+        rows += [*([("",)] if rows else []), (room,)]
+        for each in of_room:
+            rows.append((each.mark, each.subject, each.found))
+            rows += [("", f"to fix it: {each.mend}")] if each.mend else []  # a short row is not wrapped: it can be copied
+    problems, notes = (sum(each.mark == mark for each in findings) for mark in (PROBLEM, NOTE))
+    verdict = "pixsim does not work on this machine" if problems else "renders work on this machine"
+    counts = ", ".join(f"{number} {what}{'' if number == 1 else 's'}" for number, what in ((problems, "problem"), (notes, "note")))
+    data = {"ok": not problems, "findings": [asdict(each) for each in findings]}
+    return Document("doctor", "check", verdict, data, (Table("findings", (), rows, words=None), "", f"{verdict}: {counts}"))
 
 
 def _software(required: dict[str, str], imports: Trial) -> Iterator[Finding]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import inspect
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -35,14 +36,12 @@ from pixsim.base.parameters import (
     Run,
 )
 from pixsim.base.progress import Stage
-from pixsim.base.schema import json_text
 from pixsim.base.version import VERSION
 from pixsim.cli.process import interruption
 
 DEFAULT_OUT = Path("pixsim-out")
 QUIET, VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
 HELP, HELP_ALL = ("--help", "-h"), "--help-all"
-FILE_WIDTH = 160  # columns of output that does not go to a terminal
 app = App(
     name="pixsim",
     version=VERSION,
@@ -393,16 +392,12 @@ def _value(text: str) -> float | int | str:
     return text
 
 
-def show(result: dict[str, Any], as_json: bool, text: str) -> None:
-    """Print a result as text or as JSON."""
-    say((json_text(result) if as_json else text) + "\n", as_json)
-
-
 def answer(document: Document, as_json: bool, *lines: str) -> None:
-    """Print a document as text, and lines below it, or as JSON."""
-    from pixsim.show.render import json, text
+    """Print a document as text as wide as the terminal, and lines below it, or as JSON."""
+    from pixsim.show.render import WIDTH, json, text
 
-    say((json(document) if as_json else "\n".join([text(document), *lines])) + "\n", as_json)
+    width = shutil.get_terminal_size((WIDTH, 0)).columns
+    say((json(document) if as_json else "\n".join([text(document, width), *lines])) + "\n", as_json)
 
 
 def say(text: str, as_json: bool = False) -> None:

@@ -134,15 +134,10 @@ def allowed(field: dict[str, Any]) -> str:
     if kind in ("number", "integer"):
         low, above = field.get("minimum"), field.get("exclusiveMinimum")
         high, below = field.get("maximum"), field.get("exclusiveMaximum")
-        start = f"{number(low)} " if low is not None else f"above {number(above)} " if above is not None else ""
-        end = f"to {number(high)}" if high is not None else f"to below {number(below)}" if below is not None else "or more"
+        start = f"{low:.9g} " if low is not None else f"above {above:.9g} " if above is not None else ""
+        end = f"to {high:.9g}" if high is not None else f"to below {below:.9g}" if below is not None else "or more"
         return f"{'integer, ' if kind == 'integer' else ''}{start}{end}"
     return {"array": "a list", "boolean": "true or false"}.get(str(kind), "")
-
-
-def number(value: float) -> str:
-    """Text of a number; integers below 1e9 in full."""
-    return str(int(value)) if value == int(value) and abs(value) < 1e9 else f"{value:g}"
 
 
 def toml_value(value: object) -> str:

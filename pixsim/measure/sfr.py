@@ -26,14 +26,13 @@ from pixsim.base.arguments import LARGEST, SMALLEST, checks_arguments, checks_fi
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, excerpt, invalid
-from pixsim.base.files import output_folder, publishing, write_json
 from pixsim.base.notes import collected_notes, warn
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, layout_of, number_of, read_picture
-from pixsim.show.document import Block, Document, Plot, headline
+from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, layout_of, read_picture, stated_number
+from pixsim.show.document import Block, Document, Listed, Plot, headline
 from pixsim.show.figures import COLOURS, new_figure, own_style
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
-from pixsim.show.render import notebook
+from pixsim.show.render import notebook, write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -173,7 +172,7 @@ class EdgeResponse:
 
     @checks_arguments
     def write(self, folder: str | os.PathLike[str], figures: Figures = "svg") -> Path:
-        """Write sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg, summary.json and provenance.json.
+        """Write report.html, sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg, summary.json and provenance.json.
 
         folder : created if missing
         figures : "pdf" writes a PDF beside each SVG
@@ -181,11 +180,7 @@ class EdgeResponse:
         Returns the path of summary.json. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
         pixsim did not write.
         """
-        with output_folder(folder) as path, publishing(path, "sfr") as unfinished:
-            for plate in (sfr_plate(self), edge_plate(self)):
-                plate.drawn(figures).write(unfinished)
-            write_json(unfinished / "summary.json", self.as_dict())
-        return Path(folder) / "summary.json"
+        return write(sfr_document(self), Path(folder), figures=figures).with_name("summary.json")
 
     def plot(self) -> Figure:
         """Return a Matplotlib figure of the SFR against frequency, with its interval."""
@@ -924,15 +919,15 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
     numbers: dict[str, float] = {}
     is_image = path.suffix.lower() in (".png", ".tif", ".tiff")
     for name, (low, high) in METADATA_RANGES.items():
-        value = number_of(metadata, name)
+        value = stated_number(metadata, name)
         if name not in metadata or (is_image and not math.isfinite(value)):  # a text of another program under the same name
             continue
         if not low <= value <= high:
             got = f"{name} = {excerpt(str(metadata[name])) if math.isnan(value) else f'{value:g}'}"
             raise invalid(f"metadata of '{path}'", got, f"a number from {low:g} to {high:g}")
         numbers[name] = value
-    if number_of(metadata, "saturated_fraction") > MAX_SATURATED:
-        share = number_of(metadata, "saturated_fraction")
+    if stated_number(metadata, "saturated_fraction") > MAX_SATURATED:
+        share = stated_number(metadata, "saturated_fraction")
         warn(f"'{path}' states {share:.1%} saturated pixels, which need not be at the top code; beside the edge they sharpen it.")
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image and data.dtype == np.uint16 else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
@@ -1002,9 +997,19 @@ def sfr(
 def sfr_document(edge: EdgeResponse) -> Document:
     """Return the answer of `pixsim sfr`."""
     data = edge.as_dict()
-    answer = headline(sfr_parts(data))
-    cell: tuple[Block, ...] = (answer, Plot(lambda: sfr_plate(edge)), *edge.notes)
-    return Document("sfr", "response to an edge", "Spatial frequency response", data, terminal=(answer,), cell=cell)
+    answer, plots = headline(sfr_parts(data)), (Plot(lambda: sfr_plate(edge)), Plot(lambda: edge_plate(edge)))
+    notes: list[Block] = [Listed(edge.notes)] if edge.notes else []
+    return Document(
+        command="sfr",
+        kind="response to an edge",
+        title="Spatial frequency response",
+        data=data,
+        terminal=(answer,),
+        cell=(answer, plots[0], *edge.notes),
+        answers=(answer,),
+        lead=(*notes, *plots),
+        figures=".",
+    )
 
 
 def sfr_parts(result: dict[str, Any]) -> list[str]:
@@ -1065,4 +1070,4 @@ def edge_plate(edge: EdgeResponse) -> Plate:
     return Plate("edge_spread", "Edge spread function.", figure, table)
 
 
-FILES = (*(f"{name}.{suffix}" for name in ("sfr", "edge_spread") for suffix in FIGURE_SUFFIXES), "summary.json")
+FILES = (*(f"{name}.{suffix}" for name in ("sfr", "edge_spread") for suffix in FIGURE_SUFFIXES), "summary.json", "report.html")

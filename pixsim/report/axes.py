@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import cycle
-from pathlib import Path
 from typing import Any
 
 from pixsim.base.config import SETTINGS_FILE
-from pixsim.base.files import check_replaceable, output_folder, publishing
 from pixsim.base.headline import with_headline
 from pixsim.base.parameters import Study
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
@@ -24,7 +22,7 @@ from pixsim.report.study import (
     plot_of,
     report_files,
     study_page,
-    with_settings,
+    with_files_of_study,
 )
 from pixsim.report.wording import (
     compromise_answer,
@@ -38,7 +36,6 @@ from pixsim.report.wording import (
 from pixsim.show.document import Answer, Block, Document, Link, Listed, Note, Plot, Section, Strong, Table, headline
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
-from pixsim.show.render import write_files
 from pixsim.show.sentences import interval, sentence
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
@@ -200,41 +197,31 @@ def axes_files(study: Study) -> set[str]:
     return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", PARTS_FILE, *files, *own}
 
 
-def write_axes_report(
-    result: CasesResult,
-    folder: Path,
-    seconds: dict[str, float],
-    workers: Workers,
-    more: Callable[[Path], None] | None = None,
-    *,
+def study_report(
+    result: StudyResult,
     compromises: Sequence[Compromise],
+    seconds: dict[str, float],
+    workers: Workers | None = None,
     figures: Figures = "svg",
-) -> Path:
-    """Write the report of a study with axes or conditions, with a folder for each of its first cases.
+) -> Document:
+    """Return the document of any study with its page and all other files; the first cases of one with axes have their own.
 
-    more : writes further files to the new folder
+    Only the wall times in the page vary: everything else is reproducible byte for byte, and does not depend on the workers.
+
     compromises : `compromises_of` the study
-    figures : "pdf" writes a PDF beside each SVG
-
-    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-    pixsim did not write.
+    seconds : stage -> wall time in s
+    workers : processes that draw the figures; None means this process
+    figures : "pdf" draws a PDF beside each SVG
     """
+    draw = partial(study_page, seconds=seconds, workers=workers or Workers(), figures=figures)
+    if not isinstance(result, CasesResult):
+        return with_files_of_study(draw(result, parts=parts_table(result)), result)
     cases = shown_cases(
         [Case(part.study, curve.at, curve.condition, curve.alone) for part in result.parts for curve in part.curves[:1]]
     )
     parts = list(zip(cases, result.parts[: len(cases)], strict=True))
-    with output_folder(folder):
-        check_replaceable(folder, axes_files(result.study))
-        with publishing(folder, "study", {"seconds": seconds}) as unfinished:
-            for case, part in parts:
-                own = unfinished / case.folder
-                own.mkdir()
-                write_files(study_page(part, seconds, workers, {}, figures), own, figures)
-            document = axes_page(result, compromises, seconds, parts)
-            write_files(with_settings(document, result), unfinished, figures)
-            if more:
-                more(unfinished)
-    return folder / document.page
+    pages = {case.folder: draw(part, parts={}) for case, part in parts}
+    return with_files_of_study(replace(axes_page(result, compromises, seconds, parts), parts=pages), result)
 
 
 def axes_page(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
-from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
+from pixsim.base.files import check_replaceable
 from pixsim.base.labels import label_of
 from pixsim.base.machine import processors
 from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, Study, paths_of
@@ -24,19 +24,8 @@ from pixsim.report.run import colour_rows
 from pixsim.report.settings import record_rows, scene_rows, settings_table
 from pixsim.report.wording import DELTA_E, map_words
 from pixsim.show.document import Answer, Block, Document, Link, Listed, Map, Note, Pictures, Scale, Section, Slider, Strong, Table
-from pixsim.show.pages import write_text
-from pixsim.show.pictures import (
-    Picture,
-    display_codes,
-    factor_for,
-    reduced,
-    save_delta_e_png,
-    save_png,
-    scale,
-    scale_end,
-    worst_window,
-)
-from pixsim.show.render import PAGE, html, write
+from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
+from pixsim.show.render import PAGE
 from pixsim.show.sentences import rounded, sentence, setting_value
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.comparison import Comparison
@@ -153,7 +142,7 @@ def _terminal(result: Comparison, notes: Sequence[str]) -> tuple[Block, ...]:
     )
 
 
-def outline(prepared: ComparisonJob) -> dict[str, Any]:
+def comparison_outline(prepared: ComparisonJob) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
     lineup = prepared.shown
     first = lineup.cases[0]
@@ -202,13 +191,13 @@ def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     return Cost(seconds, largest, 1)
 
 
-def outline_document(places: Sequence[tuple[ComparisonJob, Path]], has_cases: bool) -> Document:
+def comparison_outline_document(places: Sequence[tuple[ComparisonJob, Path]], has_cases: bool) -> Document:
     """Return the answer of a dry run.
 
     places : what is prepared, and the folder that would be written
     has_cases : whether they are cases of a comparison
     """
-    shown = [outline(prepared) for prepared, _ in places]
+    shown = [comparison_outline(prepared) for prepared, _ in places]
     terminal = [line for (prepared, out), own in zip(places, shown, strict=True) for line in _outline_words(prepared, own, out)]
     return Document("compare", "dry run", shown[0]["scene"], {"cases": shown} if has_cases else shown[0], terminal)
 
@@ -251,39 +240,6 @@ def comparison_files(prepared: ComparisonJob) -> dict[str, str]:
 def check_output(prepared: ComparisonJob, folder: str | os.PathLike[str]) -> None:
     """Raise PixsimError if the folder holds a file of a comparison's name that pixsim did not write."""
     check_replaceable(folder, {PAGE, *comparison_files(prepared)})
-
-
-def write_comparison(result: Comparison, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None) -> Path:
-    """Write compare.json, settings.toml, the sensors' settings and pictures, report.html and provenance.json.
-
-    seconds : stage -> wall time in s, for provenance.json
-
-    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-    pixsim did not write.
-    """
-    prepared = result.prepared
-    with output_folder(folder) as path:
-        check_output(prepared, path)
-        keep = [Path(sensor.case.source) for sensor in prepared.shown.cases]
-        with publishing(path, "compare", {"seconds": seconds or {}}, keep) as partial:
-            for name in ("sensors", "pictures"):
-                (partial / name).mkdir()
-            for compared in result.sensors:
-                _write_pictures(compared, partial / "pictures", map_end(result))
-            for name, text in settings_files(prepared).items():
-                (partial / name).write_text(text, encoding="utf-8")
-            rows_files = [name for name in ROWS_FILES if (path / name).is_file()]
-            document = comparison_document(result, folder=partial, rows_files=rows_files)
-            write_json(partial / JSON_FILE, document.data)
-            write_text(partial / PAGE, html(document))
-        return path / PAGE
-
-
-def _write_pictures(compared: Compared, folder: Path, end: float) -> None:
-    score, name = compared.score, compared.name
-    save_png(folder / f"image_{name}.png", score.image)
-    save_png(folder / f"ideal_{name}.png", score.ideal)
-    save_delta_e_png(folder / f"delta_e_{name}.png", score.delta_e, picture_axes(compared.irradiance, score.border_um), end)
 
 
 def settings_files(prepared: ComparisonJob) -> dict[str, str]:
@@ -353,14 +309,10 @@ def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
 # --- the page ---------------------------------------------------------------------------------------------------------------------
 
 
-def comparison_document(
-    result: Comparison, notes: Sequence[str] | None = None, folder: Path | None = None, rows_files: Sequence[str] = ()
-) -> Document:
-    """Return the answer of `pixsim compare` for one case.
+def comparison_document(result: Comparison, notes: Sequence[str] | None = None) -> Document:
+    """Return the answer of `pixsim compare` for one case, without the sections of its page and other files.
 
     notes : of the terminal; None for all
-    folder : with the other files, for the page; None leaves out its sections
-    rows_files : of `ROWS_FILES`, those that the page names
     """
     found = answers(result)
     below = [list(map(sentence, more)) for _, *more in found]
@@ -373,9 +325,25 @@ def comparison_document(
         terminal=_terminal(result, result.notes if notes is None else notes),
         answers=[Answer((Strong(head),), more) for (head, *_), more in zip(found, below, strict=True)],
         lead=(f"{DELTA_E} The mean over the picture is compared.", *(Note(note) for note in result.notes)),
-        sections=() if folder is None else _sections(result, folder, rows_files),
         data_file=JSON_FILE,
+        sources=[Path(sensor.case.source) for sensor in result.prepared.shown.cases],
     )
+
+
+def comparison_page(result: Comparison, folder: str | os.PathLike[str]) -> Document:
+    """Return the document of a comparison with its page and all other files.
+
+    folder : that will be written, which may hold `ROWS_FILES`
+    """
+    end, pictures = map_end(result), dict[str, bytes]()
+    for each in result.sensors:
+        score, where = each.score, picture_axes(each.irradiance, each.score.border_um)
+        pictures[f"pictures/image_{each.name}.png"] = light_png(score.image)
+        pictures[f"pictures/ideal_{each.name}.png"] = light_png(score.ideal)
+        pictures[f"pictures/delta_e_{each.name}.png"] = delta_e_png(score.delta_e, where, end)
+    rows_files = [name for name in ROWS_FILES if Path(folder, name).is_file()]
+    sections = _sections(result, pictures, rows_files)
+    return replace(comparison_document(result), sections=sections, files={**pictures, **settings_files(result.prepared)})
 
 
 PAIRED = (
@@ -398,8 +366,12 @@ CASES = (
 )
 
 
-def _sections(result: Comparison, folder: Path, rows_files: Sequence[str]) -> Iterator[Section]:
-    """Yield the sections of the page, with the pictures that are in a folder, and files of rows that are there too."""
+def _sections(result: Comparison, pngs: Mapping[str, bytes], rows_files: Sequence[str]) -> Iterator[Section]:
+    """Yield the sections of the page.
+
+    pngs : name -> picture
+    rows_files : of `ROWS_FILES`, those that are there
+    """
     prepared, shown, names = result.prepared, result.shown, result.names
     lineup, first, in_shown = shown.lineup, shown.sensors[0], Averaged(((1.0, shown),))
     where = f" in {lineup.condition}" if result.conditions else ""
@@ -438,7 +410,7 @@ def _sections(result: Comparison, folder: Path, rows_files: Sequence[str]) -> It
     colours = [(c.name, colour_rows(c.colour, c.score.out_of_gamut)) for c in shown.sensors if c.colour]
     tables = [Table(f"colours of {name}", (), rows, name, words=None) for name, rows in colours]
     yield Section("colour", f"Colour{where}", [MATRIX, *tables] if tables else ())
-    yield Section("maps", "Maps of the errors", [_map(compared, folder, end) for compared in result.sensors])
+    yield Section("maps", "Maps of the errors", [_map(compared, pngs, end) for compared in result.sensors])
     rest = f"Noise and non-uniformities that a data sheet does not state are zero. Seed {lineup.settings.seed}."
     yield Section("settings", "Settings", [*_settings(result), rest])
     files = comparison_files(prepared) | {name: words for name, words in ROWS_FILES.items() if name in rows_files}
@@ -485,17 +457,6 @@ def _viewing_blocks(result: Comparison) -> Iterator[Block]:
         yield Table(f"difference under each viewing: {name}", head, _view_rows(result, other), name, words=(6,))
 
 
-def write_compared_cases(result: ComparedCases, out: str | os.PathLike[str], seconds: dict[str, float] | None = None) -> Path:
-    """Write each comparison into a folder of its own, and the page of all beside them.
-
-    Returns the path of report.html. Raises PixsimError as `write_comparison`.
-    """
-    with output_folder(out) as folder:
-        for case, own in result.results:
-            write_comparison(own, folder / case.folder, seconds)
-        return write(cases_document(result), folder, {"seconds": seconds or {}})
-
-
 def cases_document(result: ComparedCases) -> Document:
     """Return the answer of `pixsim compare` over the values of axes: that of each case is in its folder."""
     names, others = result.names, result.names[1:]
@@ -528,11 +489,11 @@ def map_end(result: Comparison) -> float:
     return scale_end(max(compared.score.statistics()["p99_delta_e"] for compared in result.sensors))
 
 
-def _map(compared: Compared, folder: Path, end: float) -> Map:
-    """Return the ΔE map of a sensor, which is in a folder."""
+def _map(compared: Compared, pngs: Mapping[str, bytes], end: float) -> Map:
+    """Return the ΔE map of a sensor."""
     found = compared.score.statistics()
     words = map_words(f"{compared.name}, first frame: ", found["mean_delta_e"], found["p99_delta_e"], end)
-    return Map((folder / f"pictures/delta_e_{compared.name}.png").read_bytes(), words)
+    return Map(pngs[f"pictures/delta_e_{compared.name}.png"], words)
 
 
 def _row(compared: Compared, mean: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What `pixsim run` and `pixsim study` would do, for --dry-run: all that is found before a render, and what it would cost."""
+"""What `pixsim run` and `pixsim study` would do, for --dry-run, and `pixsim plan`: what is found before a render, and its cost."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pixsim.base.labels import label_of
 from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Run, Study
 from pixsim.report.wording import lens_words, view_words
-from pixsim.show.document import Document
+from pixsim.show.document import Block, Document, Table
 from pixsim.show.sentences import duration, rounded
 from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost
 from pixsim.studies.extent import columns_on
@@ -17,6 +17,7 @@ from pixsim.studies.outline import planned_run, planned_study
 from pixsim.studies.oversampling import TOLERATED_SHARE
 
 if TYPE_CHECKING:
+    from pixsim.scene.plan import Plan
     from pixsim.studies.preparation import StudyJob
     from pixsim.studies.prepared import Job
     from pixsim.studies.run import RunJob
@@ -131,3 +132,24 @@ def long_words(outline: dict[str, Any]) -> str:
     window = outline.get("window_within_a_minute_mm")
     hint = f"; --window {window:g} takes less than a minute" if window else ""
     return f"the study takes about {duration(seconds)}{hint}"
+
+
+def plan_document(plan: Plan, scene: str, assumption: str) -> Document:
+    """Return the answer of `pixsim plan`: what a render includes or leaves out, why, and what error that may cause.
+
+    assumption : of the pixel; empty for none
+    """
+    rows = []
+    for each in plan.decisions:
+        bound = f"{each.bound_e:.1e}" if each.bound_e else "" if each.kept else "0"
+        bound = bound if each.bounded else "unknown"
+        rows.append((each.subject, "kept" if each.kept else "left out", each.reason, each.saved, bound))
+    passes = "no samples" if plan.exact else f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples"
+    error = f"relative error of the mean electrons at most {plan.bound_e:.1e}{'' if plan.bounded else ' plus unknown terms'}"
+    measured = "the film's error is" if plan.exact else "the film's error and the render noise are"
+    blocks: list[Block] = [Table("decisions", ("", "", "why", "saved", "bound on e-"), rows, words=(1, 2, 3))]
+    blocks += [f"warning: {note}" for note in plan.warnings]
+    blocks += [f"white: {plan.light_of_white}", f"{passes} (scene file: {plan.full_spp}); {error}, tolerance {plan.tolerance_e:g}"]
+    blocks += [f"{measured} measured by a run or a study, and stated in its result, beside mean ΔE if too large"]
+    blocks += [assumption] if assumption else []
+    return Document("plan", "plan of a render", scene, plan.as_dict() | {"assumption": assumption}, blocks)

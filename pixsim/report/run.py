@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, settings_text
-from pixsim.base.files import PROVENANCE, check_replaceable, digest_of, output_folder, publishing, write_json
+from pixsim.base.files import digest_of
 from pixsim.base.labels import label_of
 from pixsim.base.notes import warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Record
@@ -47,19 +46,8 @@ from pixsim.show.document import (
     Text,
     headline,
 )
-from pixsim.show.pages import write_text
-from pixsim.show.pictures import (
-    Picture,
-    display_codes,
-    factor_for,
-    reduced,
-    save_delta_e_png,
-    save_png,
-    scale,
-    scale_end,
-    worst_window,
-)
-from pixsim.show.render import PAGE, compile_page, html
+from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
+from pixsim.show.render import PAGE
 from pixsim.show.sentences import rounded, sentence
 from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
@@ -81,7 +69,6 @@ FILES = {
     "settings.toml": "all settings: `pixsim run SCENE --config settings.toml` makes the same numbers again",
     "provenance.json": "versions and wall times",
 }
-AFTERWARDS = ("score.json", PROVENANCE)
 MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
     "fill_factor": "photodiode area over pixel area",
@@ -140,11 +127,33 @@ COLOUR = (
 )
 
 
-def run_document(result: RunResult, folder: Path | None = None) -> Document:
-    """Return the answer of `pixsim run`.
+class RunFiles(NamedTuple):
+    """What is written of a run beside numbers, pictures and the page.
 
-    folder : with the other files of the run, for the page; None leaves out its sections
+    raw_suffixes : further formats of the frames besides .exr
+    irradiance : what irradiance.exr holds: 'reduced', bands of at most 1024 samples across and 60 MB; 'full', what `read_exr`
+        gives back bit for bit; 'factors', an image's factors only; 'none', no such file
     """
+
+    raw_suffixes: tuple[str, ...] = ()
+    irradiance: Irradiance = "reduced"
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Suffixes of all files of a frame."""
+        return tuple(dict.fromkeys((".exr", *self.raw_suffixes)))
+
+    def names(self, frames: int) -> set[str]:
+        """Return the names of all files of a run of so many frames."""
+        raw = {f"{raw_stem(number)}{suffix}" for number in range(1, frames + 1) for suffix in self.formats}
+        return {PAGE, *FILES, *raw} - ({"irradiance.exr"} if self.irradiance == "none" else set())
+
+
+USUAL = RunFiles()
+
+
+def run_document(result: RunResult) -> Document:
+    """Return the answer of `pixsim run`, without the sections of its page and other files."""
     score, header, pitch_um = result.score, result.irradiance.header, result.score.physics.pitch_um
     scene = Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem
     unsure, view, sensors = unsure_lines(result), "; ".join(run_view_words(result)), sensors_lines(result)
@@ -165,8 +174,36 @@ def run_document(result: RunResult, folder: Path | None = None) -> Document:
             f"Light: {film}." if film else "",
             *(Note(note) for note in result.notes if note not in unsure),
         ),
-        sections=() if folder is None else _sections(result, folder),
         data_file="score.json",
+        sources=[Path(result.prepared.source)],
+    )
+
+
+def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | None = None) -> Document:
+    """Return the document of a run with its page and all other files.
+
+    progress : of the frames
+    """
+    score, irradiance, frames = result.score, result.irradiance, result.prepared.frames
+    if files.irradiance == "factors" and not irradiance.factors:
+        warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
+
+    def write_light(folder: Path) -> None:
+        if files.irradiance != "none":
+            write_irradiance(folder / "irradiance.exr", irradiance, files.irradiance)
+            digest_of(folder / "irradiance.exr", alone=True)  # which the provenance asks for
+
+    def write_frames(folder: Path) -> None:
+        write_numbers(result, folder, raw_stem, files.formats, lambda number: progress and progress(number / frames))
+
+    end = scale_end(result.statistics[0]["p99_delta_e"])
+    pictures = {"ideal.png": light_png(score.ideal), "image.png": light_png(score.image)}
+    pictures["delta_e.png"] = delta_e_png(score.delta_e, picture_axes(irradiance, score.border_um), end)
+    return replace(
+        run_document(result),
+        sections=_sections(result, pictures, files),
+        files={**pictures, SETTINGS_FILE: run_settings_text(result.prepared, irradiance)},
+        writers=(write_light, write_frames),  # the largest file by far first
     )
 
 
@@ -199,8 +236,11 @@ def camera_words(result: RunResult) -> str:
     return f"{'; '.join(parts)}; {light}, {brightest}"
 
 
-def _sections(result: RunResult, folder: Path) -> tuple[Section, ...]:
-    """Return the sections of the page, with the pictures that are in a folder."""
+def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles) -> tuple[Section, ...]:
+    """Return the sections of the page.
+
+    pictures : name -> PNG
+    """
     score, settings, header = result.score, result.settings, result.irradiance.header
     budget = budget_blocks(result.budget)
     line = "; ".join(filter(None, score_parts(result)))
@@ -228,8 +268,8 @@ def _sections(result: RunResult, folder: Path) -> tuple[Section, ...]:
         source = f"read from {header.get('source', 'a file')}"
     slider = Slider(
         *("slider", "The whole picture and the ideal image"),
-        shown_picture(folder / "ideal.png", score.ideal, "ideal image"),
-        (shown_picture(folder / "image.png", score.image, f"{score.physics.pitch_um:g} µm pixels"),),
+        shown_picture(pictures["ideal.png"], score.ideal, "ideal image"),
+        (shown_picture(pictures["image.png"], score.image, f"{score.physics.pitch_um:g} µm pixels"),),
     )
     sizes = size_words(factor_for(score.ideal), settings.display.samples_per_deg)
     return (
@@ -251,13 +291,13 @@ def _sections(result: RunResult, folder: Path) -> tuple[Section, ...]:
         ),
         Section(
             *("map", "Map of the errors"),
-            (Map((folder / "delta_e.png").read_bytes(), map_words("", score.mean_delta_e, p99, end)),),
+            (Map(pictures["delta_e.png"], map_words("", score.mean_delta_e, p99, end)),),
             together=True,
         ),
         Section("numbers", "Numbers", (Table("numbers of this picture", (), _numbers(result)),)),
         Section("colour", "Colour", (COLOUR, Table("numbers of the colours", (), colour)) if colour else ()),
         Section("settings", "Settings", (*_settings(result, sheet), f"{rest} Seed {settings.seed}.")),
-        Section("files", "Files in this folder", (Listed(_files(result, folder)), f"Irradiance: {source}.")),
+        Section("files", "Files in this folder", (Listed(_files(files, result.prepared.frames)), f"Irradiance: {source}.")),
     )
 
 
@@ -290,14 +330,13 @@ def _settings(result: RunResult, sheet: bool) -> list[Table]:
     return [settings_table(title, rows) for title, rows in (("scene", scene), *of_records)]
 
 
-def _files(result: RunResult, folder: Path) -> tuple[Text, ...]:
-    """Return the other files of a run with their descriptions."""
-    files = {name: words for name, words in FILES.items() if (folder / name).exists() or name in AFTERWARDS}
-    files |= {
-        path.name: "the frame of raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
-    }
-    files |= {path.name: further_words(path, result.prepared.frames) for path in sorted(folder.glob(f"{raw_stem(2)}.*"))}
-    return tuple((Link(name, name), f": {words}") for name, words in files.items())
+def _files(files: RunFiles, frames: int) -> tuple[Text, ...]:
+    """Return the other files of a run of so many frames with their descriptions."""
+    names = files.names(frames)
+    listed = {name: words for name, words in FILES.items() if name in names}
+    listed |= {f"raw{suffix}": "the frame of raw.exr, for other programs" for suffix in sorted(files.formats) if suffix != ".exr"}
+    listed |= {f"{raw_stem(2)}{suffix}": further_words(suffix, frames) for suffix in sorted(files.formats) if frames > 1}
+    return tuple((Link(name, name), f": {words}") for name, words in listed.items())
 
 
 def raw_stem(number: int) -> str:
@@ -305,9 +344,9 @@ def raw_stem(number: int) -> str:
     return "raw" if number == 1 else f"raw_{number:03d}"
 
 
-def further_words(second: Path, frames: int) -> str:
+def further_words(suffix: str, frames: int) -> str:
     """Return what the page says of the files of further frames beside that of the second one, of one format."""
-    last = "" if frames == 2 else f", and so on to {raw_stem(frames)}{second.suffix}"
+    last = "" if frames == 2 else f", and so on to {raw_stem(frames)}{suffix}"
     return f"frame 2 of the same sensor{last}: the same fixed pattern, temporal noise of its own"
 
 
@@ -331,36 +370,11 @@ def sensors_lines(result: RunResult) -> list[str]:
     return [f"{each.size} sensors: ΔE of {each.min():.4f} to {each.max():.4f}, {interval}; pictures and frames are of the first"]
 
 
-def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
-    """Return a whole picture from its file, or the `reduced` one if it is large."""
+def shown_picture(png: bytes, luminance: Array, name: str) -> Picture:
+    """Return a whole picture with its PNG, or the `reduced` one if it is large."""
     if factor_for(luminance) == 1:
-        return Picture(display_codes(luminance), name, png=path.read_bytes())
+        return Picture(display_codes(luminance), name, png=png)
     return Picture(display_codes(reduced(luminance)), name)
-
-
-class RunFiles(NamedTuple):
-    """What is written of a run beside numbers, pictures and the page.
-
-    raw_suffixes : further formats of the frames besides .exr
-    irradiance : what irradiance.exr holds: 'reduced', bands of at most 1024 samples across and 60 MB; 'full', what `read_exr`
-        gives back bit for bit; 'factors', an image's factors only; 'none', no such file
-    """
-
-    raw_suffixes: tuple[str, ...] = ()
-    irradiance: Irradiance = "reduced"
-
-    @property
-    def formats(self) -> tuple[str, ...]:
-        """Suffixes of all files of a frame."""
-        return tuple(dict.fromkeys((".exr", *self.raw_suffixes)))
-
-    def names(self, frames: int) -> set[str]:
-        """Return the names of all files of a run of so many frames."""
-        raw = {f"{raw_stem(number)}{suffix}" for number in range(1, frames + 1) for suffix in self.formats}
-        return {PAGE, *FILES, *raw} - ({"irradiance.exr"} if self.irradiance == "none" else set())
-
-
-USUAL = RunFiles()
 
 
 def run_settings_text(prepared: RunJob, irradiance: SpectralImage) -> str:
@@ -378,55 +392,3 @@ def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     film = lit.rendered and lit.rendered.film.as_dict()
     own = prepared.settings, prepared.camera, prepared.asked.camera, prepared.repeats, prepared.frames, prepared.settled is None
     return digest_of_content(files, run_settings_text(prepared, light), light, film, lit.technology, own)
-
-
-def write_run(
-    result: RunResult,
-    folder: str | os.PathLike[str],
-    seconds: dict[str, float] | None = None,
-    files: RunFiles = USUAL,
-    progress: Progress | None = None,
-) -> Path:
-    """Write all files of a run.
-
-    seconds : stage -> wall time in s, for provenance.json
-
-    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-    pixsim did not write.
-    """
-    prepared = result.prepared
-    with output_folder(folder) as path:
-        check_replaceable(path, files.names(prepared.frames))
-        with publishing(path, "run", {"seconds": seconds or {}}, [Path(prepared.source)]) as unfinished:
-            write_all(result, unfinished, files, progress)
-        return path / PAGE
-
-
-def write_all(result: RunResult, folder: Path, files: RunFiles = USUAL, progress: Progress | None = None) -> None:
-    """Write all files of a run but its provenance to a new folder."""
-    score, irradiance = result.score, result.irradiance
-    if files.irradiance == "factors" and not irradiance.factors:
-        warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
-
-    def write_light() -> None:
-        if files.irradiance != "none":
-            write_irradiance(folder / "irradiance.exr", irradiance, files.irradiance)
-            digest_of(folder / "irradiance.exr", alone=True)  # which the provenance asks for
-
-    def frame_done(number: int) -> None:
-        if progress:
-            progress(number / result.prepared.frames)
-
-    with ThreadPoolExecutor(2) as pool:
-        # The largest file by far first.
-        written = [pool.submit(write_light), pool.submit(write_numbers, result, folder, raw_stem, files.formats, frame_done)]
-        save_png(folder / "ideal.png", score.ideal)
-        save_png(folder / "image.png", score.image)
-        end = scale_end(result.statistics[0]["p99_delta_e"])
-        save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(irradiance, score.border_um), end)
-        compile_page()
-        for each in written:
-            each.result()
-    (folder / SETTINGS_FILE).write_text(run_settings_text(result.prepared, irradiance), encoding="utf-8")
-    write_json(folder / "score.json", result.as_dict())
-    write_text(folder / PAGE, html(run_document(result, folder)))

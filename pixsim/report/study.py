@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pixsim.base.config import SETTINGS_FILE
-from pixsim.base.files import check_replaceable, output_folder, publishing, versions
+from pixsim.base.files import versions
 from pixsim.base.labels import file_label, labels_of
 from pixsim.base.parameters import Record, Study
 from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
 from pixsim.report.pictures import size_words
 from pixsim.report.settings import FILLED, record_rows, scene_rows, settings_table
-from pixsim.report.uncertainty import uncertainty_blocks
+from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
 from pixsim.report.wording import (
     blur_words,
@@ -54,14 +52,13 @@ from pixsim.show.document import (
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Drawn, Figures, Plate, table_csv
 from pixsim.show.pictures import scale
-from pixsim.show.render import lines, write_files
+from pixsim.show.render import lines
 from pixsim.show.sentences import UNKNOWN, sentence
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
-from pixsim.studies.parts import parts_table
 from pixsim.studies.result import (
     Curve,
     StudyResult,
@@ -252,44 +249,11 @@ def curve_file(name: str, paper: bool) -> str:
     return f"figure_{FIGURE_NUMBERS[name]}_{name}" if paper else name
 
 
-def write_study(
-    result: StudyResult,
-    folder: str | os.PathLike[str],
-    seconds: dict[str, float] | None = None,
-    workers: Workers | None = None,
-    more: Callable[[Path], None] | None = None,
-    figures: Figures = "svg",
-) -> Path:
-    """Write report.html, figures/ (*.svg, *.csv, contact sheets), summary.json and provenance.json.
-
-    Only the wall times in the report and in provenance.json vary: everything else is reproducible byte for byte, and does not
-    depend on the workers.
-
-    result : of `study`
-    folder : created if missing
-    seconds : stage -> wall time in s, for the report
-    workers : processes that draw the figures; None means this process
-    more : writes further files to the new folder
-    figures : "pdf" writes a PDF beside each SVG
-
-    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-    pixsim did not write.
-    """
-    times_s = {} if seconds is None else seconds
-    with output_folder(folder) as path:
-        check_replaceable(path, report_files(result.study))
-        with publishing(path, "study", {"seconds": times_s}) as unfinished:
-            document = study_page(result, times_s, workers or Workers(), parts_table(result), figures)
-            write_files(with_settings(document, result), unfinished, figures)
-            if more:
-                more(unfinished)
-        return path / document.page
-
-
-def with_settings(document: Document, result: StudyResult) -> Document:
-    """Return the document of a study with settings.toml, from which `pixsim study` makes it again."""
+def with_files_of_study(page: Document, result: StudyResult) -> Document:
+    """Return the document of a study with settings.toml, from which `pixsim study` makes it again, and what is not known."""
     files = {SETTINGS_FILE: result.settings_toml} if result.settings_toml else {}
-    return replace(document, files={**files, **document.files})
+    unknown = {".": uncertainty_document(result)} if result.uncertainty else {}
+    return replace(page, files={**files, **page.files}, parts={**page.parts, **unknown})
 
 
 def report_files(study: Study) -> set[str]:

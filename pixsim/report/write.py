@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import os
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.errors import invalid
+from pixsim.base.files import output_folder
 from pixsim.measure.lens import LensData
-from pixsim.report.axes import write_axes_report
-from pixsim.report.compare import write_compared_cases, write_comparison
+from pixsim.report.axes import study_report
+from pixsim.report.compare import cases_document, comparison_page
 from pixsim.report.lens import lens_document
-from pixsim.report.run import write_run
-from pixsim.report.study import write_study
-from pixsim.report.uncertainty import uncertainty_document
+from pixsim.report.run import run_page
+from pixsim.show.document import Document
 from pixsim.show.pages import Figures
-from pixsim.show.render import write, write_files
+from pixsim.show.render import write
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.conditions import compromises_of
-from pixsim.studies.engine import Workers
-from pixsim.studies.result import CasesResult, StudyResult
+from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
 
 
@@ -46,16 +45,22 @@ def write_report(
     """
     if figures != "svg" and isinstance(result, RunResult | Comparison | ComparedCases):
         raise invalid("figures", f"'{figures}' for a {type(result).__name__}", "'svg', since it has pictures and no figures")
+    times_s = {} if seconds is None else seconds
+    with output_folder(folder) as path:  # one that cannot be written fails before figures are drawn
+        if isinstance(result, ComparedCases):
+            for case, own in result.results:
+                write_report(own, path / case.folder, seconds)
+        return write(_page(result, path, times_s, figures), Path(folder), {"seconds": times_s}, figures)
+
+
+def _page(result: Any, folder: Path, seconds: dict[str, float], figures: Figures) -> Document:
+    """Return the document of a result with its page; the arguments are those of `write_report`."""
     if isinstance(result, RunResult):
-        return write_run(result, folder, seconds)
+        return run_page(result)
     if isinstance(result, LensData):
-        return write(lens_document(result), Path(folder), figures=figures)
+        return lens_document(result)
     if isinstance(result, Comparison):
-        return write_comparison(result, folder, seconds)
+        return comparison_page(result, folder)
     if isinstance(result, ComparedCases):
-        return write_compared_cases(result, folder, seconds)
-    more = partial(write_files, uncertainty_document(result), figures=figures) if result.uncertainty else None
-    if not isinstance(result, CasesResult):
-        return write_study(result, folder, seconds, more=more, figures=figures)
-    compromises = compromises_of(result.study, result.curves)
-    return write_axes_report(result, Path(folder), seconds or {}, Workers(), more, compromises=compromises, figures=figures)
+        return cases_document(result)
+    return study_report(result, compromises_of(result.study, result.curves), seconds, figures=figures)

@@ -43,6 +43,9 @@ OF_TYPICAL = (
 )
 
 
+SOURCES = {"measured": ORIGIN, "typical": OF_TYPICAL}  # of each kind of entry
+
+
 @dataclass(frozen=True)
 class TypicalFilters:
     """A set of filters on silicon, without an infrared filter.
@@ -103,6 +106,11 @@ class CameraEntry:
     range_nm: tuple[float, float]
     peak_nm: tuple[float, ...]
     notes: str
+
+    @property
+    def words(self) -> str:
+        """The title, and whether the scale of the channels is lost."""
+        return f"{self.title}; {OWN_SCALES}" if OWN_SCALES in self.notes else self.title
 
 
 @lru_cache

@@ -132,7 +132,7 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     if dn.max() >= 2**bits:
         raise invalid(name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead.")
     for fact, value in facts.items():
-        if fact != LAYOUT and not math.isfinite(number_of(facts, fact)):
+        if fact != LAYOUT and not math.isfinite(stated_number(facts, fact)):
             raise invalid(f"{fact} of the {name}", value, "a finite number, or None")
     writers[path.suffix.lower()](path, dn, facts)
 
@@ -210,7 +210,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     path = Path(path)
     dn, metadata = read_picture(path, "raw frame", SUFFIXES)
     _check_whole(f"raw frame '{path}'", dn)
-    numbers = {name: value for name in FACTS if math.isfinite(value := number_of(metadata, name))}
+    numbers = {name: value for name in FACTS if math.isfinite(value := stated_number(metadata, name))}
     facts: dict[str, Any] = {name: round(value) if name == "bits" else value for name, value in numbers.items()}
     return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts, layout=layout_of(metadata, dn.shape))
 
@@ -224,7 +224,7 @@ def layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None
     return None if shape[0] % layout.planes else layout
 
 
-def number_of(metadata: dict[str, Any], name: str) -> float:
+def stated_number(metadata: dict[str, Any], name: str) -> float:
     """Return an item of a file's metadata; NaN if it is absent or, as another program's item may be, no number."""
     try:
         return float(np.asarray(metadata[name]).item())

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from pathlib import Path
 from typing import Any, TypeAlias
 
 from pixsim.base.headline import with_headline
@@ -205,7 +206,10 @@ class Document(Record):
     cell : what a notebook shows
     answers, lead, sections : what the page shows, from top to bottom, without empty texts
     files : name -> content of further files
-    data_file, page : names of the files of `data` and of the page
+    writers : write others to a folder, side by side: arrays that are in no file's form in memory
+    parts : folder -> further document, published together with this one; "." is the same folder
+    sources : files of the user that it is made from, which stay where it replaces those of another one
+    data_file, page, figures : names of the files of `data` and of the page, and of the folder of the figures
     """
 
     command: str
@@ -218,8 +222,12 @@ class Document(Record):
     lead: Iterable[Block] = ()
     sections: Iterable[Section] = ()
     files: Mapping[str, str | bytes] = field(default_factory=dict)
+    writers: Iterable[Callable[[Path], object]] = ()
+    parts: Mapping[str, Document] = field(default_factory=dict)
+    sources: Iterable[Path] = ()
     data_file: str = "summary.json"
     page: str = "report.html"
+    figures: str = "figures"
 
     @property
     def plots(self) -> list[Plot]:

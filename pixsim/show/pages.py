@@ -61,13 +61,11 @@ class Drawn:
     csv: str
     pdf: bytes | None = None
 
-    def write(self, folder: Path) -> None:
-        """Write `name`.svg and `name`.csv, and `name`.pdf if there is one, to a folder."""
-        write_text(folder / f"{self.name}.svg", self.svg)
-        write_text(folder / f"{self.name}.csv", self.csv)
-        if self.pdf is not None:
-            with replacing(folder / f"{self.name}.pdf") as partial:
-                partial.write_bytes(self.pdf)
+    @property
+    def files(self) -> dict[str, str | bytes]:
+        """`name`.svg and `name`.csv, and `name`.pdf if there is one, with their contents."""
+        contents = {"svg": self.svg, "csv": self.csv, "pdf": self.pdf}
+        return {f"{self.name}.{suffix}": content for suffix, content in contents.items() if content is not None}
 
     @property
     def image(self) -> str:
@@ -79,16 +77,6 @@ class Drawn:
     def data(self) -> str:
         """The data as a data URI."""
         return text_uri("text/csv", self.csv, {"<": "%3C"})  # names of users' files are in it
-
-
-def write_figures(folder: Path, drawn: Sequence[Drawn]) -> Sequence[Drawn]:
-    """Write figures/*.svg, their data, figures/*.csv, and their PDFs, if they have some, and return `drawn`."""
-    figures = folder / "figures"
-    if drawn:
-        figures.mkdir(exist_ok=True)
-    for plate in drawn:
-        plate.write(figures)
-    return drawn
 
 
 def coarse_table(values: Array, name: str) -> dict[str, Column]:

@@ -62,10 +62,10 @@ def display_codes(light: Array) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * np.clip(light, 0, 1) ** (1 / VIEWING_GAMMA)).astype(np.uint8))
 
 
-def save_png(path: Path, light: Array) -> None:
-    """Write relative luminance (H, W), or light of the primaries (H, W, 3), as a PNG encoded for a display of gamma 2.2."""
+def light_png(light: Array) -> bytes:
+    """Return relative luminance (H, W), or light of the primaries (H, W, 3), as a PNG encoded for a display of gamma 2.2."""
     codes = display_codes(light)
-    path.write_bytes(png_bytes(codes if codes.ndim == 3 else np.repeat(codes[:, :, None], 3, axis=2)))
+    return png_bytes(codes if codes.ndim == 3 else np.repeat(codes[:, :, None], 3, axis=2))
 
 
 def scale_end(p99_delta_e: float) -> float:
@@ -73,8 +73,8 @@ def scale_end(p99_delta_e: float) -> float:
     return next((end for end in SCALE_ENDS if p99_delta_e <= end), SCALE_ENDS[-1])
 
 
-def save_delta_e_png(path: Path, delta_e: Array, where: PictureAxes, end: float) -> None:
-    """Write a ΔE map as a PNG with its axes and its colour scale from 0 to `end`."""
+def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
+    """Return a ΔE map as a PNG with its axes and its colour scale from 0 to `end`."""
     from PIL import Image, ImageDraw
 
     factor = MAP / max(delta_e.shape)  # each dot several px, or several dots one
@@ -94,7 +94,7 @@ def save_delta_e_png(path: Path, delta_e: Array, where: PictureAxes, end: float)
     draw.text((LEFT + width / 2, TOP + height + 45), x.label, BLACK, font(15), anchor="mt")
     _upright(canvas, y.label, LEFT - 95, TOP + height / 2)
     _colour_bar(canvas, draw, LEFT + width + BAR_GAP, height, end)
-    path.write_bytes(png_bytes(np.asarray(canvas)))
+    return png_bytes(np.asarray(canvas))
 
 
 def delta_e_colours(delta_e: Array, end: float) -> NDArray[np.uint8]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib import resources
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -14,7 +17,7 @@ from pixsim.base.files import output_folder, publishing, write_json
 from pixsim.base.schema import json_text
 from pixsim.base.version import VERSION
 from pixsim.show.document import Answer, Block, Document, Link, Listed, Note, Plot, Strong, Table, Text, Verdict, plain_text
-from pixsim.show.pages import Figures, Plate, data_uri, write_figures, write_text
+from pixsim.show.pages import Figures, Plate, data_uri
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -29,15 +32,21 @@ CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 MOST_TOGETHER = 4  # words of a number and its unit that stay on one line
 BELOW = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
 BETWEEN = "  "  # columns
+WIDTH = 160  # columns of output that does not go to a terminal
 
 
-def text(document: Document) -> str:
-    """Return the lines for a terminal."""
-    return "\n".join(line for block in document.terminal for line in lines(block))
+def text(document: Document, width: int = WIDTH) -> str:
+    """Return the lines for a terminal of so many columns."""
+    blocks = enumerate(document.terminal)
+    return "\n".join(line for number, block in blocks for line in lines(block, width, BELOW if number else ""))
 
 
-def lines(block: Block) -> Iterator[str]:
-    """Yield the lines of a block for a terminal, which shows no figures and pictures."""
+def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str]:
+    """Yield the lines of a block for a terminal, which shows no figures and pictures.
+
+    width : columns that tables may take
+    before : the rows of a table that is below something
+    """
     match block:
         case Answer():
             yield plain_text(block.head)
@@ -47,26 +56,37 @@ def lines(block: Block) -> Iterator[str]:
         case Listed():
             yield from (BELOW + plain_text(item) for item in block.items)
         case Table():
-            yield from _table_lines(block)
+            yield from _table_lines(block, width, before)
         case str() | tuple():
             yield plain_text(block)
 
 
-def _table_lines(table: Table) -> Iterator[str]:
-    """Return a table in columns as wide as their longest cell; a heading of rows has no share in that."""
+def _table_lines(table: Table, width: int, before: str) -> Iterator[str]:
+    """Yield a table in columns as wide as their longest cell; where that is too wide, those of words are wrapped."""
     heads = zip(*(cell.split("\n") for cell in table.head), strict=True)
     rows = [*heads, *([plain_text(cell) for cell in row] for row in table.rows)]
-    widths = [max(map(len, column)) for column in zip(*(row for row in rows if len(row) > 1), strict=True)]
-    words = range(len(widths)) if table.words is None else (0, *table.words)
+    columns = list(zip(*(row for row in rows if len(row) == max(map(len, rows))), strict=True))
+    words = range(len(columns)) if table.words is None else (0, *table.words)
+    widths = [max(map(len, column)) for column in columns]
+    narrowest = [max((len(word) for cell in column for word in cell.split()), default=0) for column in columns]
+    before = BELOW if any(len(row) == 1 for row in rows) else before
+    left = width - len(before) - len(BETWEEN) * (len(columns) - 1)
+    while sum(widths) > left and (wide := [at for at in words if widths[at] > narrowest[at]]):
+        widths[max(wide, key=widths.__getitem__)] -= 1
     for row in rows:
         if len(row) == 1:
             yield row[0]
             continue
-        cells = [
-            cell.ljust(width) if at in words else cell.rjust(width)
-            for at, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield (BELOW + BETWEEN.join(cells)).rstrip()
+        whole = len(row) == len(columns)  # the last cell of another row takes what is left
+        cells = [_wrapped(cell, widths[at]) if whole and at in words else [cell] for at, cell in enumerate(row)]
+        for parts in zip_longest(*cells, fillvalue=""):
+            padded = enumerate(zip(parts, widths, strict=False))
+            shown = (part.rjust(wide) if whole and at not in words else part.ljust(wide) for at, (part, wide) in padded)
+            yield (before + BETWEEN.join(shown)).rstrip()
+
+
+def _wrapped(cell: str, width: int) -> list[str]:
+    return textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False) if len(cell) > width else [cell]
 
 
 def json(document: Document) -> str:
@@ -104,12 +124,6 @@ def _environment() -> Environment:
     }
     environment.globals["pixsim_version"] = VERSION
     return environment
-
-
-def compile_page() -> None:
-    """Compile the templates of `html`: that takes longer than to fill them in."""
-    for name in (TEMPLATE, MACROS, "base.html.j2", "style.css.j2"):
-        _environment().get_template(name)
 
 
 def _marked(text: Text) -> Markup:
@@ -160,21 +174,22 @@ def write(document: Document, folder: Path, provenance: dict[str, Any] | None = 
 
     Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
     """
-    with output_folder(folder), publishing(folder, document.command, provenance) as unfinished:
+    with output_folder(folder) as path, publishing(path, document.command, provenance, document.sources) as unfinished:
         write_files(document, unfinished, figures)
-    return folder / document.page
+    return Path(folder) / document.page
 
 
 def write_files(document: Document, folder: Path, figures: Figures = "svg") -> None:
-    """Write all files of a document but their provenance to a new folder.
-
-    figures : "pdf" writes a PDF beside each SVG
-    """
-    write_figures(folder, [plot.drawn_as(figures) for plot in document.plots])
-    for name, content in document.files.items():
-        if isinstance(content, str):
-            write_text(folder / name, content)
-        else:
-            (folder / name).write_bytes(content)
-    write_json(folder / document.data_file, document.data)
-    write_text(folder / document.page, html(document))
+    """Write all files of a document but their provenance to a new folder."""
+    drawn = (plot.drawn_as(figures).files for plot in document.plots)
+    plots = {f"{document.figures}/{name}": content for files in drawn for name, content in files.items()}
+    with ThreadPoolExecutor(2) as pool:
+        written = [pool.submit(make, folder) for make in document.writers]
+        for name, content in {**plots, **document.files, document.page: html(document)}.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        write_json(folder / document.data_file, document.data)
+        for each in written:
+            each.result()
+    for name, part in document.parts.items():
+        write_files(part, folder / name, figures)

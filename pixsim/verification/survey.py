@@ -17,13 +17,14 @@ from pixsim.base.locks import temporary_folder
 from pixsim.base.parameters import Camera, Pixel, Run
 from pixsim.base.progress import Stage, no_stage
 from pixsim.light.spectral import SpectralImage
-from pixsim.report.run import write_all
+from pixsim.report.run import run_page
 from pixsim.scene.convergence import RENDER_NOISE
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import Scene, chart_parameters
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
+from pixsim.show.render import write_files
 from pixsim.studies.budget import MAX_DOTS, ProbeDesign, calibrate, effects, pitches_around_optimum_um, probe
 from pixsim.studies.cases import Case
 from pixsim.studies.prepared import Prepared, loaded_scene
@@ -77,7 +78,8 @@ def seconds_to_score(image: SpectralImage, design: ProbeDesign, source: str, set
         ends.append(time.perf_counter())
         score = chain.score_frame(frame)
         ends.append(time.perf_counter())
-        write_all(RunResult(prepared, image, chain=chain, score=score, statistics=(score.statistics(),)), folder)
+        result = RunResult(prepared, image, chain=chain, score=score, statistics=(score.statistics(),))
+        write_files(run_page(result), folder)
         ends.append(time.perf_counter())
     diffraction, ideal, sensor, shown, report = (end - start for start, end in pairwise(ends))
     return {"diffraction": diffraction, "sensor": sensor, "S-CIELAB": ideal + shown, "report": report}

@@ -13,7 +13,8 @@ from pixsim.base.config import HEAD, read_toml, settings_table_text
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import PROVENANCE, check_replaceable, publishing, write_json
 from pixsim.base.schema import CHANGES, KEY, SCHEMA
-from pixsim.cli.options import show
+from pixsim.cli.options import answer
+from pixsim.show.document import Document
 from pixsim.studies.results_file import COLUMNS, ResultsFile
 
 
@@ -42,9 +43,9 @@ def test_every_number_says_what_changed():
 def test_json_files_and_output_state_the_schema(tmp_path, capsys):
     write_json(tmp_path / "score.json", {"mean_delta_e": 1.5})
     assert json.loads((tmp_path / "score.json").read_text()) == {KEY: SCHEMA, "mean_delta_e": 1.5}
-    show({"mean_delta_e": 1.5}, True, "")
+    answer(Document("run", "", "", {"mean_delta_e": 1.5}), True)
     assert json.loads(capsys.readouterr().out) == {KEY: SCHEMA, "mean_delta_e": 1.5}
-    show({"$schema": "https://json-schema.org/draft/2020-12/schema"}, True, "")
+    answer(Document("schema", "", "", {"$schema": "https://json-schema.org/draft/2020-12/schema"}), True)
     assert KEY not in json.loads(capsys.readouterr().out)
     with publishing(tmp_path, "run") as folder:
         (folder / "a.txt").write_text("a")

@@ -22,7 +22,8 @@ from typing import Any
 
 import pixsim
 from pixsim.base import cache
-from pixsim.report.axes import write_axes_report
+from pixsim.report.axes import study_report
+from pixsim.show.render import write
 from pixsim.studies import evaluations
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.engine import Workers, workers_here
@@ -97,7 +98,7 @@ def main() -> None:
         prepared = prepare(study)
         result = run_prepared(prepared, folder / "out", jobs=jobs, progress=stage)
         stage("report")
-        write_axes_report(result, folder / "out", {}, Workers(jobs), compromises=compromises_of(study, result.curves))
+        write(study_report(result, compromises_of(study, result.curves), {}, Workers(jobs)), folder / "out")
         stage("")
         lines = [line.split() for path in (folder / "own").iterdir() for line in path.read_text(encoding="utf-8").splitlines()]
     own_s, other_s = (sum(float(line[place]) for line in lines) for place in (0, 2))

@@ -19,9 +19,9 @@ from helpers.processes import HANG_S
 from pixsim.base import machine
 from pixsim.base.parameters import Camera
 from pixsim.cli import doctor
-from pixsim.cli.commands import report
-from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, requirements, satisfies
+from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, doctor_document, requirements, satisfies
 from pixsim.scene.guard import checks, graphics, trial, variant
+from pixsim.show import render
 
 OLD_LLVM = [str(path) for major in (14, 15) for path in sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{major}.so.1"))]
 HIDES_THE_WHEEL = """
@@ -358,10 +358,11 @@ def test_report_wraps_text_but_not_commands():
     fix = "export A=" + "x" * 200
     bad = Finding("group", "bad", PROBLEM, "word " * 60, fix)
     findings = [Finding("group", "good", OK, "text"), bad, Finding("b", "c", NOTE, "-")]
-    lines = report(findings, 80).splitlines()
-    assert lines[:2] == ["group", "  ok       good                 text"]
-    assert lines[2].startswith("  problem  bad ")
+    lines = render.text(doctor_document(findings), 80).splitlines()
+    assert lines[:2] == ["group", "  ok       good  text"]
+    assert lines[2].startswith("  problem  bad   word ")
     assert f"           to fix it: {fix}" in lines
+    assert lines[-4:-1] == ["b", "  note     c     -", ""]
     assert max(len(line) for line in lines if fix not in line) <= 80
     assert lines[-1] == "pixsim does not work on this machine: 1 problem, 1 note"
-    assert report(findings[::2], 80).splitlines()[-1] == "renders work on this machine: 0 problems, 1 note"
+    assert render.text(doctor_document(findings[::2])).splitlines()[-1] == "renders work on this machine: 0 problems, 1 note"

@@ -363,7 +363,7 @@ def test_sfr_command_writes_files(tmp_path: Path) -> None:
     assert result == json.loads((tmp_path / "o/summary.json").read_text(encoding="utf-8"))
     assert result["mtf50_cy_per_mm"] == pytest.approx(200 * result["mtf50_cy_per_px"])
     assert {path.name for path in (tmp_path / "o").iterdir()} == {
-        "sfr.csv", "sfr.svg", "edge_spread.csv", "edge_spread.svg", "summary.json", "provenance.json"
+        "sfr.csv", "sfr.svg", "edge_spread.csv", "edge_spread.svg", "summary.json", "provenance.json", "report.html"
     }  # fmt: skip
     first = (tmp_path / "o/sfr.csv").read_text(encoding="utf-8").splitlines()
     assert first[0] == "frequency_cy_per_px,sfr,sfr_low,sfr_high,frequency_cy_per_mm"

@@ -254,7 +254,7 @@ def test_run_command_again_keeps_all_files(source: str, tmp_path: Path, monkeypa
     assert first[0] == 0, first
     assert ("does not define its white" in first[2]) == (source == "a picture")
     before = files_of(tmp_path / "out")
-    monkeypatch.setattr(report_of_run, "write_all", unused)
+    monkeypatch.setattr(report_of_run, "run_page", unused)
     assert command(line) == first
     assert files_of(tmp_path / "out") == before
 

@@ -15,7 +15,7 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.labels import label_of
-from pixsim.report.study import plates_of_curves, report_files, write_study
+from pixsim.report.study import plates_of_curves, report_files
 from pixsim.report.wording import blur_words
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.pixels import physics_of
@@ -34,7 +34,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyResult
         other = process.read_text(encoding="utf-8").replace('name = "0.35um"', 'name = "other"')
         Path(OTHER).write_text(other, encoding="utf-8")
         result = pixsim.study(tiny(title=TITLE, technologies=["0.35um", OTHER]), folder / "out", jobs=1)
-        write_study(result, folder / "out", {"render": 1.25})
+        pixsim.write_report(result, folder / "out", {"render": 1.25})
         yield result, folder / "out"
 
 
@@ -82,7 +82,7 @@ def test_write_report_minimum_at_end_is_not_best(made: tuple[StudyResult, Path],
     result = made[0]
     curve = result.curves[0]
     at_the_end = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False, pitch_um=15.0)))
-    write_study(replace(result, curves=(at_the_end,)), tmp_path, {})
+    pixsim.write_report(replace(result, curves=(at_the_end,)), tmp_path, {})
     words = words_of(tmp_path)
     assert "No best pixel size, 0.35um, between 5.30 and 15.00 µm" in words
     assert "Best pixel size" not in words
@@ -94,7 +94,7 @@ def figures(folder: Path) -> dict[str, bytes]:
 
 def test_write_report_figures_are_reproducible(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result, folder = made
-    write_study(result, tmp_path, {"render": 99.0})
+    pixsim.write_report(result, tmp_path, {"render": 99.0})
     assert figures(folder) == figures(tmp_path)
     for svg in figures(folder).values():
         assert b"dc:date" not in svg
@@ -119,7 +119,7 @@ def test_write_report_equal_file_names_are_numbered(made: tuple[StudyResult, Pat
     result = pixsim.study(study, tmp_path / "out", jobs=1)
     assert [curve.technology for curve in result.curves] == [str(path) for path in paths]
     assert repr(result).count(str(tmp_path)) == 0
-    page = write_study(result, tmp_path / "out").read_text(encoding="utf-8")
+    page = pixsim.write_report(result, tmp_path / "out").read_text(encoding="utf-8")
     names = {path.name for path in (tmp_path / "out/figures").iterdir()}
     for label in ("mine", "mine-2"):
         assert {f"contact_sheet_{label}.png", f"pictures_{label}.svg"} <= names
@@ -165,7 +165,7 @@ def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_pat
     assert message["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
     assert [message[name][0] for name in ("file", "film", "integration_s")] == ["csf.xml", "384\u00a0×\u00a0384", "100 ms"]
     brighter = result.study.display.model_copy(update={"white_cd_per_m2": 250.0})
-    write_study(replace(result, study=result.study.model_copy(update={"display": brighter})), tmp_path)
+    pixsim.write_report(replace(result, study=result.study.model_copy(update={"display": brighter})), tmp_path)
     assert "display white is 250 cd/m² in the scene" in words_of(tmp_path)
     assert "display.white_cd_per_m2</td>" in text_of(tmp_path)
 
@@ -180,7 +180,7 @@ def test_light_level_exposure_range(made: tuple[StudyResult, Path]) -> None:
 def test_write_report_shows_notes(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """A warning of the render, such as of its noise, is a note of the result."""
     warned = "render noise is 0.31 of the sensor noise, target 0.2"
-    write_study(replace(made[0], warned=(warned,)), tmp_path)
+    pixsim.write_report(replace(made[0], warned=(warned,)), tmp_path)
     assert warned in words_of(tmp_path)
     assert warned in json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["notes"]
 
@@ -200,7 +200,7 @@ SHEET |= {"quantum_efficiency": [[400.0, 0.3], [550.0, 0.6], [700.0, 0.4]]}
 def test_write_report_data_sheet_omits_process(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     more = {"name": "sheet", "technologies": ["none"], "pixel": SHEET, "pitch": {"values_um": [5, 6, 7, 8.5, 11]}}
     result = pixsim.study(tiny(**more), tmp_path, jobs=1)
-    write_study(result, tmp_path)
+    pixsim.write_report(result, tmp_path)
     page, words = text_of(tmp_path), words_of(tmp_path)
     rows = re.findall(r'<tr><th scope="row">(\w+)</th>', page)
     assert {"full_well_e", "bits", "white_cd_per_m2"} <= set(rows)
@@ -217,7 +217,7 @@ def test_write_report_paper_comparison(made: tuple[StudyResult, Path], tmp_path:
     """0.0415 is the largest number of the response file, 0.37 that of the process's."""
     own = {"name": "paper", "paper": True, "pixel": {"response": "literal"}}
     result = pixsim.study(tiny(**own), tmp_path, jobs=1)
-    write_study(result, tmp_path)
+    pixsim.write_report(result, tmp_path)
     words = words_of(tmp_path)
     assert "read literally, as a quantum efficiency: it peaks at 0.0415. The process 0.35um states 0.37 (A: measured" in words
     assert "add --pixel.response scaled --out FOLDER to the command" in words

@@ -24,7 +24,7 @@ from pixsim.base.arrays import stream
 from pixsim.base.config import packaged, read_toml
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import merge
-from pixsim.report.study import light_against_detail, report_files, write_study
+from pixsim.report.study import light_against_detail, report_files
 from pixsim.report.wording import optimum_line
 from pixsim.sensor.readout import Frame
 from pixsim.studies import evaluations as rows_module
@@ -226,7 +226,7 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
     # And it is another study than the one without them.
     pixsim.study(tiny(**few), tmp_path / "plain", jobs=1)
     assert not set(keys(tmp_path / "plain")) & set(keys(tmp_path / "study"))
-    page = write_study(by_study, tmp_path / "study").read_text(encoding="utf-8")
+    page = pixsim.write_report(by_study, tmp_path / "study").read_text(encoding="utf-8")
     assert "set by the study; the file has 0.3 (D: assumed" in page
     assert '<th scope="row">voltage_swing_v</th><td>0.9</td><td>0.9 to 1.5</td>' in page
 
