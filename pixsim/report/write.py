@@ -45,12 +45,12 @@ def write_report(
     """
     if figures != "svg" and isinstance(result, RunResult | Comparison | ComparedCases):
         raise invalid("figures", f"'{figures}' for a {type(result).__name__}", "'svg', since it has pictures and no figures")
-    times_s = {} if seconds is None else seconds
+    times = {"seconds": seconds} if seconds else {}
     with output_folder(folder) as path:  # one that cannot be written fails before figures are drawn
         if isinstance(result, ComparedCases):
             for case, own in result.results:
                 write_report(own, path / case.folder, seconds)
-        return write(_page(result, path, times_s, figures), Path(folder), {"seconds": times_s}, figures)
+        return write(_page(result, path, seconds or {}, figures), Path(folder), times, figures)
 
 
 def _page(result: Any, folder: Path, seconds: dict[str, float], figures: Figures) -> Document:

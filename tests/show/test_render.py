@@ -56,6 +56,23 @@ def test_terminal_has_words_left_numbers_right_and_headings_of_rows_at_the_edge(
     ]
 
 
+def test_terminal_wraps_words_where_a_table_is_too_wide() -> None:
+    """Words are not broken, and neither are numbers and the last cell of a short row, which may be a command."""
+    rows = (("one", "12.5", "a few words"), ("two", "100.25", "more-of-them in all"), ("", "a command of many words"))
+    table = Table("", ("", "number", "remark"), rows, words=(2,))
+    shown = render.text(document(terminal=(table, table)), 28).splitlines()
+    assert shown[:6] == [
+        "     number  remark",
+        "one    12.5  a few words",
+        "two  100.25  more-of-them in",
+        "             all",
+        "     a command of many words",
+        "       number  remark",  # below something
+    ]
+    narrow = render.text(document(terminal=(table,)), 5).splitlines()
+    assert narrow[1:4] == ["one    12.5  a few words", "two  100.25  more-of-them", "             in all"]
+
+
 def test_terminal_draws_nothing() -> None:
     def draw() -> Plate:
         raise AssertionError
@@ -92,6 +109,24 @@ def test_write_writes_page_figures_data_and_files(tmp_path: Path) -> None:
     names = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
     assert names == {"report.html", "summary.json", "sizes.csv", "figures/line.svg", "figures/line.csv", "provenance.json"}
     assert page.read_text(encoding="utf-8").count("download=") == 1
+
+
+def test_write_publishes_arrays_and_parts_with_a_document_and_leaves_its_sources(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    render.write(document(files={"source.txt": "of an earlier document", "old.txt": ""}, sections=()), folder)
+    part = document(sections=(), figures=".", lead=(Plot(plate),), data_file="part.json", page="part.html")
+    content = {"writers": (lambda unfinished: (unfinished / "a.exr").write_bytes(b"array"),), "parts": {".": part, "case": part}}
+    render.write(document(**content, sources=(folder / "source.txt",), sections=()), folder)
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    own = {"part.html", "part.json", "line.svg", "line.csv"}
+    whole = {"a.exr", "report.html", "summary.json", "provenance.json", "source.txt"}
+    assert names == whole | own | {f"case/{name}" for name in own}
+
+
+def test_array_that_cannot_be_written_publishes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError):
+        render.write(document(writers=(lambda _: 1 / 0,)), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 @needs_browser
