@@ -25,7 +25,10 @@ def cache_document(summary: Mapping[str, Any], freed_bytes: int | None = None) -
 
     freed, foreign = ([] if freed_bytes is None else [f"removed {mib(freed_bytes)}"]), summary["foreign_bytes"]
     size = Answer(f"{summary['folder']}: {mib(summary['size_bytes'])} of {summary['limit_bytes'] / MIB:.0f}")
-    rows = [(name, f"{kind['entries']} entries", mib(kind["size_bytes"])) for name, kind in summary["kinds"].items()]
+    rows = [
+        (name, f"{kind['entries']} entr{'y' if kind['entries'] == 1 else 'ies'}", mib(kind["size_bytes"]))
+        for name, kind in summary["kinds"].items()
+    ]
     others = f"{mib(foreign)} of other files, or of another release, which pixsim leaves alone"
     blocks: list[Block] = [*freed, size, *([Table("entries", (), rows)] if rows else []), *([Listed(others)] if foreign else [])]
     data = {**summary} | ({} if freed_bytes is None else {"freed_bytes": freed_bytes})
