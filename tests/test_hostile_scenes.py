@@ -35,7 +35,7 @@ from pixsim.scene.guard.plugins import MAX_ELEMENTS, PLUGINS
 from pixsim.scene.guard.tracer import Job, OutOfTimeError, OwnTracer
 from pixsim.scene.mitsuba import parse, speaking_mitsuba
 from pixsim.scene.scene import packaged_scenes
-from pixsim.scene.tree import nodes_of
+from pixsim.scene.tree import nodes_of, tree_of
 
 VARIANT = "scalar_spectral"
 SIDE = 8
@@ -173,10 +173,10 @@ def test_judged_text_has_what_the_file_has(tmp_path):
     root = ET.fromstring(text.text)
     assert root.attrib == {"version": "3.0.0"}
     assert [child.tag for child in root] == ["integrator", "sensor", "emitter", "bsdf", "bsdf"]
-    state = parse(text.text, VARIANT)
-    ids = [node.props.id() for _, node in nodes_of(state, "BSDF")]
+    state = tree_of(parse(text.text, VARIANT))
+    ids = [node.id for _, node in nodes_of(state, "BSDF")]
     assert ids == ["b", "grün < & \" 'x' $5"]
-    files = [str(node.props["filename"]) for node in state.nodes if "filename" in node.props]
+    files = [str(node["filename"]) for node in state.nodes if "filename" in node]
     assert files == [str(tmp_path / "ü.exr")]
     assert (text.names, text.defaults) == ({"file"}, {"file": "ü.exr"})
 
@@ -404,11 +404,10 @@ def test_spectrum_of_a_file_equals_mitsubas(assets):
     """The table goes into the text with all its digits: Mitsuba reads the same numbers from the file itself."""
     path = scene_of(assets, NAMED["spectrum"][1].format(assets / "a.spd"))
     (assets / "a.spd").write_text("# nm, value\n\n400.123456789012 0.1234567890123456\n 5e2\t2e-1 x\n700 .4\n")
-    (ours,) = nodes_of(parse(open_scene(path, {}).text, VARIANT), "BSDF")
+    ((_, ours),) = nodes_of(tree_of(parse(open_scene(path, {}).text, VARIANT)), "BSDF")
     with speaking_mitsuba(VARIANT) as mi:
-        (stock,) = nodes_of(mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path)), "BSDF")
-    for name in ("wavelengths", "values"):
-        assert list(getattr(ours[1].props["reflectance"], name)) == list(getattr(stock[1].props["reflectance"], name))
+        ((_, stock),) = nodes_of(tree_of(mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path))), "BSDF")
+    assert ours["reflectance"] == stock["reflectance"]
 
 
 def test_files_of_spectra_are_bounded_in_total(tmp_path, monkeypatch):

@@ -136,37 +136,25 @@ def numerical_aperture(f_number: float) -> float:
 
 
 @checks_arguments
-def elliptic_pupil(
-    numerical_aperture: ArrayLike,
-    chief_ray_deg: ArrayLike = 0.0,
-    azimuth_deg: ArrayLike = 0.0,
-    *,
-    radial: ArrayLike = 1.0,
-    tangential: ArrayLike = 1.0,
-) -> Pupil:
-    """Return ellipses of direction cosines around chief rays, (...) as the arguments broadcast; by default circles.
+def disc_pupil(numerical_aperture: ArrayLike, chief_ray_deg: ArrayLike = 0.0, azimuth_deg: ArrayLike = 0.0) -> Pupil:
+    """Return discs of direction cosines around chief rays, (...) as the arguments broadcast.
 
     numerical_aperture : of the lens on the sensor side, sin α
     chief_ray_deg : angle of the chief ray to the axis, in air
     azimuth_deg : of the chief ray, from +x towards +y
-    radial, tangential : semi-axes, relative to `numerical_aperture`: cos³ and cos of the chief ray angle for a lens with
-        cos⁴ fall-off
 
-    Raises PixsimError if sin CRA and the semi-axis together reach 1, the horizon.
+    Raises PixsimError if sin CRA and the aperture together reach 1, the horizon.
     """
-    aperture, chief, azimuth, along, across = np.broadcast_arrays(
-        *(np.asarray(value, float) for value in (numerical_aperture, chief_ray_deg, azimuth_deg, radial, tangential))
+    aperture, chief, azimuth = np.broadcast_arrays(
+        *(np.asarray(value, float) for value in (numerical_aperture, chief_ray_deg, azimuth_deg))
     )
     if not np.all(np.abs(chief) < 90):
         raise invalid("chief_ray_deg", f"{chief.flat[np.argmax(np.abs(chief))]:g}", "above -90 and below 90 degrees")
     turn = np.radians(azimuth)
     outward, sideways = np.stack([np.cos(turn), np.sin(turn)], -1), np.stack([-np.sin(turn), np.cos(turn)], -1)
-    sine, along, across = np.sin(np.radians(chief)), aperture * along, aperture * across
-    # The farthest point, at cos φ = c r/(t² - r²), or at the end of the radial axis.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cosine = np.where(across > along, np.minimum(np.abs(sine) * along / (across**2 - along**2), 1.0), 1.0)
-    farthest = np.hypot(np.abs(sine) + along * cosine, across * np.sqrt(1 - cosine**2))
+    sine = np.sin(np.radians(chief))
+    farthest = np.abs(sine) + aperture
     if not np.all(farthest < 1):
-        got = f"direction cosines up to {farthest.max():.4g} (sine of the chief ray angle plus semi-axis)"
+        got = f"direction cosines up to {farthest.max():.4g} (sine of the chief ray angle plus numerical aperture)"
         raise invalid("pupil", got, "below 1, the horizon", "Take a larger f_number or a smaller chief_ray_deg.")
-    return Pupil(sine[..., None] * outward, along[..., None] * outward, across[..., None] * sideways)
+    return Pupil(sine[..., None] * outward, aperture[..., None] * outward, aperture[..., None] * sideways)

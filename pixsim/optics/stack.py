@@ -33,7 +33,7 @@ from scipy.special import sici
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.optics.pupil import Directions, Pupil, elliptic_pupil, numerical_aperture
+from pixsim.optics.pupil import Directions, Pupil, disc_pupil, numerical_aperture
 
 LOWEST_LENS = 1 / math.sqrt(math.pi)  # height over pitch at which a microlens reaches the bound of étendue
 NARROWEST = 1e-8  # semi-axis in direction cosines; a pupil below is one direction, since its boundary would be all rounding
@@ -167,7 +167,7 @@ def stack_collection(
     0.998383
     """
     stack = Stack(pitch_um, photodiode_side_um, height_um, index, microlens, shift_um, refraction)
-    pupil = elliptic_pupil(numerical_aperture(f_number), chief_ray_deg, azimuth_deg)
+    pupil = disc_pupil(numerical_aperture(f_number), chief_ray_deg, azimuth_deg)
     return collected_shares(stack, pupil)[1:-1, 1:-1]
 
 

@@ -58,7 +58,7 @@ def find_lamps(state: Tree, variant: str) -> list[Lamp]:
     groups: dict[tuple[Any, ...], list[tuple[int, str, float, int | None]]] = {}
     coloured: dict[int, tuple[str, int | float]] = {}
     for index, node in nodes_of(state, "Emitter"):
-        name = EMISSION.get(node.props.plugin_name(), "")
+        name = EMISSION.get(node.plugin, "")
         emission = _emission(state, node)
         if emission is None:
             coloured[index] = name, 1.0
@@ -88,29 +88,29 @@ def find_lamp(state: Tree, variant: str) -> Lamp | None:
 
 def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int | None] | None:
     """Return an emitter's spectrum (a hashable key), scale and neutral picture (a node); None if they cannot be separated."""
-    name = EMISSION.get(emitter.props.plugin_name())
+    name = EMISSION.get(emitter.plugin)
     if name is None:
         return None
-    if name not in emitter.props:  # Mitsuba's default: a d65 of scale 1
+    if name not in emitter:  # Mitsuba's default: a d65 of scale 1
         return (("d65",), 1.0, None)
     others = [index for key, index in children(emitter, state).items() if key != name]
-    if any(not is_neutral(state.nodes[index]) for index in others if state.nodes[index].type.name == "Texture"):
+    if any(not is_neutral(state.nodes[index]) for index in others if state.nodes[index].kind == "Texture"):
         return None  # the coloured texture of a spot
-    kind = emitter.props.type(name).name
+    kind = emitter.kind_of(name)
     if kind in ("Float", "Integer"):  # a plain number is a d65 of that scale
-        return (("d65",), float(emitter.props[name]), None)
+        return (("d65",), float(emitter[name]), None)
     if kind == "Color":
-        return (("rgb", emitter.props.as_string(name)), 1.0, None)
+        return (("rgb", emitter.text_of(name)), 1.0, None)
     if kind == "Spectrum":
-        value = emitter.props[name]
-        if value.is_uniform():
+        value = emitter[name]
+        if value.uniform:
             return (("uniform",), float(value.values[0]), None)
         return (("table", tuple(map(float, value.wavelengths)), tuple(map(float, value.values))), 1.0, None)
     if kind not in ("ResolvedReference", "Reference"):
         return None
     index = children(emitter, state)[name]
     node = state.nodes[index]
-    plugin = node.props.plugin_name()
+    plugin = node.plugin
     if plugin == "bitmap" and is_neutral(node):
         return (("uniform",), 1.0, index)
     nested = list(children(node, state).values())
@@ -121,7 +121,7 @@ def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int |
     if plugin == "uniform":
         return (("uniform",), float(values.get("value", 1.0)), picture)
     if plugin == "d65":
-        return (("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node.props else None
+        return (("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node else None
     if (table := table_of(node)) is not None:
         return (("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())), 1.0, picture)
     if plugin == "blackbody":
@@ -131,7 +131,7 @@ def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int |
 
 def is_neutral(texture: Node) -> bool:
     """Return whether a texture multiplies all wavelengths alike: a raw bitmap does."""
-    return texture.props.plugin_name() == "bitmap" and bool(texture.props.get("raw", False))
+    return texture.plugin == "bitmap" and bool(texture.get("raw", False))
 
 
 def numbers(text: object) -> list[float]:
@@ -146,14 +146,14 @@ def parsed_table(value: Table) -> Spectrum:
 
 def table_of(node: Node) -> Spectrum | None:
     """Return the table of a `regular` or `irregular` spectrum whose values are in the XML, else None."""
-    props, plugin = node.props, node.props.plugin_name()
+    plugin = node.plugin
     if plugin not in ("regular", "irregular"):
         return None
     with suppress(KeyError, ValueError):
-        values = np.array(numbers(props["values"]))
+        values = np.array(numbers(node["values"]))
         if plugin == "irregular":
-            return Spectrum(np.array(numbers(props["wavelengths"])), values)
-        ends = (props["wavelength_min"], props["wavelength_max"]) if "wavelength_min" in props else numbers(props["range"])
+            return Spectrum(np.array(numbers(node["wavelengths"])), values)
+        ends = (node["wavelength_min"], node["wavelength_max"]) if "wavelength_min" in node else numbers(node["range"])
         low, high = map(float, ends)
         return Spectrum(np.linspace(low, high, values.size), values)
     return None
@@ -222,7 +222,7 @@ def white_of(state: Tree, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spec
     if not names:
         known = [lamp.spectrum for lamp in lamps if lamp.spectrum is not None]
         return (known[0],) if len(lamps) == len(known) == 1 else ()
-    emitters = {node.props.id(): (index, EMISSION.get(node.props.plugin_name())) for index, node in nodes_of(state, "Emitter")}
+    emitters = {node.id: (index, EMISSION.get(node.plugin)) for index, node in nodes_of(state, "Emitter")}
     if unknown := [name for name in names if name not in emitters]:
         allowed = f"ids of emitters of the scene: {', '.join(emitters)}"
         raise invalid(WHITE_LAMPS, f"'{unknown[0]}'", allowed, did_you_mean(unknown[0], emitters))
@@ -297,7 +297,7 @@ def find_surfaces(state: Tree, variant: str) -> Surfaces:
     if nodes_of(state, "Medium"):
         return Surfaces(None, "a medium of unknown spectra")
     for _, node in nodes_of(state, "BSDF"):
-        plugin = node.props.plugin_name()
+        plugin = node.plugin
         if len(spectra) > MAX_SPECTRA:
             return Surfaces(None, f"more than {MAX_SPECTRA} spectra of surfaces")
         if plugin not in SPECTRA:
@@ -307,7 +307,7 @@ def find_surfaces(state: Tree, variant: str) -> Surfaces:
             return Surfaces(None, f"an unknown refractive index of {plugin}")
         spectra += metal
         for name in SPECTRA[plugin]:
-            if name in node.props:
+            if name in node:
                 colours = _property(state, node, name, variant, short)
                 if colours is None:
                     return Surfaces(None, f"an unknown texture of {plugin}.{name}")
@@ -320,25 +320,25 @@ def find_surfaces(state: Tree, variant: str) -> Surfaces:
 
 def _property(state: Tree, node: Node, name: str, variant: str, short: set[str]) -> list[Array] | None:
     """Return the spectra that a property of a node may have: none if it is neutral, None if they are unknown."""
-    kind = node.props.type(name).name
+    kind = node.kind_of(name)
     if kind in ("Float", "Integer"):
         return []
     if kind == "Color":
-        value = numbers(node.props.as_string(name))
+        value = numbers(node.text_of(name))
         return [evaluate_spectrum({"type": "rgb", "value": value}, variant)] if np.ptp(value) else []
     if kind == "Spectrum":
-        value = node.props[name]
-        return [] if value.is_uniform() else [_table(parsed_table(value), short)]
+        value = node[name]
+        return [] if value.uniform else [_table(parsed_table(value), short)]
     if kind not in ("Reference", "ResolvedReference"):
         return None
     texture = state.nodes[children(node, state)[name]]
-    plugin = texture.props.plugin_name()
+    plugin = texture.plugin
     if plugin == "uniform" or is_neutral(texture):
         return []
     if (table := table_of(texture)) is not None:
         return [_table(table, short)]
     if plugin == "checkerboard":
-        parts = [_property(state, texture, colour, variant, short) for colour in ("color0", "color1") if colour in texture.props]
+        parts = [_property(state, texture, colour, variant, short) for colour in ("color0", "color1") if colour in texture]
         return None if any(part is None for part in parts) else [rho for part in parts for rho in part or []]
     return None
 
@@ -352,7 +352,7 @@ def _table(table: Spectrum, short: set[str]) -> Array:
 
 def _spectrum_dict(table: Table) -> dict[str, Any]:
     """Return the plugin description of a spectrum that the parser stores."""
-    if table.is_uniform():
+    if table.uniform:
         return {"type": "uniform", "value": float(table.values[0])}
     columns = {name: ", ".join(repr(float(value)) for value in getattr(table, name)) for name in ("wavelengths", "values")}
     return {"type": "irregular", **columns}
@@ -367,9 +367,9 @@ def _metal(state: Tree, node: Node, variant: str) -> list[Array] | None:
             described[key] = _spectrum_dict(values[key]) if isinstance(values[key], Table) else values[key]
         elif key in textures:
             texture = state.nodes[textures[key]]
-            if texture.props.plugin_name() not in ("uniform", "regular", "irregular"):
+            if texture.plugin not in ("uniform", "regular", "irregular"):
                 return None
-            described[key] = {"type": texture.props.plugin_name(), **dict(plain(texture))}
+            described[key] = {"type": texture.plugin, **dict(plain(texture))}
     return [evaluate_reflection(described, cosine, variant) for cosine in METAL_COSINES]
 
 
@@ -414,11 +414,11 @@ class Body:
 
 
 def matrix_of(node: Node, name: str = "to_world") -> Array:
-    if name not in node.props:
+    if name not in node:
         return np.eye(4)
-    if "Transform" not in node.props.type(name).name:
-        raise invalid(f"{node.props.plugin_name()}.{name}", node.props[name], "a <transform>")
-    return np.asarray(node.props[name].matrix, float).reshape(4, 4)
+    if "Transform" not in node.kind_of(name):
+        raise invalid(f"{node.plugin}.{name}", node[name], "a <transform>")
+    return np.asarray(node[name], float).reshape(4, 4)
 
 
 def check_transforms(state: Tree) -> None:
@@ -426,17 +426,17 @@ def check_transforms(state: Tree) -> None:
     for node in state.nodes:
         matrix = matrix_of(node)
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < MIN_VOLUME:
-            raise invalid(f"{node.props.plugin_name()}.to_world", matrix.tolist(), "a finite, invertible transform")
+            raise invalid(f"{node.plugin}.to_world", matrix.tolist(), "a finite, invertible transform")
 
 
 def find_bodies(state: Tree, sensor: Node) -> list[Body]:
     """Return every shape that may be in view; the members of a shape group are placed at its instances."""
     to_camera = np.asarray(np.linalg.inv(matrix_of(sensor)), float)
-    groups = [(index, node) for index, node in nodes_of(state, "Shape") if node.props.plugin_name() == "shapegroup"]
+    groups = [(index, node) for index, node in nodes_of(state, "Shape") if node.plugin == "shapegroup"]
     members = {child: index for index, node in groups for child in children(node, state).values()}
     bodies = []
     for index, node in nodes_of(state, "Shape"):
-        plugin = node.props.plugin_name()
+        plugin = node.plugin
         if index in members or plugin == "shapegroup":
             continue
         if plugin == "instance":
@@ -444,7 +444,7 @@ def find_bodies(state: Tree, sensor: Node) -> list[Body]:
             if group is None:
                 raise invalid("shape of type instance", "none in it", "a reference to a shape of type shapegroup")
             parts = [child for child, owner in members.items() if owner == group]
-            boxes = [_box(state.nodes[part]) for part in parts if state.nodes[part].type.name == "Shape"]
+            boxes = [_box(state.nodes[part]) for part in parts if state.nodes[part].kind == "Shape"]
             known = [box for box in boxes if box is not None]
             place = to_camera @ matrix_of(node)
             bodies.append(Body(index, _moved(place, np.vstack(known)) if known and len(known) == len(boxes) else None, None))
@@ -456,17 +456,17 @@ def find_bodies(state: Tree, sensor: Node) -> list[Body]:
 
 def _box(node: Node) -> Array | None:
     """Return the corners of a bounding box of a stock shape in world coordinates, or None."""
-    props, plugin = node.props, node.props.plugin_name()
+    plugin = node.plugin
     if plugin in FLAT:
         unit = np.array([[x, y, 0.0] for x, y in product((-1.0, 1.0), repeat=2)])
     elif plugin == "cube":
         unit = np.array(list(product((-1.0, 1.0), repeat=3)))
     elif plugin == "sphere":
-        centre = np.array(props.get("center", [0.0, 0.0, 0.0]), float).ravel()
-        unit = centre + float(props.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
+        centre = np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel()
+        unit = centre + float(node.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
     elif plugin == "cylinder":
-        ends = [np.array(props.get(f"p{end}", [0.0, 0, end]), float).ravel() for end in (0, 1)]
-        radius = float(props.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
+        ends = [np.array(node.get(f"p{end}", [0.0, 0, end]), float).ravel() for end in (0, 1)]
+        radius = float(node.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
         unit = np.vstack([end + radius for end in ends])
     else:
         return None
@@ -475,11 +475,11 @@ def _box(node: Node) -> Array | None:
 
 def _facing(to_camera: Array, node: Node) -> Array | None:
     """Return the unit normal of the front side of a flat shape in the camera's frame, else None."""
-    if node.props.plugin_name() not in FLAT:
+    if node.plugin not in FLAT:
         return None
     # Normals transform by the inverse transpose, so that a mirrored shape keeps its front side.
     normal = np.linalg.inv((to_camera @ matrix_of(node))[:3, :3])[2]
-    if node.props.get("flip_normals", False):
+    if node.get("flip_normals", False):
         normal = -normal
     return np.asarray(normal / np.linalg.norm(normal))
 
@@ -519,11 +519,11 @@ MAP_NAMES = ("alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropi
 
 def named_files(state: Tree) -> list[Path]:
     """Return the files of all nodes, which are inspected: pictures, meshes and volumes."""
-    return [_file_of(node) for node in state.nodes if "filename" in node.props]
+    return [_file_of(node) for node in state.nodes if "filename" in node]
 
 
 def _file_of(node: Node) -> Path:
-    return Path(str(node.props["filename"]))
+    return Path(str(node["filename"]))
 
 
 KEPT_PICTURES, MAX_KEPT_BYTES = 4, 1 << 24
@@ -548,12 +548,12 @@ def check_textures(state: Tree) -> None:
     shares: dict[int, str] = {}  # textures of reflectances
     for node in state.nodes:
         for name, index in children(node, state).items():
-            if node.type.name == "BSDF" and (name.endswith(("reflectance", "transmittance")) or name == "base_color"):
+            if node.kind == "BSDF" and (name.endswith(("reflectance", "transmittance")) or name == "base_color"):
                 for part in (index, *children(state.nodes[index], state).values()):  # of a checkerboard
-                    shares[part] = f"{node.props.plugin_name()}.{name}"
-            (maps_or_weights if node.props.plugin_name() in MAPS or name in MAP_NAMES else others).add(index)
+                    shares[part] = f"{node.plugin}.{name}"
+            (maps_or_weights if node.plugin in MAPS or name in MAP_NAMES else others).add(index)
     maps = maps_or_weights - others
-    files = {index: _file_of(node) for index, node in nodes_of(state, "Texture") if "filename" in node.props}
+    files = {index: _file_of(node) for index, node in nodes_of(state, "Texture") if "filename" in node}
     raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
     numbers = {path for index, path in files.items() if index in maps}
     named = {files[index]: name for index, name in shares.items() if index in files}
@@ -604,25 +604,25 @@ def emitted_picture(state: Tree, emitter: Node) -> EmittedPicture | None:
 
     Returns None if the picture is of another kind, rotated, repeated or not centred.
     """
-    name = EMISSION.get(emitter.props.plugin_name(), "")
+    name = EMISSION.get(emitter.plugin, "")
     texture = children(emitter, state).get(name)
     while texture is not None and not is_neutral(state.nodes[texture]):
         nested = list(children(state.nodes[texture], state).values())
-        if not nested and state.nodes[texture].props.plugin_name() not in PLAIN_SPECTRA:
+        if not nested and state.nodes[texture].plugin not in PLAIN_SPECTRA:
             return None
         texture = nested[0] if nested else None
     if texture is None:
         return EmittedPicture(np.ones((1, 1)))
     node = state.nodes[texture]
     to_uv = matrix_of(node, "to_uv")
-    if "filename" not in node.props:
+    if "filename" not in node:
         return None
     path = _file_of(node)
     whole = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2)) and np.allclose(to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5)
     if path.suffix.lower() != ".exr" or not whole:
         return None
-    linear = node.props.get("filter_type", "bilinear") == "bilinear" and set(node.props.keys()) <= KNOWN_OF_BITMAPS
-    beyond = BEYOND.get(str(node.props.get("wrap_mode", "repeat"))) if linear else None
+    linear = node.get("filter_type", "bilinear") == "bilinear" and set(node) <= KNOWN_OF_BITMAPS
+    beyond = BEYOND.get(str(node.get("wrap_mode", "repeat"))) if linear else None
     source = digest_of(path)
     texels = next(iter(_channels_of(path, source).values())).astype(float)
     return EmittedPicture(texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond, source)

@@ -236,7 +236,7 @@ class Plan:
 
 def shutter_note(sensor: Node) -> str:
     """Return what to say of a sensor that states a shutter time; empty for others. No scene that pixsim reads has motion."""
-    opens, closes = (float(sensor.props.get(name, 0.0)) for name in ("shutter_open", "shutter_close"))
+    opens, closes = (float(sensor.get(name, 0.0)) for name in ("shutter_open", "shutter_close"))
     if opens == closes:
         return ""
     exposures = f"{setting('exposure.integration_s')} sets the exposure, and {setting('exposure.max_integration_s')} its longest"
@@ -322,7 +322,7 @@ def make_render_plan(
         limits = f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or {spectral_bands.MAX_BANDS} bands"
         warnings.append(f"the error of mean electrons is up to {bound_e:.1e}, above the tolerance {tolerance_e:g}: {limits}")
     emitters = nodes_of(state, "Emitter")
-    alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].props.plugin_name() == "area" and bool(lamps)
+    alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].plugin == "area" and bool(lamps)
     plan = Plan(
         lights=tuple(lights),
         bands=bands,

@@ -90,7 +90,7 @@ def decide_defocus(
     words = f"out of focus, a thin lens's discs with the blur that the lens has in focus: rms error up to {_amount(found[0])}"
     if unknown:
         words += f"; {unknown}"
-    if any(node.props.plugin_name() not in LAMBERTIAN for _, node in nodes_of(state, "BSDF")):
+    if any(node.plugin not in LAMBERTIAN for _, node in nodes_of(state, "BSDF")):
         words += "; what surfaces mirror or refract lies at other depths, which are not looked at"
     return found, [Decision(DEFOCUS, False, words, "a trace for each depth", bounded=False)]
 
@@ -111,7 +111,7 @@ def depth_ranges_m(bodies: Sequence[Body], camera: Camera, state: Tree) -> tuple
             ranges.append((near if near > 0 and far < nearest else min(max(near, nearest), far), far))
     if unknown:
         ranges.append((nearest, math.inf))
-    if any(node.props.plugin_name() not in ALIKE for _, node in nodes_of(state, "Emitter")):
+    if any(node.plugin not in ALIKE for _, node in nodes_of(state, "Emitter")):
         ranges.append((math.inf, math.inf))
     words = f"{unknown} shape{'s' * (unknown > 1)} of unknown size taken as from {nearest:.3g} m to infinity" if unknown else ""
     return ranges, words

@@ -289,16 +289,16 @@ def decide_bounces(state: Tree, bodies: list[Body], full: bool) -> tuple[dict[st
     A flat emitter alone needs depth 1. Light meets one surface at most if the scene sets that depth, or if flat, diffuse,
     one-sided surfaces face the same way: `direct` then samples as `path` does, in less time.
     """
-    max_depth = next((int(node.props.get("max_depth", UNLIMITED)) for _, node in nodes_of(state, "Integrator")), UNLIMITED)
+    max_depth = next((int(node.get("max_depth", UNLIMITED)) for _, node in nodes_of(state, "Integrator")), UNLIMITED)
     allowed = "any number" if max_depth < 0 else f"{max(max_depth - 1, 0)}"
     met = UNLIMITED if max_depth < 0 else max(max_depth - 1, 0)
     if full:
         return None, met, Decision("bounces", True, f"as set in the scene: {allowed}")
     paths = [node for _, node in nodes_of(state, "Integrator")]
-    names = [node.props.plugin_name() for node in paths] or ["path"]
+    names = [node.plugin for node in paths] or ["path"]
     if names != ["path"] or max_depth in (0, 1) or nodes_of(state, "Medium"):
         return None, 1 if names == ["direct"] else met, Decision("bounces", True, f"the scene's integrator, '{names[0]}'")
-    hidden = {"hide_emitters": True} if paths and paths[0].props.get("hide_emitters", False) else {}
+    hidden = {"hide_emitters": True} if paths and paths[0].get("hide_emitters", False) else {}
     emitters = {index for index, _ in nodes_of(state, "Emitter")}
     shining = {index for index, node in nodes_of(state, "Shape") if emitters & set(children(node, state).values())}
     alone = len(bodies) == 1 and len(emitters) == 1 and bodies[0].node in shining
@@ -308,7 +308,7 @@ def decide_bounces(state: Tree, bodies: list[Body], full: bool) -> tuple[dict[st
     direct = {"type": "direct", **hidden}
     if max_depth == 2:
         return direct, 1, Decision("bounces", False, "one, as set in the scene: no loop over bounces", "a third of the time")
-    matt = all(node.props.plugin_name() == "diffuse" for _, node in nodes_of(state, "BSDF")) and not shining
+    matt = all(node.plugin == "diffuse" for _, node in nodes_of(state, "BSDF")) and not shining
     if matt and bodies and face_one_way(bodies):
         reason = "flat, one-sided, diffuse surfaces that face the same way do not light each other"
         return direct, 1, Decision("bounces", False, reason, f"all but 1 of {allowed}")
@@ -319,11 +319,11 @@ def irregular_tables(state: Tree) -> dict[tuple[int, str], tuple[Spectrum, Array
     """Return (node, property) -> (table, values at equal steps) of the surface tables that allow equal steps."""
     tables = {}
     for index, node in enumerate(state.nodes):
-        if node.type.name not in ("BSDF", "Texture"):
+        if node.kind not in ("BSDF", "Texture"):
             continue
-        for name in node.props.keys():  # noqa: SIM118  (Properties is no dict)
-            if node.props.type(name).name == "Spectrum" and not node.props[name].is_uniform():
-                table = parsed_table(node.props[name])
+        for name in node:
+            if node.kind_of(name) == "Spectrum" and not node[name].uniform:
+                table = parsed_table(node[name])
                 regular = regular_values(table)
                 if regular is not None:
                     tables[index, name] = table, regular
@@ -350,8 +350,8 @@ def decide_lens(
         return "thinlens", Decision("lens samples", True, f"nothing left out ({blur_text})")
     if nodes_of(state, "Medium"):
         return "thinlens", Decision("lens samples", True, "a medium")
-    coloured = [node.props.plugin_name() for _, node in nodes_of(state, "BSDF") if node.props.plugin_name() not in LAMBERTIAN]
-    distant = [node.props.plugin_name() for _, node in nodes_of(state, "Emitter")]
+    coloured = [node.plugin for _, node in nodes_of(state, "BSDF") if node.plugin not in LAMBERTIAN]
+    distant = [node.plugin for _, node in nodes_of(state, "Emitter")]
     if coloured:
         return "thinlens", Decision("lens samples", True, f"'{coloured[0]}' looks different across the lens; {blur_text}")
     if not set(distant) <= set(ALIKE):
@@ -366,7 +366,7 @@ def decide_lens(
 def lone_chart(state: Tree, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> Chart | None:
     """Return the chart if the scene is one flat emitter that faces the lens upright, centred, and fills the film."""
     emitters = nodes_of(state, "Emitter")
-    if len(bodies) != 1 or len(emitters) != 1 or emitters[0][1].props.plugin_name() != "area":
+    if len(bodies) != 1 or len(emitters) != 1 or emitters[0][1].plugin != "area":
         return None
     body = bodies[0]
     if (half := _facing_half(state, body)) is None:
@@ -384,7 +384,7 @@ def lone_chart(state: Tree, camera: Camera, bodies: list[Body], shape: tuple[int
     turns = -1 if up[1] * picture.along_v > 0 else 1, -1 if across[0] * picture.along_u > 0 else 1
     texels = picture.texels[:: turns[0], :: turns[1]]
     per_sample = tuple(v / h * n / film for v, h, n, film in zip(view, half, texels.shape, shape, strict=True))
-    seen = body.normal[2] < 0 and not any(n.props.get("hide_emitters", False) for _, n in nodes_of(state, "Integrator"))
+    seen = body.normal[2] < 0 and not any(n.get("hide_emitters", False) for _, n in nodes_of(state, "Integrator"))
     source = f"{picture.source} {turns}" if picture.source else ""
     beyond = picture.beyond if seen else None
     return Chart(np.ascontiguousarray(texels), (per_sample[0], per_sample[1]), shape, beyond, source)
@@ -392,7 +392,7 @@ def lone_chart(state: Tree, camera: Camera, bodies: list[Body], shape: tuple[int
 
 def _facing_half(state: Tree, body: Body) -> tuple[float, float] | None:
     """Return half the height and width, m, of a rectangle that faces the lens upright and centred; None for other shapes."""
-    if state.nodes[body.node].props.plugin_name() != FLAT[0] or body.corners is None or body.normal is None:
+    if state.nodes[body.node].plugin != FLAT[0] or body.corners is None or body.normal is None:
         return None
     half = float(np.ptp(body.corners[:, 1])) / 2, float(np.ptp(body.corners[:, 0])) / 2
     middle = body.corners.mean(axis=0)
@@ -415,7 +415,7 @@ def ends_with_film(state: Tree, camera: Camera, bodies: list[Body], shape: tuple
     It does so if it is one rectangle, as large as the view, with nothing behind it. Such a rectangle is the picture: that the
     world is black beyond it is not what anybody means.
     """
-    names = [node.props.plugin_name() for _, node in nodes_of(state, "Emitter")]
+    names = [node.plugin for _, node in nodes_of(state, "Emitter")]
     if len(bodies) != 1 or set(names) & BACKGROUNDS or (half := _facing_half(state, bodies[0])) is None:
         return False, False
     above, beside = (abs(v / h - 1) <= ENDS for v, h in zip(_view(camera, bodies[0], shape), half, strict=True))

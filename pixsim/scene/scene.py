@@ -27,7 +27,7 @@ from pixsim.scene.guard.inspector import SceneText, open_scene
 from pixsim.scene.guard.plugins import REASONS
 from pixsim.scene.illuminance import ILLUMINANCE, strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
-from pixsim.scene.tree import Node, Table, Transform, Tree, children, nodes_of, parse_tree, plain
+from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, parse_tree, plain
 
 CHART, CHART_LINEAR = "chart", "chart_linear"
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
@@ -350,7 +350,7 @@ def _with_own_chart(scene: Scene, text: SceneText, picture: Path | None, linear:
     own = False
     if picture:
         nodes = nodes_of(parse_tree(text.text, scene.choice.reading), "Texture")
-        own = any(is_neutral(node) for _, node in nodes if str(node.props.get("filename", "")) == str(picture))
+        own = any(is_neutral(node) for _, node in nodes if str(node.get("filename", "")) == str(picture))
     if linear and not (own and picture and picture.suffix.lower() not in LINEAR_SUFFIXES):
         name = scene.parameters.get(CHART, "")
         got = f"1 (--linear) with the chart '{Path(name).name}'" if name else "1 (--linear) without a chart"
@@ -424,12 +424,12 @@ def _positive(name: str, value: object) -> float:
 
 def check_supported(state: Tree) -> None:
     """Raise PixsimError for unsupported features: media without volumetric paths, dispersion, a cropped film."""
-    integrators = [node.props.plugin_name() for _, node in nodes_of(state, "Integrator")]
+    integrators = [node.plugin for _, node in nodes_of(state, "Integrator")]
     for _, node in nodes_of(state, "Sensor"):
-        if any(state.nodes[index].type.name == "Medium" for index in children(node, state).values()):
+        if any(state.nodes[index].kind == "Medium" for index in children(node, state).values()):
             raise invalid("sensor", "a camera in a medium", "a camera in air", "Let the medium begin in front of the lens.")
     for _, node in nodes_of(state, "Film"):
-        cropped = [name for name in node.props.keys() if name.startswith("crop_")]  # noqa: SIM118
+        cropped = [name for name in node if name.startswith("crop_")]
         if cropped:
             raise invalid("film", ", ".join(cropped), "an uncropped film", "Remove the crop: the film is the die.")
     if nodes_of(state, "Medium") and not any(name.startswith("vol") for name in integrators):
@@ -437,30 +437,30 @@ def check_supported(state: Tree) -> None:
         raise invalid("scene", got, "volpath or volpathmis for media", 'Write <integrator type="volpath"/>.')
     for _, node in nodes_of(state, "BSDF"):
         for name in ("int_ior", "ext_ior"):
-            if name in node.props and node.props.type(name).name not in ("Float", "Integer", "String"):
+            if name in node and node.kind_of(name) not in ("Float", "Integer", "String"):
                 allowed = "one index for all wavelengths, as Mitsuba's dielectrics have"
-                what, hint = f"{node.props.plugin_name()}.{name}", "Give the index at 589 nm."
+                what, hint = f"{node.plugin}.{name}", "Give the index at 589 nm."
                 raise invalid(what, "a spectrum: dispersive glass", allowed, hint)
 
 
 def sensor_node(state: Tree, sensor_id: str | None) -> tuple[int, Node]:
     """Return the scene's sensor. Raises PixsimError if it is missing, ambiguous or not a thin lens."""
     sensors = nodes_of(state, "Sensor")
-    ids = ", ".join(f"'{node.props.id()}'" for _, node in sensors)
+    ids = ", ".join(f"'{node.id}'" for _, node in sensors)
     if sensor_id is not None:
-        sensors = [(index, node) for index, node in sensors if node.props.id() == sensor_id]
+        sensors = [(index, node) for index, node in sensors if node.id == sensor_id]
     if len(sensors) != 1:
         got = "no sensor" if not ids else f"sensors {ids}" + (f", none named '{sensor_id}'" if sensor_id else "")
         raise invalid("scene", got, "one thinlens sensor", "Choose one with --sensor ID." if ids else "")
     index, node = sensors[0]
-    plugin = node.props.plugin_name()
+    plugin = node.plugin
     if plugin != "thinlens":
         raise invalid("sensor", f"'{plugin}'", "thinlens, since exposure and blur need an aperture", REASONS["sensor"])
     for offset in ("principal_point_offset_x", "principal_point_offset_y"):
-        if sensor_offset := float(node.props.get(offset, 0.0)):
+        if sensor_offset := float(node.get(offset, 0.0)):
             raise invalid("sensor", f"{offset} = {sensor_offset:g}", "0, since the die is centred on the lens axis")
     for needed in ("aperture_radius", "focus_distance"):
-        if needed not in node.props:
+        if needed not in node:
             raise invalid("sensor", f"a thinlens without {needed}", "fov, aperture_radius and focus_distance, in metres")
     return index, node
 
@@ -488,27 +488,27 @@ def sample_count(state: Tree, sensor: Node) -> int:
 
 def _child(state: Tree, sensor: Node, kind: str) -> Node | None:
     """Return the sensor's film or sampler, or None."""
-    return next((state.nodes[index] for index in children(sensor, state).values() if state.nodes[index].type.name == kind), None)
+    return next((state.nodes[index] for index in children(sensor, state).values() if state.nodes[index].kind == kind), None)
 
 
 def _whole(node: Node | None, name: str, default: int) -> int:
-    if node is None or name not in node.props:
+    if node is None or name not in node:
         return default
-    value = node.props[name]
+    value = node[name]
     if not isinstance(value, int):
-        raise invalid(f"{node.props.plugin_name()}.{name}", value, "a whole number")
+        raise invalid(f"{node.plugin}.{name}", value, "a whole number")
     return value
 
 
 def fov_x_deg(sensor: Node, aspect: float = 1.0) -> float:
     """Return the horizontal field of view, from `fov` along its axis or `focal_length` (35 mm equivalent)."""
-    axis = str(sensor.props.get("fov_axis", "x"))
-    if "focal_length" in sensor.props:
-        equivalent_mm = float(str(sensor.props["focal_length"]).removesuffix("mm"))
+    axis = str(sensor.get("fov_axis", "x"))
+    if "focal_length" in sensor:
+        equivalent_mm = float(str(sensor["focal_length"]).removesuffix("mm"))
         half = math.hypot(*FILM_35_MM) / 2 / equivalent_mm
         axis = "diagonal"
-    elif "fov" in sensor.props:
-        fov_deg = _positive("fov", sensor.props["fov"])
+    elif "fov" in sensor:
+        fov_deg = _positive("fov", sensor["fov"])
         if fov_deg >= 180:
             raise invalid("fov", f"{fov_deg:g}", "between 0 and 180 degrees")
         half = math.tan(math.radians(fov_deg) / 2)
@@ -524,7 +524,7 @@ def read_camera(sensor: Node, die_mm: float, aspect: float = 1.0, options: Camer
 
     options : whose values replace those of the node, before these are checked
     """
-    aperture, focus = (_positive(name, sensor.props[name]) for name in ("aperture_radius", "focus_distance"))
+    aperture, focus = (_positive(name, sensor[name]) for name in ("aperture_radius", "focus_distance"))
     given = options.model_dump(exclude_none=True, include={"focal_length_mm", "f_number", "object_distance_m"}) if options else {}
     own = values_of_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
     rounded = {name: float(f"{own[name]:.6g}") for name in ("focal_length_mm", "f_number")}
@@ -543,7 +543,7 @@ def hash_of_tree(state: Tree) -> str:
             (name, Path(str(value)).name if name == "filename" and os.path.isabs(str(value)) else in_full(value))
             for name, value in plain(node, numbers_only=False)
         )
-        tree.append([node.type.name, node.props.plugin_name(), values, sorted(children(node, state).items())])
+        tree.append([node.kind, node.plugin, values, sorted(children(node, state).items())])
     return content_hash([tree, [digest_of(path) for path in named_files(state)]])
 
 
@@ -552,8 +552,6 @@ def in_full(value: object) -> str:
     match value:
         case Table():
             return f"{value.wavelengths} {value.values}"
-        case Transform():
-            return str(value.matrix.tolist())
         case np.ndarray():
             return str(value.tolist())
     return str(value)

@@ -1,7 +1,4 @@
-"""The parsed tree of a scene in plain Python, kept in the cache: a command that traces no rays need not import Mitsuba.
-
-`Tree`, `Node` and `Properties` answer as Mitsuba's parser state, nodes and properties do.
-"""
+"""The parsed tree of a scene in plain Python, kept in the cache: a command that traces no rays need not import Mitsuba."""
 
 from __future__ import annotations
 
@@ -21,57 +18,29 @@ from pixsim.scene.mitsuba import parse
 
 if TYPE_CHECKING:
     import mitsuba
-    from mitsuba.parser import ParserState, SceneNode
+    from mitsuba.parser import ParserState
 
+REFERENCES = ("ResolvedReference", "Reference", "Object")  # kinds of properties that are other nodes
 MAX_TEXT = 1 << 20  # characters of a scene whose tree is kept
 MAX_SMALL, SMALL_TREES = 1 << 16, 32  # characters of a scene whose tree stays in memory, and how many do
 
 
-class Kind(NamedTuple):
-    """Kind of a node, as Emitter, or of a property, as Float."""
-
-    name: str
-
-
-@dataclass(frozen=True)
-class Transform:
-    """A transform, with its (4, 4) matrix."""
-
-    matrix: Array
-
-
 @dataclass(frozen=True)
 class Table:
-    """A spectrum as a table."""
+    """A spectrum as a table.
+
+    uniform : whether it has one value for all wavelengths
+    """
 
     wavelengths: list[float]
     values: list[float]
     uniform: bool
 
-    def is_uniform(self) -> bool:
-        """Whether it has one value for all wavelengths."""
-        return self.uniform
-
-
-@dataclass(frozen=True)
-class Reference:
-    """A reference to a node by its id, or by its index if that is resolved."""
-
-    to: Any
-
-    def id(self) -> str:
-        """The id of the node."""
-        return str(self.to)
-
-    def index(self) -> int:
-        """The index of the node."""
-        return int(self.to)
-
 
 class Property(NamedTuple):
-    """A property: its kind, its value, and the text of a colour.
+    """A property: its kind, as Float, its value, and the text of a colour, as Mitsuba writes it.
 
-    value : None for a property that has no value in Python
+    value : (4, 4) of a transform, the index of a node or its id for a reference; None for what has no value in Python
     """
 
     kind: str
@@ -80,51 +49,34 @@ class Property(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Properties:
-    """The properties of a node."""
+class Node:
+    """A node of the tree: its kind, as Emitter, its plugin, its id and its properties, in their order."""
 
+    kind: str
     plugin: str
-    name: str
-    entries: dict[str, Property] = field(repr=False)
+    id: str
+    properties: dict[str, Property] = field(repr=False)
 
-    def plugin_name(self) -> str:
-        """Name of the plugin."""
-        return self.plugin
-
-    def id(self) -> str:
-        """Id of the node."""
-        return self.name
-
-    def keys(self) -> Iterator[str]:
-        """Names of the properties, in their order."""
-        return iter(self.entries)
-
-    def type(self, name: str) -> Kind:
+    def kind_of(self, name: str) -> str:
         """Kind of a property."""
-        return Kind(self.entries[name].kind)
+        return self.properties[name].kind
 
-    def as_string(self, name: str) -> str:
-        """A colour, as Mitsuba writes it."""
-        return self.entries[name].text
+    def text_of(self, name: str) -> str:
+        """Text of a colour."""
+        return self.properties[name].text
 
     def get(self, name: str, default: Any = None) -> Any:
         """The value of a property, or the default."""
-        return self[name] if name in self.entries else default
+        return self.properties[name].value if name in self.properties else default
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.properties)
 
     def __contains__(self, name: str) -> bool:
-        return name in self.entries
+        return name in self.properties
 
     def __getitem__(self, name: str) -> Any:
-        if name not in self.entries or self.entries[name].value is None:
-            raise RuntimeError(f"{self.plugin}.{name} has no value")
-        return self.entries[name].value
-
-
-class Node(NamedTuple):
-    """A node of the tree."""
-
-    type: Kind
-    props: Properties
+        return self.properties[name].value
 
 
 class Tree(NamedTuple):
@@ -134,35 +86,29 @@ class Tree(NamedTuple):
     id_to_index: dict[str, int]
 
 
-def children(node: Node | SceneNode, state: Tree | ParserState) -> dict[str, int]:
+def children(node: Node, state: Tree) -> dict[str, int]:
     """Return property -> index of the node that it refers to. Raises PixsimError if there is no such node."""
     indices = {}
-    for key in node.props.keys():  # noqa: SIM118  (Properties is no dict)
-        kind = node.props.type(key).name
-        if kind == "ResolvedReference":
-            indices[key] = node.props[key].index()
-        elif kind == "Reference":
-            name = node.props[key].id()
-            if name not in state.id_to_index:
-                raise invalid("scene", f"a reference to '{name}', which does not exist", "ids of the scene's nodes")
-            indices[key] = state.id_to_index[name]
+    for name in node:
+        if node.kind_of(name) == "ResolvedReference":
+            indices[name] = node[name]
+        elif node.kind_of(name) == "Reference":
+            if node[name] not in state.id_to_index:
+                raise invalid("scene", f"a reference to '{node[name]}', which does not exist", "ids of the scene's nodes")
+            indices[name] = state.id_to_index[node[name]]
     return indices
 
 
-def plain(node: Node | SceneNode, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
-    """Iterate over the properties of a node that are values, not references."""
-    for key in node.props.keys():  # noqa: SIM118
-        if node.props.type(key).name not in ("ResolvedReference", "Reference", "Object"):
-            try:
-                yield key, node.props[key]
-            except RuntimeError:  # an <rgb> has no Python value
-                if not numbers_only:
-                    yield key, node.props.as_string(key)
+def plain(node: Node, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
+    """Iterate over the properties of a node that are values, not references; colours, as text, unless `numbers_only`."""
+    for name, (kind, value, text) in node.properties.items():
+        if kind not in REFERENCES and not (value is None and numbers_only):
+            yield name, text if value is None else value
 
 
 def nodes_of(state: Tree, kind: str) -> list[tuple[int, Node]]:
     """Return the nodes of a kind, with their indices."""
-    return [(index, node) for index, node in enumerate(state.nodes) if node.type.name == kind]
+    return [(index, node) for index, node in enumerate(state.nodes) if node.kind == kind]
 
 
 def parse_tree(text: str, variant: str) -> Tree:
@@ -186,7 +132,7 @@ def tree_of(state: ParserState) -> Tree:
     nodes = []
     for node in state.nodes:
         own = {name: _property(node.props, name) for name in node.props.keys()}  # noqa: SIM118
-        nodes.append(Node(Kind(node.type.name), Properties(node.props.plugin_name(), node.props.id(), own)))
+        nodes.append(Node(node.type.name, node.props.plugin_name(), node.props.id(), own))
     return Tree(nodes, {str(name): int(index) for name, index in dict(state.id_to_index).items()})
 
 
@@ -205,15 +151,15 @@ def _plain(kind: str, value: Any) -> Any:
     is_json = isinstance(value, list | dict | str | int)
     match kind:
         case "Transform":
-            return Transform(_fixed(value if is_json else value.matrix))
+            return _fixed(value if is_json else value.matrix)
         case "Vector" | "Color":
             return _fixed(value)
         case "Spectrum":
             return Table(**value) if is_json else Table(list(value.wavelengths), list(value.values), value.is_uniform())
         case "Reference":
-            return Reference(value if is_json else value.id())
+            return value if is_json else value.id()
         case "ResolvedReference":
-            return Reference(value if is_json else value.index())
+            return value if is_json else value.index()
     return value
 
 
@@ -225,22 +171,13 @@ def _fixed(numbers: ArrayLike) -> Array:
 
 
 def _to_json(tree: Tree) -> dict[str, Any]:
-    def plain(value: object) -> object:
-        match value:
-            case Transform():
-                return value.matrix.tolist()
-            case np.ndarray():
-                return value.tolist()
-            case Table():
-                return vars(value)
-            case Reference():
-                return value.to
-        return value
+    def written(value: object) -> object:
+        return value.tolist() if isinstance(value, np.ndarray) else vars(value) if isinstance(value, Table) else value
 
     nodes = []
     for node in tree.nodes:
-        entries = [[name, kind, plain(value), text] for name, (kind, value, text) in node.props.entries.items()]
-        nodes.append([node.type.name, node.props.plugin, node.props.name, entries])
+        entries = [[name, kind, written(value), text] for name, (kind, value, text) in node.properties.items()]
+        nodes.append([node.kind, node.plugin, node.id, entries])
     return {"nodes": nodes, "ids": tree.id_to_index}
 
 
@@ -248,5 +185,5 @@ def _from_json(content: dict[str, Any]) -> Tree:
     nodes = []
     for kind, plugin, name, entries in content["nodes"]:
         own = {key: Property(of, None if value is None else _plain(of, value), text) for key, of, value, text in entries}
-        nodes.append(Node(Kind(kind), Properties(plugin, name, own)))
+        nodes.append(Node(kind, plugin, name, own))
     return Tree(nodes, dict(content["ids"]))

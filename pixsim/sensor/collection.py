@@ -25,7 +25,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Correction, Display, StackOptions
 from pixsim.optics.camera_light import RINGS, SPOKES, CameraPupil, camera_pupil
-from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
+from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits, nodes_for
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.crosstalk import share_with_neighbours, share_with_neighbours_of_channels, shares_sum
@@ -364,7 +364,7 @@ def _measured_share(measured: Measurement, charge: StackOptions | None, nm: Arra
 def _measured_share_at(measured: Measurement, charge: StackOptions | None, wavelength_nm: tuple[float, ...]) -> Array:
     lens, f_number = measured
     nm, sine = np.array(wavelength_nm), numerical_aperture(f_number)
-    optical, spread = collected_shares(lens, elliptic_pupil(sine), nm), _spread(lens, charge, sine, nm)
+    optical, spread = collected_shares(lens, disc_pupil(sine), nm), _spread(lens, charge, sine, nm)
     return np.asarray((optical if spread is None else spread_shares(optical, spread)).sum(axis=(-2, -1)))
 
 

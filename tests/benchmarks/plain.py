@@ -37,8 +37,8 @@ def plain_mitsuba(scene: Scene, resolution: int, sampler: str, bands_nm: np.ndar
         loaded = mi.load_file(str(scene.path), **scene.parameters)
         sensor = sensor_node(scene.parse(), None)[1]
         names = ("type", "fov", "aperture_radius", "focus_distance", "to_world")
-        lens = {key: sensor.props[key] for key in names if key in sensor.props}
-        lens["to_world"] = mi.ScalarTransform4f(lens["to_world"].matrix)
+        lens = {key: sensor[key] for key in names if key in sensor}
+        lens["to_world"] = mi.ScalarTransform4f(lens["to_world"])
 
     def picture(spp: int, seed: int) -> np.ndarray:
         with speaking_mitsuba(scene.choice.variant) as mi:

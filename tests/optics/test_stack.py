@@ -13,7 +13,7 @@ import pytest
 from pixsim import optics
 from pixsim.base.errors import PixsimError
 from pixsim.optics import stack as stacks
-from pixsim.optics.pupil import Directions, Pupil, elliptic_pupil, numerical_aperture
+from pixsim.optics.pupil import Directions, Pupil, disc_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, aperture_mtf, aperture_side_um, collected_shares, model_limits
 from pixsim.optics.thin_lens import thin_lens_pupil
 
@@ -49,7 +49,7 @@ def reference_stack(name: str, target: str, refraction: str) -> tuple[Stack, Pup
     side = row["photodiode_um"] if target == "photodiode" else row["pitch_um"]
     shift = row["shift_x_um"], row["shift_y_um"]
     stack = Stack(row["pitch_um"], side, row["height_um"], row["index"], name not in BARE, shift, refraction)
-    return stack, elliptic_pupil(numerical_aperture(row["f_number"]), row["cra_deg"], row["azimuth_deg"])
+    return stack, disc_pupil(numerical_aperture(row["f_number"]), row["cra_deg"], row["azimuth_deg"])
 
 
 TARGETS = [(name, target) for name in REFERENCE for target in ("photodiode", "cell") if target == "photodiode" or name not in BARE]
@@ -96,7 +96,7 @@ def test_microlens_on_axis_is_disc_and_square(side):
     radius, cut = 0.4, min(side / 0.8, 1.0)
     segment = math.acos(cut) - cut * math.sqrt(1 - cut**2)
     wanted = 1 - 4 * segment / math.pi if cut > math.sqrt(0.5) else side**2 / (math.pi * radius**2)
-    shares = collected_shares(Stack(1.0, side, 1.0, 1.5, refraction="paraxial"), elliptic_pupil(0.6))
+    shares = collected_shares(Stack(1.0, side, 1.0, 1.5, refraction="paraxial"), disc_pupil(0.6))
     assert shares[2, 2] == pytest.approx(wanted, rel=1e-13)
     assert np.count_nonzero(shares) == 1
 
@@ -109,7 +109,7 @@ def test_light_is_lost_below_the_threshold_only(side, height, index, refraction)
     threshold = math.sqrt((height / (index * side)) ** 2 + extra - 0.25)
     assert stack.lossless_f_number == pytest.approx(threshold, rel=1e-15)
     lost = [
-        1 - collected_shares(stack, elliptic_pupil(numerical_aperture(threshold * factor)))[2, 2] for factor in (1 + 1e-9, 1 - 1e-9)
+        1 - collected_shares(stack, disc_pupil(numerical_aperture(threshold * factor)))[2, 2] for factor in (1 + 1e-9, 1 - 1e-9)
     ]
     # The four segments of relative height d = 1e-9 (1 - NA²) are 16√2/3π d^1.5, 1e-14 to 1e-13; 1 is exact to rounding.
     assert abs(lost[0]) < 2e-15 < 5e-15 < lost[1] < 1e-12
@@ -152,7 +152,7 @@ def random_pupils(rng: np.random.Generator, count: int) -> Pupil:
     """Discs of f/0.7 to f/8, up to the horizon."""
     aperture = 1 / np.sqrt(1 + 4 * rng.uniform(0.7, 8.0, count) ** 2)
     chief_deg = np.degrees(np.arcsin((1 - aperture) * rng.uniform(0, 0.99, count)))
-    return elliptic_pupil(aperture, chief_deg, rng.uniform(0, 360, count))
+    return disc_pupil(aperture, chief_deg, rng.uniform(0, 360, count))
 
 
 def random_stack(rng: np.random.Generator, **more: object) -> Stack:
@@ -182,7 +182,7 @@ def test_no_stack_collects_more_than_etendue_allows():
 
 def test_lowest_microlens_reaches_the_bound_of_etendue():
     """At h = p/√π a paraxial spot wider than the photodiode has its area, and the share is the bound itself."""
-    pupil = elliptic_pupil(0.9)
+    pupil = disc_pupil(0.9)
     lowest = Stack(2.0, 0.4, 2.0 / math.sqrt(math.pi), 1.0, refraction="paraxial")
     assert collected_shares(lowest, pupil)[2, 2] == pytest.approx(0.04 / 0.81, rel=1e-13)
     with pytest.raises(PixsimError, match=r"height_um: got 1\.12; allowed: at least p/√π = 1\.12838 .* pitch_um = 2.*étendue"):
@@ -205,7 +205,7 @@ def test_full_photodiodes_collect_everything(microlens, refraction):
 @pytest.mark.parametrize("microlens", [True, False])
 def test_shares_turn_with_the_light(microlens):
     stack = Stack(2.2, 1.3, 3.5, 1.5, microlens, "optimal")
-    kernels = collected_shares(stack, elliptic_pupil(0.3, 20.0, [30.0, 120.0, 210.0, 150.0]))
+    kernels = collected_shares(stack, disc_pupil(0.3, 20.0, [30.0, 120.0, 210.0, 150.0]))
     np.testing.assert_allclose(kernels[1], np.rot90(kernels[0], -1), atol=1e-14)  # x to y, with y down
     np.testing.assert_allclose(kernels[2], kernels[0][::-1, ::-1], atol=1e-14)
     np.testing.assert_allclose(kernels[3], kernels[0][:, ::-1], atol=1e-14)
@@ -216,8 +216,8 @@ def test_shares_turn_with_the_light(microlens):
 def test_boundary_integral_is_the_mean_over_rays(microlens, refraction):
     """Ellipses and discs seen in perspective; 200 × 600 rays resolve the edges of a photodiode to 1e-3, a bare pixel to 1e-5."""
     stack = Stack(2.2, 1.3, 3.5, 1.5, microlens, "optimal", refraction)
-    pupils = elliptic_pupil(0.45, 25.0, 40.0, radial=0.74, tangential=0.91), thin_lens_pupil(0.8, 0.9, 10.0)
-    for pupil in pupils:
+    disc = disc_pupil(0.45, 25.0, 40.0)
+    for pupil in (Pupil(disc.centre, 0.74 * disc.radial, 0.91 * disc.tangential), thin_lens_pupil(0.8, 0.9, 10.0)):
         shares = collected_shares(stack, pupil)
         assert np.abs(shares - collected_shares(stack, pupil.directions(200, 600))).max() < (1e-3 if microlens else 1e-5)
         assert 0.1 < shares.sum() < 0.99
@@ -227,22 +227,22 @@ def test_points_of_the_sensor_are_independent():
     stack = Stack(2.2, 1.3, 3.5, 1.5, shift_um="optimal")
     deg, turn = np.linspace(0, 35, 6).reshape(2, 3), np.linspace(0, 300, 6).reshape(2, 3)
     bands = np.array([450.0, 650.0])
-    pupils = elliptic_pupil(0.3, deg, turn)
+    pupils = disc_pupil(0.3, deg, turn)
     together, diffracted = collected_shares(stack, pupils), collected_shares(stack, pupils, bands)
     assert together.shape == (2, 3, 5, 5)
     assert diffracted.shape == (2, 3, 2, 5, 5)
     for at in np.ndindex(2, 3):
-        alone = elliptic_pupil(0.3, deg[at], turn[at])
+        alone = disc_pupil(0.3, deg[at], turn[at])
         np.testing.assert_allclose(together[at], collected_shares(stack, alone), atol=1e-14)
         np.testing.assert_allclose(diffracted[at], collected_shares(stack, alone, bands), atol=2e-8)  # another table of the spot
     bare = Stack(2.2, 1.3, 3.5, 1.5, microlens=False)
     np.testing.assert_array_equal(collected_shares(bare, pupils, bands)[..., 1, :, :], collected_shares(bare, pupils))
-    assert collected_shares(stack, elliptic_pupil(np.empty(0))).shape == (0, 5, 5)
+    assert collected_shares(stack, disc_pupil(np.empty(0))).shape == (0, 5, 5)
 
 
 def test_optimal_shift_centres_the_chief_ray():
     """An optimum follows the refraction: it is h s/√(n² - s²), or h s/n. At 25° and f/1.4 a thin lens keeps .88, not .71."""
-    pupil = elliptic_pupil(1e-9, 25.0, 60.0)
+    pupil = disc_pupil(1e-9, 25.0, 60.0)
     for refraction, tangent in (
         ("exact", math.tan(math.asin(math.sin(math.radians(25)) / 1.5))),
         ("paraxial", math.sin(math.radians(25)) / 1.5),
@@ -253,7 +253,7 @@ def test_optimal_shift_centres_the_chief_ray():
         assert collected_shares(stack, pupil)[2, 2] == 1
     real = thin_lens_pupil(1.4, math.tan(math.radians(25)))
     assert collected_shares(Stack(2.2, 1.3, 3.5, 1.5, shift_um="optimal"), real)[2, 2] == pytest.approx(0.88, abs=0.005)
-    disc = elliptic_pupil(numerical_aperture(1.4), 25.0)
+    disc = disc_pupil(numerical_aperture(1.4), 25.0)
     assert collected_shares(Stack(2.2, 1.3, 3.5, 1.5, shift_um=(0.98611, 0.0)), disc)[2, 2] == pytest.approx(0.708, abs=0.0006)
 
 
@@ -269,12 +269,12 @@ PUBLISHED = [
 @pytest.mark.parametrize(("pitch", "fill_factor", "height", "bare4", "bare1", "lens4", "lens1", "at10", "at20", "wave"), PUBLISHED)
 def test_usual_pixels_have_the_known_efficiencies(pitch, fill_factor, height, bare4, bare1, lens4, lens1, at10, at20, wave):
     side = pitch * math.sqrt(fill_factor)
-    on_axis = elliptic_pupil([numerical_aperture(4.0), numerical_aperture(1.4)])
+    on_axis = disc_pupil([numerical_aperture(4.0), numerical_aperture(1.4)])
     bare = collected_shares(Stack(pitch, side, height, 1.5, False, refraction="paraxial"), on_axis)[:, 2, 2]
     np.testing.assert_allclose(bare, [bare4, bare1], atol=0.0011)  # three digits, sides rounded as the table's
     lens = Stack(pitch, side, height, 1.5, refraction="paraxial")
     np.testing.assert_allclose(collected_shares(lens, on_axis)[:, 2, 2], [lens4, lens1], atol=0.0011)
-    oblique = collected_shares(lens, elliptic_pupil(numerical_aperture(4.0), [10.0, 20.0]))[:, 2, 2]
+    oblique = collected_shares(lens, disc_pupil(numerical_aperture(4.0), [10.0, 20.0]))[:, 2, 2]
     np.testing.assert_allclose(oblique, [at10, at20], atol=0.0051)
     centred = collected_shares(lens, Directions(AXIS[None], np.ones(1), AXIS), [550.0])[0, 2, 2]
     assert centred == pytest.approx(wave, abs=0.0006)
@@ -297,7 +297,7 @@ def test_diffracted_plane_wave_is_the_integral_of_its_spot():
 
 def test_diffraction_vanishes_with_the_wavelength():
     """From 50 nm down the share under a lens nears that without diffraction in proportion: tails of 1/(π² u) on each side."""
-    stack, pupil = Stack(3.3, 1.95, 5.0, 1.5), elliptic_pupil(numerical_aperture(4.0))
+    stack, pupil = Stack(3.3, 1.95, 5.0, 1.5), disc_pupil(numerical_aperture(4.0))
     missing = 1 - collected_shares(stack, pupil, [40.0, 20.0, 10.0])[:, 2, 2]
     assert collected_shares(stack, pupil)[2, 2] == 1
     np.testing.assert_allclose(missing[:-1] / missing[1:], 2.0, rtol=0.05)
@@ -344,7 +344,7 @@ def test_bare_aperture_is_the_overlap_of_opening_and_photodiode():
 @pytest.mark.parametrize(("pitch", "fill_factor", "height"), [row[:3] for row in PUBLISHED])
 def test_box_of_the_same_spread_has_the_mtf_of_the_aperture(pitch, fill_factor, height):
     stack = Stack(pitch, pitch * math.sqrt(fill_factor), height, 1.5, False)
-    pupils, nyquist = elliptic_pupil(numerical_aperture(1.4), [0.0, 15.0]), 500 / pitch
+    pupils, nyquist = disc_pupil(numerical_aperture(1.4), [0.0, 15.0]), 500 / pitch
     mtf, sides = aperture_mtf(stack, pupils, [nyquist, 0.0], [0.0, nyquist]), aperture_side_um(stack, pupils)
     assert np.abs(np.sinc(1e-3 * nyquist * sides) - mtf).max() < 0.002
     assert np.all(sides < 0.95 * stack.photodiode_side_um)  # oblique light narrows the aperture
@@ -353,13 +353,13 @@ def test_box_of_the_same_spread_has_the_mtf_of_the_aperture(pitch, fill_factor, 
 
 def test_model_limits_name_number_and_remedy():
     usual = Stack(6.5, 3.5, 8.0, 1.5)
-    assert model_limits(usual, elliptic_pupil(0.3), 700.0) == []
+    assert model_limits(usual, disc_pupil(0.3), 700.0) == []
     small = Stack(1.4, 0.8, 2.5, 1.5, shift_um="optimal")
-    fresnel, shift = model_limits(small, elliptic_pupil(0.1, 28.0), [400.0, 700.0])
+    fresnel, shift = model_limits(small, disc_pupil(0.1, 28.0), [400.0, 700.0])
     assert "Fresnel number of 0.42 at 700 nm" in fresnel  # 1.5 · 1.4²/(4 · 0.7 · 2.5)
     assert "1 at a pitch of 2.16 µm" in fresnel
     assert "shift reaches 0.824 µm, more than half of the pitch of 1.4 µm" in shift
-    assert not model_limits(Stack(1.4, 0.8, 2.5, 1.5, microlens=False), elliptic_pupil(0.1), 700.0)
+    assert not model_limits(Stack(1.4, 0.8, 2.5, 1.5, microlens=False), disc_pupil(0.1), 700.0)
 
 
 WRONG = [
@@ -401,11 +401,11 @@ def test_invalid_directions_raise():
 def test_rays_of_wide_pixels_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shares of pixels with more turns of phase than are resolved: right to 1e-6, and nothing is lost by pixels of 10 cm."""
     wide = Stack(100.0, 70.0, 150.0, 1.5)
-    pupil = elliptic_pupil(numerical_aperture(1.0), 3.0, 30.0)  # its disc is cut by the photodiode's edge
+    pupil = disc_pupil(numerical_aperture(1.0), 3.0, 30.0)  # its disc is cut by the photodiode's edge
     limited = collected_shares(wide, pupil, [550.0])
     monkeypatch.setattr(stacks, "MAX_TURN", math.inf)
     np.testing.assert_allclose(limited, collected_shares(wide, pupil, [550.0]), atol=1e-6)
     monkeypatch.undo()
-    giant = collected_shares(Stack(1e5, 0.7e5, 0.6e5, 1.5), elliptic_pupil(numerical_aperture(1.0), 0.0), [550.0])
+    giant = collected_shares(Stack(1e5, 0.7e5, 0.6e5, 1.5), disc_pupil(numerical_aperture(1.0), 0.0), [550.0])
     assert giant[0, 2, 2] == pytest.approx(1, abs=1e-5)  # 1 less 2/(π²u), u = 3e5
     assert giant.sum() <= 1 + 1e-9

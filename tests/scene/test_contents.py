@@ -142,7 +142,7 @@ def test_find_bodies_corners_enclose_mitsubas_shape(plugin, tmp_path):
 def test_find_bodies_are_in_camera_frame(tmp_path):
     """The glass ball of the still life, seen by a camera that looks down, 10 cm along its axis."""
     state = load("still_life").parse()
-    bodies = {state.nodes[body.node].props.id(): body for body in find_bodies(state, sensor_node(state, None)[1])}
+    bodies = {state.nodes[body.node].id: body for body in find_bodies(state, sensor_node(state, None)[1])}
     eye, target = np.array([0, 0.036, -0.094]), np.array([0, 0.0105, 0])
     forward = (target - eye) / np.linalg.norm(target - eye)
     across = np.array([1.0, 0, 0])  # up × forward

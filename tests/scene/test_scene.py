@@ -69,7 +69,7 @@ def test_load_scene_parameters_reach_nodes(tmp_path):
 
     def radius(**parameters: object) -> float:
         nodes = load(path, **parameters).parse().nodes
-        return next(node.props["radius"] for node in nodes if "radius" in node.props)
+        return next(node["radius"] for node in nodes if "radius" in node)
 
     assert radius() == 0.5
     assert radius(r=0.25) == 0.25
@@ -155,7 +155,7 @@ def test_lux_of_a_scene_that_states_none_says_what_to_write(tmp_path: Path) -> N
 def test_lux_of_a_scene_with_a_parameter_of_this_name_is_its_own(tmp_path):
     body = '<default name="lux" value="0.5"/><shape type="sphere"><float name="radius" value="$lux"/></shape>'
     nodes = load(write_scene(tmp_path, sensor_xml(), body), lux=0.25).parse().nodes
-    assert next(node.props["radius"] for node in nodes if "radius" in node.props) == 0.25
+    assert next(node["radius"] for node in nodes if "radius" in node) == 0.25
 
 
 @pytest.mark.parametrize(
@@ -270,12 +270,12 @@ def test_camera_options_override_scene():
 def test_for_camera_chart_fills_view():
     camera = pixsim.Camera(focal_length_mm=6, f_number=2, die_mm=5, object_distance_m=2.5)
     state = load("csf").for_camera(camera)
-    sensor = next(node.props for node in state.nodes if node.props.plugin_name() == "thinlens")
+    sensor = next(node for node in state.nodes if node.plugin == "thinlens")
     assert sensor["fov"] == pytest.approx(camera.fov_deg, rel=1e-6)
     assert sensor["aperture_radius"] == pytest.approx(0.0015)
     assert sensor["focus_distance"] == pytest.approx(2.5)
-    plane = next(node.props for node in state.nodes if node.props.plugin_name() == "rectangle")
-    half_width_m = abs(np.array(plane["to_world"].matrix, float)[0, 0])
+    plane = next(node for node in state.nodes if node.plugin == "rectangle")
+    half_width_m = abs(plane["to_world"][0, 0])
     assert half_width_m == pytest.approx(2.5 * np.tan(np.radians(camera.fov_deg / 2)), rel=1e-6)
 
 

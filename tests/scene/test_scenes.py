@@ -16,7 +16,7 @@ from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.mitsuba import import_mitsuba, parse, speaking_mitsuba
-from pixsim.scene.tree import nodes_of, plain
+from pixsim.scene.tree import REFERENCES
 
 SCENES = ["line_lamp", "macbeth", "still_life"]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
@@ -52,14 +52,15 @@ def rendered(path: Path, responses: list[dict], spp: int, size: int, crop: tuple
     row, column, rows, columns = crop or (0, 0, size, size)
     given = {name: str(value) for name, value in parameters.items()}
     state = parse(open_scene(path, given).text, VARIANT)
-    ((_, sensor),) = nodes_of(state, "Sensor")
+    (sensor,) = (node.props for node in state.nodes if node.type.name == "Sensor")
+    own = {key: sensor[key] for key in sensor.keys() if sensor.type(key).name not in REFERENCES}  # noqa: SIM118
     film = {"type": "specfilm", "width": size, "height": size, "component_format": "float32", "rfilter": {"type": "box"}}
     film |= {"crop_offset_x": column, "crop_offset_y": row, "crop_width": columns, "crop_height": rows}
     film |= {f"band_{index:02d}": response for index, response in enumerate(responses)}
     with speaking_mitsuba(VARIANT) as mi:
         scene = mi.load_file(str(path), **given)
         sampler = {"type": "multijitter", "sample_count": spp}
-        eye = mi.load_dict({"type": "thinlens", **dict(plain(sensor)), "film": film, "sampler": sampler})
+        eye = mi.load_dict({"type": "thinlens", **own, "film": film, "sampler": sampler})
         return np.asarray(mi.render(scene, sensor=eye, seed=SEED), float)
 
 

@@ -19,7 +19,7 @@ from pixsim.measure.experiment import pixel_efficiency
 from pixsim.measure.sfr import edge_response
 from pixsim.optics.camera_light import CameraPupil, camera_pupil
 from pixsim.optics.diffraction import diffraction_otf
-from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
+from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, collected_shares
 from pixsim.sensor.collection import (
     Illumination,
@@ -231,11 +231,11 @@ def test_efficiency_of_the_whole_pixel_is_not_counted_twice() -> None:
     given = {"quantum_efficiency": 0.5, "quantum_efficiency_includes": "microlens"}
     physics, plain = (derive(Pixel(**QUIET, **more, stack=STACKS["lens"])) for more in (given, {"quantum_efficiency": 0.5}))
     assert pixel_efficiency(physics, 550.0) == pytest.approx(0.5, rel=1e-12)
-    share = collected_shares(plain.stack, elliptic_pupil(numerical_aperture(8.0)), [550.0]).sum()
+    share = collected_shares(plain.stack, disc_pupil(numerical_aperture(8.0)), [550.0]).sum()
     assert pixel_efficiency(plain, 550.0) == pytest.approx(0.5 * share, rel=1e-12)
     assert 0.9 < share < 0.99  # what counting twice would lose
     fast = derive(Pixel(**QUIET, **given, quantum_efficiency_f_number=2.0, stack=STACKS["lens"]))
-    ratio = collected_shares(plain.stack, elliptic_pupil(numerical_aperture(2.0)), [550.0]).sum() / share
+    ratio = collected_shares(plain.stack, disc_pupil(numerical_aperture(2.0)), [550.0]).sum() / share
     assert pixel_efficiency(physics, 550.0) / pixel_efficiency(fast, 550.0) == pytest.approx(ratio, rel=1e-12)
     bare = derive(Pixel(**QUIET, **given, stack=STACKS["lens"] | {"microlens": "none"}))
     light = even_light(np.array([550.0]), np.ones(1))
@@ -248,7 +248,7 @@ def test_efficiency_was_measured_at_its_own_pitch() -> None:
     So a pixel of the stated pitch has the stated number in the light of the measurement, and a smaller one less, by the ratio of
     what the lenses pass. A data sheet's pitch is data_sheet_pitch_um, a technology's its own, and the pixel's word goes first.
     """
-    light, pupil = even_light(np.array([550.0]), np.ones(1)), elliptic_pupil(numerical_aperture(8.0))
+    light, pupil = even_light(np.array([550.0]), np.ones(1)), disc_pupil(numerical_aperture(8.0))
 
     def passed(pitch_um: float) -> float:
         return float(collected_shares(Stack(pitch_um, pitch_um * math.sqrt(0.4), 4.0, 1.5), pupil, [550.0]).sum())
@@ -388,7 +388,7 @@ def test_microlens_of_a_technology_is_switched_off_by_the_pixel() -> None:
     lens, bare = (derive(Pixel(**QUIET, stack=stack), LENSED) for stack in (None, {"microlens": "none", "shift_um": [0.1, 0.0]}))
     light = even_light(np.array([550.0]), np.ones(1))
     assert bare.stack is not None
-    pupil = elliptic_pupil(numerical_aperture(8.0))
+    pupil = disc_pupil(numerical_aperture(8.0))
     of_lens = collected_shares(lens.stack, pupil, [550.0]).sum()
     assert collected_fraction(lens, light) == pytest.approx(1.0, rel=1e-12)
     assert collected_fraction(bare, light) == pytest.approx(collected_shares(bare.stack, pupil).sum() / of_lens, rel=1e-12)
@@ -421,7 +421,7 @@ def test_packaged_stacks_pass_the_stated_efficiency(name: str, pitch_um: float) 
 def passed_by_lens(physics: PixelPhysics, nm: float) -> float:
     """Share of even light at f/8 that a pixel's own stack passes to photodiodes."""
     assert physics.stack is not None
-    return float(collected_shares(physics.stack, elliptic_pupil(numerical_aperture(8.0)), [nm]).sum())
+    return float(collected_shares(physics.stack, disc_pupil(numerical_aperture(8.0)), [nm]).sum())
 
 
 @pytest.mark.parametrize("name", PINNED)

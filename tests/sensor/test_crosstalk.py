@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pixsim.base.errors import PixsimError
-from pixsim.optics.pupil import elliptic_pupil
+from pixsim.optics.pupil import disc_pupil
 from pixsim.optics.stack import Stack, collected_shares
 from pixsim.sensor.crosstalk import share_with_neighbours, shares_sum
 
@@ -30,7 +30,7 @@ def test_flat_field_stays_flat(shape):
 
 def test_grating_is_scaled_by_the_transform_of_the_kernel():
     """A symmetric kernel multiplies a reflected cosine by its transform; a real one, of a microlens with diffraction."""
-    shares = collected_shares(Stack(1.4, 0.8, 2.5, 1.5), elliptic_pupil(0.25), 600.0)[0]
+    shares = collected_shares(Stack(1.4, 0.8, 2.5, 1.5), disc_pupil(0.25), 600.0)[0]
     assert 0.02 < 1 - shares[2, 2] / shares.sum() < 0.3
     count = 24
     for order in (1, 5, 12, 23):

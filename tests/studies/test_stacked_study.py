@@ -14,7 +14,7 @@ from helpers.tiny import tiny
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, Run, Study
-from pixsim.optics.pupil import elliptic_pupil, numerical_aperture
+from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import collected_shares
 from pixsim.report.axes import optima_table
 from pixsim.report.maps import axis_plates
@@ -94,7 +94,7 @@ def test_curve_is_smooth_against_the_photodiode_under_microlenses_too(
     study = Study(
         name="x", technologies=(technology,), pixel={"stack": {"height_um": height_um, "index": 1.5, "microlens": "square"}}
     )
-    fine_um, pupil = np.geomspace(*ends_um, 200), elliptic_pupil(numerical_aperture(f_number))
+    fine_um, pupil = np.geomspace(*ends_um, 200), disc_pupil(numerical_aperture(f_number))
     stacks = [physics_of(study, technology, pitch_um).stack for pitch_um in fine_um.tolist()]
     share = np.array([collected_shares(stack, pupil, [550.0])[0, 2, 2] for stack in stacks if stack is not None])
     assert share[-1] > 7 * share[0]

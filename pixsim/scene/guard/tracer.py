@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import LOW_NM, grid_nm
 from pixsim.scene.mitsuba import drjit, parse, speaking_mitsuba
-from pixsim.scene.tree import children, plain
+from pixsim.scene.tree import REFERENCES, children, nodes_of, tree_of
 
 if TYPE_CHECKING:
     from mitsuba import Float, Point2f, RayDifferential3f, Sampler, SamplingIntegrator, Scene, Sensor, Spectrum, UInt32, Vector2f
@@ -168,28 +168,31 @@ class OwnTracer:
     @cached_property
     def _lens(self) -> dict[str, Any]:
         """The scene's sensor with the lens of the job, without sampler and film."""
-        node = parse(self.job.text, self.job.variant).nodes[self.job.sensor]
-        return {key: value for key, value in plain(node) if key not in OF_THE_LENS} | self.job.lens
+        props = parse(self.job.text, self.job.variant).nodes[self.job.sensor].props
+        own = [key for key in props.keys() if key not in OF_THE_LENS and props.type(key).name not in REFERENCES]  # noqa: SIM118
+        return {key: props[key] for key in own} | self.job.lens
 
     def _build(self, mi: ModuleType, lamps: Lamps | None) -> Scene:
         """Build the scene, with some emitters only, each as its neutral picture or power."""
         state = parse(self.job.text, self.job.variant)
-        emitters = {index: node for index, node in enumerate(state.nodes) if node.type.name == "Emitter"} if lamps else {}
-        dark = emitters.keys() - (lamps.pictures.keys() if lamps else set())
-        for parent in state.nodes if dark else ():
-            for name, child in children(parent, state).items():
+        tree = tree_of(state)
+        emitters = [index for index, _ in nodes_of(tree, "Emitter")] if lamps else []
+        dark = set(emitters) - (lamps.pictures.keys() if lamps else set())
+        for parent, node in zip(state.nodes, tree.nodes, strict=True) if dark else ():
+            for name, child in children(node, tree).items():
                 if child in dark:
                     del parent.props[name]
-        for index, node in emitters.items():
+        for index in emitters:
             if lamps and lamps.neutral and index in lamps.pictures:
+                props = state.nodes[index].props
                 name, picture = lamps.pictures[index]
                 if isinstance(picture, int):
-                    node.props[name] = mi.Properties.ResolvedReference(picture)
+                    props[name] = mi.Properties.ResolvedReference(picture)
                 else:
-                    node.props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65
-        for node in state.nodes:
-            if self._scalar and node.type.name == "Integrator" and "block_size" not in node.props:
-                node.props["block_size"] = SCALAR_BLOCK
+                    props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65
+        for index, node in nodes_of(tree, "Integrator"):
+            if self._scalar and "block_size" not in node:
+                state.nodes[index].props["block_size"] = SCALAR_BLOCK
         for index, name, table in self.job.tables:
             state.nodes[index].props[name] = mi.load_dict(table)
         config = mi.parser.ParserConfig(self.job.variant)

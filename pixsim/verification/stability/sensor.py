@@ -14,7 +14,7 @@ from scipy.stats import norm, poisson
 
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Exposure, Pixel
-from pixsim.optics.pupil import elliptic_pupil
+from pixsim.optics.pupil import disc_pupil
 from pixsim.optics.stack import Stack, collected_shares, stack_collection
 from pixsim.sensor import readout as sensors
 from pixsim.sensor.integration import integrate_pixels
@@ -307,7 +307,7 @@ def stacks() -> Iterator[Case]:
     yield compare("photodiodes as wide as their pixels, 0 and 20°: all nine", 1.0, whole, 1e-11, "conservation")
     side, high_um = 1e-3, 1e3
     shifted = Stack(6.0, side, high_um, 1.5, microlens=True, shift_um="optimal")
-    pupil = elliptic_pupil(1e-10, [0.0, 30.0, 60.0, 89.0], 40.0)
+    pupil = disc_pupil(1e-10, [0.0, 30.0, 60.0, 89.0], 40.0)
     hit = collected_shares(shifted, pupil)[:, 2, 2]
     yield compare("chief rays of 0 … 89°, optimal shift, 1 mm below", 1.0, hit, 0.0, "exactly 1: on the centre of 1 nm")
     nodes, weights = np.polynomial.legendre.leggauss(400)
@@ -315,7 +315,7 @@ def stacks() -> Iterator[Case]:
     low = Stack(1.0, 0.4, 3.0, 1.5, microlens=True)
     half = 0.4 * 1.5 / (2 * 3e-3 * nm)  # of the photodiode, in spots
     energy = (half * (np.sinc(half[:, None] * nodes) ** 2 @ weights)) ** 2
-    spots = collected_shares(low, elliptic_pupil(0.0), nm)[:, 2, 2]
+    spots = collected_shares(low, disc_pupil(0.0), nm)[:, 2, 2]
     yield compare("diffraction of a microlens of 1 µm, 300 … 1200 nm", energy, spots, 1e-7, "∫ sinc² by quadrature; table 2e-8")
     fast = [(f, share(0.5, h, 1.5, 6 * math.sqrt(f))) for f in (1e-6, 0.1, 0.9) for h in (3.3852, 4.0, 1e4)]
     over = [max(0.0, got - f * 1.5**2 / 0.5) for f, got in fast]
