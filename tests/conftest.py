@@ -50,9 +50,8 @@ def pytest_collection_finish() -> None:
 @pytest.fixture(scope="session", autouse=True)
 def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(FOLDER_VARIABLE, str(tmp_path_factory.mktemp("cache")))
-        # Compiled kernels and the list of fonts do not change a result: all processes of a run share them.
-        for variable, name in (("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
+        # Pictures, compiled kernels and the list of fonts are the same for all processes of a run.
+        for variable, name in ((FOLDER_VARIABLE, "cache"), ("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
             folder = shared_folder(tmp_path_factory) / name
             folder.mkdir(exist_ok=True)
             patch.setenv(variable, str(folder))
