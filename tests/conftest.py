@@ -3,7 +3,9 @@
 import gc
 import os
 import signal
+import site
 import sys
+import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -19,6 +21,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import pytest
+from helpers.machine import changes, devices, files_below
 from helpers.tiny import WHOLE_CHART, tiny
 
 import pixsim
@@ -47,13 +50,36 @@ def pytest_collection_finish() -> None:
 @pytest.fixture(scope="session", autouse=True)
 def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(FOLDER_VARIABLE, str(tmp_path_factory.mktemp("cache")))
-        # Compiled kernels and the list of fonts do not change a result: all processes of a run share them.
-        for variable, name in (("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
+        # Pictures, compiled kernels and the list of fonts are the same for all processes of a run.
+        for variable, name in ((FOLDER_VARIABLE, "cache"), ("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
             folder = shared_folder(tmp_path_factory) / name
             folder.mkdir(exist_ok=True)
             patch.setenv(variable, str(folder))
         yield
+
+
+@pytest.fixture(scope="session")
+def own_places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Path]]:
+    """A home folder and a folder of temporary files of the run's own, with a file in each that is another's."""
+    places = tmp_path_factory.mktemp("home"), tmp_path_factory.mktemp("T")
+    for place in places:
+        (place / "theirs.txt").write_text("theirs", encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONUSERBASE", site.getuserbase())  # which Python looks for in the home folder
+        for variable, place in zip(("HOME", "TMPDIR"), places, strict=True):
+            patch.setenv(variable, str(place))
+        patch.setattr(tempfile, "tempdir", None)
+        yield places
+
+
+@pytest.fixture(scope="module", autouse=True)
+def machine_as_it_was(own_places: tuple[Path, Path]) -> Iterator[None]:
+    """The tests of a module leave devices, the home folder and temporary files as they were, also if root runs them."""
+    before = devices(), *map(files_below, own_places)
+    yield
+    after = devices(), *map(files_below, own_places)
+    found = {name: changes(*each) for name, *each in zip(("/dev", "HOME", "TMPDIR"), before, after, strict=True)}
+    assert not any(found.values()), found
 
 
 @pytest.fixture(scope="session")

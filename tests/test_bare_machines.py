@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.commands import process
+from helpers.commands import forked
 from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
@@ -46,8 +46,8 @@ def test_without_shared_memory_one_process_does_all(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("columns", ["0", "1", "-5", "wide", ""])
 def test_help_has_some_columns(columns: str) -> None:
-    done = process("run --help", COLUMNS=columns)
-    assert (done.returncode, "--repeats" in done.stdout, max(map(len, done.stdout.splitlines())) >= 39) == (0, True, True)
+    code, out, _ = forked("run --help", COLUMNS=columns)
+    assert (code, "--repeats" in out, max(map(len, out.splitlines())) >= 39) == (0, True, True)
 
 
 def test_few_open_files_are_a_message(tmp_path: Path) -> None:

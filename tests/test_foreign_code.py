@@ -96,12 +96,23 @@ def test_no_module_of_the_current_folder_is_run_by_any_command(folder: Path) -> 
     assert not log.exists(), log.read_text()
 
 
+WITH_WORKERS = """
+from pixsim.base.children import leave_current_folder
+leave_current_folder()  # the first thing that a command does
+import operator
+from pixsim.studies.engine import Workers, results_of
+print(sorted(results_of(operator.add, [(task, int) for task in (1, 2, 3)], Workers(2))))
+"""
+
+
 def test_empty_parts_of_variables_are_not_the_current_folder(folder: Path) -> None:
     """Of PYTHONPATH and PATH; but for what Python itself imports before the first line of a command."""
     log = plant(folder, ["joblib", "multiprocessing", "numpy", "scipy", "pydantic", "matplotlib", "mitsuba", "PIL"])
-    for name in ("plan", "study"):
-        run(name, folder, PYTHONPATH=f":{HOME}:", PATH=f":{os.environ['PATH']}")
-    assert not log.exists(), log.read_text()
+    variables = {"PYTHONPATH": f":{HOME}:", "PATH": f":{os.environ['PATH']}"}
+    run("plan", folder, **variables)
+    command = [sys.executable, "-P", "-c", WITH_WORKERS]
+    done = subprocess.run(command, cwd=folder, env=os.environ | variables, capture_output=True, text=True, timeout=HANG_S)
+    assert (done.stdout, log.exists()) == ("[1, 2, 3]\n", False), done.stderr
 
 
 def test_without_empty_parts_keeps_the_others() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import SIGN_OF_LIFE, assert_refused, command, process
+from helpers.commands import SIGN_OF_LIFE, assert_refused, command, forked
 from helpers.processes import HANG_S
 from matplotlib.image import imread
 
@@ -221,10 +221,9 @@ def test_run_failure_preserves_earlier_results(desk: Path) -> None:
 
 
 def run_process(line: str, **environment: str) -> tuple[int, str, str]:
-    done = process(line, **environment)
+    code, out, err = forked(line, **environment)
     # Without LLVM every command warns that it renders with scalar_spectral.
-    stderr = re.sub("^warning: rendering with scalar_spectral.*\n", "", done.stderr, flags=re.MULTILINE)
-    return done.returncode, done.stdout, SIGN_OF_LIFE.sub("", stderr)
+    return code, out, SIGN_OF_LIFE.sub("", re.sub("^warning: rendering with scalar_spectral.*\n", "", err, flags=re.MULTILINE))
 
 
 @pytest.mark.parametrize("line", ["run flat -D chart=nan.exr", pytest.param("run perspective.xml", marks=pytest.mark.slow)])

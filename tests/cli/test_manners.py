@@ -13,7 +13,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from helpers.commands import assert_refused, command, process
+from helpers.commands import assert_refused, command, forked, process
 from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
@@ -86,11 +86,11 @@ def test_help_shows_usage_and_json() -> None:
 def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
     # Brighter than display white, which gives a warning.
     line = f"run csf {SMALL} --variant scalar_spectral --display.white-cd-per-m2 10 --out {tmp_path / 'out'}"
-    plain = process(f"{line} --json")
-    assert plain.returncode == 0, plain.stderr
-    assert json.loads(plain.stdout)["pitch_um"] == 6.5
-    assert "warning: " in plain.stderr
-    assert command(f"{line} --json --quiet") == (0, plain.stdout, "")
+    code, plain, err = forked(f"{line} --json")
+    assert code == 0, err
+    assert json.loads(plain)["pitch_um"] == 6.5
+    assert "warning: " in err
+    assert command(f"{line} --json --quiet") == (0, plain, "")
     code, out, err = command(f"-v {line}")
     assert code == 0
     assert re.search(r"^render: \d+\.\d\d s$", err, re.MULTILINE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -85,10 +86,12 @@ onload = async () => {{
 
 
 def browse(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run Chromium without network services."""
+    """Run Chromium without network services, and with a home folder of its own, where it writes settings and reports."""
     flags = [*FLAGS, f"user-data-dir={folder}/profile", *(f"disable-{name}" for name in DISABLED)]
     command = [BROWSER, *(f"--{flag}" for flag in flags), *arguments]
-    return subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=True, timeout=HANG_S)
+    own = {name: value for name, value in os.environ.items() if not name.startswith("XDG_")} | {"HOME": f"{folder}/profile"}
+    options: dict[str, Any] = {"capture_output": True, "encoding": "utf-8", "errors": "replace", "check": True, "timeout": HANG_S}
+    return subprocess.run(command, env=own, **options)
 
 
 def in_frames(script: str, sources: list[str], height: int, folder: Path, *arguments: str, **names: str) -> list[Any]:

@@ -494,6 +494,14 @@ def test_datasheet_of_python_and_of_the_command_write_same_files(tmp_path: Path,
     for name in names:
         assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "command" / name).read_bytes(), name
     assert made.to_csv().encode() == (tmp_path / "python/datasheet.csv").read_bytes()
+    figures = tmp_path / "python/figures"
+    assert {path.stem for path in figures.glob("*.pdf")} == {path.stem for path in figures.glob("*.svg")} != set()
+    for path in figures.glob("*.pdf"):
+        content = path.read_bytes()
+        assert (content[:5], b"CreationDate" in content) == (b"%PDF-", False)
+        assert b"DejaVuSans" in content, "text is text"
+    made.write(tmp_path / "python")
+    assert not list(figures.glob("*.pdf")), "they are gone where they are not asked for"
     record = pixsim.datasheet(
         pixel=Pixel(technology="0.35um", pitch_um=6.5, bits=12), exposure=Exposure(integration_s=0.01, gain_db=6), seed=5
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import tempfile
 import tomllib
 import warnings
 from pathlib import Path
@@ -282,6 +283,7 @@ def test_texture_file_without_cache_folder(monkeypatch: pytest.MonkeyPatch, tmp_
     """A cache that cannot be written does not stop a run that needs a chart of its own."""
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path / "file"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # the chart stays there until this process ends
     scene = pixsim.load_scene("csf", resolution=32, max_lp_per_mm=20)
     image = pixsim.render(scene, pixsim.Camera())
     assert "chart" not in image.header["parameters"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from helpers.commands import command
 from helpers.sheets import sheet
 from helpers.tiny import tiny
 
@@ -33,25 +32,3 @@ def test_report_of_a_comparison_has_its_files(tmp_path: Path) -> None:
     assert all((tmp_path / "out" / name).is_file() for name in comparison_files(result.prepared))
     with pytest.raises(PixsimError, match="figures: got 'pdf' for a Comparison; allowed: 'svg', since it has pictures"):
         pixsim.write_report(result, tmp_path / "out", figures="pdf")
-
-
-def test_figures_as_pdf_stand_beside_their_svg(tmp_path: Path) -> None:
-    """The same bytes every time, without a date; the command's are those of `write_report`; gone where they are not asked for."""
-    result = pixsim.lens("singlet")
-    for folder in ("first", "second"):
-        pixsim.write_report(result, tmp_path / folder, figures="pdf")
-    code, _, err = command("lens singlet --figures pdf --out", tmp_path / "third")
-    assert code == 0, err
-    first, *others = (
-        {path.name: path.read_bytes() for path in (tmp_path / folder / "figures").glob("*.pdf")}
-        for folder in ("first", "second", "third")
-    )
-    assert {f"{path.stem}.pdf" for path in (tmp_path / "first/figures").glob("*.svg")} == first.keys()
-    assert others == [first, first]
-    for content in first.values():
-        assert content.startswith(b"%PDF-")
-        assert b"CreationDate" not in content
-        assert b"DejaVuSans" in content, "text is text"
-    pixsim.write_report(result, tmp_path / "first")
-    assert not list((tmp_path / "first/figures").glob("*.pdf"))
-    assert list((tmp_path / "first/figures").glob("*.svg"))

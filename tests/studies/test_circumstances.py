@@ -23,7 +23,7 @@ from pixsim.studies.verdicts import headline
 DAY = {"scene": {"parameters": {"luminance_cd_per_m2": 300.0}}, "exposure": {"max_integration_s": 0.02}}
 NIGHT = {"scene": {"parameters": {"luminance_cd_per_m2": 1.0}}, "display": {"white_cd_per_m2": 1.0}, "camera": {"f_number": 2.0}}
 BOTH = [{"name": "day", "weight": 3.0, "set": DAY}, {"name": "night", "set": NIGHT}]
-PLAN: dict[str, Any] = {"name": "both", "display": {"dots": 48}, "resolution": 128, "exposure": {"max_integration_s": 0.05}}
+PLAN: dict[str, Any] = {"name": "both", "display": {"dots": 48}, "resolution": 96, "exposure": {"max_integration_s": 0.05}}
 
 
 def plan(**over: Any) -> Study:
@@ -51,7 +51,7 @@ def in_condition(files: list[Path], table: dict[str, Any]) -> Comparison:
     options = {"exposure": PLAN["exposure"]} | {name: value for name, value in table.items() if name != "scene"}
     options["display"] = PLAN["display"] | table.get("display", {})
     parameters = table["scene"]["parameters"]
-    return pixsim.compare(files, parameters=parameters, resolution=128, repeats=3, jobs=1, **options)
+    return pixsim.compare(files, parameters=parameters, resolution=96, repeats=3, jobs=1, **options)
 
 
 def test_weighted_mean_is_that_of_the_conditions_alone(both: Comparison, alone: list[Comparison]) -> None:

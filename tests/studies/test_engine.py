@@ -376,11 +376,11 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def cluster_here() -> Iterator[str]:
+def cluster_here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Address of a scheduler with two workers in threads of this process: what they get still travels as bytes, by TCP."""
     distributed = pytest.importorskip("distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')")
     own = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "protocol": "tcp://", "dashboard_address": None}
-    with distributed.LocalCluster(**own) as running:
+    with distributed.LocalCluster(**own, local_directory=tmp_path_factory.mktemp("workers")) as running:
         yield running.scheduler_address
 
 
