@@ -391,4 +391,4 @@ def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     prepared, light = lit.prepared, lit.irradiance
     film = lit.rendered and lit.rendered.film.as_dict()
     own = prepared.settings, prepared.camera, prepared.asked.camera, prepared.repeats, prepared.frames, prepared.settled is None
-    return digest_of_content(files, run_settings_text(prepared, light), light, film, lit.technology, own)
+    return digest_of_content(files, run_settings_text(prepared, light), light, film, prepared.technology, own)

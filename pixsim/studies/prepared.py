@@ -26,7 +26,7 @@ class Prepared(Generic[Settings]):
     """
 
     case: Case[Settings]
-    source: Scene | SpectralImage
+    source: Scene | SpectralImage = field(repr=False)
     camera: Camera
 
     @property

@@ -83,6 +83,11 @@ class RunJob(Job[Run]):
         """What the pixel asks of the scene's light."""
         return demand_of(self.cases[0], self.settled, full=self.full)
 
+    @property
+    def technology(self) -> Technology:
+        """The process of the pixel, as its file has it."""
+        return load_technology(self.settings.pixel.technology)
+
     def repeating(self, irradiance: SpectralImage) -> Run:
         """Return the settings with which `pixsim run` makes the same numbers again.
 
@@ -176,11 +181,6 @@ class LitRun:
     rendered: Light | None = field(default=None, repr=False)
     plan: Plan | None = field(default=None, repr=False)
     warned: tuple[str, ...] = ()
-
-    @property
-    def technology(self) -> Technology:
-        """The process of the pixel, as its file has it."""
-        return load_technology(self.prepared.settings.pixel.technology)
 
 
 @dataclass(frozen=True, kw_only=True)
