@@ -325,7 +325,12 @@ def test_transform_of_a_psf_is_that_of_its_film_cells_on_any_window(sharp_light:
     np.testing.assert_allclose(np.roll(window, (16, 16), axis=(0, 1))[:33, :33], kernel, atol=1e-3 * kernel.max())
     point = np.zeros((150, 121))
     point[40, 50] = 1.0
-    np.testing.assert_allclose(known.blurred(point, 1.0, 200.0, 100.0), np.roll(window, (40, 50), axis=(0, 1)), atol=1e-12)
+    (spread,) = known.blurred([(point, 1.0)], 200.0, 100.0)
+    np.testing.assert_allclose(spread, np.roll(window, (40, 50), axis=(0, 1)), atol=1e-12)
+    fine = np.random.default_rng(2).random((160, 120))
+    films = [(fine, 1.0), (fine.reshape(80, 2, 60, 2).mean(axis=(1, 3)), 2.0)]  # of one spectrum
+    for film, found in zip(films, known.blurred(films, 200.0, 100.0), strict=True):
+        np.testing.assert_allclose(found, known.blurred([film], 200.0, 100.0)[0], atol=1e-6)
 
 
 def test_least_squares_are_those_of_lapack() -> None:
