@@ -221,11 +221,10 @@ def pupil_function(numbers: Array, wavelength_nm: float, azimuth: float, step: f
     place, even = 0, np.ones_like(u)
     for a in range(0, DEGREE + 1, 2):  # Horner's rule in v for each power of u
         count = DEGREE + 1 - a
-        inner = coefficients[place + count - 1] * v
-        for coefficient in coefficients[place + 1 : place + count - 1][::-1]:
-            inner += coefficient
+        inner = np.full_like(v, coefficients[place + count - 1])
+        for coefficient in coefficients[place : place + count - 1][::-1]:
             inner *= v
-        inner += coefficients[place]
+            inner += coefficient
         inner *= even
         waves += inner
         even *= u * u

@@ -14,6 +14,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.field_blur import (
     BAND_END,
+    OUTLINE_ANGLES,
     FieldBlur,
     FittedWavefronts,
     Light,
@@ -28,6 +29,7 @@ from pixsim.optics.field_blur import (
     periodic_psf,
     picture_error,
     powers,
+    pupil_function,
     radial_psfs,
     resolving_um,
     tiles_alike,
@@ -113,6 +115,20 @@ def test_traced_thin_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cos
         cosine, effective = math.cos(math.radians(degrees)), math.hypot(1, 200.0) / 2
         np.testing.assert_allclose(along, diffraction_otf(frequency, NM, effective / cosine**3), atol=1e-3)
         np.testing.assert_allclose(across, diffraction_otf(frequency, NM, effective / cosine), atol=1e-3)
+
+
+def test_every_term_of_a_wavefront_is_in_the_pupil() -> None:
+    """Phases of the pupil function are those of Σ c u^a v^b, to the rounding of single precision."""
+    exponents, outline = powers(), np.ones(OUTLINE_ANGLES)
+    coefficients = np.random.default_rng(3).normal(0, 0.05, len(exponents))
+    half, step = 0.1, 0.1 / 40
+    amplitude, _ = pupil_function(np.concatenate([[half, half, 0.0], coefficients, outline]), NM, 0.0, step)
+    v, reach = (np.arange(amplitude.shape[1]) - amplitude.shape[1] // 2) * step / half, amplitude.shape[0] // 2
+    u = ((np.arange(amplitude.shape[0]) - reach) * step / half)[:, None]
+    waves = sum(c * u**a * v**b for c, (a, b) in zip(coefficients, exponents, strict=True))
+    inside = np.hypot(u, v) < 0.95
+    turned = np.angle(amplitude * np.exp(2j * np.pi * waves))[inside]
+    assert np.abs(turned).max() < 1e-4  # a term left out is 0.1 at the rim
 
 
 def hopkins(frequency: Array, w20: float) -> Array:
