@@ -46,6 +46,7 @@ GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a peri
 VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
 RAYS = 200  # by which the share of light is judged that leaves a film cell
 ROUNDING = 1e-9  # of lengths that are equal
+PLACES_TOGETHER = 8  # whose PSFs are computed in calls of NumPy that are long enough for threads
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 
@@ -437,6 +438,9 @@ def cubic_weights(distance: Array | float) -> Array:
     return np.where(d < 1, (1 - d * d) * (2 - d) / 2, np.where(d < 2, (1 - d) * (2 - d) * (3 - d) / 6, 0.0))
 
 
+Place = tuple[float, float]
+
+
 @dataclass(frozen=True)
 class RadialPsfs:
     """PSFs of image points that are evenly spaced along a line from the axis, for films with cells of `pitch_um` and larger.
@@ -489,52 +493,60 @@ class RadialPsfs:
 
         Raises PixsimError beyond `reach_um`, and for a film with cells smaller than `pitch_um`.
         """
-        window = odd_window(cells)
-        kernel = irfft2(self.transform(x_um, y_um, pitch_um, (window, window)), (window, window))
-        reach = cells // 2
-        kernel = np.roll(kernel, (reach, reach), axis=(0, 1))[:cells, :cells]
-        return Psf(kernel.astype(np.float32))
+        return self.at_places([(x_um, y_um)], pitch_um, cells)[0]
 
-    def transform(self, x_um: float, y_um: float, pitch_um: float, shape: tuple[int, ...]) -> NDArray[np.complex128]:
-        """Return the transform (H, W // 2 + 1) of the PSF of an image point on a window (H, W) of film cells, in which it repeats.
+    def at_places(self, places_um: Sequence[Place], pitch_um: float, cells: int) -> list[Psf]:
+        """Return the PSFs of some image points (x, y), as `at` does."""
+        window, reach = odd_window(cells), cells // 2
+        kernels = irfft2(self.transform(places_um, pitch_um, (window, window)), (window, window))
+        return [Psf(kernel.astype(np.float32)) for kernel in np.roll(kernels, (reach, reach), axis=(1, 2))[:, :cells, :cells]]
 
-        Its light beyond the window folds back: it is that of the whole PSF. Raises PixsimError as `at` does.
+    def transform(self, places_um: Sequence[Place], pitch_um: float, shape: tuple[int, ...]) -> NDArray[np.complex128]:
+        """Return the transforms (n, H, W // 2 + 1) of the PSFs of image points on a window (H, W) of cells, in which they repeat.
+
+        Light beyond the window folds back: they are those of whole PSFs. Raises PixsimError as `at` does.
         """
-        down, across = self._frequencies(pitch_um, shape)
-        spectrum = self._spectrum(x_um, y_um, pitch_um, shape, down, across)
-        return np.asarray(_on_film(spectrum, shape), complex)
+        spectra = self._spectra(places_um, pitch_um, shape, self._frequencies(pitch_um, shape))
+        return np.array([_on_film(spectrum, shape) for spectrum in spectra])
 
     def _frequencies(self, pitch_um: float, shape: tuple[int, ...]) -> tuple[int, ...]:
         """Return the last frequencies, down and across, of a window: a film shows no more, or the lens passes no more."""
         most_per_um = math.hypot(self.most, self.most) / self.period_um
         return tuple(min(math.ceil((1 + BAND_END) / 2 * side), math.ceil(most_per_um * side * pitch_um)) for side in shape)
 
-    def _spectrum(
-        self, x_um: float, y_um: float, pitch_um: float, shape: tuple[int, ...], down: int, across: int
+    def _spectra(
+        self, places_um: Sequence[Place], pitch_um: float, shape: tuple[int, ...], ends: tuple[int, ...]
     ) -> NDArray[np.complex128]:
-        """Return the OTF of an image point at the frequencies of a window, (2 down + 1, across + 1). Raises as `at` does."""
-        height_um, azimuth = math.hypot(x_um, y_um), math.atan2(y_um, x_um)
-        if not height_um <= self.reach_um * (1 + ROUNDING):
-            raise invalid("distance of a PSF from the axis", f"{height_um:.6g} µm", f"at most {self.reach_um:.6g} µm")
+        """Return the OTFs of image points up to the last frequencies of a window, (n, 2 down + 1, across + 1)."""
         if not pitch_um >= self.pitch_um * (1 - ROUNDING):
             raise invalid("film cell of a PSF", f"{pitch_um:.6g} µm", f"at least {self.pitch_um:.6g} µm, for which these PSFs are")
+        (down, across), turns = ends, [math.atan2(y_um, x_um) for x_um, y_um in places_um]
+        cosine, sine = (np.array([of(turn) for turn in turns])[:, None, None] for of in (math.cos, math.sin))
+        fx = np.arange(across + 1) / (shape[1] * pitch_um)
+        fy = np.fft.fftfreq(2 * down + 1, shape[0] * pitch_um / (2 * down + 1))[:, None]
+        radial, sagittal = fx * cosine + fy * sine, fy * cosine - fx * sine
+        at = np.abs(sagittal) * self.period_um, np.abs(radial) * self.period_um
+        side = min(self.most + 2, math.ceil(max(part.max() for part in at)) + SPLINE_COEFFICIENTS)
+        tables = np.array([self._table(math.hypot(*place_um), side) for place_um in places_um])
+        spectra = np.asarray(splined(tables, *at), complex)
+        np.conjugate(spectra, out=spectra, where=radial < 0)
+        if self.pitch_um == 0.0:  # the tables hold all that the lens passes
+            spectra[(at[0] > self.most) | (at[1] > self.most)] = 0.0
+        return spectra
+
+    def _table(self, height_um: float, side: int) -> NDArray[np.complex64]:
+        """Return the first coefficients (side, side) for a distance from the axis."""
+        if not height_um <= self.reach_um * (1 + ROUNDING):
+            raise invalid("distance of a PSF from the axis", f"{height_um:.6g} µm", f"at most {self.reach_um:.6g} µm")
         place = height_um / self.step_um
         first = min(math.floor(place), self.points - 3) - 1
-        table, spare = np.zeros_like(self.spline(abs(first))), np.empty_like(self.spline(abs(first)))
+        table, spare = np.zeros((2, side, side), np.complex64)
         for index in range(first, first + 4):
-            spline = self.spline(abs(index))
+            spline = self.spline(abs(index))[:side, :side]
             weight = np.float32(cubic_weights(place - index))
             # The opposite point has the PSF turned by 180°.
             table += np.multiply(spline if index >= 0 else spline.conj(), weight, out=spare)
-        fx = np.arange(across + 1) / (shape[1] * pitch_um)
-        fy = np.fft.fftfreq(2 * down + 1, shape[0] * pitch_um / (2 * down + 1))[:, None]
-        radial, sagittal = (fx * math.cos(azimuth) + fy * math.sin(azimuth)), (fy * math.cos(azimuth) - fx * math.sin(azimuth))
-        at = np.abs(sagittal) * self.period_um, np.abs(radial) * self.period_um
-        spectrum = np.asarray(splined(table, *at), complex)
-        np.conjugate(spectrum, out=spectrum, where=radial < 0)
-        if self.pitch_um == 0.0:  # the table holds all that the lens passes
-            spectrum[(at[0] > self.most) | (at[1] > self.most)] = 0.0
-        return spectrum
+        return table
 
     def blurred(self, films: Sequence[tuple[Array, float]], x_um: float, y_um: float) -> list[Array]:
         """Return light on films of one window, spread by the PSF of one image point all over it; it repeats, and none is lost.
@@ -543,8 +555,7 @@ class RadialPsfs:
         """
         ends = [self._frequencies(pitch_um, light.shape) for light, pitch_um in films]
         (light, pitch_um), (down, across) = films[0], (max(along) for along in zip(*ends, strict=True))
-        spectrum = self._spectrum(x_um, y_um, pitch_um, light.shape, down, across)
-        blurred = []
+        (spectrum,), blurred = self._spectra([(x_um, y_um)], pitch_um, light.shape, (down, across)), []
         for (light, _), (rows, columns) in zip(films, ends, strict=True):
             part = np.concatenate([spectrum[: rows + 1], spectrum[2 * down + 1 - rows :]])[:, : columns + 1]
             blurred.append(np.asarray(irfft2(rfft2(light) * _on_film(part, light.shape), light.shape)))
@@ -552,14 +563,15 @@ class RadialPsfs:
 
 
 def splined(coefficients: NDArray[np.complex64], row: Array, column: Array) -> NDArray[np.complex64]:
-    """Return a cubic spline at places (...), 0 or more, in half of the time of SciPy's, which takes real numbers.
+    """Return cubic splines at places (n, ...), 0 or more, in half of the time of SciPy's, which takes real numbers.
 
-    coefficients : (H, W), from place -1 on; beyond the last one they go on as that
+    coefficients : (n, H, W), from place -1 on; beyond the last one they go on as that
     """
-    height, width = coefficients.shape
+    count, height, width = coefficients.shape
     flat, total = coefficients.ravel(), np.zeros(row.shape, np.complex64)
     (top, down), (left, across) = ((at.astype(np.intp), (at % 1).astype(np.float32)) for at in (row, column))
-    columns = [np.minimum(left + step, width - 1) for step in range(SPLINE_COEFFICIENTS)]
+    begin = height * width * np.arange(count).reshape(-1, *[1] * (row.ndim - 1))
+    columns = [begin + np.minimum(left + step, width - 1) for step in range(SPLINE_COEFFICIENTS)]
     weights = b_spline(across)
     for step, weight in enumerate(b_spline(down)):
         first = np.minimum(top + step, height - 1) * width
@@ -863,11 +875,11 @@ def tile_psfs(
     wanted = list(dict.fromkeys(places))
     found: dict[tuple[int, int], Psf] = {}
 
-    def compute(place: tuple[int, int]) -> None:
-        x_um, y_um = (count * spacing * pitch_um for count in place)
-        found[place] = psfs.at(x_um, y_um, pitch_um, cells)
+    def compute(some: slice) -> None:
+        places_um = [(x * spacing * pitch_um, y * spacing * pitch_um) for x, y in wanted[some]]
+        found.update(zip(wanted[some], psfs.at_places(places_um, pitch_um, cells), strict=True))
 
-    in_threads(compute, wanted, WORTH_THREADS if len(wanted) > 1 else 0)
+    in_threads(compute, strips(len(wanted), 1, PLACES_TOGETHER), WORTH_THREADS if len(wanted) > 1 else 0)
     return {place: found[place] for place in wanted}
 
 
@@ -974,8 +986,7 @@ def _veil(pitch_um: float, cells: int, window: int) -> Array:
 
 def amid_tiles(psfs: RadialPsfs, x_um: float, y_um: float, pitch_um: float, spacing: float, cells: int) -> list[tuple[float, Psf]]:
     """Return weights and PSFs of the sixteen tiles around an image point that is as far from them as can be."""
-    around = []
-    for x, y in product((-1.5, -0.5, 0.5, 1.5), repeat=2):
-        at_um = x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um
-        around.append((float(cubic_weights(x) * cubic_weights(y)), psfs.at(*at_um, pitch_um, cells)))
-    return around
+    around = list(product((-1.5, -0.5, 0.5, 1.5), repeat=2))
+    places_um = [(x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um) for x, y in around]
+    weights = [float(cubic_weights(x) * cubic_weights(y)) for x, y in around]
+    return list(zip(weights, psfs.at_places(places_um, pitch_um, cells), strict=True))

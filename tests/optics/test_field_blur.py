@@ -336,7 +336,7 @@ def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_ligh
 
 def test_transform_of_a_psf_is_that_of_its_film_cells_on_any_window(sharp_light: Light) -> None:
     known = radial_psfs(sharp_light, 1.0, 33, 50.0, 400.0)
-    window = np.fft.irfft2(known.transform(200.0, 100.0, 1.0, (150, 121)), (150, 121))
+    window = np.fft.irfft2(known.transform([(200.0, 100.0)], 1.0, (150, 121))[0], (150, 121))
     kernel = known.at(200.0, 100.0, 1.0, 33).kernel
     np.testing.assert_allclose(np.roll(window, (16, 16), axis=(0, 1))[:33, :33], kernel, atol=1e-3 * kernel.max())
     point = np.zeros((150, 121))
