@@ -485,18 +485,11 @@ class RadialPsfs:
                     self._splines[point] = self.compute(point)
         return self._splines[point]
 
-    def at(self, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
-        """Return the PSF of an image point, cut off to an odd number of film cells along a side, from those of the four nearest
-        distances.
-
-        x_um, y_um : of the image point, from the optical axis, along columns and rows
+    def at(self, places_um: Sequence[Place], pitch_um: float, cells: int) -> list[Psf]:
+        """Return the PSFs of image points (x, y), cut off to an odd number of film cells a side, from the four nearest distances.
 
         Raises PixsimError beyond `reach_um`, and for a film with cells smaller than `pitch_um`.
         """
-        return self.at_places([(x_um, y_um)], pitch_um, cells)[0]
-
-    def at_places(self, places_um: Sequence[Place], pitch_um: float, cells: int) -> list[Psf]:
-        """Return the PSFs of some image points (x, y), as `at` does."""
         window, reach = odd_window(cells), cells // 2
         kernels = irfft2(self.transform(places_um, pitch_um, (window, window)), (window, window))
         return [Psf(kernel.astype(np.float32)) for kernel in np.roll(kernels, (reach, reach), axis=(1, 2))[:, :cells, :cells]]
@@ -720,20 +713,6 @@ class FieldBlur:
         return tuple((count + 2) * self.spacing - (n + 1) // 2 for count, n in zip(self._tiles[0], self.shape, strict=True))
 
     @property
-    def _filled(self) -> tuple[int, ...]:
-        """The cells, down and across, that the light of a window fills."""
-        return tuple(side + self.cells - 1 for side in self._tiles[1])
-
-    @property
-    def _transformed(self) -> tuple[int, ...]:
-        return tuple(next_fast_len(side, real=True) for side in self._filled)
-
-    @property
-    def _windows(self) -> tuple[NDArray[np.float32], ...]:
-        """The weights of a tile in the rows and in the columns of its window."""
-        return tuple(cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing).astype(np.float32) for side in self._tiles[1])
-
-    @property
     def _weights(self) -> tuple[Array, ...]:
         """The weights of tiles in the rows and in the columns of a picture, (H, tiles) and (W, tiles)."""
         return tuple(
@@ -755,9 +734,12 @@ class FieldBlur:
 
         light : with `_before` cells beyond a picture of `shape` on each side; the sum has as many beyond `superposed`. None: even
         """
-        (counts, sides), filled, size, reach = self._tiles, self._filled, self._transformed, self.cells // 2
+        (counts, sides), reach = self._tiles, self.cells // 2
+        filled = [side + self.cells - 1 for side in sides]  # by the light of a window
+        size = [next_fast_len(side, real=True) for side in filled]
         height, width = (n + 2 * before + self.cells - 1 for n, before in zip(self.shape, self._before, strict=True))
-        (down, across), inside = self._windows, [slice(reach, reach + side) for side in sides]
+        inside = [slice(reach, reach + side) for side in sides]
+        down, across = (cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing).astype(np.float32) for side in sides)
         turns = np.add.outer(np.arange(size[0]) / size[0], np.arange(size[1] // 2 + 1) / size[1])
         centred = np.exp(2j * np.pi * reach * turns)  # moves the middle of a PSF to the first cell
         result = np.zeros((height - first[0], width - first[1]))
@@ -877,7 +859,7 @@ def tile_psfs(
 
     def compute(some: slice) -> None:
         places_um = [(x * spacing * pitch_um, y * spacing * pitch_um) for x, y in wanted[some]]
-        found.update(zip(wanted[some], psfs.at_places(places_um, pitch_um, cells), strict=True))
+        found.update(zip(wanted[some], psfs.at(places_um, pitch_um, cells), strict=True))
 
     in_threads(compute, strips(len(wanted), 1, PLACES_TOGETHER), WORTH_THREADS if len(wanted) > 1 else 0)
     return {place: found[place] for place in wanted}
@@ -989,4 +971,4 @@ def amid_tiles(psfs: RadialPsfs, x_um: float, y_um: float, pitch_um: float, spac
     around = list(product((-1.5, -0.5, 0.5, 1.5), repeat=2))
     places_um = [(x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um) for x, y in around]
     weights = [float(cubic_weights(x) * cubic_weights(y)) for x, y in around]
-    return list(zip(weights, psfs.at_places(places_um, pitch_um, cells), strict=True))
+    return list(zip(weights, psfs.at(places_um, pitch_um, cells), strict=True))

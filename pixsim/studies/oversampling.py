@@ -406,12 +406,11 @@ class BehindLens:
 
     def of_part(self, part: Part, fine: Sequence[SpectralImage]) -> list[tuple[ChannelLight, ...]]:
         """Return the light of a part on finer films, beyond which its light goes on as in a mirror."""
-        halos = [round(self.halo * self.image.pitch_um / image.pitch_um) for image in fine]
-        around = [
-            surrounded(image, (slice(0, image.shape[0]), slice(0, image.shape[1])), halo)
-            for image, halo in zip(fine, halos, strict=True)
-        ]
-        return self._lights(list(zip(around, halos, strict=True)), part.place, MOST_SAMPLES)
+        films = []
+        for image in fine:
+            halo, (rows, columns) = round(self.halo * self.image.pitch_um / image.pitch_um), image.shape
+            films.append((surrounded(image, (slice(0, rows), slice(0, columns)), halo), halo))
+        return self._lights(films, part.place, MOST_SAMPLES)
 
 
 def each_of(function: Callable[[int], Item], count: int, size: int, progress: Progress | None = None) -> list[Item]:
@@ -444,16 +443,17 @@ def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, imaging: Imag
     """
     if not parts:
         return np.empty(0)
-    cells = len(FINER) * sum(math.prod(part.image.shape) for part in parts)
-    fine = [[part.finer(*film) for film in FINER] for part in parts]
-    lights: Sequence[Sequence[tuple[ChannelLight, ...] | None]] = [[None] * len(FINER)] * len(parts)
-    if lens:
-        lights = each_of(lambda number: lens.of_part(parts[number], fine[number]), len(parts), cells)
-    delta_e = np.empty((len(FINER), len(parts)))
+    delta_e, cells = np.empty((len(FINER), len(parts))), len(FINER) * sum(math.prod(part.image.shape) for part in parts)
+
+    def on_films(number: int) -> tuple[list[SpectralImage], Sequence[tuple[ChannelLight, ...] | None]]:
+        fine = [parts[number].finer(*film) for film in FINER]
+        return fine, lens.of_part(parts[number], fine) if lens else [None] * len(FINER)
+
+    found = each_of(on_films, len(parts), cells)
 
     def measure(film: int) -> None:
-        shown = [(of_part[film], part.display) for of_part, part in zip(fine, parts, strict=True)]
-        delta_e[film] = _mean_delta_e(shown, [of_part[film] for of_part in lights], imaging)
+        shown = [(fine[film], part.display) for (fine, _), part in zip(found, parts, strict=True)]
+        delta_e[film] = _mean_delta_e(shown, [lights[film] for _, lights in found], imaging)
         film_done()
 
     in_threads(measure, range(len(FINER)), cells)

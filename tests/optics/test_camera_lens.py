@@ -311,7 +311,7 @@ def test_lateral_colour_of_a_point_is_that_of_the_traced_rays(tmp_path: Path) ->
         for turn in np.radians([0.0, 130.0, 225.0]).tolist():
             outwards = np.array([math.cos(turn), math.sin(turn)])
             x_um, y_um = heights_um[1] * outwards
-            kernel = psfs.at(x_um, y_um, pitch_um, cells).kernel.astype(float)
+            kernel = psfs.at([(x_um, y_um)], pitch_um, cells)[0].kernel.astype(float)
             # Where coarse detail lands: the first moment misses the light beyond the cells, more of it on one side.
             period_um = cells * pitch_um / 2
             phases = [np.angle((kernel * np.exp(-2j * np.pi * at / period_um)).sum()) for at in (offsets, offsets[:, None])]

@@ -313,13 +313,13 @@ def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(sharp_light:
     for height_um, azimuth in ((0.0, 0.0), (3.0, 0.4), (100.0, 0.8), (200.0, 2.1), (psfs.reach_um, -2.5)):
         place = height_um * math.cos(azimuth), height_um * math.sin(azimuth)
         whole = np.roll(periodic_psf(sharp_light, *place, COARSE_UM, 240), (cells // 2, cells // 2), (0, 1))
-        error = psfs.at(*place, COARSE_UM, cells).kernel - whole[:cells, :cells]
+        error = psfs.at([place], COARSE_UM, cells)[0].kernel - whole[:cells, :cells]
         assert np.sqrt(np.sum(error**2)) < 5e-4 * np.sqrt(np.sum(whole**2)), (height_um, azimuth)
     assert 200.0 <= psfs.reach_um < 200.0 + 2 * step_um
     with pytest.raises(PixsimError, match=r"distance of a PSF from the axis: got 300 µm; allowed: at most 2\d\d µm"):
-        psfs.at(300.0, 0.0, COARSE_UM, cells)
+        psfs.at([(300.0, 0.0)], COARSE_UM, cells)
     with pytest.raises(PixsimError, match=r"film cell of a PSF: got 3\.9 µm; allowed: at least 4 µm"):
-        psfs.at(0.0, 0.0, 3.9, cells)
+        psfs.at([(0.0, 0.0)], 3.9, cells)
 
 
 def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_light: Light) -> None:
@@ -328,7 +328,7 @@ def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_ligh
     known = radial_psfs(sharp_light, resolving / 10, 301, 50.0, 400.0)
     assert known.pitch_um == 0.0
     for pitch_um, cells in ((resolving / 4, 121), (resolving / 1.5, 45), (2 * resolving, 15)):
-        kernel = known.at(210.0, 90.0, pitch_um, cells).kernel
+        kernel = known.at([(210.0, 90.0)], pitch_um, cells)[0].kernel
         right = point_spread(sharp_light, 210.0, 90.0, pitch_um, cells).kernel
         assert np.abs(kernel - right).max() < 2e-3 * right.max()  # of the interpolation, as above
         assert kernel.sum() == pytest.approx(right.sum(), abs=0.01)  # what lies beyond the windows folds back
@@ -337,7 +337,7 @@ def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_ligh
 def test_transform_of_a_psf_is_that_of_its_film_cells_on_any_window(sharp_light: Light) -> None:
     known = radial_psfs(sharp_light, 1.0, 33, 50.0, 400.0)
     window = np.fft.irfft2(known.transform([(200.0, 100.0)], 1.0, (150, 121))[0], (150, 121))
-    kernel = known.at(200.0, 100.0, 1.0, 33).kernel
+    kernel = known.at([(200.0, 100.0)], 1.0, 33)[0].kernel
     np.testing.assert_allclose(np.roll(window, (16, 16), axis=(0, 1))[:33, :33], kernel, atol=1e-3 * kernel.max())
     point = np.zeros((150, 121))
     point[40, 50] = 1.0
