@@ -125,6 +125,7 @@ def in_threads(function: Callable[[Item], None], items: Iterable[Item], size: in
 
     The calls must not depend on their order. An error, or Ctrl-C, ends them before the next item.
     """
+    reuse_freed_memory()
     count = threads() if size >= WORTH_THREADS else 1
     if count == 1:
         for item in items:

@@ -10,7 +10,7 @@ arrive. Lateral colour is part of the blur.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -61,6 +61,7 @@ TILES = (24, 32, 48, 64)  # across the longer side of the die; fewer take no les
 MIN_SPACING = 8  # film cells from tile to tile, at least: on coarser films, smaller tiles take longer than a finer film
 TILE_ORDER = 3  # the error of tiles falls with this power of their number, or faster
 TRIED = (0.0, 0.25, 0.5, 0.7, 0.86, 0.97)  # of the way to the corner of the die, where errors are found
+TRIED_FIRST = [3, 4]  # of these places: towards the corner PSFs change most, and few tiles are too few there alone
 AREA_POINTS = 64  # along half a side of the die, by which the share of the area is found for which such a place stands
 GRID = 0.25  # of the period of the finest detail that a lens passes: cells on which errors of its blur are found, at most
 TRIED_CELLS = 33  # of a PSF, with which the errors of wavelengths and nodes are found
@@ -721,20 +722,19 @@ def _chosen_tiling(
         nm, part = traced_wavelengths(camera, bands, weights, count)
         return Light(_wavefronts(camera, tuple(nm.tolist()), 1e-3 * heights_um), part)
 
-    def at_places(transform: Callable[[float, float], NDArray[np.complex128]]) -> NDArray[np.complex128]:
-        found = np.empty((len(places), window, window // 2 + 1), complex)
+    def at_places(
+        transform: Callable[[float, float], NDArray[np.complex128]], which: Sequence[int] = range(len(TRIED))
+    ) -> NDArray[np.complex128]:
+        found = np.empty((len(which), window, window // 2 + 1), complex)
 
         def compute(number: int) -> None:
-            found[number] = transform(*places[number])
+            found[number] = transform(*places[which[number]])
 
-        in_threads(compute, range(len(places)), WORTH_THREADS)
+        in_threads(compute, range(len(which)), WORTH_THREADS)
         return found
 
     def transforms(light: Light) -> NDArray[np.complex128]:
         return at_places(lambda x, y: np.fft.rfft2(periodic_psf(light, x, y, grid_um, window)))
-
-    def between_tiles(psfs: RadialPsfs, spacing: int) -> NDArray[np.complex128]:
-        return at_places(lambda x, y: transform_of(amid_tiles(psfs, x, y, grid_um, spacing / coarser, cells), grid_um, window))
 
     def window_of(light: Light, cells: int) -> int:
         return max(even_window(light, x, y, grid_um, cells) for x, y in places)
@@ -775,13 +775,21 @@ def _chosen_tiling(
     moved = right * (1 + moved_error(distortion, pitch_um, np.fft.fftfreq(window) / coarser)[:, : window // 2 + 1])
     fixed = 2 * math.pi * max(front.residual_waves for front in light.fronts) + of_wavelengths + error_of(moved, right)
     count = TILES[0]
+    others = [place for place in range(len(TRIED)) if place not in TRIED_FIRST]
     while True:
         spacing = max(MIN_SPACING, round(max(shape) / count))
         tiling = Tiling(spacing * pitch_um, cells * grid_um, 0.0, 0.0, wavelengths, nodes)
         psfs = psfs_of(camera, shape, pitch_um, tiling, bands, weights)
-        found = between_tiles(psfs, spacing)
-        error = fixed + error_of(found, right)
-        if error <= tolerance or count == TILES[-1] or spacing == MIN_SPACING:
+
+        def between_tiles(x_um: float, y_um: float, psfs: RadialPsfs = psfs, spacing: int = spacing) -> NDArray[np.complex128]:
+            return transform_of(amid_tiles(psfs, x_um, y_um, grid_um, spacing / coarser, cells), grid_um, window)
+
+        found, finest = right.copy(), count == TILES[-1] or spacing == MIN_SPACING
+        found[TRIED_FIRST] = at_places(between_tiles, TRIED_FIRST)
+        if finest or fixed + error_of(found, right) <= tolerance:
+            found[others] = at_places(between_tiles, others)
+        error = fixed + error_of(found, right)  # at least, without the others
+        if error <= tolerance or finest:
             worst = max(picture_error(one, other, grid_um, aperture_um) for one, other in zip(found, right, strict=True))
             return replace(tiling, error=error, worst=fixed + worst, cut_error=cut_error, lacking=lacking)
         needed = count * (error / tolerance) ** (1 / TILE_ORDER)

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import fft, ifft, irfft2, next_fast_len, rfft, rfft2
+from scipy.fft import fft, ifft, irfft, irfft2, next_fast_len, rfft, rfft2
 from scipy.special import j0, j1
 
 from pixsim.base.arrays import WORTH_THREADS, Array, dct, empty_planes, in_threads, inverse_dct, strips
@@ -46,6 +46,7 @@ GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a peri
 VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
 RAYS = 200  # by which the share of light is judged that leaves a film cell
 ROUNDING = 1e-9  # of lengths that are equal
+PLACES_TOGETHER = 8  # whose PSFs are computed in calls of NumPy that are long enough for threads
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 
@@ -221,11 +222,10 @@ def pupil_function(numbers: Array, wavelength_nm: float, azimuth: float, step: f
     place, even = 0, np.ones_like(u)
     for a in range(0, DEGREE + 1, 2):  # Horner's rule in v for each power of u
         count = DEGREE + 1 - a
-        inner = coefficients[place + count - 1] * v
-        for coefficient in coefficients[place + 1 : place + count - 1][::-1]:
-            inner += coefficient
+        inner = np.full_like(v, coefficients[place + count - 1])
+        for coefficient in coefficients[place : place + count - 1][::-1]:
             inner *= v
-        inner += coefficients[place]
+            inner += coefficient
         inner *= even
         waves += inner
         even *= u * u
@@ -438,6 +438,9 @@ def cubic_weights(distance: Array | float) -> Array:
     return np.where(d < 1, (1 - d * d) * (2 - d) / 2, np.where(d < 2, (1 - d) * (2 - d) * (3 - d) / 6, 0.0))
 
 
+Place = tuple[float, float]
+
+
 @dataclass(frozen=True)
 class RadialPsfs:
     """PSFs of image points that are evenly spaced along a line from the axis, for films with cells of `pitch_um` and larger.
@@ -450,6 +453,7 @@ class RadialPsfs:
     step_um : from point to point; the first is on the axis
     period_um : side of the window whose PSFs have OTFs at the frequencies of the splines
     points : number of them
+    most : number of steps m to the last frequency of the splines
     compute : number of a point -> (m + 2, m + 2) coefficients of cubic splines through its OTF, over frequencies of -1 … m steps
         along the sagittal axis, in which a PSF is even, and along the radial axis; computed when it is needed
     """
@@ -458,6 +462,7 @@ class RadialPsfs:
     pitch_um: float
     period_um: float
     points: int
+    most: int
     compute: Callable[[int], NDArray[np.complex64]] = field(repr=False)
     _splines: dict[int, NDArray[np.complex64]] = field(default_factory=dict, init=False, repr=False, compare=False)
     _locks: defaultdict[int, Lock] = field(default_factory=lambda: defaultdict(Lock), init=False, repr=False, compare=False)
@@ -480,68 +485,86 @@ class RadialPsfs:
                     self._splines[point] = self.compute(point)
         return self._splines[point]
 
-    def at(self, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
-        """Return the PSF of an image point, cut off to an odd number of film cells along a side, from those of the four nearest
-        distances.
-
-        x_um, y_um : of the image point, from the optical axis, along columns and rows
+    def at(self, places_um: Sequence[Place], pitch_um: float, cells: int) -> list[Psf]:
+        """Return the PSFs of image points (x, y), cut off to an odd number of film cells a side, from the four nearest distances.
 
         Raises PixsimError beyond `reach_um`, and for a film with cells smaller than `pitch_um`.
         """
-        window = odd_window(cells)
-        kernel = irfft2(self.transform(x_um, y_um, pitch_um, (window, window)), (window, window))
-        reach = cells // 2
-        kernel = np.roll(kernel, (reach, reach), axis=(0, 1))[:cells, :cells]
-        return Psf(kernel.astype(np.float32))
+        window, reach = odd_window(cells), cells // 2
+        kernels = irfft2(self.transform(places_um, pitch_um, (window, window)), (window, window))
+        return [Psf(kernel.astype(np.float32)) for kernel in np.roll(kernels, (reach, reach), axis=(1, 2))[:, :cells, :cells]]
 
-    def transform(self, x_um: float, y_um: float, pitch_um: float, shape: tuple[int, ...]) -> NDArray[np.complex128]:
-        """Return the transform (H, W // 2 + 1) of the PSF of an image point on a window (H, W) of film cells, in which it repeats.
+    def transform(self, places_um: Sequence[Place], pitch_um: float, shape: tuple[int, ...]) -> NDArray[np.complex128]:
+        """Return the transforms (n, H, W // 2 + 1) of the PSFs of image points on a window (H, W) of cells, in which they repeat.
 
-        Its light beyond the window folds back: it is that of the whole PSF. Raises PixsimError as `at` does.
+        Light beyond the window folds back: they are those of whole PSFs. Raises PixsimError as `at` does.
         """
-        height_um, azimuth = math.hypot(x_um, y_um), math.atan2(y_um, x_um)
-        if not height_um <= self.reach_um * (1 + ROUNDING):
-            raise invalid("distance of a PSF from the axis", f"{height_um:.6g} µm", f"at most {self.reach_um:.6g} µm")
+        spectra = self._spectra(places_um, pitch_um, shape, self._frequencies(pitch_um, shape))
+        return np.array([_on_film(spectrum, shape) for spectrum in spectra])
+
+    def _frequencies(self, pitch_um: float, shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the last frequencies, down and across, of a window: a film shows no more, or the lens passes no more."""
+        most_per_um = math.hypot(self.most, self.most) / self.period_um
+        return tuple(min(math.ceil((1 + BAND_END) / 2 * side), math.ceil(most_per_um * side * pitch_um)) for side in shape)
+
+    def _spectra(
+        self, places_um: Sequence[Place], pitch_um: float, shape: tuple[int, ...], ends: tuple[int, ...]
+    ) -> NDArray[np.complex128]:
+        """Return the OTFs of image points up to the last frequencies of a window, (n, 2 down + 1, across + 1)."""
         if not pitch_um >= self.pitch_um * (1 - ROUNDING):
             raise invalid("film cell of a PSF", f"{pitch_um:.6g} µm", f"at least {self.pitch_um:.6g} µm, for which these PSFs are")
+        (down, across), turns = ends, [math.atan2(y_um, x_um) for x_um, y_um in places_um]
+        cosine, sine = (np.array([of(turn) for turn in turns])[:, None, None] for of in (math.cos, math.sin))
+        fx = np.arange(across + 1) / (shape[1] * pitch_um)
+        fy = np.fft.fftfreq(2 * down + 1, shape[0] * pitch_um / (2 * down + 1))[:, None]
+        radial, sagittal = fx * cosine + fy * sine, fy * cosine - fx * sine
+        at = np.abs(sagittal) * self.period_um, np.abs(radial) * self.period_um
+        side = min(self.most + 2, math.ceil(max(part.max() for part in at)) + SPLINE_COEFFICIENTS)
+        tables = np.array([self._table(math.hypot(*place_um), side) for place_um in places_um])
+        spectra = np.asarray(splined(tables, *at), complex)
+        np.conjugate(spectra, out=spectra, where=radial < 0)
+        if self.pitch_um == 0.0:  # the tables hold all that the lens passes
+            spectra[(at[0] > self.most) | (at[1] > self.most)] = 0.0
+        return spectra
+
+    def _table(self, height_um: float, side: int) -> NDArray[np.complex64]:
+        """Return the first coefficients (side, side) for a distance from the axis."""
+        if not height_um <= self.reach_um * (1 + ROUNDING):
+            raise invalid("distance of a PSF from the axis", f"{height_um:.6g} µm", f"at most {self.reach_um:.6g} µm")
         place = height_um / self.step_um
         first = min(math.floor(place), self.points - 3) - 1
-        table, spare = np.zeros_like(self.spline(abs(first))), np.empty_like(self.spline(abs(first)))
+        table, spare = np.zeros((2, side, side), np.complex64)
         for index in range(first, first + 4):
-            spline = self.spline(abs(index))
+            spline = self.spline(abs(index))[:side, :side]
             weight = np.float32(cubic_weights(place - index))
             # The opposite point has the PSF turned by 180°.
             table += np.multiply(spline if index >= 0 else spline.conj(), weight, out=spare)
-        most = len(table) - 2
-        # Beyond the end of the film's band, and of the table where that holds all that the lens passes, there is nothing.
-        down, across = (
-            min(math.ceil((1 + BAND_END) / 2 * side), math.ceil(math.hypot(most, most) / self.period_um * side * pitch_um))
-            for side in shape
-        )
-        fx = np.arange(across + 1) / (shape[1] * pitch_um)
-        fy = np.fft.fftfreq(2 * down + 1, shape[0] * pitch_um / (2 * down + 1))[:, None]
-        radial, sagittal = (fx * math.cos(azimuth) + fy * math.sin(azimuth)), (fy * math.cos(azimuth) - fx * math.sin(azimuth))
-        at = np.abs(sagittal) * self.period_um, np.abs(radial) * self.period_um
-        spectrum = np.asarray(splined(table, *at), complex)
-        np.conjugate(spectrum, out=spectrum, where=radial < 0)
-        if self.pitch_um == 0.0:
-            spectrum[(at[0] > most) | (at[1] > most)] = 0.0
-        return np.asarray(_on_film(spectrum, shape), complex)
+        return table
 
-    def blurred(self, light: Array, pitch_um: float, x_um: float, y_um: float) -> Array:
-        """Return light (H, W) that repeats, spread by the PSF of one image point all over it; none is lost."""
-        return np.asarray(irfft2(rfft2(light) * self.transform(x_um, y_um, pitch_um, light.shape), light.shape))
+    def blurred(self, films: Sequence[tuple[Array, float]], x_um: float, y_um: float) -> list[Array]:
+        """Return light on films of one window, spread by the PSF of one image point all over it; it repeats, and none is lost.
+
+        films : light (H, W) and the pitch in µm of its cells; all have their frequencies from one spectrum
+        """
+        ends = [self._frequencies(pitch_um, light.shape) for light, pitch_um in films]
+        (light, pitch_um), (down, across) = films[0], (max(along) for along in zip(*ends, strict=True))
+        (spectrum,), blurred = self._spectra([(x_um, y_um)], pitch_um, light.shape, (down, across)), []
+        for (light, _), (rows, columns) in zip(films, ends, strict=True):
+            part = np.concatenate([spectrum[: rows + 1], spectrum[2 * down + 1 - rows :]])[:, : columns + 1]
+            blurred.append(np.asarray(irfft2(rfft2(light) * _on_film(part, light.shape), light.shape)))
+        return blurred
 
 
 def splined(coefficients: NDArray[np.complex64], row: Array, column: Array) -> NDArray[np.complex64]:
-    """Return a cubic spline at places (...), 0 or more, in half of the time of SciPy's, which takes real numbers.
+    """Return cubic splines at places (n, ...), 0 or more, in half of the time of SciPy's, which takes real numbers.
 
-    coefficients : (H, W), from place -1 on; beyond the last one they go on as that
+    coefficients : (n, H, W), from place -1 on; beyond the last one they go on as that
     """
-    height, width = coefficients.shape
+    count, height, width = coefficients.shape
     flat, total = coefficients.ravel(), np.zeros(row.shape, np.complex64)
     (top, down), (left, across) = ((at.astype(np.intp), (at % 1).astype(np.float32)) for at in (row, column))
-    columns = [np.minimum(left + step, width - 1) for step in range(SPLINE_COEFFICIENTS)]
+    begin = height * width * np.arange(count).reshape(-1, *[1] * (row.ndim - 1))
+    columns = [begin + np.minimum(left + step, width - 1) for step in range(SPLINE_COEFFICIENTS)]
     weights = b_spline(across)
     for step, weight in enumerate(b_spline(down)):
         first = np.minimum(top + step, height - 1) * width
@@ -588,9 +611,11 @@ def radial_psfs(light: Light, pitch_um: float, cells: int, step_um: float, farth
         # It is even along the sagittal axis, so that its transform is real there.
         rows = rfft(amid_zeros(psf.astype(np.float32), padded), axis=0)[: most + 1].real
         otf = rfft(amid_zeros(rows.T, padded), axis=0)[: most + 1].T
+        if index == 0:  # a point on the axis is its own opposite
+            otf = otf.real + np.zeros_like(otf)
         return np.block([[otf[1, 1].conj(), otf[1]], [otf[:, 1:2].conj(), otf]])
 
-    return RadialPsfs(step_um, cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0, padded * fine_um, count, compute)
+    return RadialPsfs(step_um, cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0, padded * fine_um, count, most, compute)
 
 
 def amid_zeros(values: NDArray[np.float32], count: int) -> NDArray[np.float32]:
@@ -613,43 +638,19 @@ def tiles_along(cells: int, spacing: int) -> tuple[int, int]:
     return math.ceil((cells - 1) / 2 / spacing) + 1, 4 * spacing - cells % 2
 
 
-@dataclass(frozen=True)
-class Tile:
-    """A tile by its distance from the axis, in tiles along rows (x) and columns (y); `mirrored` is one in the first octant."""
-
-    x: int
-    y: int
-    swapped: bool
-
-    @property
-    def mirrored(self) -> tuple[int, int]:
-        """The place (x, y) whose PSF this tile has but for mirrors: that of x ≥ y ≥ 0 if rows and columns may change places."""
-        x, y = abs(self.x), abs(self.y)
-        return (y, x) if self.swapped else (x, y)
-
-    def turned(self, part: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return a part of a picture as it lies in the mirrored tile."""
-        part = part[:: -1 if self.y < 0 else 1, :: -1 if self.x < 0 else 1]
-        return part.T if self.swapped else part
-
-    def turned_back(self, part: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return a part of the mirrored tile as it lies in this one."""
-        part = part.T if self.swapped else part
-        return part[:: -1 if self.y < 0 else 1, :: -1 if self.x < 0 else 1]
-
-
-def tiles_alike(shape: tuple[int, ...], spacing: int) -> dict[tuple[int, int], list[Tile]]:
-    """Return the tiles of a picture (H, W) by the place of the mirrored tile whose PSF they share."""
+def tiles_alike(shape: tuple[int, ...], spacing: int) -> list[tuple[int, int]]:
+    """Return the places (x, y) ≥ 0, in tiles from the axis, whose PSFs all tiles of a picture (H, W) have but for mirrors."""
     (down, _), (across, _) = (tiles_along(n, spacing) for n in shape)
-    alike: dict[tuple[int, int], list[Tile]] = defaultdict(list)
-    for y in range(-down, down + 1):
-        for x in range(-across, across + 1):
-            tile = Tile(x, y, abs(y) > abs(x) and shape[0] % 2 == shape[1] % 2)
-            alike[tile.mirrored].append(tile)
-    return alike
+    return list(dict.fromkeys(mirrored(x, y, shape) for y in range(down + 1) for x in range(across + 1)))
 
 
-SPREAD_CELLS = 1 << 23  # of spread light that is held at once, 32 MiB
+def mirrored(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
+    """Return the place (x, y) whose PSF a tile has but for mirrors: that of x ≥ y ≥ 0 if rows and columns may change places."""
+    x, y = abs(x), abs(y)
+    return (y, x) if y > x and shape[0] % 2 == shape[1] % 2 else (x, y)
+
+
+SPREAD_CELLS = 1 << 23  # of spread light that is held at once for a thread, 32 MiB
 
 
 def _part(top: int, left: int, rows: int, columns: int) -> tuple[slice, slice]:
@@ -692,17 +693,9 @@ class FieldBlur:
 
         Transforms are in single precision, 1e-7 of a tile's light; what they gain or lose in all is given back evenly.
         """
-        (counts, sides), (top, left) = self._tiles, self._before
-        light, window = np.pad(picture.astype(np.float32), [(top, top), (left, left)]), self._window
-
-        def spectrum_of(tiles: list[Tile]) -> NDArray[np.complex64]:
-            turned = np.empty((len(tiles), *sides), np.float32)
-            for tile, share in zip(tiles, turned, strict=True):
-                part = _part((counts[0] + tile.y) * self.spacing, (counts[1] + tile.x) * self.spacing, *sides)
-                np.multiply(tile.turned(light[part]), window, out=share)
-            return np.asarray(rfft2(turned, self._transformed))
-
-        spread = self._added_up(spectrum_of)[_part(top, left, *(n + self.cells - 1 for n in self.shape))]
+        top, left = self._before
+        spread = self._added_up(np.pad(picture.astype(np.float32), [(top, top), (left, left)]))
+        spread = spread[_part(top, left, *(n + self.cells - 1 for n in self.shape))]
         down, across = self._weights
         light_of_tiles = down.T @ picture @ across
         spread += ((light_of_tiles * (1 - self._lacking)).sum() - spread.sum()) / spread.size
@@ -720,20 +713,6 @@ class FieldBlur:
         return tuple((count + 2) * self.spacing - (n + 1) // 2 for count, n in zip(self._tiles[0], self.shape, strict=True))
 
     @property
-    def _filled(self) -> tuple[int, ...]:
-        """The cells, down and across, that the light of a window fills."""
-        return tuple(side + self.cells - 1 for side in self._tiles[1])
-
-    @property
-    def _transformed(self) -> tuple[int, ...]:
-        return tuple(next_fast_len(side, real=True) for side in self._filled)
-
-    @property
-    def _window(self) -> NDArray[np.float32]:
-        down, across = (cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing) for side in self._tiles[1])
-        return (down[:, None] * across).astype(np.float32)
-
-    @property
     def _weights(self) -> tuple[Array, ...]:
         """The weights of tiles in the rows and in the columns of a picture, (H, tiles) and (W, tiles)."""
         return tuple(
@@ -745,41 +724,66 @@ class FieldBlur:
     def _lacking(self) -> Array:
         """What the PSFs of the tiles lack, down and across."""
         (down, across), _ = self._tiles
-        lacking = np.empty((2 * down + 1, 2 * across + 1))
-        for place, tiles in tiles_alike(self.shape, self.spacing).items():
-            for tile in tiles:
-                lacking[down + tile.y, across + tile.x] = self.psfs[place].lacking
-        return lacking
+        places = [[mirrored(x, y, self.shape) for x in range(-across, across + 1)] for y in range(-down, down + 1)]
+        return np.array([[self.psfs[place].lacking for place in row] for row in places])
 
-    def _added_up(self, spectrum_of: Callable[[list[Tile]], NDArray[np.complex64]]) -> Array:
-        """Return the sum of the spread light of all tiles, with `_before` cells beyond `superposed` on each side.
+    def _added_up(self, light: NDArray[np.float32] | None, first: tuple[int, ...] = (0, 0)) -> Array:
+        """Return the sum of the spread light of all tiles, from some row and column on.
 
-        spectrum_of : tiles that share a PSF -> transforms of their light as it lies in the mirrored tile; one may stand for all
+        A column of tiles shares the transforms along its rows. They take part in it before and after those along columns.
+
+        light : with `_before` cells beyond a picture of `shape` on each side; the sum has as many beyond `superposed`. None: even
         """
-        (counts, _), filled, size = self._tiles, self._filled, self._transformed
-        result = np.zeros([n + 2 * before + self.cells - 1 for n, before in zip(self.shape, self._before, strict=True)])
-        alike = list(tiles_alike(self.shape, self.spacing).items())
-        most = max(threads(), SPREAD_CELLS // (8 * math.prod(filled)))  # threads start anew for each strip; 8 tiles share a PSF
-        for some in strips(len(alike), 1, most):
-            spread: dict[tuple[int, int], NDArray[np.float32]] = {}
+        (counts, sides), reach = self._tiles, self.cells // 2
+        filled = [side + self.cells - 1 for side in sides]  # by the light of a window
+        size = [next_fast_len(side, real=True) for side in filled]
+        height, width = (n + 2 * before + self.cells - 1 for n, before in zip(self.shape, self._before, strict=True))
+        inside = [slice(reach, reach + side) for side in sides]
+        down, across = (cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing).astype(np.float32) for side in sides)
+        turns = np.add.outer(np.arange(size[0]) / size[0], np.arange(size[1] // 2 + 1) / size[1])
+        centred = np.exp(2j * np.pi * reach * turns)  # moves the middle of a PSF to the first cell
+        result = np.zeros((height - first[0], width - first[1]))
+        strips_of_light: dict[int, NDArray[np.float32]] = {}
 
-            def compute(of_place: tuple[tuple[int, int], list[Tile]], found: dict[Any, Any] = spread) -> None:
-                place, tiles = of_place
-                spectrum = spectrum_of(tiles) * rfft2(self.psfs[place].kernel, size)
-                found[place] = irfft2(spectrum, size, overwrite_x=True)[:, : filled[0], : filled[1]]
+        def rows_of(column: int) -> NDArray[np.complex64]:
+            part = np.ones((height, 1), np.float32) if light is None else light[:, column : column + sides[1]]
+            wide = np.zeros((len(part), size[1]), np.float32)
+            np.multiply(part, across, out=wide[:, inside[1]])
+            return np.asarray(rfft(wide, axis=1))
 
-            def add(band: slice, found: dict[Any, Any] = spread, which: slice = some) -> None:
-                """Add the spread light in some rows; always in one order, so that sums round in one way."""
-                for place, tiles in alike[which]:
-                    for tile, light in zip(tiles, np.broadcast_to(found[place], (len(tiles), *filled)), strict=True):
-                        row, column = (counts[0] + tile.y) * self.spacing, (counts[1] + tile.x) * self.spacing
-                        first, last = max(row, band.start), min(row + filled[0], band.stop)
-                        if first < last:
-                            result[first:last, column : column + filled[1]] += tile.turned_back(light)[first - row : last - row]
+        def spectrum_of(rows: NDArray[np.complex64]) -> NDArray[np.complex64]:
+            wide = np.zeros((size[0], rows.shape[1]), np.complex64)
+            np.multiply(rows, down[:, None], out=wide[inside[0]])
+            return np.asarray(fft(wide, axis=0, overwrite_x=True))
 
-            in_threads(compute, alike[some], result.size)
-            in_threads(add, strips(len(result), 1, -(-len(result) // threads())), result.size)
-            report(some.stop / len(alike))
+        even = spectrum_of(rows_of(0)[: sides[0]]) if light is None else None
+
+        def compute(x: int) -> None:
+            columns = [at for at in sorted({x, -x}) if (counts[1] + at) * self.spacing + filled[1] > first[1]]
+            rows = {at: rows_of((counts[1] + at) * self.spacing) for at in columns if light is not None}
+            total = {at: np.zeros((height, centred.shape[1]), np.complex64) for at in columns}
+            for y in range(counts[0] + 1):
+                place = mirrored(x, y, self.shape)
+                kernel = self.psfs[place].kernel if place == (x, y) else self.psfs[place].kernel.T
+                psf = (fft(rfft(kernel, size[1], axis=1), size[0], axis=0) * centred).astype(np.complex64)
+                for side, at in product(sorted({y, -y}), columns):
+                    row = (counts[0] + side) * self.spacing
+                    if row + filled[0] <= first[0]:
+                        continue
+                    lit = spectrum_of(rows[at][row : row + sides[0]]) if even is None else even
+                    turned = psf if (side < 0) == (at < 0) else psf[-np.arange(size[0])]  # mirrored rows
+                    spread = ifft(lit * (turned.conj() if at < 0 else turned), axis=0, overwrite_x=True)
+                    total[at][row : row + filled[0]] += spread[: filled[0]]
+            for at in columns:
+                strips_of_light[at] = irfft(total[at][first[0] :], size[1], axis=1)[:, : filled[1]]
+
+        most = max(threads(), SPREAD_CELLS // (2 * height * filled[1]))  # threads start anew for each strip
+        for some in strips(counts[1] + 1, 1, most):
+            in_threads(compute, range(some.start, some.stop), result.size)
+            for at in sorted(strips_of_light, key=abs):  # always in one order, so that sums round in one way
+                column = (counts[1] + at) * self.spacing - first[1]
+                result[:, max(column, 0) : column + filled[1]] += strips_of_light.pop(at)[:, max(-column, 0) :]
+            report(some.stop / (counts[1] + 1))
         return result
 
     def blurred(self, picture: Array, margin: int = 0) -> Array:
@@ -804,11 +808,16 @@ class FieldBlur:
         """
         if self.known_even is not None:
             return self.known_even
-        spectrum, reach = rfft2(self._window[None], self._transformed), self.cells // 2
-        before, inside = self._before, [n - 2 * reach for n in self.shape]
-        light = self._added_up(lambda _: spectrum)[_part(before[0] + 2 * reach, before[1] + 2 * reach, *inside)]
-        down, across = (part[reach : len(part) - reach] for part in self._weights)
-        return self._with_veil(light, down @ self._lacking @ across.T).astype(np.float32)
+        reach = self.cells // 2
+        # The other half of an even number of rows or columns is its mirror image, as that of a veil is.
+        begin = [(n // 2 - reach) * (n % 2 == 0) for n in self.shape]
+        light = self._added_up(None, tuple(before + 2 * reach + cut for before, cut in zip(self._before, begin, strict=True)))
+        light = light[: self.shape[0] - 2 * reach - begin[0], : self.shape[1] - 2 * reach - begin[1]]
+        down, across = (part[reach + cut : len(part) - reach] for part, cut in zip(self._weights, begin, strict=True))
+        even = self._with_veil(light, down @ self._lacking @ across.T).astype(np.float32)
+        for axis, cut in enumerate(begin):
+            even = np.concatenate([np.flip(even, axis), even], axis) if cut else even
+        return even
 
     def _spread(self, picture: Array, margin: int = 0) -> Array:
         """Return a picture with its light spread by the PSFs, and what they lack as a veil."""
@@ -825,7 +834,7 @@ class FieldBlur:
         result[...], veil[...] = light, lacked
         spectrum = dct(veil)
         down, across = (np.arange(n) / (2 * n * self.pitch_um * 1e-3) for n in veil.shape)
-        few = np.linspace(0.0, float(np.hypot(down[-1], across[-1])), VEIL_FREQUENCIES)
+        few = np.linspace(0.0, math.sqrt(0.5) / (self.pitch_um * 1e-3), VEIL_FREQUENCIES)  # those of a film of any size
         mtf = veil_mtf(few, beyond_um(self.cells, self.pitch_um))
 
         def spread(rows: slice) -> None:
@@ -848,11 +857,11 @@ def tile_psfs(
     wanted = list(dict.fromkeys(places))
     found: dict[tuple[int, int], Psf] = {}
 
-    def compute(place: tuple[int, int]) -> None:
-        x_um, y_um = (count * spacing * pitch_um for count in place)
-        found[place] = psfs.at(x_um, y_um, pitch_um, cells)
+    def compute(some: slice) -> None:
+        places_um = [(x * spacing * pitch_um, y * spacing * pitch_um) for x, y in wanted[some]]
+        found.update(zip(wanted[some], psfs.at(places_um, pitch_um, cells), strict=True))
 
-    in_threads(compute, wanted, WORTH_THREADS if len(wanted) > 1 else 0)
+    in_threads(compute, strips(len(wanted), 1, PLACES_TOGETHER), WORTH_THREADS if len(wanted) > 1 else 0)
     return {place: found[place] for place in wanted}
 
 
@@ -959,8 +968,7 @@ def _veil(pitch_um: float, cells: int, window: int) -> Array:
 
 def amid_tiles(psfs: RadialPsfs, x_um: float, y_um: float, pitch_um: float, spacing: float, cells: int) -> list[tuple[float, Psf]]:
     """Return weights and PSFs of the sixteen tiles around an image point that is as far from them as can be."""
-    around = []
-    for x, y in product((-1.5, -0.5, 0.5, 1.5), repeat=2):
-        at_um = x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um
-        around.append((float(cubic_weights(x) * cubic_weights(y)), psfs.at(*at_um, pitch_um, cells)))
-    return around
+    around = list(product((-1.5, -0.5, 0.5, 1.5), repeat=2))
+    places_um = [(x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um) for x, y in around]
+    weights = [float(cubic_weights(x) * cubic_weights(y)) for x, y in around]
+    return list(zip(weights, psfs.at(places_um, pitch_um, cells), strict=True))

@@ -407,43 +407,46 @@ class PartBehindLens:
 
     Films of other samples of the same part differ by their samples alone: they have the same PSF, which no film cuts off.
 
-    around : the part, with more light at each side
-    halo : film cells at each side
+    films : the part, with light around it at each side, and the film cells of that; all show the same
     middle_um : (y, x) of the part from the axis
     seen : spectrum of the whole picture, (B,)
-    reach : (shape, pitch_um) of the film whose PSFs are taken: it is as fine as this one or finer
+    reach : (shape, pitch_um) of the film whose PSFs are taken: it is as fine as any of these or finer
     """
 
-    around: SpectralImage
-    halo: int
+    films: Sequence[tuple[SpectralImage, int]]
     middle_um: tuple[float, float]
     seen: Array
     reach: tuple[tuple[int, int], float]
 
-    def rate(self, camera: Camera, tiling: Tiling, electrons: Array, transfer: Callable[[Array, float], Array] | None) -> Array:
-        """Return `real_lens_rate` in the part, (H, W)."""
-        nm, pitch_um = self.around.wavelength_nm, self.around.pitch_um
-        total = np.zeros(self.around.shape)
+    def rates(
+        self, camera: Camera, tiling: Tiling, electrons: Array, transfer: Callable[[Array, float], Array] | None
+    ) -> list[Array]:
+        """Return `real_lens_rate` in the part, (H, W) on each of the films."""
+        images, nm = [image for image, _ in self.films], self.films[0][0].wavelength_nm
         if not tiling.psf_um:
-            total += self.around.weighted(electrons)
+            totals = [image.weighted(electrons) for image in images]
         else:
-            for picture, weight, blurred_by in _blurred_lights(self.around, electrons, np.abs(electrons * self.seen), tiling):
+            totals = [np.zeros(image.shape) for image in images]
+            seen = np.abs(electrons * self.seen)
+            for films in zip(*(_blurred_lights(image, electrons, seen, tiling) for image in images), strict=True):
+                _, weight, blurred_by = films[0]
                 psfs = psfs_of(camera, *self.reach, blurred_by, nm, weight, transfer)
-                total += float(weight.sum()) * psfs.blurred(picture, pitch_um, *self.middle_um[::-1])
-        inside = slice(self.halo, -self.halo or None)
-        return total[inside, inside]
+                lights = [(picture, image.pitch_um) for (picture, _, _), image in zip(films, images, strict=True)]
+                for total, light in zip(totals, psfs.blurred(lights, *self.middle_um[::-1]), strict=True):
+                    total += float(weight.sum()) * light
+        return [total[halo : -halo or None, halo : -halo or None] for total, (_, halo) in zip(totals, self.films, strict=True)]
 
     def lights(
         self, camera: Camera, tiling: Tiling, physics: PixelPhysics, illuminations: Sequence[Illumination]
-    ) -> tuple[ChannelLight, ...]:
-        """Return the light in the part for each channel of a pixel.
+    ) -> list[tuple[ChannelLight, ...]]:
+        """Return the light in the part for each channel of a pixel, on each of the films.
 
         illuminations : of the channels, those of the whole picture
         """
         transfer = diffusion_of(physics.channels[0])
-        weights = [electrons_per_joule(channel, self.around) for channel in physics.channels]
-        rates = [_per_um2(self.rate(camera, tiling, weight, transfer)) for weight in weights]
-        return tuple(ChannelLight(*pair) for pair in zip(rates, illuminations, strict=True))
+        weights = [electrons_per_joule(channel, self.films[0][0]) for channel in physics.channels]
+        rates = [[_per_um2(rate) for rate in self.rates(camera, tiling, weight, transfer)] for weight in weights]
+        return [tuple(map(ChannelLight, of_film, illuminations)) for of_film in zip(*rates, strict=True)]
 
 
 BLUR_WORK = 0.3  # of a light's blur: its PSFs, and an even picture, whose tiles are mostly alike

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base import cache
-from pixsim.base.arrays import MEASURED, Array, in_threads
+from pixsim.base.arrays import MEASURED, Array, Item, in_threads
 from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display, Pixel, Setting, content_hash
 from pixsim.base.progress import Progress, share_of, steps_of
@@ -327,7 +327,7 @@ def film_steps(
         films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
     places = measured_places(image, size_um, display)
     blurred, scored = (0.4, 0.7) if lens else (0.0, 0.6)  # of the work
-    lights: list[list[tuple[ChannelLight, ...] | None]] = [[None] * len(parts) for _ in films]
+    lights: Sequence[Sequence[tuple[ChannelLight, ...] | None]] = [[None] * len(parts)] * len(films)
     if lens:
         lights = lens.of_films(places, len(films), share_of(progress, 0.0, blurred))
     delta_e = np.empty((len(films), len(parts)))
@@ -368,49 +368,62 @@ class BehindLens:
         illuminations = [illumination_of(image, imaging.camera, channel) for channel in imaging.physics.channels]
         return cls(image, imaging, tiling, halo, image.mean_spectrum(), illuminations)
 
-    def _lights(self, around: SpectralImage, halo: int, place: Place, more: float = 1.0) -> tuple[ChannelLight, ...]:
-        """Return the light of a part.
+    def _lights(
+        self, films: Sequence[tuple[SpectralImage, int]], place: Place, more: float = 1.0
+    ) -> list[tuple[ChannelLight, ...]]:
+        """Return the light of a part on some films.
 
+        films : as of `PartBehindLens`
         more : times as many samples across as the picture's has the film whose PSFs are taken
         """
         height, width = (math.ceil(more * count) for count in self.image.shape)
         reach = (height, width), self.image.pitch_um / more
         middle = ((side.start + side.stop - n) / 2 * self.image.pitch_um for side, n in zip(place, self.image.shape, strict=True))
         y_um, x_um = middle
-        part = PartBehindLens(around, halo, (y_um, x_um), self.seen, reach)
+        part = PartBehindLens(films, (y_um, x_um), self.seen, reach)
         return part.lights(self.imaging.camera, self.tiling, self.imaging.physics, self.illuminations)
 
     def of_films(
         self, places: Sequence[Place], films: int, progress: Progress | None = None
-    ) -> list[list[tuple[ChannelLight, ...] | None]]:
+    ) -> list[list[tuple[ChannelLight, ...]]]:
         """Return the light of parts on the film and on coarser ones; one light of the whole picture where there are no places.
 
         That is made of patches with a blur each, where its detail is measured, not its blur.
         """
         patches = places or patches_of(self.image)
-        found: dict[tuple[int, int], tuple[ChannelLight, ...]] = {}
-        step_done = steps_of(progress, len(patches))
 
-        def compute(number: int) -> None:
-            around, halo = surrounded(self.image, patches[number], self.halo), self.halo
-            for film in range(films):
-                found[film, number] = self._lights(around, halo, patches[number])
-                if film + 1 < films:
-                    around, halo = coarser(around, 2), halo // 2
-            step_done()
+        def on_films(number: int) -> list[tuple[ChannelLight, ...]]:
+            around = [(surrounded(self.image, patches[number], self.halo), self.halo)]
+            for _ in range(1, films):
+                around.append((coarser(around[-1][0], 2), around[-1][1] // 2))
+            return self._lights(around, patches[number])
 
-        compute(0)  # the PSFs of all
-        in_threads(compute, range(1, len(patches)), films * cells_at_once(self.image))
+        found = list(zip(*each_of(on_films, len(patches), films * cells_at_once(self.image), progress), strict=True))
         if places:
-            return [[found[film, number] for number in range(len(patches))] for film in range(films)]
+            return [list(of_film) for of_film in found]
         across = len({columns.start for _, columns in patches})
-        return [[_joined([found[film, number] for number in range(len(patches))], across)] for film in range(films)]
+        return [[_joined(of_film, across)] for of_film in found]
 
-    def of_part(self, part: Part, fine: SpectralImage) -> tuple[ChannelLight, ...]:
-        """Return the light of a part on a finer film, beyond which its light goes on as in a mirror."""
-        halo = round(self.halo * self.image.pitch_um / fine.pitch_um)
-        rows, columns = fine.shape
-        return self._lights(surrounded(fine, (slice(0, rows), slice(0, columns)), halo), halo, part.place, MOST_SAMPLES)
+    def of_part(self, part: Part, fine: Sequence[SpectralImage]) -> list[tuple[ChannelLight, ...]]:
+        """Return the light of a part on finer films, beyond which its light goes on as in a mirror."""
+        films = []
+        for image in fine:
+            halo, (rows, columns) = round(self.halo * self.image.pitch_um / image.pitch_um), image.shape
+            films.append((surrounded(image, (slice(0, rows), slice(0, columns)), halo), halo))
+        return self._lights(films, part.place, MOST_SAMPLES)
+
+
+def each_of(function: Callable[[int], Item], count: int, size: int, progress: Progress | None = None) -> list[Item]:
+    """Return what a function gives for 0 … count - 1: the first alone, for what all share, and the others by `in_threads`."""
+    found, step_done = {}, steps_of(progress, count)
+
+    def compute(number: int) -> None:
+        found[number] = function(number)
+        step_done()
+
+    compute(0)
+    in_threads(compute, range(1, count), size)
+    return [found[number] for number in range(count)]
 
 
 def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[ChannelLight, ...]:
@@ -430,15 +443,20 @@ def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, imaging: Imag
     """
     if not parts:
         return np.empty(0)
-    delta_e = np.empty((len(FINER), len(parts)))
+    delta_e, cells = np.empty((len(FINER), len(parts))), len(FINER) * sum(math.prod(part.image.shape) for part in parts)
+
+    def on_films(number: int) -> tuple[list[SpectralImage], Sequence[tuple[ChannelLight, ...] | None]]:
+        fine = [parts[number].finer(*film) for film in FINER]
+        return fine, lens.of_part(parts[number], fine) if lens else [None] * len(FINER)
+
+    found = each_of(on_films, len(parts), cells)
 
     def measure(film: int) -> None:
-        fine = [(part.finer(*FINER[film]), part.display) for part in parts]
-        lights = [lens.of_part(part, image) if lens else None for part, (image, _) in zip(parts, fine, strict=True)]
-        delta_e[film] = _mean_delta_e(fine, lights, imaging)
+        shown = [(fine[film], part.display) for (fine, _), part in zip(found, parts, strict=True)]
+        delta_e[film] = _mean_delta_e(shown, [lights[film] for _, lights in found], imaging)
         film_done()
 
-    in_threads(measure, range(len(FINER)), len(FINER) * sum(math.prod(part.image.shape) for part in parts))
+    in_threads(measure, range(len(FINER)), cells)
     return delta_e
 
 

@@ -14,6 +14,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.field_blur import (
     BAND_END,
+    OUTLINE_ANGLES,
     FieldBlur,
     FittedWavefronts,
     Light,
@@ -28,6 +29,7 @@ from pixsim.optics.field_blur import (
     periodic_psf,
     picture_error,
     powers,
+    pupil_function,
     radial_psfs,
     resolving_um,
     tiles_alike,
@@ -113,6 +115,20 @@ def test_traced_thin_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cos
         cosine, effective = math.cos(math.radians(degrees)), math.hypot(1, 200.0) / 2
         np.testing.assert_allclose(along, diffraction_otf(frequency, NM, effective / cosine**3), atol=1e-3)
         np.testing.assert_allclose(across, diffraction_otf(frequency, NM, effective / cosine), atol=1e-3)
+
+
+def test_every_term_of_a_wavefront_is_in_the_pupil() -> None:
+    """Phases of the pupil function are those of Σ c u^a v^b, to the rounding of single precision."""
+    exponents, outline = powers(), np.ones(OUTLINE_ANGLES)
+    coefficients = np.random.default_rng(3).normal(0, 0.05, len(exponents))
+    half, step = 0.1, 0.1 / 40
+    amplitude, _ = pupil_function(np.concatenate([[half, half, 0.0], coefficients, outline]), NM, 0.0, step)
+    v, reach = (np.arange(amplitude.shape[1]) - amplitude.shape[1] // 2) * step / half, amplitude.shape[0] // 2
+    u = ((np.arange(amplitude.shape[0]) - reach) * step / half)[:, None]
+    waves = sum(c * u**a * v**b for c, (a, b) in zip(coefficients, exponents, strict=True))
+    inside = np.hypot(u, v) < 0.95
+    turned = np.angle(amplitude * np.exp(2j * np.pi * waves))[inside]
+    assert np.abs(turned).max() < 1e-4  # a term left out is 0.1 at the rim
 
 
 def hopkins(frequency: Array, w20: float) -> Array:
@@ -297,13 +313,13 @@ def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(sharp_light:
     for height_um, azimuth in ((0.0, 0.0), (3.0, 0.4), (100.0, 0.8), (200.0, 2.1), (psfs.reach_um, -2.5)):
         place = height_um * math.cos(azimuth), height_um * math.sin(azimuth)
         whole = np.roll(periodic_psf(sharp_light, *place, COARSE_UM, 240), (cells // 2, cells // 2), (0, 1))
-        error = psfs.at(*place, COARSE_UM, cells).kernel - whole[:cells, :cells]
+        error = psfs.at([place], COARSE_UM, cells)[0].kernel - whole[:cells, :cells]
         assert np.sqrt(np.sum(error**2)) < 5e-4 * np.sqrt(np.sum(whole**2)), (height_um, azimuth)
     assert 200.0 <= psfs.reach_um < 200.0 + 2 * step_um
     with pytest.raises(PixsimError, match=r"distance of a PSF from the axis: got 300 µm; allowed: at most 2\d\d µm"):
-        psfs.at(300.0, 0.0, COARSE_UM, cells)
+        psfs.at([(300.0, 0.0)], COARSE_UM, cells)
     with pytest.raises(PixsimError, match=r"film cell of a PSF: got 3\.9 µm; allowed: at least 4 µm"):
-        psfs.at(0.0, 0.0, 3.9, cells)
+        psfs.at([(0.0, 0.0)], 3.9, cells)
 
 
 def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_light: Light) -> None:
@@ -312,7 +328,7 @@ def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_ligh
     known = radial_psfs(sharp_light, resolving / 10, 301, 50.0, 400.0)
     assert known.pitch_um == 0.0
     for pitch_um, cells in ((resolving / 4, 121), (resolving / 1.5, 45), (2 * resolving, 15)):
-        kernel = known.at(210.0, 90.0, pitch_um, cells).kernel
+        kernel = known.at([(210.0, 90.0)], pitch_um, cells)[0].kernel
         right = point_spread(sharp_light, 210.0, 90.0, pitch_um, cells).kernel
         assert np.abs(kernel - right).max() < 2e-3 * right.max()  # of the interpolation, as above
         assert kernel.sum() == pytest.approx(right.sum(), abs=0.01)  # what lies beyond the windows folds back
@@ -320,12 +336,17 @@ def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_ligh
 
 def test_transform_of_a_psf_is_that_of_its_film_cells_on_any_window(sharp_light: Light) -> None:
     known = radial_psfs(sharp_light, 1.0, 33, 50.0, 400.0)
-    window = np.fft.irfft2(known.transform(200.0, 100.0, 1.0, (150, 121)), (150, 121))
-    kernel = known.at(200.0, 100.0, 1.0, 33).kernel
+    window = np.fft.irfft2(known.transform([(200.0, 100.0)], 1.0, (150, 121))[0], (150, 121))
+    kernel = known.at([(200.0, 100.0)], 1.0, 33)[0].kernel
     np.testing.assert_allclose(np.roll(window, (16, 16), axis=(0, 1))[:33, :33], kernel, atol=1e-3 * kernel.max())
     point = np.zeros((150, 121))
     point[40, 50] = 1.0
-    np.testing.assert_allclose(known.blurred(point, 1.0, 200.0, 100.0), np.roll(window, (40, 50), axis=(0, 1)), atol=1e-12)
+    (spread,) = known.blurred([(point, 1.0)], 200.0, 100.0)
+    np.testing.assert_allclose(spread, np.roll(window, (40, 50), axis=(0, 1)), atol=1e-12)
+    fine = np.random.default_rng(2).random((160, 120))
+    films = [(fine, 1.0), (fine.reshape(80, 2, 60, 2).mean(axis=(1, 3)), 2.0)]  # of one spectrum
+    for film, found in zip(films, known.blurred(films, 200.0, 100.0), strict=True):
+        np.testing.assert_allclose(found, known.blurred([film], 200.0, 100.0)[0], atol=1e-6)
 
 
 def test_least_squares_are_those_of_lapack() -> None:
