@@ -6,7 +6,7 @@ import signal
 import site
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 # Before NumPy: threads make the small matrices of a fit several times slower, and the workers of a run share the cores.
@@ -27,12 +27,9 @@ from helpers.tiny import WHOLE_CHART, tiny
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import merge
-from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.readout import Frame
 from pixsim.studies import oversampling
-from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import StudyResult
-from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import ImagingChain
 
 
@@ -99,26 +96,6 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 def unpaged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages of studies have neither figures nor pictures, which take longer than the small study that they are of."""
     monkeypatch.setattr("pixsim.report.study.draw_section", lambda section, _, figures: (section, [], None, []))
-
-
-def fine(image: SpectralImage, measured: Sequence[Imaging], **_: object) -> FilmError:
-    """In place of `measure_film`: no error."""
-    known = [0.0] * len(measured), [oversampling.TOLERATED_DELTA_E] * len(measured)
-    return FilmError(image.shape, image.pitch_um, tuple(each.pixel.pitch_um for each in measured), *map(tuple, known))
-
-
-@pytest.fixture(scope="module")
-def unmeasured() -> Iterator[None]:
-    """Films of small studies are taken as fine: to measure their errors takes about as long as all else before the rows."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(oversampling, "measure_film", fine)
-        yield
-
-
-@pytest.fixture
-def unmeasured_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As `unmeasured`, in one test of a module."""
-    monkeypatch.setattr(oversampling, "measure_film", fine)
 
 
 @pytest.fixture

@@ -23,6 +23,7 @@ TINY: dict[str, Any] = {
     "pitch": {"values_um": PITCHES_UM},
     "display": {"dots": 48, "samples_per_deg": 10.0},
 }
+COARSE = 48  # samples across a film that is too small for its error to be measured, which takes most of the time of a small study
 WHOLE_CHART: dict[str, Any] = {"camera": {"die_mm": 2.7136}, "display": {"dots": 96}}  # as in the paper, up to 33.3 lp/mm
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.commands import assert_refused, command
-from helpers.tiny import tiny, tiny_toml
+from helpers.tiny import COARSE, tiny, tiny_toml
 
 import pixsim
 from pixsim.base.files import PROVENANCE, publishing, write_made_from
@@ -20,14 +20,13 @@ from pixsim.report.kept import digest_of_report, keep_or_write
 from pixsim.studies.evaluations import Counts
 from pixsim.studies.result import CasesResult, StudyResult
 
-pytestmark = pytest.mark.usefixtures("unmeasured")
 FILES = {"report.html": "page", "summary.json": "{}", "figures/curve.svg": "<svg/>"}
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
     folder = tmp_path_factory.mktemp("kept")
-    return pixsim.study(tiny(), folder, jobs=1), folder
+    return pixsim.study(tiny(resolution=COARSE), folder, jobs=1), folder
 
 
 class Report:
@@ -63,7 +62,7 @@ def report(made: tuple[StudyResult, Path], tmp_path: Path) -> Iterator[Report]:
 def test_keep_or_write_equal_result_is_kept(made: tuple[StudyResult, Path], report: Report) -> None:
     """Of the same study computed again: nothing in the folder is touched."""
     before = {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in report.folder.rglob("*")}
-    assert not report.of(pixsim.study(tiny(), made[1], jobs=1))
+    assert not report.of(pixsim.study(tiny(resolution=COARSE), made[1], jobs=1))
     assert {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in report.folder.rglob("*")} == before
 
 

@@ -36,7 +36,6 @@ from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.optimum import FittedCurve, fit_curve
 from pixsim.studies.result import CasesResult, Curve, StudyResult
 
-pytestmark = pytest.mark.usefixtures("unmeasured")
 PITCH_UM = np.geomspace(2.0, 16.0, 7)
 LIGHT = pixsim.SpectralImage([550.0], 10.0, 21.2, data=np.ones((8, 8, 1)), header={})
 BEND = 0.3  # of ΔE in the square of the logarithm of the pitch, around a least ΔE of 1: no curve is fitted by its logarithm

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import command
-from helpers.tiny import rows
+from helpers.tiny import COARSE, rows
 
 import pixsim
 from pixsim.base.config import packaged, read_toml
@@ -35,7 +35,7 @@ die_mm = 1.5
 """
 
 
-pytestmark = pytest.mark.usefixtures("undrawn", "unpaged", "unmeasured")
+pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def command_in(folder: Path) -> str:
     ],
 )
 def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    film = "" if "--resolution" in options else "--resolution 64"
+    film = "" if "--resolution" in options else "--resolution 48"
     noise = "" if "--tolerance" in options else "--render-noise 10"  # two renders
     done(f"run csf {options} {film} {noise} --display.dots 64 --irradiance none --out out")
     first, line = json.loads((desk / "out/score.json").read_text(encoding="utf-8")), command_in(desk / "out")
@@ -94,7 +94,7 @@ def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path
 def test_run_settings_state_the_display_and_chart_that_were_chosen(
     scene: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    done(f"run {scene} --config sheet.toml --resolution 64 --render-noise 10 --irradiance none --out out")
+    done(f"run {scene} --config sheet.toml --resolution 48 --render-noise 10 --irradiance none --out out")
     first, line = json.loads((desk / "out/score.json").read_text(encoding="utf-8")), command_in(desk / "out")
     assert first["display"]["dots"] == 125  # the sheet's pixels across: 1.5 mm / 12 µm
     monkeypatch.chdir(desk / "out")
@@ -104,7 +104,7 @@ def test_run_settings_state_the_display_and_chart_that_were_chosen(
 
 
 def test_run_settings_of_picture_make_same_numbers(desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done("run csf --config sheet.toml --resolution 64 --irradiance full --out out")
+    done("run csf --config sheet.toml --resolution 48 --irradiance full --out out")
     done("run out/irradiance.exr --config sheet.toml --seed 2 --out foreign")
     line = command_in(desk / "foreign")
     monkeypatch.chdir(desk / "foreign")
@@ -181,7 +181,7 @@ def test_study_settings_make_same_numbers(options: str, desk: Path, tmp_path: Pa
     (desk / "own.toml").write_text(
         'name = "own"\nrepeats = 3\nrender_noise = 10\n[pitch]\ncount = 6\n[quick]\nrepeats = 2\n', encoding="utf-8"
     )
-    done(f"study own.toml {options} --quick --resolution 64 --jobs 1 --out out")
+    done(f"study own.toml {options} --quick --resolution 48 --jobs 1 --out out")
     monkeypatch.chdir(desk / "out")
     done(f"{command_in(desk / 'out')} --jobs 1 --out {tmp_path / 'again'}")
     first, again = ([list(row.values())[2:] for row in rows(folder)] for folder in (desk / "out", tmp_path / "again"))
@@ -216,7 +216,7 @@ def test_settings_of_cases_state_the_display_that_was_chosen(
     """In a window of 0.9 mm: a dot for each of 75 columns of 12 µm, and the chart to their Nyquist frequency if all have it."""
     dots, highest = kept
     table = f"pitch = {{ values_um = [8, 10, 14, 20, 28] }}\n{table}"
-    result = small_study(desk, "own", table, config="sheet.toml", window_mm=0.9, resolution=64)
+    result = small_study(desk, "own", table, config="sheet.toml", window_mm=0.9, resolution=COARSE)
     settings = tomllib.loads(result.settings_toml)
     found = settings["display"]["dots"], settings["scene"].get("parameters", {}).get("max_lp_per_mm")
     assert found == (dots, highest if highest is None else pytest.approx(highest, rel=1e-12))
@@ -233,7 +233,7 @@ def test_study_settings_of_data_sheets_make_same_numbers(desk: Path, tmp_path: P
     """Options replace values of the sheets, and settings.toml has them; the sheets are not read again."""
     (desk / "part.toml").write_text("[pixel]\ntechnology = 'mine.toml'\npitch_um = 9.0\nread_noise_e = 4.0\n", encoding="utf-8")
     table = 'technologies = ["sheet.toml", "part.toml"]\n[pitch]\nvalues_um = [8, 10, 14, 20, 28]\n'
-    result = small_study(desk, "two", table, scene="flat", pixel={"bits": 6}, camera={"die_mm": 1}, resolution=64)
+    result = small_study(desk, "two", table, scene="flat", pixel={"bits": 6}, camera={"die_mm": 1}, resolution=COARSE)
     kept = tomllib.loads(result.settings_toml)
     assert list(kept["sensors"]) == kept["technologies"] == [str(desk / "sheet.toml"), str(desk / "part.toml")]
     (desk / "sheet.toml").write_text(SHEET.replace("12000", "50000"), encoding="utf-8")
@@ -257,7 +257,7 @@ def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
     )
     keys = []
     for option in ("", "--display.dots 100", "-D max_lp_per_mm=15", "--camera.f-number 16"):
-        done(f"study own.toml --config sheet.toml {option} --resolution 64 --jobs 1 --out out")
+        done(f"study own.toml --config sheet.toml {option} --resolution 48 --jobs 1 --out out")
         keys.append({row["key"] for row in rows(desk / "out")})
     assert len(set.union(*keys)) == 4 * 10
 
@@ -266,7 +266,7 @@ def test_settings_of_study_with_base_and_range_repeat_it(tmp_path: Path) -> None
     """Bases and ranges stand there as values."""
     from helpers.tiny import tiny_toml
 
-    (tmp_path / "tiny.toml").write_text(tiny_toml(resolution=64), encoding="utf-8")
+    (tmp_path / "tiny.toml").write_text(tiny_toml(resolution=COARSE), encoding="utf-8")
     table = 'name = "s"\nbase = "tiny.toml"\naxis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
     (tmp_path / "s.toml").write_text(table, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:

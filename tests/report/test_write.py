@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from helpers.sheets import sheet
-from helpers.tiny import tiny
+from helpers.tiny import COARSE, tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -15,9 +15,9 @@ from pixsim.report.compare import comparison_files
 AXIS = [{"name": "lens", "set": "camera.f_number", "values": [2.0, 2.8]}]
 
 
-@pytest.mark.usefixtures("undrawn", "unmeasured")
+@pytest.mark.usefixtures("undrawn")
 def test_report_of_a_study_with_an_axis_has_its_table(tmp_path: Path) -> None:
-    result = pixsim.study(tiny(axis=AXIS, render_noise=30.0), tmp_path, jobs=1)
+    result = pixsim.study(tiny(axis=AXIS, resolution=COARSE), tmp_path, jobs=1)
     page = pixsim.write_report(result, tmp_path)
     assert page.name == "report.html"
     names = {path.name for path in tmp_path.iterdir()}

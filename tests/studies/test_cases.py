@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, needs_browser
 from helpers.commands import assert_refused, command
-from helpers.tiny import TINY, keys, rows, tiny, toml_of
+from helpers.tiny import COARSE, TINY, keys, rows, tiny, toml_of
 from pydantic import ValidationError
 
 import pixsim
@@ -32,7 +32,7 @@ from pixsim.studies.study import warn_of_idle_axes
 from pixsim.studies.study_file import load_study
 from pixsim.viewer.score import ImagingChain
 
-pytestmark = pytest.mark.usefixtures("undrawn", "unpaged", "unmeasured")
+pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
 LIGHT = "scene.parameters.luminance_cd_per_m2"
 LENS = {
     "name": "lens",
@@ -45,7 +45,7 @@ NIGHT = {"name": "night", "set": {"scene": {"parameters": {"luminance_cd_per_m2"
 
 # A chart whose cells are computed, on few pixel sizes: a case takes a fifth of a second.
 SMALL = {name: value for name, value in TINY.items() if name not in ("scene", "pitch", "resolution")}
-SMALL |= {"scene": {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}}, "resolution": 192, "paper": False}
+SMALL |= {"scene": {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}}, "resolution": COARSE, "paper": False}
 SMALL |= {"pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0]}, "camera": {"die_mm": 0.7}, "display": {"dots": 32}}
 
 
@@ -435,11 +435,11 @@ def test_study_lights_in_memory_do_not_grow_with_their_number(
     for count in (2, 4):
         values = {"values": [0.01 * n for n in range(count)], "alone": False}
         axis = LIGHTS | {"count": count} if scene["file"] == "csf" else PRNU | values
-        study = Study.model_validate(SMALL | {"scene": scene, "resolution": 64, "axis": [axis]})
+        study = Study.model_validate(SMALL | {"scene": scene, "resolution": COARSE, "axis": [axis]})
         result = pixsim.study(study, tmp_path / str(count), jobs=1)
         assert len(result.parts) == count
         most.append((max(peaks), sum(each() is not None for each in held)))
-        assert result.parts[-1].irradiance.planes.shape[1:] == (64, 64)
+        assert result.parts[-1].irradiance.planes.shape[1:] == (COARSE, COARSE)
         held.clear(), peaks.clear()
     assert most[0] == most[1], "light or pictures are held for each case"
 
@@ -447,7 +447,7 @@ def test_study_lights_in_memory_do_not_grow_with_their_number(
 @pytest.mark.slow  # the one before takes lights one after the other
 def test_study_in_little_memory_has_the_same_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lights are then taken one after the other, and sensors are drawn again for each."""
-    study = small(axis=[LIGHTS | {"count": 2}], resolution=64)
+    study = small(axis=[LIGHTS | {"count": 2}], resolution=COARSE)
     pixsim.study(study, tmp_path / "all", jobs=1)
     monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 1)
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
@@ -460,7 +460,7 @@ def test_study_sensors_are_drawn_once_for_all_lights(tmp_path: Path, monkeypatch
     sensor = ImagingChain.sensor
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     monkeypatch.setattr(ImagingChain, "sensor", lambda chain, *key: drawn.append(key) or sensor(chain, *key))
-    pixsim.study(small(axis=[LIGHTS | {"count": 3}], resolution=64), tmp_path, jobs=1)
+    pixsim.study(small(axis=[LIGHTS | {"count": 3}], resolution=COARSE), tmp_path, jobs=1)
     assert len(rows(tmp_path)) == 3 * 5 * 2
     assert len(drawn) == len(set(drawn)) == 5 * 2
 
@@ -472,7 +472,7 @@ def test_study_curves_are_fitted_while_others_are_evaluated(tmp_path: Path, monk
     monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 1)
     monkeypatch.setattr(study_module, "curve_of", lambda *given: order.append("fit") or fit(*given))
     monkeypatch.setattr(evaluations, "evaluate_task", lambda *given: order.append("evaluate") or evaluate(*given))
-    pixsim.study(small(axis=[LIGHTS | {"count": 2}], resolution=64), tmp_path, jobs=1)
+    pixsim.study(small(axis=[LIGHTS | {"count": 2}], resolution=COARSE), tmp_path, jobs=1)
     assert order == 2 * [*(5 * ["evaluate"]), "fit"]
 
 

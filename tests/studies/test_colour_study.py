@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.commands import command
-from helpers.tiny import toml_of
+from helpers.tiny import COARSE, toml_of
 from PIL import Image
 
 import pixsim
@@ -29,7 +29,7 @@ from pixsim.viewer.scielab import XYZ_FROM_OPPONENT
 from pixsim.viewer.score import check_one_ideal
 
 SMALL: dict[str, Any] = {
-    **{"name": "filters", "technologies": ["4t-bsi"], "repeats": 2, "resolution": 128, "camera": {"die_mm": 0.2}},
+    **{"name": "filters", "technologies": ["4t-bsi"], "repeats": 2, "resolution": COARSE, "camera": {"die_mm": 0.2}},
     **{"pixel": {"stack": {"enabled": False}}, "display": {"dots": 24}, "pitch": {"values_um": [2.0, 2.5, 3.0, 4.0, 6.0]}},
 }
 FEW_PIXELS: dict[str, Any] = {"camera": {"die_mm": 0.1}}
@@ -50,7 +50,6 @@ def rows_of(folder: Path, filters: str | None = None) -> list[dict[str, str]]:
     return [{name: value for name, value in row.items() if name not in ("key", "filters")} for row in rows]
 
 
-@pytest.mark.usefixtures("unmeasured_here")
 @pytest.mark.filterwarnings("ignore:.*black level")
 def test_study_of_filters(tmp_path: Path) -> None:
     pixsim.study(Study.model_validate(SMALL), out=tmp_path / "plain", jobs=1)
@@ -77,7 +76,7 @@ def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
     kept = [1.2, 2.0, 2.5, 3.0, 4.0]
 
     def run(folder: str, *more_um: float, **settings: Any) -> pixsim.StudyResult:
-        table = merge(SMALL, {"pixel": pixel, "resolution": 64, "pitch": {"values_um": [*more_um, *kept]}, **settings})
+        table = merge(SMALL, {"pixel": pixel, "resolution": COARSE, "pitch": {"values_um": [*more_um, *kept]}, **settings})
         table = merge(table, FEW_PIXELS)
         return pixsim.study(Study.model_validate(table), out=tmp_path / folder, jobs=1)
 
@@ -95,11 +94,10 @@ def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
     assert [curve.pitch_um.tolist() for curve in result.curves] == [kept, kept]
 
 
-@pytest.mark.usefixtures("unmeasured_here")
 def test_study_without_axes_has_parts_of_its_error(tmp_path: Path) -> None:
     """One row for its one curve; a monochrome study has none."""
     for colour, columns in ((CAMERA, 8), (None, 0)):
-        coarse = {"resolution": 64, "pixel": {"stack": {"enabled": False}, "black_level_dn": 64, "bits": 12, "colour": colour}}
+        coarse = {"resolution": COARSE, "pixel": {"stack": {"enabled": False}, "black_level_dn": 64, "bits": 12, "colour": colour}}
         folder = tmp_path / str(columns)
         table = parts_table(pixsim.study(Study.model_validate(merge(SMALL, coarse)), out=folder, jobs=1))
         assert len(table) == (columns and columns + 1)
@@ -178,10 +176,9 @@ def test_cases_with_too_few_possible_sizes_are_left_out_with_the_reason(tmp_path
         assert "Not shown are values with cases that are left out: 1 of stack." in page
 
 
-@pytest.mark.usefixtures("unmeasured_here")
 def test_figures_show_values_of_which_all_cases_are_there(tmp_path: Path) -> None:
     """Of two axes with one case left out, the value that lacks more of its cases is not shown."""
-    table = merge(SMALL, {"resolution": 64, "axis": [STACKS, merge(LENSES, {"values": [2.8, 4.0, 5.6]})]})
+    table = merge(SMALL, {"resolution": COARSE, "axis": [STACKS, merge(LENSES, {"values": [2.8, 4.0, 5.6]})]})
     result = pixsim.study(Study.model_validate(table), out=tmp_path, jobs=1)
     kept = replace(result, parts=tuple(part for part in result.parts if part.curves[0].at != {"stack": "deep", "f": 4.0}))
     scales = Grid(kept).scales

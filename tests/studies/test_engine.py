@@ -23,6 +23,7 @@ from typing import Any
 import joblib
 import numpy as np
 import pytest
+from helpers.forks import Forked
 from helpers.processes import HANG_S, signalled
 from helpers.tasks import collects_garbage, die_always, die_once, die_once_at_7_um, double, fail, folder_of, keep, nothing, warn
 from helpers.tiny import tiny_toml, toml_of
@@ -224,9 +225,10 @@ def test_study_killed_worker_is_replaced(toml: Path, expected: bytes, tmp_path: 
 
 def killed_study(toml: Path, out: Path, calls: int) -> list[bytes]:
     """Rows that a study has finished when a signal kills its process in a call."""
-    command = [sys.executable, "-c", signalled(signal.SIGKILL, calls), "study", toml, "--out", out, "--jobs", "1"]
-    ended = subprocess.run(command, **CAPTURED)
-    assert ended.returncode == -signal.SIGKILL, ended.stderr
+    words = ["study", str(toml), "--out", str(out), "--jobs", "1"]
+    ended = Forked(signalled(signal.SIGKILL, calls), words, out.parent, dict(os.environ))
+    _, err = ended.communicate()
+    assert ended.wait() == -signal.SIGKILL, err
     return (out / "results.csv").read_bytes().splitlines()[1:]
 
 

@@ -13,7 +13,7 @@ import pytest
 from benchmarks.paper_table import claims_table, counts, tornado_table
 from helpers.browser import BROWSER, assert_fits, assert_prints
 from helpers.commands import command
-from helpers.tiny import PITCHES_UM, rows, tiny_toml
+from helpers.tiny import COARSE, PITCHES_UM, rows, tiny_toml
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -31,8 +31,6 @@ from pixsim.studies.result import CasesResult, Curve, StudyResult
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study_file import load_study
 
-pytestmark = pytest.mark.usefixtures("unmeasured")
-
 # A chart whose cells are computed, on few dots; every pitch that the paper's statements need.
 BASE_TOML = tiny_toml(
     repeats=4,
@@ -43,7 +41,7 @@ BASE_TOML = tiny_toml(
     pitch={"values_um": [4.0, 5, 6, 7, 8]},
     camera={"die_mm": 0.7},
     display={"dots": 32},
-    resolution=128,
+    resolution=COARSE,
 ).replace('"spp" = 4, ', "")
 SENSITIVITY_TOML = """
 name = "tiny-sensitivity"

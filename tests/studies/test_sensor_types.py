@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, needs_browser
 from helpers.commands import assert_refused, command
-from helpers.tiny import TINY, toml_of
+from helpers.tiny import COARSE, TINY, toml_of
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -21,11 +21,11 @@ from pixsim.studies.sensor_types import MOST_EVALUATIONS, TYPES_FILE, Asked, che
 from pixsim.studies.study_file import load_study, uncertainty_of
 from pixsim.studies.uncertainty import settings_of, unknowns_of_study
 
-pytestmark = pytest.mark.usefixtures("undrawn", "unpaged", "unmeasured")
+pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
 SMALL = {name: value for name, value in TINY.items() if name not in ("scene", "pitch", "resolution")}
 SMALL |= {
     "scene": {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}},
-    "resolution": 192,
+    "resolution": COARSE,
     "technologies": ["0.35um", "0.25um"],
 }
 SMALL |= {"pitch": {"min_fill_factor": 0.05, "count": 6, "max_um": 15.0}, "camera": {"die_mm": 0.5}, "display": {"dots": 32}}
@@ -196,7 +196,7 @@ def test_settings_keep_the_uncertainty_of_sheets_that_change(tmp_path: Path) -> 
     sheets = [tmp_path / "a.toml", tmp_path / "b.toml"]
     for sheet, more in zip(sheets, ({"uncertainty": {"read_noise_e": {"range": [15.0, 25.0]}}}, {"bits": 8}), strict=True):
         sheet.write_text(f"pixel = {toml_of(SHEET | more)}\n", encoding="utf-8")
-    text = written(technologies=["a.toml", "b.toml", "4t-bsi"], pitch={"values_um": [4, 5, 6, 7, 8]}, resolution=64)
+    text = written(technologies=["a.toml", "b.toml", "4t-bsi"], pitch={"values_um": [4, 5, 6, 7, 8]}, resolution=COARSE)
     text += "pixel = { prnu = 0.01, uncertainty = { prnu = { sd = 0.001 } } }\n"
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     result = pixsim.study(tmp_path / "s.toml", tmp_path / "out", jobs=1)
