@@ -171,7 +171,7 @@ def run(
     """
     import_less()
     from pixsim.report.kept import kept_run
-    from pixsim.report.run import RunFiles, digest_of_run, run_page
+    from pixsim.report.run import RunFiles, digest_of_run, run_document, run_page
     from pixsim.show.render import text, write
     from pixsim.studies.run import light_run, prepare, score_run
     from pixsim.studies.run_arrays import check_raw
@@ -201,6 +201,7 @@ def run(
             result = score_run(lit, stage)
             document = run_page(result, files, stage("write"))
             write(document, folder, {"seconds": seconds})
+            document = run_document(result, warned=result.warned)
             write_made_from(folder, "run", made_from, {"lines": text(document).splitlines(), "warned": list(result.warned)})
     answer(document, json, f"report: {folder / 'report.html'}")
 
@@ -514,7 +515,7 @@ def compare(
                 document = cases_document(ComparedCases(axes, tuple(zip(cases, results, strict=True))))
                 report = write(document, folder, {"seconds": seconds})
             else:  # other notes are on stderr
-                document = comparison_document(results[0], [note for note in results[0].notes if note not in notes])
+                document = comparison_document(results[0], notes)
     answer(document, json, f"report: {report}")
 
 

@@ -16,7 +16,7 @@ from pixsim.base.labels import file_label, label_of
 from pixsim.base.parameters import Pixel
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
-from pixsim.show.document import Answer, Beside, Document, Listed, Note, Plot, Section, Table, headline, pairs
+from pixsim.show.document import Answer, Beside, Document, Note, Plot, Section, Table, headline, pairs
 from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
 from pixsim.show.pages import FIGURE_SUFFIXES, Plate
 from pixsim.show.sentences import number, setting_value
@@ -301,7 +301,6 @@ def described(sheet: DataSheet) -> Answer:
 
 
 COLUMNS = ("quantity", "symbol", "measured", "standard error", "true", "unit", "deviation", "source of the true value")
-SHORT = ("", "", "measured", "± s.e.", "true", "unit", "deviation")  # of a terminal, which has no room for the source
 WORDS = (1, 5, 7)  # columns
 
 
@@ -320,9 +319,8 @@ def entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
 
 def datasheet_document(sheet: DataSheet) -> Document:
     """Return the answer of `pixsim datasheet`: what was measured, and the true values."""
-    pixel, answer, rows = sheet.experiment.physics.pixel, described(sheet), entry_rows(sheet)
-    values = Table("measured and true values", COLUMNS, rows, words=WORDS, stacks=True)
-    short = Table(values.name, SHORT, [row[: len(SHORT)] for row in rows], words=WORDS)
+    pixel = sheet.experiment.physics.pixel
+    values = Table("measured and true values", COLUMNS, entry_rows(sheet), words=WORDS, stacks=True, wide=1)
     makers = (
         *(photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate),
         *(histogram_plate, spectrogram_plate, profile_plate),
@@ -334,16 +332,14 @@ def datasheet_document(sheet: DataSheet) -> Document:
         kind="data sheet of one simulated sensor",
         title=f"Data sheet of {pixel.pitch_um:g} µm pixels",
         data=sheet.as_dict(),
-        terminal=(answer, short, *(Note(note) for note in sheet.notes)),
-        cell=(answer, plots[0], short, *sheet.notes),
-        answers=(answer,),
-        lead=(
+        answers=(described(sheet),),
+        lead=map(Note, sheet.notes),
+        about=(
             "Measured on simulated frames of one device, as in a laboratory: the estimators use the frames only, not the pixel's "
             "parameters. Each value has its standard error, the true value, and the source of the true value.",
-            *([Listed(sheet.notes)] if sheet.notes else []),
         ),
         sections=(
-            Section("values", "Measured and true values", (values,)),
+            Section("values", "Measured and true values", (values,), brief=True),
             Section("figures", "Figures", plots),
             Section("made", "How it was made", (Beside((pairs("pixel", stated), pairs("versions", versions()))),)),
         ),

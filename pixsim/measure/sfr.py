@@ -29,7 +29,7 @@ from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.notes import collected_notes, warn
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, layout_of, read_picture, stated_number
-from pixsim.show.document import Block, Document, Listed, Plot, headline
+from pixsim.show.document import Document, Note, Plot, Section, headline
 from pixsim.show.figures import COLOURS, new_figure, own_style
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
 from pixsim.show.render import notebook, write
@@ -997,17 +997,16 @@ def sfr(
 def sfr_document(edge: EdgeResponse) -> Document:
     """Return the answer of `pixsim sfr`."""
     data = edge.as_dict()
-    answer, plots = headline(sfr_parts(data)), (Plot(lambda: sfr_plate(edge)), Plot(lambda: edge_plate(edge)))
-    notes: list[Block] = [Listed(edge.notes)] if edge.notes else []
+    answer = headline(sfr_parts(data))
     return Document(
         command="sfr",
         kind="response to an edge",
         title="Spatial frequency response",
         data=data,
         terminal=(answer,),
-        cell=(answer, plots[0], *edge.notes),
         answers=(answer,),
-        lead=(*notes, *plots),
+        lead=map(Note, edge.notes),
+        sections=(Section("curves", "Curves", (Plot(lambda: sfr_plate(edge)), Plot(lambda: edge_plate(edge)))),),
         figures=".",
     )
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import cycle
 from typing import Any
 
 from pixsim.base.config import SETTINGS_FILE
-from pixsim.base.headline import with_headline
 from pixsim.base.parameters import Study
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
 from pixsim.report.study import (
@@ -24,19 +23,11 @@ from pixsim.report.study import (
     study_page,
     with_files_of_study,
 )
-from pixsim.report.wording import (
-    compromise_answer,
-    film_words,
-    optimum_line,
-    optimum_parts,
-    study_light_words,
-    study_view_words,
-    study_words,
-)
-from pixsim.show.document import Answer, Block, Document, Link, Listed, Note, Plot, Section, Strong, Table, headline
+from pixsim.report.wording import DELTA_E, compromise_answer
+from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, joined, plain_text
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
-from pixsim.show.sentences import interval, sentence
+from pixsim.show.sentences import sentence
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret
@@ -44,12 +35,11 @@ from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.parts import parts_table
-from pixsim.studies.result import CasesResult, StudyResult, alike_words, fresnel_column, interval_words, within_words
-from pixsim.studies.unconverged import study_unconverged_lines
+from pixsim.studies.result import CasesResult, StudyResult, fresnel_column
+from pixsim.studies.sentences import film_words, optima_table, optimum_line
 
 SHOWN_CASES = 4  # with a report of their own
 SHOWN_COMPROMISES = 6  # with a figure of their own
-ANSWERS_SHOWN = 12  # optima that the terminal lists
 
 
 def shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
@@ -95,11 +85,11 @@ def conditions_caption(found: Compromise) -> str:
         return f"{found.label}: {names} share too few pixel sizes for one that suits all. Mean ΔE in each condition."
     best_of = [(curve.condition, curve.optimum) for curve in found.curves]
     own = "; ".join(f"{name}: {best.pitch_um:.2f} µm" if best.inside else f"{name}: at an end" for name, best in best_of)
+    answer = compromise_answer(found)
     return (
-        f"For {names} together ({found.label}), {found.best.pitch_um:.2f} µm has the least weighted mean ΔE (star), "
-        f"{found.regret.pitch_um:.2f} µm the least worst regret (dotted line): at most {found.regret.delta_e:.3f} ΔE over the best "
-        f"of each condition, in {found.regret.condition}. The best of each condition (triangles): {own}. Points: means over "
-        "sensors with their 95 % intervals."
+        f"{sentence(plain_text(joined([answer.head, *answer.below])))} Mean ΔE in {names}, and the weighted mean (star: its least; "
+        f"dotted line: the least worst regret). The best of each condition (triangles): {own}. Points: means over sensors with "
+        "their 95 % intervals."
     )
 
 
@@ -125,7 +115,7 @@ def conditions_table(found: Sequence[Compromise]) -> dict[str, Column]:
     return dict(table)
 
 
-def optima_table(result: CasesResult) -> dict[str, Column]:
+def optima_columns(result: CasesResult) -> dict[str, Column]:
     """Return a table with the optimum of each technology, combination and condition."""
     table: dict[str, list[float | str]] = {}
     for curve in result.curves:
@@ -141,18 +131,14 @@ def optima_table(result: CasesResult) -> dict[str, Column]:
 
 
 def axes_document(result: CasesResult, compromises: Sequence[Compromise], warned: Collection[str] = ()) -> Document:
-    """Return the answer of `pixsim study` with axes or conditions, without its page.
+    """Return the answer of `pixsim study` with axes or conditions, without the figures of its page.
 
     compromises : `compromises_of` the study
     warned : notes that a reader of the terminal has seen
     """
-    answers = [compromise_answer(each) for each in compromises]
-    answers += [headline(optimum_parts(curve)) for curve in result.curves if not curve.alone]
-    left = len(answers) - ANSWERS_SHOWN
-    more = [f"and {left} more: optima.csv"] if left > 0 else []
-    found: list[Block] = [*answers[:ANSWERS_SHOWN], *more, *alone_words(result), *study_words(result), *film_of_cases(result)]
     data = axes_summary(result, compromises) | {"counts": asdict(result.counts)}
-    return replace(document_of(result, data, found, warned), kind="study of several cases")
+    facts = map(Fact, [*alone_words(result), *film_of_cases(result)])
+    return replace(document_of(result, data, compromises, [*facts], warned), kind="study of several cases")
 
 
 def alone_words(result: CasesResult) -> list[str]:
@@ -247,61 +233,34 @@ def axes_page(
     return replace(
         axes_document(result, compromises),
         data=axes_summary(result, compromises),
-        answers=_answers(result, compromises),
-        lead=_lead(result, bool(compromises)),
+        about=[_about(result, bool(compromises))],
         sections=(
             Section("conditions", "Conditions", [*figures, all_conditions] if figures else ()),
             Section("maps", "Along the axes", map(plot_of, axis_plates(result))),
             Section("alone", "One at a time", [plot_of(plate) for plate in [alone_plate(result)] if plate]),
             Section("claims", "The paper's statements", _claims(result)),
-            Section("optima", "Optima", [optima_of_page(result), best]),
+            Section("optima", "Optima", [optima_table(result.curves), best]),
             parts_section(table),
-            Section("cases", "Cases with pictures", [Listed(listed), *map(Note, result.notes)]),
+            Section("cases", "Cases with pictures", [Listed(listed)]),
             Section("made", "Reproducibility", [made, made_tables(seconds)]),
         ),
         files={
-            "optima.csv": table_csv(optima_table(result)),
+            "optima.csv": table_csv(optima_columns(result)),
             **({"conditions.csv": table_csv(conditions_table(compromises))} if compromises else {}),
             **parts_files(table),
         },
     )
 
 
-def _answers(result: CasesResult, compromises: Sequence[Compromise]) -> Iterator[Answer]:
-    """Yield what suits all conditions, or else the optima of the first case."""
-    for found in compromises:
-        if found.best is None or found.regret is None:
-            continue
-        weighted, worst = (Strong(f"{size.pitch_um:.2f} µm") for size in (found.best, found.regret))
-        intervals = f"{interval(found.best.interval_um)}, and {interval(found.regret.interval_um)}"
-        yield Answer(
-            (
-                *(f"One pixel for all conditions, {found.label}: ", weighted, " has the least weighted mean ΔE, "),
-                *(worst, " the least worst regret."),
-            ),
-            (
-                f"95 % intervals: {intervals}. With the second, no condition has more than {found.regret.delta_e:.3f} ΔE over its "
-                "own best pixel.",
-            ),
-        )
-    if not compromises:
-        for curve in result.parts[0].curves:
-            head, *below = with_headline(optimum_parts(curve))
-            yield Answer(f"{head}.", map(sentence, below))
-
-
-def _lead(result: CasesResult, has_compromises: bool) -> Iterator[Block]:
-    """Yield what the page says before its sections."""
-    yield from (f"Light and lens: {words}." for words in study_light_words(result))
-    yield from (f"Picture: {words}." for words in study_view_words(result))
-    yield from map(sentence, study_unconverged_lines(result))
-    yield from (f"Light: {words}." for words in film_of_cases(result))
-    regret = "The regret of a pixel in a condition is its ΔE there over that of the best pixel for that condition. "
-    yield (
-        f"Each pixel size is simulated on the same die under each of the {result.counts.cases} cases below. The error, ΔE, is the "
-        "visible difference between the sensor's picture and that of an ideal camera: the CIELAB colour difference after the blur "
-        f"of the eye (S-CIELAB). {regret * has_compromises}All cases have the same random numbers, so that they differ by their "
-        "settings only."
+def _about(result: CasesResult, has_compromises: bool) -> str:
+    """Return what the numbers of the page mean."""
+    regret = (
+        "The regret of a pixel in a condition is its ΔE there over that of the best pixel for that condition; with the least worst "
+        "regret, it is that much at most in every condition. "
+    )
+    return (
+        f"Each pixel size is simulated on the same die under each of the {result.counts.cases} cases below. {DELTA_E} "
+        f"{regret * has_compromises}All cases have the same random numbers, so that they differ by their settings only."
     )
 
 
@@ -322,15 +281,3 @@ def _claims(result: CasesResult) -> list[Block]:
     table = Table("the paper's statements", head, rows, words=None, stacks=True)
     words = "Each statement compared with the first case, and the cases with the opposite verdict."
     return [words, table, CLAIMS] if rows else []
-
-
-def optima_of_page(result: CasesResult) -> Table:
-    """Return the optimum of each curve in words."""
-    rows = []
-    for curve in result.curves:
-        best = curve.optimum
-        size = f"{best.pitch_um:.2f}" if best.inside else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
-        size = alike_words(curve) if curve.alike_um else size
-        mean, within = curve.light.shown(best.mean_delta_e), within_words(best.within_1_percent_um, curve)
-        rows.append((curve.label, size, interval_words(curve), mean, within))
-    return Table("optima", ("pixel", "optimum (µm)", "95 % interval", "mean ΔE", "within 1 % of it"), rows, words=None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import reduce
 from operator import getitem
@@ -16,29 +16,41 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable
-from pixsim.base.labels import label_of
 from pixsim.base.machine import processors
 from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, Study, paths_of
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import record_rows, scene_rows, settings_table
 from pixsim.report.wording import DELTA_E, map_words
-from pixsim.show.document import Answer, Block, Document, Link, Listed, Map, Note, Pictures, Scale, Section, Slider, Strong, Table
+from pixsim.show.document import (
+    Answer,
+    Block,
+    Document,
+    Fact,
+    Link,
+    Listed,
+    Map,
+    Note,
+    Pictures,
+    Scale,
+    Section,
+    Slider,
+    Strong,
+    Table,
+)
 from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
 from pixsim.show.render import PAGE
-from pixsim.show.sentences import rounded, sentence, setting_value
+from pixsim.show.sentences import rounded, setting_value, span
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
-from pixsim.studies.extent import stated_end_lp_per_mm
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.lineup import OF_A_SENSOR, SHARED, ComparisonJob, Lineup, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
-from pixsim.studies.prepared import Prepared
 from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.uncertainty import FEW_SENSORS
-from pixsim.studies.verdicts import answers, conditions_disagree, shown_probability, verdict
+from pixsim.studies.verdicts import answers, conditions_line, facts, sensor_words, shown_probability
 from pixsim.studies.viewing import OF_VIEWING, Viewed
 
 JSON_FILE = "compare.json"
@@ -46,100 +58,6 @@ ROWS_FILES = {
     "results.csv": "mean ΔE of each frame, with which an interrupted comparison goes on",
     TYPES_FILE: "the same of the sensor types of --uncertainty",
 }
-
-
-# --- sentences ------------------------------------------------------------------------------------------------------------------
-
-
-def sensor_words(sensor: Prepared[Run]) -> str:
-    """Return a sensor's pixels and lens in words."""
-    rows, columns = pixels_of(sensor)
-    technology = "" if sensor.settings.pixel.technology == NO_TECHNOLOGY else f" ({label_of(sensor.settings.pixel.technology)})"
-    lens = f"{sensor.camera.focal_length_mm:.4g} mm f/{sensor.camera.f_number:.3g}"
-    return f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind {lens}"
-
-
-def exposure_words(lineup: Lineup) -> str:
-    """Return the exposure rule of the sensors in words."""
-    exposures = [sensor.settings.exposure for sensor in lineup.cases]
-    if any(exposure != exposures[0] for exposure in exposures):
-        return "each sensor's own exposure rule"
-    if exposures[0].integration_s is not None:
-        return f"each exposed for {1e3 * exposures[0].integration_s:.3g} ms"
-    target, longest_ms = exposures[0].well_target, 1e3 * exposures[0].max_integration_s
-    return f"each exposed to {100 * target:.3g} % of its own well, at most {longest_ms:.3g} ms"
-
-
-def conditions_line(prepared: ComparisonJob) -> str:
-    """Return what all sensors of a comparison have in common, in one line; what differs between conditions is that of one."""
-    shown = prepared.shown
-    parts = [_common_words(prepared, lineup) for lineup in prepared.lineups]
-    own = _common_words(prepared, shown)
-    words = [
-        text if all(part[place] == text for part in parts) else f"{text} in {shown.condition}" for place, text in enumerate(own)
-    ]
-    return "; ".join([*_study_words(prepared), *words, "± is the 95 % interval and the film's error"])
-
-
-def _study_words(prepared: ComparisonJob) -> list[str]:
-    """Return the study and its conditions in words, if there are any."""
-    if prepared.study is None:
-        return []
-    unused = f" (not used: {', '.join(prepared.not_used)})" if prepared.not_used else ""
-    words = [f"the study {prepared.study.name}{unused}"]
-    if prepared.conditions:
-        weights = ", ".join(f"{part.condition} ({part.weight:.3g})" for part in prepared.conditions)
-        words.append(f"ΔE is the mean over its conditions with the weights {weights}")
-    return words
-
-
-def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
-    """Return what all sensors of a comparison have in common under one condition, in parts."""
-    camera, display = lineup.cases[0].camera, lineup.settings.display
-    first, field = lineup.cases[0].name, f"the same field of {camera.field_words}"
-    lens = {
-        "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
-        "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
-        "own": f"each file's own lens, and {field}, which all have",
-    }[prepared.match]
-    highest = stated_end_lp_per_mm({"parameters": lineup.cases[0].scene.parameters})
-    chart = "one scene"
-    if highest is not None:
-        limit = lineup.view.get("limited_by")
-        of = f", {limit.replace('the sensor', lineup.finest)}" if limit else ""
-        chart = f"one chart, to {highest * camera.die_mm:.4g} cycles across{of}"
-    rows, columns = lineup.scored_dots
-    viewing = lineup.viewing
-    stated = ", as stated" if viewing.stated else ""
-    shown = f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree{stated}"
-    shown += f"; {columns} × {rows} are scored; range of viewing: {viewing.words}"
-    if len(prepared.pairs) > 1:
-        shown += "; each difference is that of two sensors alone, with their own field, chart and range of viewing"
-    light = "the same light in each condition" if lineup.condition else "the same light"
-    return [lens, chart, shown, light, exposure_words(lineup), f"{prepared.repeats} pairs of frames with the same seeds"]
-
-
-def _terminal(result: Comparison, notes: Sequence[str]) -> tuple[Block, ...]:
-    """Return the answers, a line for each sensor, the common conditions, and notes."""
-    width = max(map(len, result.names))
-    where = f" in {result.shown.lineup.condition}" if result.conditions else ""
-    sensors = []
-    for compared in result.sensors:
-        time_ms = 1e3 * compared.score.frame.integration_s
-        words = f"{sensor_words(compared.sensor)}, exposed for {time_ms:.3g} ms{where}"
-        sensors.append(f"{compared.name:{width}}  mean {result.shown_mean(compared.name)}  {words}")
-    agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
-    conditions = [
-        f"{part.condition} (weight {part.weight:.3g}): {verdict(result.pair(other).conditions[number], other)}"
-        for number, part in enumerate(result.prepared.conditions)
-        for other in agreed
-    ]
-    return (
-        *(Answer(head, below) for head, *below in answers(result)),
-        Listed((*sensors, *conditions, *(found.words for found in result.uncertainty))),
-        conditions_line(result.prepared),
-        *(Note(note) for note in notes),
-    )
 
 
 def comparison_outline(prepared: ComparisonJob) -> dict[str, Any]:
@@ -198,24 +116,21 @@ def comparison_outline_document(places: Sequence[tuple[ComparisonJob, Path]], ha
     has_cases : whether they are cases of a comparison
     """
     shown = [comparison_outline(prepared) for prepared, _ in places]
-    terminal = [line for (prepared, out), own in zip(places, shown, strict=True) for line in _outline_words(prepared, own, out)]
-    return Document("compare", "dry run", shown[0]["scene"], {"cases": shown} if has_cases else shown[0], terminal)
+    blocks = [block for (prepared, out), own in zip(places, shown, strict=True) for block in _outline_blocks(prepared, own, out)]
+    return Document("compare", "dry run", shown[0]["scene"], {"cases": shown} if has_cases else shown[0], lead=blocks)
 
 
-def _outline_words(prepared: ComparisonJob, shown: dict[str, Any], out: Path) -> list[str]:
-    """Return what a comparison would do in words."""
-    lineup = prepared.shown
-    width = max(len(sensor.name) for sensor in lineup.cases)
-    lines = [f"{sensor.name:{width}}  {sensor_words(sensor)}" for sensor in lineup.cases]
-    height, across = shown["film"]["samples"]
-    where = f", in {lineup.condition}" if prepared.conditions else ""
-    lines += [conditions_line(prepared), f"film of {across} × {height} samples for all{where}"]
+def _outline_blocks(prepared: ComparisonJob, shown: dict[str, Any], out: Path) -> Iterator[Block]:
+    """Yield what a comparison would do."""
+    lineup, (height, across) = prepared.shown, shown["film"]["samples"]
+    yield Table("sensors", (), [(sensor.name, sensor_words(sensor)) for sensor in lineup.cases], words=None)
+    yield Fact(conditions_line(prepared))
+    yield Fact(f"film of {across} × {height} samples for all{f', in {lineup.condition}' if prepared.conditions else ''}")
     if "uncertainty" in shown:
-        lines += [f"{shown['uncertainty']['draws']} sensor types, over {', '.join(shown['uncertainty']['inputs'])}"]
-    lines += [
-        "the film's error is measured by the renders and part of each ±; render noise stands beside the answer if it is too large"
-    ]
-    return [*lines, f"{out}: nothing is written now", f"cost: {Cost(**shown['estimate'])}"]
+        yield Fact(f"{shown['uncertainty']['draws']} sensor types, over {', '.join(shown['uncertainty']['inputs'])}")
+    yield Fact("the film's error is measured by the renders and part of each ±; render noise stands beside the answer if too large")
+    yield Fact(f"{out}: nothing is written now")
+    yield Fact(f"cost: {Cost(**shown['estimate'])}")
 
 
 # --- files ------------------------------------------------------------------------------------------------------------------------
@@ -309,22 +224,19 @@ def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
 # --- the page ---------------------------------------------------------------------------------------------------------------------
 
 
-def comparison_document(result: Comparison, notes: Sequence[str] | None = None) -> Document:
+def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Document:
     """Return the answer of `pixsim compare` for one case, without the sections of its page and other files.
 
-    notes : of the terminal; None for all
+    warned : notes that a reader of the terminal has seen
     """
-    found = answers(result)
-    below = [list(map(sentence, more)) for _, *more in found]
-    below[-1].append(f"{conditions_line(result.prepared)}.")
     return Document(
         command="compare",
         kind="comparison of sensors",
         title=" against ".join(result.names),
         data=result.as_dict(),
-        terminal=_terminal(result, result.notes if notes is None else notes),
-        answers=[Answer((Strong(head),), more) for (head, *_), more in zip(found, below, strict=True)],
-        lead=(f"{DELTA_E} The mean over the picture is compared.", *(Note(note) for note in result.notes)),
+        answers=answers(result),
+        lead=(*facts(result), *(Note(note) for note in result.notes if note not in warned)),
+        about=(f"{DELTA_E} The mean over the picture is compared.",),
         data_file=JSON_FILE,
         sources=[Path(sensor.case.source) for sensor in result.prepared.shown.cases],
     )
@@ -459,23 +371,16 @@ def _viewing_blocks(result: Comparison) -> Iterator[Block]:
 
 def cases_document(result: ComparedCases) -> Document:
     """Return the answer of `pixsim compare` over the values of axes: that of each case is in its folder."""
-    names, others = result.names, result.names[1:]
-    rows = [(case.words or case.folder, case.folder, answers) for case, answers in result.answers]
-    verdicts = [result.headline(other) for other in others]
-    table = Table(
-        "the answer in each case",
-        ("case", *(f"{names[0]} and {name}" for name in others)),
-        tuple(((Link(words, f"{folder}/{PAGE}"),), *own) for words, folder, own in rows),
-        words=None,
-    )
+    rows = [((Link(case.words or case.folder, f"{case.folder}/{PAGE}"),), words) for case, own in result.answers for words in own]
+    table = Table("the answer in each case", ("case", "answer"), rows, words=None)
     return Document(
         command="compare",
         kind="comparison of sensors",
-        title=" against ".join(names),
+        title=" against ".join(result.names),
         data=result.as_dict(),
-        terminal=(*verdicts, Listed(tuple(f"{words}: {answer}" for words, _, own in rows for answer in own))),
-        answers=tuple(Answer((Strong(words),)) for words in verdicts),
-        sections=(Section("cases", "Cases", (CASES, table)),),
+        answers=[Answer((Strong(result.headline(other)),)) for other in result.names[1:]],
+        about=(CASES,),
+        sections=(Section("cases", "Cases", (table,), brief=True),),
         data_file=JSON_FILE,
     )
 
@@ -520,15 +425,14 @@ def _row(compared: Compared, mean: str) -> tuple[str, ...]:
 
 def _pair(result: Averaged, other: str) -> tuple[str, ...]:
     """Return a row of the page's table of differences."""
-    low, high = result.interval_delta_e[other]
-    film = result.film_delta_e[other]
-    return (
-        f"{other} − {result.names[0]}",
-        f"{result.difference[other]:+.4f}",
-        f"{low:+.4f} to {high:+.4f}",
-        shown_probability(result.probability_a_better[other]),
-        "unknown" if film is None else f"{film:.2g}",
-    )
+    film, better = result.film_delta_e[other], shown_probability(result.probability_a_better[other])
+    mean, interval, error = difference_cells(result.difference[other], result.interval_delta_e[other], film)
+    return f"{other} − {result.names[0]}", mean, interval, better, error
+
+
+def difference_cells(difference: float, interval: tuple[float, float], film: float | None) -> tuple[str, str, str]:
+    """Return a difference, its 95 % interval, and the largest error that the film may cause."""
+    return f"{difference:+.4f}", span(*interval, "+.4f"), "unknown" if film is None else f"{film:.2g}"
 
 
 def _unknown(found: PairUncertainty) -> tuple[str, ...]:
@@ -537,7 +441,7 @@ def _unknown(found: PairUncertainty) -> tuple[str, ...]:
     return (
         f"{found.names[1]} − {found.names[0]}",
         str(better.draws),
-        f"{better.probability:.2f} ({better.low:.2f} to {better.high:.2f})",
+        str(better),
         *(f"{ends[name]:+.4f}" for name in ("p05", "p50", "p95")),
         found.matters,
     )
@@ -548,14 +452,11 @@ def _view_rows(result: Comparison, other: str) -> list[tuple[str, ...]]:
     better = {1: result.names[0], -1: other, 0: "not told apart"}
 
     def row(view: Viewed) -> tuple[str, ...]:
-        low, high = view.interval_delta_e
         return (
             str(view.viewing.dots),
             f"{view.viewing.samples_per_deg:g}",
             f"{view.viewing.dots / view.viewing.samples_per_deg:.3g}°",
-            f"{view.difference:+.4f}",
-            f"{low:+.4f} to {high:+.4f}",
-            "unknown" if view.film_delta_e is None else f"{view.film_delta_e:.2g}",
+            *difference_cells(view.difference, view.interval_delta_e, view.film_delta_e),
             better[view.sign] + ("" if view.inside else " (another display than stated)"),
         )
 

@@ -338,32 +338,26 @@ def lens_document(data: LensData) -> Document:
     wavelengths = ", ".join(f"{nm:.5g}" for nm in data.wavelength_nm)
     traced = f"Spots and MTF are of {wavelengths} nm with equal weights, all else of {lens.primary_nm:.5g} nm."
     reflected = f"uncoated surfaces would reflect {data.loss_percent:.3g} % of the light on the axis"
-    prescribed = (
-        f"Source: {prescription.source or 'not stated'}. Radius of the stop: {lens.stop_semi_diameter_mm:.6g} mm. "
-        f"{reflected.capitalize()}; this is for information, since pictures take `camera.transmittance`."
+    source = f"Source: {prescription.source or 'not stated'}. Radius of the stop: {lens.stop_semi_diameter_mm:.6g} mm."
+    glasses = (
+        *(f"glass {glass.name}: {glass.source}" for glass in prescription.glasses),
+        f"{reflected}; camera.transmittance is what counts",
     )
-    glasses = tuple(f"{glass.name}: {glass.source}" for glass in prescription.glasses)
-    last = f"{reflected}; camera.transmittance is what counts"
+    made = Beside((pairs("versions", versions()),))
     return Document(
         command="lens",
         kind="lens",
-        title=prescription.title,
+        title=prescription.name,
         data=data.as_dict(),
-        terminal=(
-            *(Answer(title_of(data), (prescription.title,)), "", first_order, "", fields, ""),
-            Listed((*(f"glass {glass}" for glass in glasses), last)),
-        ),
-        answers=(Answer(title_of(data)),),
+        answers=(Answer(title_of(data), (prescription.title,)),),
         lead=map(Note, data.notes),
         sections=(
             Section("drawing", "Layout", (drawing,)),
-            Section("first-order", "First-order data", (first_order,)),
-            Section("fields", "Fields", (fields, f"{traced} The rms wavefront is without tilt.")),
+            Section("first-order", "First-order data", (first_order,), brief=True),
+            Section("fields", "Fields", (fields, f"{traced} The rms wavefront is without tilt."), brief=True),
+            Section("glasses", "Glasses", (Listed(glasses),), brief=True),
             Section("figures", "Figures", others),
-            Section(
-                *("prescription", "Prescription"),
-                (surface_table(data), prescribed, Listed(glasses), Beside((pairs("versions", versions()),))),
-            ),
+            Section("prescription", "Prescription", (surface_table(data), source, made)),
         ),
     )
 

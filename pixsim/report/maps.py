@@ -21,6 +21,7 @@ from pixsim.base.parameters import Axis, Camera, Study, content_hash, setting_pa
 from pixsim.base.units import unit_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate
+from pixsim.show.sentences import Along, Seen, capital, extremes_of, of_lines, sentences, span, three_digits, trends
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
 from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, fresnel_column, interval_columns, with_ends
@@ -65,19 +66,14 @@ ROUND = (
 
 
 @dataclass(frozen=True)
-class Scale:
-    """The values of an axis, and where a figure has them.
+class Scale(Along):
+    """The values of an axis of a study, and where a figure has them.
 
-    values : increasing if they are numbers
-    unit : of its settings; empty if their names state none, or several
     log : whether the figure's scale is logarithmic
     left_out : number of values that a figure has no place for
     lacking : number of values that a figure does not show because the study left out cases of them
     """
 
-    name: str
-    values: tuple[float | int | str, ...]
-    unit: str = ""
     log: bool = False
     left_out: int = 0
     lacking: int = 0
@@ -92,11 +88,6 @@ class Scale:
         kept = evenly(values, min(len(values), MAX_VALUES))
         log = numeric and (axis.spacing == "log" or _even_in_ratios(values))
         return cls(axis.name, tuple(kept), units.pop() if numeric and len(units) == 1 else "", log, len(values) - len(kept))
-
-    @property
-    def numeric(self) -> bool:
-        """Whether the values are numbers, not categories."""
-        return not any(isinstance(value, str) for value in self.values)
 
     @cached_property
     def places(self) -> Array:
@@ -121,14 +112,6 @@ class Scale:
         """Name and unit, for a figure."""
         name = short(self.name, SHORT_AXIS)
         return literal(f"{name} ({self.unit})" if self.unit else name)
-
-    def words(self, value: float | int | str) -> str:
-        """Return a value with its unit."""
-        return value if isinstance(value, str) else f"{value:.4g} {self.unit}".strip()
-
-    def named(self, value: float | int | str) -> str:
-        """Return a value with its unit and the axis' name; a label stands for itself."""
-        return value if isinstance(value, str) else f"{self.name} {self.words(value)}"
 
     @property
     def ticks(self) -> list[str]:
@@ -353,20 +336,6 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
 # --- what is seen ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Seen:
-    """A number with its 95 % interval, infinite where that is open, and its words."""
-
-    value: float
-    low: float
-    high: float
-    words: str
-
-    def differs(self, other: Seen) -> bool:
-        """Whether the intervals do not overlap."""
-        return self.low > other.high or self.high < other.low
-
-
 def is_found(curve: Curve) -> bool:
     """Return whether a curve has an optimum: inside the sizes tried, with a film that tells them apart."""
     return curve.optimum.inside and curve.alike_um is None
@@ -388,93 +357,12 @@ def seen_delta_e(curve: Curve) -> Seen:
     return Seen(best.mean_delta_e, *best.mean_delta_e_interval, three_digits(best.mean_delta_e))
 
 
-def three_digits(value: float) -> str:
-    return f"{value:#.3g}".rstrip(".")
-
-
-def extremes_of(points: Sequence[Seen]) -> tuple[int, int]:
-    """Return the places of the smallest and the largest number, of those that are known if some are."""
-    known = [place for place, point in enumerate(points) if point.low > -math.inf or point.high < math.inf]
-    places = known or range(len(points))
-    return min(places, key=lambda place: points[place].value), max(places, key=lambda place: points[place].value)
-
-
-def verb(one: Seen, other: Seen) -> str:
-    return "falls" if other.value < one.value else "rises"
-
-
-def turn_of(points: Sequence[Seen]) -> int | None:
-    """Return the place where a number that first rises falls, or the reverse; None if its intervals show no such place."""
-    first, last = points[0], points[-1]
-    low, high = min(first.value, last.value), max(first.value, last.value)
-    turn = max(range(len(points)), key=lambda place: max(points[place].value - high, low - points[place].value))
-    beyond = not low <= points[turn].value <= high
-    return turn if beyond and points[turn].differs(first) and points[turn].differs(last) else None
-
-
-def trend(noun: str, points: Sequence[Seen], scale: Scale) -> str:
-    """Return how a number changes along an axis, as a sentence without its full stop."""
-    if len(points) == 1:
-        return f"{noun} is {points[0].words} with {scale.named(scale.values[0])}"
-    if not scale.numeric:
-        least, most = extremes_of(points)
-        ends = [(points[place].words, scale.words(scale.values[place])) for place in (least, most)]
-        if points[least].differs(points[most]):
-            return f"{noun} is smallest with {ends[0][1]} ({ends[0][0]}) and largest with {ends[1][1]} ({ends[1][0]})"
-        return f"{noun} does not differ beyond its 95 % intervals: {span(ends[0][0], ends[1][0])}"
-    first, last = points[0], points[-1]
-    start = f"{first.words} at {scale.named(scale.values[0])}"
-    end = f"{last.words} at {scale.words(scale.values[-1])}"
-    turn = turn_of(points)
-    if turn is not None:
-        middle = f"{points[turn].words} at {scale.words(scale.values[turn])}"
-        return f"{noun} {verb(first, points[turn])} from {start} to {middle} and {verb(points[turn], last)} to {end}"
-    if first.differs(last):
-        return f"{noun} {verb(first, last)} from {start} to {end}"
-    return f"{noun} does not change beyond its 95 % intervals: {start} and {end}"
-
-
-def trends(noun: str, lines: Sequence[Line], seen: Callable[[Curve], Seen], scale: Scale) -> str:
-    """Return how a number of each line changes along an axis, as a sentence; lines that all rise or all fall together."""
-    points = [[seen(curve) for curve in line.curves] for line in lines]
-    if len(lines) > 1 and scale.numeric and len(scale.values) > 1:
-        straight = all(own[0].differs(own[-1]) and turn_of(own) is None for own in points)
-        verbs = {verb(own[0], own[-1]) for own in points}
-        if straight and len(verbs) == 1:
-            ends = f"From {scale.named(scale.values[0])} to {scale.words(scale.values[-1])}, {noun} {verbs.pop()}"
-            moves = (f"{own[0].words} to {own[-1].words} ({line.label})" for own, line in zip(points, lines, strict=True))
-            return f"{ends}: {', '.join(moves)}."
-    return sentence(lines, [trend(noun, own, scale) for own in points])
-
-
-def sentence(lines: Sequence[Line], words: Sequence[str]) -> str:
-    """Return what is seen of each line as a sentence; lines of which the same is seen stand together."""
-    of_words: dict[str, list[str]] = {}
-    for line, text in zip(lines, words, strict=True):
-        of_words.setdefault(text, []).append(line.label)
-    if len(of_words) == 1:
-        return capital(words[0]) + "."
-    return "; ".join(f"{' / '.join(labels)}: {text}" for text, labels in of_words.items()) + "."
-
-
-def span(low: str, high: str) -> str:
-    return low if low == high else f"{low} to {high}"
-
-
-def capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-def joined(*sentences: str) -> str:
-    return " ".join(filter(None, sentences))
-
-
 def without(scales: Sequence[Scale]) -> str:
     """Return what is left out of axes of very many values."""
     long = [scale for scale in scales if scale.left_out]
     words = [f"{len(scale.values)} of {len(scale.values) + scale.left_out} values of {scale.name}" for scale in long]
     lacking = " and ".join(f"{scale.lacking} of {scale.name}" for scale in scales if scale.lacking)
-    return joined(
+    return sentences(
         f"Shown are {' and '.join(words)}, evenly chosen." if words else "",
         f"Not shown are values with cases that are left out: {lacking}." if lacking else "",
     )
@@ -529,8 +417,8 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
         figure.legend(
             handles=handles, frameon=False, fontsize=SMALL_PT, loc="outside lower center", ncols=columns, handlelength=LEGEND_LINE
         )
-    caption = joined(
-        trends("the optimum", lines, seen_optimum, scale),
+    caption = sentences(
+        trends("the optimum", {line.label: list(map(seen_optimum, line.curves)) for line in lines}, scale),
         f"Optimal pixel size against {scale.name}; bars: its 95 % interval.",
         "Points of one value stand side by side." if len(lines) > 1 else "",
         open_words(curves),
@@ -634,9 +522,9 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
     figure.legend(
         handles=handles, fontsize=SMALL_PT, loc="outside lower center", ncols=3, facecolor="0.75", handlelength=LEGEND_LINE
     )
-    caption = joined(
-        sentence(lines, [valley_words(line, scale) for line in lines]),
-        trends("the least mean ΔE", lines, seen_delta_e, scale),
+    caption = sentences(
+        of_lines({line.label: valley_words(line, scale) for line in lines}),
+        trends("the least mean ΔE", {line.label: list(map(seen_delta_e, line.curves)) for line in lines}, scale),
         f"Fitted mean ΔE over pixel size and {scale.name}, with the optimum and the sizes within 1 % of its error.",
         cutoff_words(cutoff_um, low_um, high_um),
         doubtful_words(curves),
@@ -779,7 +667,7 @@ def valley_words(line: Line, scale: Scale) -> str:
 
 
 def cutoff_words(cutoff_um: Array, low_um: float, high_um: float) -> str:
-    ends = span(*(f"{value:.3g}" for value in (cutoff_um.min(), cutoff_um.max())))
+    ends = span(cutoff_um.min(), cutoff_um.max(), ".3g")
     where = (
         ", below all sizes tried" if cutoff_um.max() < low_um else ", above all sizes tried" if cutoff_um.min() > high_um else ""
     )
@@ -846,7 +734,7 @@ def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
             draw_labels(axes.yaxis, up.ticks, 36)
             axes.set(xlabel=across.label, ylabel=up.label)
     curves = [curve for _, own in blocks for curve in own]
-    caption = joined(
+    caption = sentences(
         *(extremes(label, own, (across, up)) for label, own in blocks),
         f"Optimal pixel size and least mean ΔE over {across.name} and {up.name}.",
         hollow_words(curves, "Hatched"),
@@ -974,7 +862,7 @@ def alone_plate(result: CasesResult) -> Plate | None:
     for axes, label in zip(panels[-1], ("optimal pixel size (µm)", "least mean ΔE"), strict=True):
         axes.set_xlabel(label)
     curves = [curve for group in groups for curve in (group.base, *(each for name in names for each in group.moved[name]))]
-    caption = joined(
+    caption = sentences(
         *(strongest(group, scales) for group in groups),
         "Each axis moved alone about the base (vertical line, grey: its 95 % interval); a wider bar means a stronger influence.",
         hollow_words(curves, "Hollow points"),

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.labels import label_of
 from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Run, Study
-from pixsim.report.wording import lens_words, view_words
 from pixsim.show.document import Block, Document, Table
 from pixsim.show.sentences import duration, rounded
 from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost
 from pixsim.studies.extent import columns_on
 from pixsim.studies.outline import planned_run, planned_study
 from pixsim.studies.oversampling import TOLERATED_SHARE
+from pixsim.studies.sentences import lens_words, view_words
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,26 +13,16 @@ from pixsim.base.config import SETTINGS_FILE, settings_text
 from pixsim.base.files import digest_of
 from pixsim.base.labels import label_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import NO_TECHNOLOGY, Record
+from pixsim.base.parameters import NO_TECHNOLOGY
 from pixsim.base.progress import Progress
 from pixsim.report.kept import digest_of_content
 from pixsim.report.pictures import crops, picture_axes, size_words
-from pixsim.report.settings import FILLED, record_rows, scene_rows, settings_table
-from pixsim.report.wording import (
-    DELTA_E,
-    blur_words,
-    budget_blocks,
-    film_words,
-    lens_words,
-    map_words,
-    run_view_words,
-    score_parts,
-    unsure_lines,
-)
+from pixsim.report.settings import scene_rows, settings_tables
+from pixsim.report.wording import DELTA_E, blur_words, budget_section, map_words
 from pixsim.show.document import (
     Answer,
-    Block,
     Document,
+    Fact,
     Link,
     Listed,
     Map,
@@ -41,18 +31,18 @@ from pixsim.show.document import (
     Scale,
     Section,
     Slider,
-    Strong,
     Table,
     Text,
     headline,
 )
 from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
 from pixsim.show.render import PAGE
-from pixsim.show.sentences import rounded, sentence
+from pixsim.show.sentences import rounded, span
 from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.run import LitRun, RunJob, RunResult
 from pixsim.studies.run_arrays import Irradiance, write_irradiance, write_numbers
+from pixsim.studies.sentences import FILLED, lens_words, score_parts, thin_lens_words, unsure_words
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
@@ -152,28 +142,23 @@ class RunFiles(NamedTuple):
 USUAL = RunFiles()
 
 
-def run_document(result: RunResult) -> Document:
-    """Return the answer of `pixsim run`, without the sections of its page and other files."""
+def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
+    """Return the answer of `pixsim run`, without the sections of its page and other files.
+
+    warned : notes that a reader of the terminal has seen
+    """
     score, header, pitch_um = result.score, result.irradiance.header, result.score.physics.pitch_um
     scene = Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem
-    unsure, view, sensors = unsure_lines(result), "; ".join(run_view_words(result)), sensors_lines(result)
-    film = film_words(result.film) if result.film else ""
-    smaller = [f"Note: {line}." if line in result.notes else sentence(line) for line in unsure]
+    unsure, answer = unsure_words(result), headline(score_parts(result))
     return Document(
         command="run",
         kind="picture of one sensor",
         title=f"{scene} with {pitch_um:g} µm pixels",
         data=result.as_dict(),
-        terminal=_terminal(result, unsure),
-        answers=(Answer(("Mean ΔE ", Strong(result.shown_mean), " from the ideal image"), (*smaller, camera_words(result))),),
-        lead=(
-            DELTA_E,
-            f"Picture: {view}." if view else "",
-            *(f"{line}." for line in sensors),
-            blur_words(result.irradiance, result.camera, score.physics, result.settings.display),
-            f"Light: {film}." if film else "",
-            *(Note(note) for note in result.notes if note not in unsure),
-        ),
+        answers=(Answer(answer.head, (*unsure, *answer.below)),),
+        lead=(*several_facts(result), *(Note(note) for note in result.notes if note not in {*unsure, *warned})),
+        about=(DELTA_E, camera_words(result), blur_words(result.irradiance, result.camera, score.physics, result.settings.display)),
+        sections=(budget_section(result.budget),),
         data_file="score.json",
         sources=[Path(result.prepared.source)],
     )
@@ -199,25 +184,25 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
     end = scale_end(result.statistics[0]["p99_delta_e"])
     pictures = {"ideal.png": light_png(score.ideal), "image.png": light_png(score.image)}
     pictures["delta_e.png"] = delta_e_png(score.delta_e, picture_axes(irradiance, score.border_um), end)
+    document = run_document(result)
     return replace(
-        run_document(result),
-        sections=_sections(result, pictures, files),
+        document,
+        sections=(*document.sections, *_sections(result, pictures, files)),
         files={**pictures, SETTINGS_FILE: run_settings_text(result.prepared, irradiance)},
         writers=(write_light, write_frames),  # the largest file by far first
     )
 
 
-def _terminal(result: RunResult, unsure: Sequence[str]) -> tuple[Block, ...]:
-    """Return mean ΔE, how sure it is, how it was shown and rendered, and notes."""
-    *parts, view = score_parts(result)
-    if result.rendered is not None:
-        noise = result.rendered.noise.fraction
-        amount = f"render noise {noise:.2g} of the sensor's noise" if noise else "no render noise"
-        view = "; ".join(filter(None, (view, amount)))
-    answer = headline([*parts, view])
-    notes = (Note(note) for note in result.score_notes if note not in unsure)
-    several = *sensors_lines(result), *frames_lines(result.prepared.frames)
-    return answer.head, *unsure, Listed(answer.below), *several, *notes, *budget_blocks(result.budget)
+def several_facts(result: RunResult) -> Iterator[Fact]:
+    """Yield what is known of the sensors of a run of several, but for those of an error budget, and of several frames."""
+    frames, repeats = result.prepared.frames, result.prepared.repeats
+    if repeats > 1 and result.interval_delta_e is not None:
+        each = span(result.delta_e.min(), result.delta_e.max(), ".4f")
+        words = f"{repeats} sensors: ΔE of {each}, 95 % interval of their mean {span(*result.interval_delta_e, '.4f')}"
+        yield Fact(f"{words}; pictures and frames are of the first")
+    if frames > 1:
+        between = {2: "", 3: f", {raw_stem(2)}.exr"}.get(frames, f", {raw_stem(2)}.exr, …")
+        yield Fact(f"{frames} frames of this sensor: raw.exr{between} and {raw_stem(frames)}.exr; the first is scored")
 
 
 def camera_words(result: RunResult) -> str:
@@ -226,7 +211,7 @@ def camera_words(result: RunResult) -> str:
     rows, columns = score.frame.pixels
     width_mm, height_mm = extent(result.irradiance)[1:3]
     filters = f", filters {result.colour['layout']}" if result.colour is not None else ""
-    lens = lens_words(camera) or f"lens of {camera.focal_length_mm:.4g} mm at f/{camera.f_number:.3g}"
+    lens = lens_words(camera) or thin_lens_words(camera)
     light = LightLevel.of(result.irradiance, result.settings.display, [score.frame.integration_s])
     limit = "the full well" if physics.full_well_e <= physics.adc_range_e else "the range of the ADC"
     well, saturated = float(score.frame.mean_e.max()) / physics.saturation_e, score.frame.saturated_fraction
@@ -242,8 +227,6 @@ def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles)
     pictures : name -> PNG
     """
     score, settings, header = result.score, result.settings, result.irradiance.header
-    budget = budget_blocks(result.budget)
-    line = "; ".join(filter(None, score_parts(result)))
     colour = colour_rows(result.colour, score.out_of_gamut)
     left_mm, right_mm, bottom_mm, top_mm = extent(result.irradiance, score.border_um)
     window = worst_window([score.delta_e])
@@ -273,7 +256,6 @@ def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles)
     )
     sizes = size_words(factor_for(score.ideal), settings.display.samples_per_deg)
     return (
-        Section("budget", "Error budget", (line, *budget) if budget else ()),
         Section(
             *("pictures", "Pictures"),
             (f"The display shows and scores {columns} × {rows} dots: {border if fixed else 'one for each pixel.'} {sizes}", slider),
@@ -318,16 +300,10 @@ def _settings(result: RunResult, sheet: bool) -> list[Table]:
     sheet : whether they are those of a data sheet
     """
     settings, irradiance = result.settings, result.irradiance
-    coloured = result.colour is not None
     parameters = irradiance.header.get("parameters")  # may be anything in a file of another program
     light = LightLevel.of(irradiance, settings.display, [result.score.frame.integration_s])
-    records: dict[str, Record] = {"camera": result.camera, "pixel": result.score.physics.pixel}
-    records |= {"exposure": settings.exposure, "correction": settings.correction}
-    records |= {"develop": settings.develop} if coloured else {}
-    records["display"] = settings.display
     scene = scene_rows(irradiance, parameters if isinstance(parameters, dict) else {}, light)
-    of_records = ((title, record_rows(title, record, sheet, coloured=coloured)) for title, record in records.items())
-    return [settings_table(title, rows) for title, rows in (("scene", scene), *of_records)]
+    return settings_tables(scene, settings, result.camera, result.score.physics.pixel, result.colour is not None, sheet)
 
 
 def _files(files: RunFiles, frames: int) -> tuple[Text, ...]:
@@ -348,26 +324,6 @@ def further_words(suffix: str, frames: int) -> str:
     """Return what the page says of the files of further frames beside that of the second one, of one format."""
     last = "" if frames == 2 else f", and so on to {raw_stem(frames)}{suffix}"
     return f"frame 2 of the same sensor{last}: the same fixed pattern, temporal noise of its own"
-
-
-def frames_lines(frames: int) -> list[str]:
-    """Return a line on the frames of a run with several; none for one.
-
-    >>> frames_lines(3)
-    ['3 frames of this sensor: raw.exr, raw_002.exr and raw_003.exr; the first is scored']
-    """
-    between = {2: "", 3: f", {raw_stem(2)}.exr"}.get(frames, f", {raw_stem(2)}.exr, …")
-    names = f"raw.exr{between} and {raw_stem(frames)}.exr"
-    return [f"{frames} frames of this sensor: {names}; the first is scored"] if frames > 1 else []
-
-
-def sensors_lines(result: RunResult) -> list[str]:
-    """Return a line on the sensors of a run of several; none for one, or those of an error budget."""
-    if result.prepared.repeats == 1 or result.interval_delta_e is None:
-        return []
-    (low, high), each = result.interval_delta_e, result.delta_e
-    interval = f"95 % interval of their mean {low:.4f} to {high:.4f}"
-    return [f"{each.size} sensors: ΔE of {each.min():.4f} to {each.max():.4f}, {interval}; pictures and frames are of the first"]
 
 
 def shown_picture(png: bytes, luminance: Array, name: str) -> Picture:

@@ -7,15 +7,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.parameters import PixelOptions, Record
+from pixsim.base.parameters import Camera, PixelOptions, Record, Setting
 from pixsim.show.document import Table
 from pixsim.show.sentences import setting_value
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
     from pixsim.studies.light_level import LightLevel
-
-FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel
 
 # Pixel options that select models of a process; a sensor given by its data sheet uses none of them.
 OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})
@@ -65,6 +63,20 @@ def record_rows(
         source = (sources or {}).get(f"{name}.{key}", "default" if value == fields[key].default else "set")
         rows.append((key, setting_value(value, key), meaning, source))
     return rows
+
+
+def settings_tables(
+    scene: Iterable[Row], settings: Setting, camera: Camera, pixel: Record | None, coloured: bool, *rows: Any
+) -> list[Table]:
+    """Return the tables of a page with all settings of a result, that of its scene first.
+
+    pixel : None for sensors that have one each
+    rows : further arguments of `record_rows`
+    """
+    records = {"camera": camera, "pixel": pixel, "exposure": settings.exposure, "correction": settings.correction}
+    records |= {"develop": settings.develop if coloured else None, "display": settings.display}
+    used = {name: record_rows(name, record, *rows, coloured=coloured) for name, record in records.items() if record is not None}
+    return [settings_table(name, own) for name, own in {"scene": scene, **used}.items()]
 
 
 def settings_table(name: str, rows: Iterable[Row]) -> Table:

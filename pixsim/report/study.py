@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -12,28 +12,18 @@ import numpy as np
 from pixsim.base.config import SETTINGS_FILE
 from pixsim.base.files import versions
 from pixsim.base.labels import file_label, labels_of
-from pixsim.base.parameters import Record, Study
+from pixsim.base.parameters import Study
 from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
 from pixsim.report.pictures import size_words
-from pixsim.report.settings import FILLED, record_rows, scene_rows, settings_table
+from pixsim.report.settings import record_rows, scene_rows, settings_table, settings_tables
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import (
-    blur_words,
-    budget_blocks,
-    film_words,
-    no_difference_words,
-    optimum_parts,
-    outside_words,
-    study_light_words,
-    study_view_words,
-    study_words,
-)
+from pixsim.report.wording import DELTA_E, blur_words, budget_section, compromise_answer
 from pixsim.show.document import (
-    Answer,
     Beside,
     Block,
     Document,
+    Fact,
     Link,
     Note,
     Pictures,
@@ -41,9 +31,7 @@ from pixsim.show.document import (
     Scale,
     Section,
     Slider,
-    Strong,
     Table,
-    Text,
     Tiles,
     Verdict,
     headline,
@@ -53,26 +41,15 @@ from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_fig
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Drawn, Figures, Plate, table_csv
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
-from pixsim.show.sentences import UNKNOWN, sentence
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
+from pixsim.studies.conditions import Compromise
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm
-from pixsim.studies.light_level import LightLevel
 from pixsim.studies.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
-from pixsim.studies.result import (
-    Curve,
-    StudyResult,
-    alike_words,
-    curve_table,
-    delta_e_against_pitch,
-    interval_columns,
-    interval_words,
-    viewed_words,
-    with_ends,
-    within_words,
-)
-from pixsim.studies.unconverged import study_unconverged_lines
+from pixsim.studies.result import Curve, StudyResult, curve_table, delta_e_against_pitch, interval_columns, with_ends
+from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
 
+ANSWERS_SHOWN = 12  # optima at the top
 PARTS_FILE = "parts.csv"
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
@@ -268,38 +245,43 @@ def report_files(study: Study) -> set[str]:
 
 
 def study_document(result: StudyResult, warned: Collection[str] = ()) -> Document:
-    """Return the answer of `pixsim study` without axes and conditions, without its page.
+    """Return the answer of `pixsim study`, without the figures and pictures of its page.
 
     warned : notes that a reader of the terminal has seen
     """
-    answers = [headline(optimum_parts(curve)) for curve in result.curves]
-    film = [film_words(result.film.as_dict())] if result.film else []
-    return document_of(result, result.as_dict(), [*answers, *study_words(result), *film], warned)
+    film = [Fact(film_words(result.film.as_dict()))] if result.film else []
+    return document_of(result, result.as_dict(), [], film, warned)
 
 
-def document_of(result: StudyResult, data: dict[str, Any], found: Sequence[Block], warned: Collection[str]) -> Document:
-    """Return the document of a study without its page.
+def document_of(
+    result: StudyResult, data: dict[str, Any], compromises: Sequence[Compromise], facts: Sequence[Block], warned: Collection[str]
+) -> Document:
+    """Return the document of a study, without the figures and pictures of its page.
 
-    found : its answers, for the terminal
+    compromises : between its conditions
+    facts : further ones
     warned : notes that a reader of the terminal has seen
     """
-    blocks = [*found, *uncertainty_blocks(result.uncertainty)]
-    known = {*warned, *(line for block in blocks for line in lines(block))}
-    notes = (Note(note) for note in result.notes if note not in known)
+    optima = (headline(optimum_parts(curve)) for curve in result.curves if not curve.alone)
+    answers = [*map(compromise_answer, compromises), *optima]
+    left = len(answers) - ANSWERS_SHOWN
+    more = [Fact(f"and {left} more: optima.csv")] if left > 0 else []
+    lead = [*more, *study_facts(result), *facts, *uncertainty_blocks(result.uncertainty)]
+    known = {*warned, *(line for block in lead for line in lines(block))}
     return Document(
         command="study",
         kind="study of pixel sizes",
         title=result.study.title or result.study.name,
         data=data | ({"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}),
-        terminal=(*blocks, *notes, *budget_blocks(data.get("error_budget"))),
+        answers=answers[:ANSWERS_SHOWN],
+        lead=(*lead, *(Note(note) for note in result.notes if note not in known)),
+        sections=[budget_section(data.get("error_budget"))],
     )
 
 
 EACH_SIZE = (
     "Each pixel size is simulated on the same die with the same rendered scene ({}). Small pixels suffer from noise, large ones "
-    "from blur. The error, ΔE, is the visible difference between the sensor's picture and that of an ideal camera: the CIELAB "
-    "colour difference after the blur of the eye (S-CIELAB). A ΔE of 1 is about the smallest difference noticeable under ideal "
-    "conditions."
+    "from blur. {}"
 )
 INTERVAL = (
     "The 95 % interval is that of the pixel size with the smallest expected ΔE. It includes the noise and fixed pattern of the "
@@ -349,8 +331,7 @@ def study_page(
     return replace(
         study_document(result),
         data=result.as_dict() | ({"paper": [asdict(row) for row in rows]} if rows else {}),
-        answers=[curve_answer(curve, light_level_of(result, [curve])) for curve in result.curves],
-        lead=_lead(result),
+        about=_about(result),
         sections=(
             Section("see", "Pictures", _pictures(result, views)),
             Section("curves", "Curves", plots["curves"]),
@@ -359,7 +340,8 @@ def study_page(
             Section("maps", "Whole pictures and maps", _maps(result, plots["maps"])),
             Section("paper", "Statements of the paper and results of pixsim", _paper(result, rows)),
             Section("figures", "The paper's other figures", [NO_COUNTERPART, *plots["paper"]] if plots["paper"] else ()),
-            Section("budget", "Error budget", _budget(result.budget)),
+            budget_section(result.budget),
+            Section("optima", "Optima", [optima_table(result.curves)]),
             Section("numbers", "Numbers", [Section("", curve.label, [numbers_table(curve)]) for curve in result.curves]),
             Section("assumed", "Assumptions", _assumptions(result)),
             Section("made", "Reproducibility", [_rendered(result), made_tables(seconds)]),
@@ -373,56 +355,9 @@ def plot_of(made: Plate | Drawn) -> Plot:
     return Plot(lambda: made)
 
 
-def light_level_of(result: StudyResult, curves: Sequence[Curve]) -> LightLevel:
-    """Return display white and the exposures of some curves."""
-    times_s = np.concatenate([curve.mean("integration_s") for curve in curves])
-    return LightLevel.of(result.irradiance, result.study.display, times_s)
-
-
-def curve_answer(curve: Curve, light: LightLevel) -> Answer:
-    """Return the best pixel size of a curve, or why there is none, as the page has it."""
-    data, best, interval = curve.as_dict(), curve.optimum, interval_words(curve)
-    lit = f"Light: {light}{', by pixel size' if ' to ' in light.exposure else ''}."
-    filled = f"Fill factor {100 * data['optimum_fill_factor']:.0f} %. " if is_partly_filled(curve) else ""
-    mean, within = curve.light.shown(best.mean_delta_e), within_words(best.within_1_percent_um, curve)
-    head: Text
-    if curve.alike_um:
-        head = f"{curve.label}: {alike_words(curve)}."
-        more = f"The least mean ΔE is {curve.light.shown(min(data['mean_delta_e']))}."
-    elif curve.no_difference_um:
-        head = f"{curve.label}: ", Strong(no_difference_words(curve)), "."
-        end = "" if best.inside else ", the end of the range"
-        more = f"Mean ΔE is least, {mean}, at {best.pitch_um:.2f} µm (95 % interval: {interval}){end}; within 1 % of it: {within}. "
-        more = sentence("; ".join(outside)) if (outside := outside_words(curve)) else more + filled.rstrip()
-    elif best.inside:
-        head = f"Best pixel size, {curve.label}: ", Strong(f"{best.pitch_um:.2f} µm"), ", 95 % interval ", Strong(interval), "."
-        low, high = best.mean_delta_e_interval
-        of_mean = f" ({low:.3f} to {high:.3f})" if curve.light.converged else ""
-        more = f"Sizes within 1 % of its error: {within}. Mean ΔE there: {mean}{of_mean}; "
-        more += f"within 2 % of it: {within_words(best.within_2_percent_um, curve)}. {filled.rstrip()}"
-    else:
-        head = (
-            f"No best pixel size, {curve.label}, between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm: the error is "
-            f"smallest at the end of the range, {best.pitch_um:.2f} µm."
-        )
-        more = f"95 % interval: {interval}. Widen the range. Mean ΔE there: {mean}; within 1 % of it: {within}."
-    viewed = (sentence(words) for inside in (True, False) if (words := viewed_words(curve, inside)))
-    return Answer(head, (f"{more.rstrip()} {lit}", *viewed))
-
-
-def is_partly_filled(curve: Curve) -> bool:
-    """Return whether the photodiode leaves out a part of a pixel."""
-    return bool(min(curve.as_dict()["fill_factor"]) <= FILLED)
-
-
-def _lead(result: StudyResult) -> Iterator[Block]:
-    """Yield what the page says before its sections."""
-    yield from map(sentence, study_unconverged_lines(result))
-    if result.film:
-        yield f"Light: {film_words(result.film.as_dict())}."
-    yield from (f"Light and lens: {words}." for words in study_light_words(result))
-    yield from (f"Picture: {words}." for words in study_view_words(result))
-    yield EACH_SIZE.format(result.irradiance.header["scene"])
+def _about(result: StudyResult) -> Iterator[Block]:
+    """Yield what the numbers of a page mean."""
+    yield EACH_SIZE.format(result.irradiance.header["scene"], DELTA_E)
     border = f" A border of {result.study.border_um:.3g} µm, one and a half of the largest pixels of the study, is not scored."
     yield INTERVAL + border * (result.study.display.raster == "fixed_size")
 
@@ -471,8 +406,7 @@ def parts_files(parts: dict[str, Column]) -> dict[str, str]:
 
 
 def _limits(result: StudyResult) -> Iterator[Block]:
-    """Yield notes, and the contrast that each blur leaves at the optimum."""
-    yield from map(Note, result.notes)
+    """Yield the contrast that each blur leaves at the optimum."""
     for curve in result.curves:
         physics = result.physics(curve.technology, curve.optimum.pitch_um)
         blur = blur_words(result.irradiance, result.camera, physics, result.study.display)
@@ -499,26 +433,6 @@ def agrees(whether: bool) -> tuple[Verdict]:
     return (Verdict("yes" if whether else "does not agree", whether),)
 
 
-def _budget(budget: dict[str, Any] | None) -> list[Block]:
-    """Return an error budget, if there is one."""
-    if budget is None:
-        return []
-
-    def row(name: str, effect: Mapping[str, float | None]) -> tuple[str, ...]:
-        sizes = effect["delta_e"], effect["optimum_um"]
-        return name, *(UNKNOWN if size is None else f"{size:.1e}" for size in sizes)
-
-    settings = ", ".join(f"{name} {value:g}" for name, value in budget["settings"].items())
-    words = (
-        f"Requested tolerance of mean ΔE: {budget['tolerance_delta_e']:g}. ",
-        Verdict("Met" if budget["met"] else "Not met", budget["met"]),
-        f", with {settings}; settings chosen by a short calibration.",
-    )
-    total = row("total without the display's raster and interpolation", budget["total"])
-    rows = [*(row(name, effect) for name, effect in budget["sources"].items()), total]
-    return [words, Table("error budget", ("source", "mean ΔE", "optimal pitch (µm)"), rows)]
-
-
 def numbers_table(curve: Curve) -> Table:
     """Return mean ΔE of each pixel size."""
     data, partly = curve.as_dict(), is_partly_filled(curve)
@@ -534,7 +448,7 @@ def numbers_table(curve: Curve) -> Table:
 
 def _assumptions(result: StudyResult) -> Iterator[Block]:
     """Yield the settings with their meaning and source, and all numbers of the technologies."""
-    yield from settings(result, light_level_of(result, result.curves))
+    yield from settings(result)
     processes = [curve.technology for curve in result.curves if not curve.data_sheet]
     if processes:
         yield "All other parameters come from the technology, below."
@@ -563,29 +477,21 @@ def made_tables(seconds: dict[str, float]) -> Beside:
     return Beside((pairs("versions", versions()), pairs("seconds", seconds, ".2f")))
 
 
-def settings(result: StudyResult, light: LightLevel) -> list[Table]:
+def settings(result: StudyResult) -> list[Table]:
     """Return the tables of parameters with their meaning and source; unset ones come from the technology."""
     study = result.study
-    records: dict[str, Record] = {
-        "camera": result.camera,
-        "pixel": study.pixel,
-        "exposure": study.exposure,
-        "correction": study.correction,
-        "develop": study.develop,
-        "display": study.display,
-    }
     coloured = any(study.options_of(technology).colour for technology in study.technologies)
-    if not coloured:
-        del records["develop"]
     sheets = all(curve.data_sheet for curve in result.curves)
-    if all(name in study.sensors for name in study.technologies):
-        del records["pixel"]  # each sensor has its own
-    tables = [(name, record_rows(name, record, sheets, study.sources, coloured=coloured)) for name, record in records.items()]
-    for curve in result.curves:
-        if sensor := study.sensors.get(curve.technology):
-            tables.append((f"pixel of {curve.label}", record_rows("pixel", sensor, curve.data_sheet, {})))
-    scene = scene_rows(result.irradiance, study.scene.parameters, light, study.sources)
-    return [settings_table(name, rows) for name, rows in (("scene", scene), *tables)]
+    pixel = None if all(name in study.sensors for name in study.technologies) else study.pixel
+    scene = scene_rows(result.irradiance, study.scene.parameters, result.light_level, study.sources)
+    return [
+        *settings_tables(scene, study, result.camera, pixel, coloured, sheets, study.sources),
+        *(
+            settings_table(f"pixel of {curve.label}", record_rows("pixel", sensor, curve.data_sheet, {}))
+            for curve in result.curves
+            if (sensor := study.sensors.get(curve.technology))
+        ),
+    ]
 
 
 def technology_rows(result: StudyResult, technology: str) -> tuple[str, list[tuple[str, ...]]]:

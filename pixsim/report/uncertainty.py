@@ -7,8 +7,9 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from pixsim.show.document import Block, Document, Link, Listed, Plot, Section, Table, headline
+from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, headline
 from pixsim.show.pages import FIGURE_SUFFIXES, Plate
+from pixsim.show.sentences import with_ends
 from pixsim.studies.result import StudyResult
 from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distribution_plate, indices_plate
 
@@ -36,8 +37,8 @@ def uncertainty_document(result: StudyResult) -> Document:
         kind="study with unknown inputs",
         title=f"What is not known: {study.title or study.name}",
         data={"study": study.name, "results": [_data(each) for _, each in found]},
-        terminal=uncertainty_blocks(result.uncertainty),
-        lead=((DRAWN, Link("The study itself", "report.html"), "."),),
+        lead=uncertainty_blocks(result.uncertainty),
+        about=((DRAWN, Link("The study itself", "report.html"), "."),),
         sections=tuple(Section(f"pixel-{number}", each.label or "Optimum", tuple(_blocks(each, number))) for number, each in found),
         files={f"sensor_types_{number}.csv": each.to_csv() for number, each in found},
         data_file=DATA,
@@ -63,8 +64,9 @@ def _blocks(found: UncertaintyResult, number: int) -> list[Block]:
 
     makers = [distribution_plate] if found.total else [distribution_plate, indices_plate]
     blocks: list[Block] = [Plot(partial(numbered, make)) for make in makers]
-    if verdicts := verdict_rows(found):
-        blocks.append(Table("probabilities", ("statement", "probability that it holds (95 % interval)"), verdicts, words=None))
+    if found.verdicts:
+        rows = [(name, str(probability)) for name, probability in found.verdicts.items()]
+        blocks.append(Table("probabilities", ("statement", "probability that it holds (95 % interval)"), rows, words=None))
     if found.total:
         blocks += [indices_table(OUTPUTS[output], indices) for output, indices in found.total_indices.items()]
     blocks.append(Listed(f"{line}." for line in found.statements))
@@ -73,18 +75,13 @@ def _blocks(found: UncertaintyResult, number: int) -> list[Block]:
 
 def indices_table(output: str, indices: Mapping[str, Mapping[str, Any]]) -> Table:
     """Return the shares of an output's variance that inputs have alone and with all interactions."""
-
-    def share(index: Mapping[str, float]) -> str:
-        return f"{index['share']:.2f} ({index['low']:.2f} to {index['high']:.2f})"
-
+    shares = {
+        name: (with_ends(index[kind]["share"], (index[kind]["low"], index[kind]["high"]), ".2f") for kind in ("first", "total"))
+        for name, index in indices.items()
+    }
     caption = f"{output}: shares of its variance, with 95 % intervals"
-    rows = [(name, share(index["first"]), share(index["total"])) for name, index in indices.items()]
+    rows = [(name, *own) for name, own in shares.items()]
     return Table(caption, ("input", "alone", "with all interactions"), rows, caption, words=None)
-
-
-def verdict_rows(found: UncertaintyResult) -> tuple[tuple[str, str], ...]:
-    """Return each statement with the probability that it holds and its 95 % interval."""
-    return tuple((name, f"{each.probability:.2f} ({each.low:.2f} to {each.high:.2f})") for name, each in found.verdicts.items())
 
 
 def uncertainty_blocks(found: Sequence[UncertaintyResult]) -> tuple[Block, ...]:
@@ -97,5 +94,5 @@ def uncertainty_blocks(found: Sequence[UncertaintyResult]) -> tuple[Block, ...]:
         types = f"{len(each.outcomes)} sensor types"
         own = f"each is known to ±{NORMAL_95 * each.optimum.own_sd:.2g} µm by its own 95 % interval" if each.optimum.own_sd else ""
         blocks.append(headline([f"{name}optimum of {types}: median {middle}, nine tenths from {low} to {high}", own]))
-        blocks += [f"{name}probability that {statement}: {words}" for statement, words in verdict_rows(each)]
+        blocks += [Fact(f"{name}probability that {statement}: {words}") for statement, words in each.verdicts.items()]
     return tuple(blocks)

@@ -5,13 +5,13 @@ Strings are plain text, with `code` in backticks. Every string is escaped where 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from pixsim.base.headline import with_headline
+from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
 from pixsim.show.pages import Drawn, Figures, Plate
 from pixsim.show.pictures import Picture
 
@@ -55,10 +55,17 @@ class Record:
 
 @dataclass(frozen=True)
 class Answer(Record):
-    """A headline, and what belongs to it in smaller letters."""
+    """A headline, and facts that belong to it, in smaller letters."""
 
     head: Text
     below: Iterable[Text] = ()
+
+
+@dataclass(frozen=True)
+class Fact:
+    """What is stated, of which a page makes a sentence: without a full stop, and small letters first."""
+
+    text: Text
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,7 @@ class Table(Record):
     head : names of the columns, with their units in a second line where that is shorter; empty for a table without
     words : columns that are not numbers, beside the first; None for all
     stacks : whether a row becomes lines on a small screen, its numbers behind the names of their columns
+    wide : number of the last columns for which only a page has room
     """
 
     name: str
@@ -93,6 +101,7 @@ class Table(Record):
     caption: str = ""
     words: tuple[int, ...] | None = ()
     stacks: bool = False
+    wide: int = 0
 
 
 @dataclass(frozen=True)
@@ -183,6 +192,7 @@ class Section(Record):
     id : of its place in the page; may be empty below another section
     together : whether it is printed on one sheet
     folded : whether only the heading is seen until a reader opens it
+    brief : whether a terminal and a notebook have it too, without its heading
     """
 
     id: str
@@ -190,9 +200,10 @@ class Section(Record):
     blocks: Iterable[Block]
     together: bool = False
     folded: bool = False
+    brief: bool = False
 
 
-Block: TypeAlias = Text | Answer | Note | Listed | Table | Beside | Plot | Pictures | Tiles | Scale | Map | Slider | Section
+Block: TypeAlias = Text | Answer | Fact | Note | Listed | Table | Beside | Plot | Pictures | Tiles | Scale | Map | Slider | Section
 
 
 @dataclass(frozen=True)
@@ -202,9 +213,10 @@ class Document(Record):
     command : that gives such a document
     kind : of document, in a few words
     data : for JSON
-    terminal : what a terminal shows
-    cell : what a notebook shows
-    answers, lead, sections : what the page shows, from top to bottom, without empty texts
+    answers, lead : what a page, a terminal and a notebook show first
+    about : what a page says of them to those who read such a page for the first time
+    sections : of the page; of those that are brief, a terminal and a notebook have the blocks
+    terminal, cell : what a terminal and a notebook show in place of all that
     files : name -> content of further files
     writers : write others to a folder, side by side: arrays that are in no file's form in memory
     parts : folder -> further document, published together with this one; "." is the same folder
@@ -220,6 +232,7 @@ class Document(Record):
     cell: Iterable[Block] = ()
     answers: Iterable[Answer] = ()
     lead: Iterable[Block] = ()
+    about: Iterable[Block] = ()
     sections: Iterable[Section] = ()
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     writers: Iterable[Callable[[Path], object]] = ()
@@ -232,7 +245,12 @@ class Document(Record):
     @property
     def plots(self) -> list[Plot]:
         """The figures of the page, from top to bottom."""
-        return list(_plots((*self.lead, *self.sections)))
+        return list(_plots((*self.lead, *self.about, *self.sections)))
+
+    @property
+    def brief(self) -> list[Section]:
+        """The sections that a terminal and a notebook have too."""
+        return [section for section in self.sections if section.brief and section.blocks]
 
 
 def _plots(blocks: Iterable[Block]) -> Iterator[Plot]:
@@ -253,7 +271,35 @@ def plain_text(text: Text) -> str:
     return text if isinstance(text, str) else "".join(part if isinstance(part, str) else part.text for part in text)
 
 
-def headline(parts: Sequence[str], unsure: str = "") -> Answer:
-    """Return the answer whose headline is the first parts that have room in it; see `with_headline`."""
-    head, *below = with_headline(parts, unsure)
-    return Answer(head, tuple(below))
+def joined(parts: Iterable[Text], between: str = "; ") -> Text:
+    """Return parts as one text."""
+    words: list[str | Strong | Link | Verdict] = []
+    for part in parts:
+        words += ([between] if words else []) + ([part] if isinstance(part, str) else list(part))
+    return "".join(map(str, words)) if all(isinstance(word, str) for word in words) else tuple(words)
+
+
+def headline(parts: Iterable[Text], unsure: str = "") -> Answer:
+    """Return the answer whose headline is the first parts that have at most 30 words together, and below it the others.
+
+    parts : of the answer, what matters most first; empty ones do not count
+    unsure : "not converged: …", of which the headline keeps the first two words where it has no room for all
+
+    >>> headline(["a is better than b", "in the whole range"])
+    Answer(head='a is better than b; in the whole range', below=())
+    >>> headline(["a is better than b", 26 * "very " + "often"], "not converged: noise").head
+    'a is better than b; not converged'
+    """
+    left = [part for part in parts if part]
+    end, rest = ([NOT_CONVERGED], [unsure]) if unsure else ([], [])
+    if has_room([*left, *rest]):
+        return Answer(joined([*left, *rest]))
+    head = [left.pop(0)]
+    while left and has_room([*head, left[0], *end]):
+        head.append(left.pop(0))
+    return Answer(joined([*head, *end]), (joined([*left, *rest]),))
+
+
+def has_room(parts: Iterable[Text]) -> bool:
+    """Return whether a headline has room for parts."""
+    return len(plain_text(joined(parts)).split()) <= MOST_WORDS

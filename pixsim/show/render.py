@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib import resources
@@ -16,8 +16,24 @@ from urllib.parse import quote
 from pixsim.base.files import output_folder, publishing, write_json
 from pixsim.base.schema import json_text
 from pixsim.base.version import VERSION
-from pixsim.show.document import Answer, Block, Document, Link, Listed, Note, Plot, Strong, Table, Text, Verdict, plain_text
+from pixsim.show.document import (
+    Answer,
+    Block,
+    Document,
+    Fact,
+    Link,
+    Listed,
+    Note,
+    Plot,
+    Section,
+    Strong,
+    Table,
+    Text,
+    Verdict,
+    plain_text,
+)
 from pixsim.show.pages import Figures, Plate, data_uri
+from pixsim.show.sentences import STOPS, capital, sentence
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -37,7 +53,7 @@ WIDTH = 160  # columns of output that does not go to a terminal
 
 def text(document: Document, width: int = WIDTH) -> str:
     """Return the lines for a terminal of so many columns."""
-    blocks = enumerate(document.terminal)
+    blocks = enumerate(document.terminal or (*document.answers, *document.lead, *document.brief))
     return "\n".join(line for number, block in blocks for line in lines(block, width, BELOW if number else ""))
 
 
@@ -51,12 +67,16 @@ def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str
         case Answer():
             yield plain_text(block.head)
             yield from (BELOW + plain_text(part) for part in block.below)
+        case Fact():
+            yield plain_text(block.text)
         case Note():
             yield f"note: {block.text}"
         case Listed():
             yield from (BELOW + plain_text(item) for item in block.items)
         case Table():
             yield from _table_lines(block, width, before)
+        case Section():
+            yield from ("", *(line for each in block.blocks for line in lines(each, width)))
         case str() | tuple():
             yield plain_text(block)
 
@@ -64,7 +84,9 @@ def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str
 def _table_lines(table: Table, width: int, before: str) -> Iterator[str]:
     """Yield a table in columns as wide as their longest cell; where that is too wide, those of words are wrapped."""
     heads = zip(*(cell.split("\n") for cell in table.head), strict=True)
+    room = len(tuple(table.head)) - table.wide or None
     rows = [*heads, *([plain_text(cell) for cell in row] for row in table.rows)]
+    rows = [row[:room] for row in rows]
     columns = list(zip(*(row for row in rows if len(row) == max(map(len, rows))), strict=True))
     words = range(len(columns)) if table.words is None else (0, *table.words)
     widths = [max(map(len, column)) for column in columns]
@@ -102,7 +124,7 @@ def html(document: Document) -> str:
 def notebook(document: Document) -> str:
     """Return the cell of a notebook, which needs no style sheet and no scripts."""
     macros: Any = _environment().get_template(MACROS).module
-    return str(macros.cell(document.cell))
+    return str(macros.cell(document.cell or (*document.answers, *document.plots[:1], *document.lead, *document.brief)))
 
 
 @cache
@@ -113,15 +135,17 @@ def _environment() -> Environment:
     folder = str(resources.files("pixsim") / "data")
     options: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
     environment = Environment(loader=FileSystemLoader(folder), **options)
-    environment.filters |= {
+    filters: dict[str, Callable[..., object]] = {
         "png": lambda content: data_uri("image/png", content),
         "svg": lambda text: data_uri("image/svg+xml", text.encode()),
         "marked": _marked,
         "plain": plain_text,
+        "sentence": _sentence,
         "answer": lambda caption: answer_and_rest(caption)[0].replace("`", ""),
         "captioned": _captioned,
         "kind": lambda block: "Text" if isinstance(block, str | tuple) else type(block).__name__,
     }
+    environment.filters |= filters
     environment.globals["pixsim_version"] = VERSION
     return environment
 
@@ -146,6 +170,15 @@ def _marked(text: Text) -> Markup:
     return Markup().join(html_of(part) for part in ((text,) if isinstance(text, str) else text))
 
 
+def _sentence(text: Text) -> Text:
+    """Return words as a sentence."""
+    if isinstance(text, str):
+        return sentence(text)
+    first, *others = text
+    start = capital(first) if isinstance(first, str) else first
+    return (start, *others) if plain_text(text).endswith(STOPS) else (start, *others, ".")
+
+
 def answer_and_rest(caption: str) -> tuple[str, str]:
     """Return the first sentence of a caption, which answers the question of its figure, and the others."""
     first, *rest = SENTENCE_END.split(caption, maxsplit=1)
@@ -159,11 +192,11 @@ def _captioned(caption: str) -> Markup:
     return Markup("<strong>{}</strong> {}").format(*map(_marked, answer_and_rest(caption)))
 
 
-def html_cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure: Figure, notes: Sequence[str] = ()) -> str:
-    """Return a notebook's cell of a title, a figure, a table and lines below it."""
-    table = Table(title, tuple(head) if any(head) else (), tuple(map(tuple, rows)))
-    plot = Plot(lambda: Plate("", title, figure, {}))
-    return notebook(Document("", "", title, {}, cell=(Answer(title), plot, table, *notes)))
+def cell_of(answers: str | Iterable[Answer], figure: Figure, *blocks: Block) -> str:
+    """Return a notebook's cell of answers, or a title, with a figure and further blocks below it."""
+    first = [Answer(answers)] if isinstance(answers, str) else list(answers)
+    plot = Plot(lambda: Plate("", plain_text(first[0].head), figure, {}))
+    return notebook(Document("", "", "", {}, cell=(*first, plot, *(block for block in blocks if block))))
 
 
 def write(document: Document, folder: Path, provenance: dict[str, Any] | None = None, figures: Figures = "svg") -> Path:

@@ -16,13 +16,14 @@ from pixsim.base.arrays import Array
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.parameters import Run
 from pixsim.light.spectral import SpectralImage
+from pixsim.show.sentences import with_error
 from pixsim.studies.lineup import Lineup
 from pixsim.studies.oversampling import FilmError, FilmSteps
 from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.prepared import Prepared
 from pixsim.studies.viewing import Viewed
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
-from pixsim.viewer.light_error import LightError, with_error
+from pixsim.viewer.light_error import LightError
 from pixsim.viewer.score import Score, clip_words, clips_dark
 
 if TYPE_CHECKING:

@@ -25,8 +25,9 @@ from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.pixels import physics_of, technology_of
-from pixsim.studies.result import CasesResult, Curve, StudyResult, interval_words
+from pixsim.studies.result import CasesResult, Curve, StudyResult
 from pixsim.studies.sampling import largest_pixel_um
+from pixsim.studies.sentences import interval_words
 from pixsim.viewer.display import picture_size_um
 
 # Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).

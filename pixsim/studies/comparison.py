@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arguments import checks_arguments
+from pixsim.show.document import joined, plain_text
 from pixsim.show.figures import literal, new_figure, own_style
-from pixsim.show.render import html_cell
+from pixsim.show.render import cell_of
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.lineup import ComparisonJob, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
-from pixsim.studies.verdicts import headline, headlines
+from pixsim.studies.verdicts import answers, facts, headline
 from pixsim.viewer.display import white_light
 
 if TYPE_CHECKING:
@@ -101,22 +102,12 @@ class Comparison(Averaged):
         return figure
 
     def _repr_html_(self) -> str:
-        rows = [
-            (sensor.name, f"{sensor.sensor.settings.pixel.pitch_um:g}", self.shown_mean(sensor.name)) for sensor in self.sensors
-        ]
-        title = "; ".join(headlines(self))
-        counted = ", ".join(f"{part.shown.lineup.condition} ({weight:g})" for weight, part in self.counted)
-        over = f"; the mean over the conditions {counted}" if counted else ""
-        lineup, repeats = self.shown.lineup, self.prepared.repeats
-        notes = [f"{lineup.scene}: {repeats} pairs of frames, seed {lineup.settings.seed}{over}"]
-        notes += [*(found.words for found in self.uncertainty), *self.notes]
-        return html_cell(title, ("sensor", "pixel size (µm)", "mean ΔE (95 % and the film's error)"), rows, self.plot(), notes)
+        lineup = self.shown.lineup
+        made = f"{lineup.scene}, seed {lineup.settings.seed}"
+        return cell_of(answers(self), self.plot(), *facts(self), made, *self.notes)
 
     def __repr__(self) -> str:
-        shown = ", ".join(f"{name} {self.shown_mean(name)}" for name in self.names)
-        conditions = f" under {len(self.conditions)} conditions" if self.conditions else ""
-        words = f"mean ΔE {shown}, {self.prepared.repeats} pairs{conditions}"
-        return f"<Comparison {'; '.join(filter(None, (words, self.unconverged)))}>"
+        return f"<Comparison {plain_text(joined(each.head for each in answers(self)))}>"
 
 
 def _pair_as_dict(pair: Averaged) -> dict[str, Any]:

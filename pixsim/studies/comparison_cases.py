@@ -13,8 +13,9 @@ import numpy as np
 
 from pixsim.base.parameters import MAX_CASE_NAME, Axis, Study, merge
 from pixsim.base.units import unit_of
+from pixsim.show.document import Answer, Table
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
-from pixsim.show.render import html_cell
+from pixsim.show.render import cell_of
 from pixsim.studies.averages import Averaged
 from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, values_at, with_range_ends
 from pixsim.studies.comparison import FIGURE_BORDER_IN, FIGURE_WIDTH_IN, ROW_IN, Comparison
@@ -147,7 +148,7 @@ class ComparedCases:
         others = self.names[1:]
         head = ("case", *(f"{self.names[0]} and {other}" for other in others))
         rows = [(case.words or BASE, *answers) for case, answers in self.answers]
-        return html_cell("; ".join(map(self.headline, others)), head, rows, self.plot())
+        return cell_of(map(Answer, map(self.headline, others)), self.plot(), Table("cases", head, rows))
 
     def __repr__(self) -> str:
         return f"<ComparedCases {'; '.join(map(self.headline, self.names[1:]))}>"

@@ -9,6 +9,7 @@ import numpy as np
 
 from pixsim.base.parameters import Display
 from pixsim.light.spectral import SpectralImage
+from pixsim.show.sentences import span
 from pixsim.viewer.display import white_light
 
 
@@ -35,8 +36,7 @@ class LightLevel(NamedTuple):
     @property
     def exposure(self) -> str:
         """Exposure time in ms, or its range."""
-        ends = [f"{1e3 * time_s:.3g}" for time_s in (self.shortest_s, self.longest_s)]
-        return " to ".join(dict.fromkeys(ends)) + " ms"
+        return span(1e3 * self.shortest_s, 1e3 * self.longest_s, ".3g", " ms")
 
     def __str__(self) -> str:
         return f"display white is {self.white_cd_per_m2:.4g} cd/m² in the scene; exposed for {self.exposure}"

@@ -39,6 +39,7 @@ from scipy.special import fdtrc, gammaincinv, stdtrit
 from pixsim.base.arguments import checks_fields
 from pixsim.base.arrays import Array
 
+NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 CONFIDENCE = 0.95
 # Curves from the posterior are slightly rougher than real ones, so their intervals are too wide: in simulated studies the
 # middle 87 % of the posterior contain the minimum in 97 % of them (tests/benchmarks/interval_coverage.py).

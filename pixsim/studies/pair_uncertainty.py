@@ -147,8 +147,8 @@ class PairUncertainty:
         found, ends = self.probability_a_better, self.difference.quantiles
         low, middle, high = (f"{ends[name]:+.2g}" for name in ("p05", "p50", "p95"))
         return (
-            f"over {found.draws} sensor types {first} is better than {other} with the probability {found.probability:.2f} "
-            f"({found.low:.2f} to {found.high:.2f}); difference {middle} ΔE in the median, nine tenths from {low} to {high}; "
+            f"over {found.draws} sensor types {first} is better than {other} with the probability {found}; difference {middle} ΔE "
+            f"in the median, nine tenths from {low} to {high}; "
             f"{self.matters}"
         )
 

@@ -25,22 +25,24 @@ from pixsim.sensor.pixel import PixelPhysics, has_microlens, smallest_pitch_um
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, rows_csv
-from pixsim.show.render import html_cell
-from pixsim.show.sentences import interval, settings_line
+from pixsim.show.render import cell_of
+from pixsim.show.sentences import few, sentence, settings_line, span
 from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import Counts, blocks_of, frames_of, task_of
-from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
+from pixsim.studies.light_level import LightLevel
+from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.pixels import photodiode_widths_um, physics_of, technology_of
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import largest_lens_um
+from pixsim.studies.sentences import interval_words, optima_table, optimum_words
 from pixsim.studies.series import Series, scenes_of, series_of
 from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip, rounded_up, shown
+from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,8 +50,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
-LEAST_RISE = 0.1  # per cent, of a curve to an end of its range: a fit says no more
 WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
 SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
@@ -290,6 +290,12 @@ class StudyResult:
         return physics_of(self.study, technology, pitch_um)
 
     @property
+    def light_level(self) -> LightLevel:
+        """Display white, and the exposures of all curves."""
+        times_s = np.concatenate([curve.mean("integration_s") for curve in self.curves])
+        return LightLevel.of(self.irradiance, self.study.display, times_s)
+
+    @property
     def processes(self) -> dict[str, Technology]:
         """Each technology of the study by its name, with the study's numbers in place of its file's."""
         return {name: technology_of(self.study, name) for name in self.study.technologies}
@@ -433,46 +439,17 @@ class StudyResult:
         return pd.read_csv(io.StringIO(self.to_csv()))
 
     def _repr_html_(self) -> str:
-        rows = []
-        for curve in self.curves:
-            best, ends = curve.optimum, f"{curve.pitch_um.min():.4g} and {curve.pitch_um.max():.4g}"
-            size = f"{best.pitch_um:.2f}" if best.inside else f"none between {ends}"
-            size = alike_words(curve) if curve.alike_um else size
-            within = within_words(best.within_1_percent_um, curve)
-            low, high = best.mean_delta_e_interval
-            delta_e = f"{best.mean_delta_e:.3f} ({low:.3f} to {high:.3f})"
-            delta_e = delta_e if curve.light.converged and not curve.causes else curve.light.shown(best.mean_delta_e)
-            rows.append((curve.label, size, interval_words(curve), delta_e, within))
-        head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE (95 %)", "within 1 % of it")
         camera, evaluations = self.camera, sum(int(curve.sensors.sum()) for curve in self.curves)
-        notes = [
+        given = settings_line(self.study.pixel.model_dump(exclude_unset=True, exclude_none=True))
+        notes = (
             f"{self.study.scene.file}: {camera.focal_length_mm:g} mm at f/{camera.f_number:g}, die of {camera.die_mm:g} mm; "
             f"{evaluations} evaluations, seed {self.study.seed}",
-            *(
-                [f"Pixels: {given}"]
-                if (given := settings_line(self.study.pixel.model_dump(exclude_unset=True, exclude_none=True)))
-                else []
-            ),
-        ]
-        return html_cell(self.study.title or self.study.name, head, rows, self.plot(), notes)
+            f"Pixels: {given}" if given else "",
+        )
+        return cell_of(self.study.title or self.study.name, self.plot(), optima_table(self.curves), *notes)
 
     def __repr__(self) -> str:
-        words = []
-        for curve in self.curves:
-            best, shown = curve.optimum, curve.light.shown(curve.optimum.mean_delta_e)
-            if curve.no_difference_um is not None and not curve.alike_um:
-                low, high = curve.no_difference_um
-                sizes = f"sizes from {low:.3g} to {high:.3g} µm"
-                shown = curve.light.shown(curve.mean().min()) if curve.fit_swings else shown
-                words.append(f"{curve.label}: no visible difference between {sizes}, ΔE {shown}")
-                continue
-            text = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {shown}"
-            if not best.inside:
-                ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
-                text = f"no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
-            text = alike_words(curve) if curve.alike_um else text
-            words.append(f"{curve.label}: {text}")
-        return f"<StudyResult {self.study.name}: {'; '.join(words)}>"
+        return f"<StudyResult {self.study.name}: {optimum_words(self.curves)}>"
 
 
 @checks_fields
@@ -549,17 +526,6 @@ def _is_value(value: float | int | str, asked: float | int | str) -> bool:
     return value == asked or (not isinstance(value, str) and f"{value:.4g}" == str(asked))
 
 
-SHOWN_NOTES = 8
-
-
-def few(notes: Sequence[Sequence[str]]) -> list[str]:
-    """Return the notes of all cases, each once, and of very many the first ones and the number of the others."""
-    each = list(dict.fromkeys(note for part in notes for note in part))
-    if len(each) <= SHOWN_NOTES:
-        return each
-    return [*each[: SHOWN_NOTES - 1], f"and {len(each) - SHOWN_NOTES + 1} more notes of this kind, of other cases"]
-
-
 def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float]) -> tuple[Cause, ...]:
     """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the largest first.
 
@@ -598,82 +564,6 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:
         data_sheet=process.name == NO_TECHNOLOGY,
         from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
     )
-
-
-def alike_words(curve: Curve) -> str:
-    """Return why no optimum is named: the pitches that the film cannot tell apart."""
-    assert curve.alike_um is not None
-    low_um, high_um = curve.alike_um
-    return f"no optimum: the film cannot tell apart sizes from {low_um:.2f} to {high_um:.2f} µm"
-
-
-def best_words(curves: Sequence[Any]) -> str:
-    """Return which pixel size of each curve has the least error, as a sentence."""
-    words = []
-    for curve in curves:
-        end = "" if curve.optimum.inside else ", the end of the sizes tried"
-        end += ", by the fitted curve alone" if curve.fit_swings else ""
-        interval = f"; 95 %: {interval_words(curve)}" if len(curves) == 1 else ""
-        size = "an unknown size" if curve.alike_um else f"{curve.optimum.pitch_um:.2f} µm"
-        words.append(f"{size} ({curve.label}{'; ' + alike_words(curve) if curve.alike_um else end + interval})")
-    return f"The error is least at {', '.join(words)}."
-
-
-def interval_words(curve: Curve) -> str:
-    """Return the 95 % interval of a curve's optimum as text, naming an open end; none where the fit swings."""
-    if curve.fit_swings:
-        return "unknown beside the steep flank"
-    low, high = curve.optimum.interval_um
-    first, last = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
-    if (low is None) == (high is None):
-        return interval((low, high))
-    if low is None:
-        if high is None:
-            return "no limit among the sizes tried"
-        if high <= first:
-            return "at or below the smallest size tried"
-        size = "smallest possible size" if curve.from_smallest else "smallest size tried"
-        return f"{interval((low, high))}, {flat_words(curve, 0, size) or 'no lower limit among the sizes tried'}"
-    if low >= last:
-        return "at or above the largest size tried"
-    return f"{interval((low, high))}, {flat_words(curve, -1, 'largest size tried') or 'no upper limit among the sizes tried'}"
-
-
-def viewed_words(curve: Curve, inside: bool = True) -> str:
-    """Return the optima under the viewings of the range as text, or under those outside it; empty without any."""
-    own = [each for each in curve.viewed if each.inside == inside]
-    if not own:
-        return ""
-    optima = [each.optimum for each in own] + ([curve.optimum] if inside else [])
-    sizes = sorted(best.pitch_um for best in optima)
-    range_um = f"{sizes[0]:.2g} to {sizes[-1]:.2g} µm" if f"{sizes[0]:.2g}" != f"{sizes[-1]:.2g}" else f"{sizes[0]:.2g} µm"
-    each_one = ", ".join(
-        f"{each.optimum.pitch_um:.2g} µm on {each.viewing}{'' if each.optimum.inside else ' (an end of the range of sizes)'}"
-        for each in own
-    )
-    where = "in the range of viewing" if inside else "on other displays than the one stated"
-    return f"{where} the best size goes from {range_um}: {each_one}" if " to " in range_um else f"{where} it is {range_um} too"
-
-
-def flat_words(curve: Curve, end: int, size: str) -> str:
-    """Return how little the fitted curve rises from a minimum inside the range to one of its ends; empty if it is at an end.
-
-    end : 0 or -1
-    size : that of this end, in words
-    """
-    best = curve.optimum
-    if not best.inside or not best.mean_delta_e > 0:
-        return ""
-    percent = 100 * (float(curve.fit.delta_e[end]) / best.mean_delta_e - 1)
-    return f"flat to the {size}: within {rounded_up(max(percent, LEAST_RISE), 2):g} %"
-
-
-def within_words(ends: tuple[float | None, float | None], curve: Curve) -> str:
-    """Return a range of pitches as text, naming an end at the smallest or the largest pitch tried."""
-    low, high = ends
-    first = f"≤ {curve.pitch_um[0]:.2f} µm (smallest tried)" if low is None else f"{low:.2f}"
-    last = f"≥ {curve.pitch_um[-1]:.2f} µm (largest tried)" if high is None else f"{high:.2f} µm"
-    return f"{first} to {last}"
 
 
 ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # background of text over lines
@@ -754,9 +644,9 @@ def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: st
     if len(curves) == 1:
         annotate_curve(axes, curves[0])
     counts = sorted({int(count) for curve in curves for count in curve.sensors})
-    sensors = f"{counts[0]} sensors" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} sensors"
+    sensors = span(counts[0], counts[-1], unit=" sensors")
     caption = (
-        f"{best_words(curves)} Points: mean ΔE (S-CIELAB) of {sensors} with 95 % intervals; line: "
+        f"{sentence(optimum_words(curves))} Points: mean ΔE (S-CIELAB) of {sensors} with 95 % intervals; line: "
         "the fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval; vertical "
         "band: sizes whose error is within 1 % of the minimum."
     )

@@ -30,8 +30,9 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
+from pixsim.show.document import headline, pairs, plain_text
 from pixsim.show.pages import rows_csv
-from pixsim.show.render import html_cell
+from pixsim.show.render import cell_of
 from pixsim.studies.budget import ProbeDesign, Settled, settle
 from pixsim.studies.cases import Case
 from pixsim.studies.lights import demand_of
@@ -39,6 +40,7 @@ from pixsim.studies.oversampling import Demand, Light, light_of
 from pixsim.studies.paired import mean_interval
 from pixsim.studies.preparation import choose_view, scene_with_view, with_view
 from pixsim.studies.prepared import Job, Prepared, loaded_scene
+from pixsim.studies.sentences import score_parts
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.imaging import Imaging
@@ -361,16 +363,13 @@ class RunResult(LitRun):
         return rows_csv([{"repeat": number} | own for number, own in enumerate(self.statistics)], path)
 
     def _repr_html_(self) -> str:
-        camera, physics = self.camera, self.score.physics
-        rows = [(name, f"{value:.6g}") for name, value in self.statistics[0].items()]
+        camera = self.camera
         of_run = f"{camera.focal_length_mm:g} mm at f/{camera.f_number:g}, die of {camera.die_mm:g} mm; seed {self.settings.seed}"
         notes = [f"{self.prepared.source}: {of_run}", *self.notes]
-        return html_cell(f"{physics.pitch_um:g} µm pixels, mean ΔE {self.shown_mean}", ("", ""), rows, self.plot(), notes)
+        return cell_of([headline(score_parts(self))], self.plot(), pairs("statistics", self.statistics[0], ".6g"), *notes)
 
     def __repr__(self) -> str:
-        rows, columns = self.score.frame.pixels
-        pixels = f"{columns} × {rows} pixels of {self.score.physics.pitch_um:g} µm"
-        return f"<RunResult {self.prepared.source}: mean ΔE {self.shown_mean} with {pixels}>"
+        return f"<RunResult {self.prepared.source}: {plain_text(headline(score_parts(self)).head)}>"
 
 
 # --- the way from the settings to the result -------------------------------------------------------------------------------------

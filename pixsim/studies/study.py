@@ -20,6 +20,7 @@ from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.scene.scene import packaged_scenes
+from pixsim.show.sentences import few
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
@@ -30,7 +31,7 @@ from pixsim.studies.keys import remember_evaluated
 from pixsim.studies.lights import lights_of_cases
 from pixsim.studies.oversampling import Light
 from pixsim.studies.preparation import StudyJob, prepare
-from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of, few
+from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sampling, Sizes, first_sampling, study_pitches_um

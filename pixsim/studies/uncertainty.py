@@ -28,6 +28,7 @@ from pixsim.base.parameters import MIN_FRACTION, PixelOptions, Record, Spread, S
 from pixsim.sensor.technology import Junction, Technology
 from pixsim.show.figures import COLOURS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, rows_csv
+from pixsim.show.sentences import with_ends
 from pixsim.studies.indices import FirstOrder, Marginal, first_order, saltelli, total_indices
 from pixsim.studies.pixels import technology_of
 
@@ -439,6 +440,9 @@ class Probability:
         high = float(betaincinv(k + 0.5, n - k + 0.5, 0.975)) if k < n else 1.0
         return cls(k / n, low, high, n)
 
+    def __str__(self) -> str:
+        return with_ends(self.probability, (self.low, self.high), ".2f")
+
 
 @dataclass(frozen=True)
 class ResultDistribution:
@@ -753,8 +757,6 @@ def distribution_words(distribution: ResultDistribution, what: str, unit: str) -
         f"Median of the {what}: {text['p50']}{unit}; middle half from {text['p25']} to {text['p75']}{unit}, "
         f"nine tenths from {text['p05']} to {text['p95']}{unit}."
     )
-    if distribution.own_sd:
-        words += f" Each is known to ±{NORMAL_95 * distribution.own_sd:.2g}{unit} by its own 95 % interval."
     for share, end in ((distribution.censored_low, "smallest"), (distribution.censored_high, "largest")):
         words += f" Hatched: {share:.1%} at or beyond the {end} pixel size tried." if share else ""
     return words

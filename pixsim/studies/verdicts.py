@@ -1,11 +1,23 @@
-"""The answers of a comparison in words: which sensor is better, by how much, how sure that is, and where it holds."""
+"""The answers of a comparison in words: which sensor is better, by how much, how sure that is, where it holds, of which sensors."""
 
 from __future__ import annotations
 
-from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED, with_headline
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.labels import label_of
+from pixsim.base.parameters import NO_TECHNOLOGY, Run
+from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline as answer_of
 from pixsim.studies.averages import Averaged, shown_delta_e
-from pixsim.studies.result import NO_VISIBLE_DELTA_E
+from pixsim.studies.extent import stated_end_lp_per_mm
+from pixsim.studies.lineup import ComparisonJob, Lineup, pixels_of
+from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
+from pixsim.studies.prepared import Prepared
 from pixsim.studies.viewing import Viewed, range_words, where_words
+
+if TYPE_CHECKING:
+    from pixsim.studies.comparison import Comparison
 
 SURE = 0.999  # probabilities beyond it are not shown in more digits
 
@@ -47,7 +59,7 @@ def verdict_parts(result: Averaged, other: str) -> list[str]:
         return [words, f"in the whole range of viewing by {sizes[0]:.2g} to {sizes[-1]:.2g} ΔE"]
     where, on_chosen = where_words(inside, names), f"on {chosen.viewing}, {words}"
     depends = f"which is better depends on the viewing: {where}"
-    if len(depends.split()) <= MOST_WORDS:
+    if has_room([depends]):
         return [depends, on_chosen]
     return [f"which of {names[0]} and {names[1]} is better depends on the viewing", on_chosen, where]
 
@@ -120,8 +132,8 @@ def _answers_of_conditions(pair: Averaged, other: str) -> list[str]:
     return [f"{part.shown.lineup.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in pair.counted]
 
 
-def answer(result: Averaged, other: str) -> list[str]:
-    """Return `headline` as of `with_headline`: first who is better, on the weighted mean, then the largest cause of that."""
+def answer(result: Averaged, other: str) -> Answer:
+    """Return `headline` as an answer: first who is better, on the weighted mean, then the largest cause of that."""
     pair = result.pair(other)
     first, *others = verdict_parts(pair, other)
     found = pair.unconverged.split("; ") if pair.unconverged else []
@@ -129,15 +141,103 @@ def answer(result: Averaged, other: str) -> list[str]:
     begin = [first]
     if conditions_disagree(pair, other):
         begin, others = ["the conditions disagree", f"weighted mean: {first}"], [*others, *_answers_of_conditions(pair, other)]
-    return with_headline([*begin, *causes, *others], next((words for words in found if words.startswith(NOT_CONVERGED)), ""))
+    first, *more = begin
+    unsure = next((words for words in found if words.startswith(NOT_CONVERGED)), "")
+    return answer_of([(Strong(first),), *more, *causes, *others], unsure)
 
 
-def answers(result: Averaged) -> list[list[str]]:
-    """Return the answer for each later sensor, and the order of three and more, each as of `with_headline`."""
+def answers(result: Averaged) -> list[Answer]:
+    """Return the answer for each later sensor, and the order of three and more."""
     found = [answer(result, other) for other in result.names[1:]]
-    return found + ([with_headline(ranking_words(result).split("; "))] if len(result.names) > 2 else [])
+    return found + ([answer_of(ranking_words(result).split("; "))] if len(result.names) > 2 else [])
 
 
-def headlines(result: Averaged) -> list[str]:
-    """Return the answers, each as one text."""
-    return [*(headline(result, other) for other in result.names[1:]), *([ranking_words(result)] if len(result.names) > 2 else [])]
+# --- what the answers belong to ---------------------------------------------------------------------------------------------------
+
+
+def sensor_words(sensor: Prepared[Run]) -> str:
+    """Return a sensor's pixels and lens in words."""
+    rows, columns = pixels_of(sensor)
+    technology = "" if sensor.settings.pixel.technology == NO_TECHNOLOGY else f" ({label_of(sensor.settings.pixel.technology)})"
+    lens = f"{sensor.camera.focal_length_mm:.4g} mm f/{sensor.camera.f_number:.3g}"
+    return f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind {lens}"
+
+
+def exposure_words(lineup: Lineup) -> str:
+    """Return the exposure rule of the sensors in words."""
+    exposures = [sensor.settings.exposure for sensor in lineup.cases]
+    if any(exposure != exposures[0] for exposure in exposures):
+        return "each sensor's own exposure rule"
+    if exposures[0].integration_s is not None:
+        return f"each exposed for {1e3 * exposures[0].integration_s:.3g} ms"
+    target, longest_ms = exposures[0].well_target, 1e3 * exposures[0].max_integration_s
+    return f"each exposed to {100 * target:.3g} % of its own well, at most {longest_ms:.3g} ms"
+
+
+def conditions_line(prepared: ComparisonJob) -> str:
+    """Return what all sensors of a comparison have in common, in one line; what differs between conditions is that of one."""
+    shown = prepared.shown
+    parts = [_common_words(prepared, lineup) for lineup in prepared.lineups]
+    own = _common_words(prepared, shown)
+    words = [
+        text if all(part[place] == text for part in parts) else f"{text} in {shown.condition}" for place, text in enumerate(own)
+    ]
+    return "; ".join([*_study_words(prepared), *words, "± is the 95 % interval and the film's error"])
+
+
+def _study_words(prepared: ComparisonJob) -> list[str]:
+    """Return the study and its conditions in words, if there are any."""
+    if prepared.study is None:
+        return []
+    unused = f" (not used: {', '.join(prepared.not_used)})" if prepared.not_used else ""
+    words = [f"the study {prepared.study.name}{unused}"]
+    if prepared.conditions:
+        weights = ", ".join(f"{part.condition} ({part.weight:.3g})" for part in prepared.conditions)
+        words.append(f"ΔE is the mean over its conditions with the weights {weights}")
+    return words
+
+
+def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
+    """Return what all sensors of a comparison have in common under one condition, in parts."""
+    camera, display = lineup.cases[0].camera, lineup.settings.display
+    first, field = lineup.cases[0].name, f"the same field of {camera.field_words}"
+    lens = {
+        "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
+        "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
+        "own": f"each file's own lens, and {field}, which all have",
+    }[prepared.match]
+    highest = stated_end_lp_per_mm({"parameters": lineup.cases[0].scene.parameters})
+    chart = "one scene"
+    if highest is not None:
+        limit = lineup.view.get("limited_by")
+        of = f", {limit.replace('the sensor', lineup.finest)}" if limit else ""
+        chart = f"one chart, to {highest * camera.die_mm:.4g} cycles across{of}"
+    rows, columns = lineup.scored_dots
+    viewing = lineup.viewing
+    stated = ", as stated" if viewing.stated else ""
+    shown = f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree{stated}"
+    shown += f"; {columns} × {rows} are scored; range of viewing: {viewing.words}"
+    if len(prepared.pairs) > 1:
+        shown += "; each difference is that of two sensors alone, with their own field, chart and range of viewing"
+    light = "the same light in each condition" if lineup.condition else "the same light"
+    return [lens, chart, shown, light, exposure_words(lineup), f"{prepared.repeats} pairs of frames with the same seeds"]
+
+
+def facts(result: Comparison) -> Iterator[Block]:
+    """Yield a row for each sensor, the answers of conditions and sensor types, and what all have in common."""
+    where = f" in {result.shown.lineup.condition}" if result.conditions else ""
+    rows = []
+    for compared in result.sensors:
+        time_ms = 1e3 * compared.score.frame.integration_s
+        words = f"{sensor_words(compared.sensor)}, exposed for {time_ms:.3g} ms{where}"
+        rows.append((compared.name, f"mean {result.shown_mean(compared.name)}", words))
+    yield Table("sensors", (), rows, words=None)
+    agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
+    conditions = [
+        f"{part.condition} (weight {part.weight:.3g}): {verdict(result.pair(other).conditions[number], other)}"
+        for number, part in enumerate(result.prepared.conditions)
+        for other in agreed
+    ]
+    if items := (*conditions, *(found.words for found in result.uncertainty)):
+        yield Listed(items)
+    yield Fact(conditions_line(result.prepared))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import partial
 from itertools import cycle, groupby
 from operator import attrgetter
@@ -11,7 +12,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.files import versions
-from pixsim.show.document import Answer, Beside, Block, Document, Listed, Note, Plot, Section, Strong, Table, Text, Verdict, pairs
+from pixsim.show.document import (
+    Answer,
+    Beside,
+    Block,
+    Document,
+    Fact,
+    Listed,
+    Note,
+    Plot,
+    Section,
+    Strong,
+    Table,
+    Text,
+    Verdict,
+    pairs,
+)
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Plate, plain, rows_csv
 from pixsim.show.sentences import UNKNOWN, number
@@ -35,6 +51,13 @@ def error_words(accuracy: Accuracy) -> str:
     if math.isfinite(shipped.error_optimum_um):
         parts.append(f"{number(shipped.error_optimum_um)} µm of the optimal pitch")
     return ", ".join(parts)
+
+
+def answer(accuracy: Accuracy) -> Answer:
+    """Return the errors of the default settings and their run time."""
+    return Answer(
+        ("Default settings: ", Strong(error_words(accuracy)), f", in {accuracy.shipped.seconds:.2g} s (render and score, warm)")
+    )
 
 
 def verdict(accuracy: Accuracy, metric: Metric) -> str:
@@ -256,35 +279,25 @@ FILES = (
 def accuracy_document(accuracy: Accuracy) -> Document:
     """Return the answer of `pixsim accuracy`."""
     settings, solvers = settings_table(accuracy), solver_table(accuracy)
-    notes = tuple(Note(note) for note in accuracy.notes)
-    errors, against = error_words(accuracy), f"Errors are those against the reference: {accuracy.reference}."
-    verdicts = [
-        (f"{METRICS[metric]}: the default settings are ", Verdict(verdict(accuracy, metric), accuracy.beaten(metric) is None), ".")
-        for metric in METRICS
-        if accuracy.rivals(metric)
-    ]
     plots = plots_of(accuracy)
-    header, met = accuracy.header, sum(case.passed for case in accuracy.cases)
+    header = accuracy.header
     made = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}, in {accuracy.seconds:.0f} s."
     return Document(
         command="accuracy",
         kind="accuracy and run time",
         title=f"Accuracy and run time of {accuracy.name}",
         data=accuracy.as_dict(),
-        terminal=terminal_blocks(accuracy),
-        cell=(Answer(repr(accuracy)[1:-1]), plots[0], settings, against, stability_words(accuracy), *notes),
-        answers=(
-            Answer(("Default settings: ", Strong(errors), f", in {accuracy.shipped.seconds:.2g} s (render and score, warm).")),
-        ),
-        lead=(f"Reference: {accuracy.reference}.", Listed((*verdicts, *accuracy.notes))),
+        answers=(answer(accuracy),),
+        lead=facts(accuracy),
         sections=(
             Section("errors", "Error against run time", plots),
-            Section("orders", "Orders of convergence", (order_table(accuracy),)),
+            Section("orders", "Orders of convergence", (order_table(accuracy),), brief=True),
+            Section("budget", "Error budget", (budget_table(accuracy),), brief=True),
             Section(
                 *("extremes", "Extreme cases with known answers"),
                 (
-                    f"{met} of {len(accuracy.cases)} meet their limit. Each row is the worst element of its sweep; the last column "
-                    "gives the source of the expected value and the reason for the limit.",
+                    f"{stability_words(accuracy)}. Each row is the worst element of its sweep; the last column gives the source of "
+                    "the expected value and the reason for the limit.",
                     case_table(accuracy),
                 ),
             ),
@@ -300,31 +313,31 @@ def accuracy_document(accuracy: Accuracy) -> Document:
     )
 
 
-def terminal_blocks(accuracy: Accuracy) -> tuple[Block, ...]:
-    """Return what a terminal shows of a survey."""
-    shipped, stages = accuracy.shipped, accuracy.stage_seconds
-    fronts = [f"{SHORT[metric]:10} {verdict(accuracy, metric)}" for metric in METRICS if accuracy.rivals(metric)]
-    orders = {name: [f"{SHORT[metric]} {order}" for metric, order in orders_of(accuracy, name).items()] for name in accuracy.names}
-    sizes = {name: math.inf if math.isnan(effect.delta_e) else effect.delta_e for name, effect in accuracy.budget.items()}
-    budget = {name: accuracy.budget[name] for name in sorted(sizes, key=lambda name: -sizes[name])}
-    effects = [f"{name:21} {number(at.delta_e)} ΔE, {number(at.optimum_um)} µm of the optimum" for name, at in budget.items()]
-    failed = [case for case in accuracy.cases if not case.passed]
-    return (
-        f"reference: {accuracy.reference}",
-        f"default settings: {error_words(accuracy)}, in {shipped.seconds:.2g} s warm",
-        Listed(fronts),
-        "orders of convergence (error ∝ setting^-order, ± 95 %):",
-        Listed(f"{name:10} {', '.join(found)}" for name, found in orders.items() if found),
-        "error budget of the default settings, one sensor:",
-        Listed(effects),
-        f"stages: {', '.join(f'{name} {seconds:.2f} s' for name, seconds in stages.items())}",
-        Listed((f"slowest stage: {max(stages, key=stages.__getitem__)}",)),
-        f"stability: {stability_words(accuracy)}",
-        Listed(f"{case.room}, {case.name}: error {case.error:.1e}, limit {case.allowed:.1e}" for case in failed),
-        *(f"skipped: {rung.ladder}, {rung.setting} ({rung.left_out})" for rung in accuracy.rungs if rung.left_out),
-        *(Note(note) for note in accuracy.notes),
-        *filter(None, (accuracy.settings.pixel.assumption,)),
+def facts(accuracy: Accuracy) -> Iterator[Block]:
+    """Yield what follows the errors of the default settings: what they are worth, how long it takes, and what went wrong."""
+    yield Fact(f"reference: {accuracy.reference}")
+    yield Listed(
+        (f"{METRICS[metric]}: the default settings are ", Verdict(verdict(accuracy, metric), accuracy.beaten(metric) is None))
+        for metric in METRICS
+        if accuracy.rivals(metric)
     )
+    stages = accuracy.stage_seconds
+    seconds = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in stages.items())
+    yield Fact(f"stages: {seconds}; slowest stage: {max(stages, key=stages.__getitem__)}")
+    yield Fact(f"stability: {stability_words(accuracy)}")
+    if failed := [case for case in accuracy.cases if not case.passed]:
+        yield Listed(f"{case.room}, {case.name}: error {case.error:.1e}, limit {case.allowed:.1e}" for case in failed)
+    yield from (Fact(f"skipped: {rung.ladder}, {rung.setting} ({rung.left_out})") for rung in accuracy.rungs if rung.left_out)
+    yield from map(Note, accuracy.notes)
+    yield from map(Fact, filter(None, (accuracy.settings.pixel.assumption,)))
+
+
+def budget_table(accuracy: Accuracy) -> Table:
+    """Return the error budget of the default settings for one sensor, the largest source first."""
+    sizes = {name: math.inf if math.isnan(effect.delta_e) else effect.delta_e for name, effect in accuracy.budget.items()}
+    largest_first = sorted(accuracy.budget.items(), key=lambda item: -sizes[item[0]])
+    rows = [(name, number(effect.delta_e), number(effect.optimum_um)) for name, effect in largest_first]
+    return Table("error budget", ("error of the default settings, one sensor", "mean ΔE", "optimum (µm)"), rows)
 
 
 def plots_of(accuracy: Accuracy) -> list[Plot]:

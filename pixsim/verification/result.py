@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.parameters import Run
+from pixsim.show.document import plain_text
 from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
 from pixsim.studies.budget import Calibration, Effect, ProbeDesign
@@ -163,6 +164,6 @@ class Accuracy:
         return notebook(accuracy_document(self))
 
     def __repr__(self) -> str:
-        from pixsim.verification.report import error_words
+        from pixsim.verification.report import answer
 
-        return f"<Accuracy of {self.name}: the default settings err by {error_words(self)}, in {self.shipped.seconds:.2g} s>"
+        return f"<Accuracy of {self.name}: {plain_text(answer(self).head)}>"

@@ -12,19 +12,8 @@ from typing import Any
 
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import told_apart
+from pixsim.show.sentences import with_error
 from pixsim.viewer.causes import Cause
-
-MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
-
-
-def with_error(value: float, error: float) -> str:
-    """Return a ΔE and its uncertainty as text, to two digits of it, one above 0.01.
-
-    >>> with_error(0.12345, 0.0021), with_error(0.9731, 0.62)
-    ('0.1235 ± 0.0021', '1.0 ± 0.6')
-    """
-    decimals = MOST_DECIMALS if error <= 0 else min(max(-math.floor(math.log10(error)) + (error < FINE), 1), MOST_DECIMALS)
-    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
 
 
 def cause_words(causes: Sequence[Cause]) -> str:

@@ -56,11 +56,12 @@ from pixsim.sensor.readout import (
     sample_sensor,
 )
 from pixsim.sensor.unused import Configuration, warn_of_unused_settings
+from pixsim.show.document import pairs
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import rows_csv
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
-from pixsim.show.render import html_cell
-from pixsim.show.sentences import rounded, settings_line
+from pixsim.show.render import cell_of
+from pixsim.show.sentences import rounded, sentence, settings_line
 from pixsim.viewer import display as displays
 from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.colour_matrix import metamerism_index
@@ -156,17 +157,16 @@ class Score:
         return rows_csv([self.statistics()], path)
 
     def _repr_html_(self) -> str:
-        rows = [(name, f"{value:.6g}") for name, value in self.statistics().items()]
         title = f"{self.physics.pitch_um:g} µm pixels, mean ΔE {self.light.shown(self.mean_delta_e)}"
         given = self.physics.pixel.model_dump(exclude_unset=True, exclude_none=True)
         notes = [
             "One frame of one sensor: how much others differ is told by pixsim.study, whose means have 95 % intervals.",
             f"Pixel: {settings_line(given)}; all else is the default.",
-            *(f"{str(cause)[0].upper()}{str(cause)[1:]}." for cause in self.light.causes),
+            *(sentence(str(cause)) for cause in self.light.causes),
             *(f"Not converged: {reason}." for _, reason in self.light.errors(self.mean_delta_e)),
             *([f"Light: {missing}; pixsim run and pixsim.study measure both."] if (missing := self.light.unmeasured) else []),
         ]
-        return html_cell(title, ("", ""), rows, self.plot(), notes)
+        return cell_of(title, self.plot(), pairs("statistics", self.statistics(), ".6g"), *notes)
 
     def __repr__(self) -> str:
         words = [f"{self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms", self.light.unmeasured]

@@ -37,7 +37,8 @@ def run_result(
     prepared.asked = prepared.settings
     physics, border = SimpleNamespace(pitch_um=pitch_um), (border_um, border_um)
     score: Any = SimpleNamespace(frame=SimpleNamespace(**frame), physics=physics, border_um=border, mean_delta_e=delta_e[0])
-    rendered: Any = film and SimpleNamespace(film=SimpleNamespace(as_dict=lambda: film))
+    noise = SimpleNamespace(fraction=header.get("render_noise", {}).get("fraction", 0.0))
+    rendered: Any = film and SimpleNamespace(film=SimpleNamespace(as_dict=lambda: film), noise=noise)
     light: Any = SimpleNamespace(header=header)
     chain: Any = SimpleNamespace(rendition=None)
     statistics = tuple({"mean_delta_e": value} for value in delta_e)

@@ -448,7 +448,7 @@ def test_captions_answer_with_the_numbers_drawn(evidence: Evidence, plates: dict
     answers = {name: answer_and_rest(plate.caption)[0] for name, plate in plates.items()}
     assert all(re.search(r"\d", answer) and answer.endswith(".") for answer in answers.values()), answers
     curve = evidence.result.curves[0]
-    assert f"least at {curve.optimum.pitch_um:.2f} µm ({curve.label}; 95 %: " in answers["delta_e_against_pitch"]
+    assert f"{curve.label}: optimal pixel size {curve.optimum.pitch_um:.2f} µm (95 %: " in answers["delta_e_against_pitch"]
     rows = plates["figure_2a_dr_snr"].table["dr_paper_db"]
     assert f"from {rows[0]:.1f} to {rows[-1]:.1f} dB" in answers["figure_2a_dr_snr"]
     errors = {pitch_um: float(evidence.maps[pitch_um].mean()) for pitch_um in evidence.maps}

@@ -69,9 +69,8 @@ def test_write_report_matches_summary(made: tuple[StudyResult, Path]) -> None:
         blur = blur_words(result.irradiance, result.camera, physics, result.study.display)
         assert f"Blur of {best['pitch_um']:.2f} µm pixels, {label_of(curve['technology'])}. {blur}" in words
         (low, high), (from_um, to_um) = best["interval_um"], best["within_1_percent_um"]
-        assert f"{best['pitch_um']:.2f} µm, 95 % interval {low:.2f} to {high:.2f} µm." in words
-        assert f"Sizes within 1 % of its error: {from_um:.2f} to {to_um:.2f} µm." in words
-        assert f"Mean ΔE there: {best['mean_delta_e']:.3f}" in words
+        head = f"{label_of(curve['technology'])}: optimal pixel size {best['pitch_um']:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)"
+        assert f"{head}, mean ΔE {best['mean_delta_e']:.3f}; within 1 % of it: {from_um:.2f} to {to_um:.2f} µm" in words
         for pitch_um, delta_e in zip(curve["pitch_um"], curve["mean_delta_e"], strict=True):
             assert f"{pitch_um:.3f}" in words
             assert f"{delta_e:.4f}" in words
@@ -84,8 +83,8 @@ def test_write_report_minimum_at_end_is_not_best(made: tuple[StudyResult, Path],
     at_the_end = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False, pitch_um=15.0)))
     pixsim.write_report(replace(result, curves=(at_the_end,)), tmp_path, {})
     words = words_of(tmp_path)
-    assert "No best pixel size, 0.35um, between 5.30 and 15.00 µm" in words
-    assert "Best pixel size" not in words
+    assert "0.35um: no optimum between 5.30 and 15.00 µm; the error is smallest at 15.00 µm, the end of the range" in words
+    assert "optimal pixel size" not in words
 
 
 def figures(folder: Path) -> dict[str, bytes]:
@@ -123,7 +122,7 @@ def test_write_report_equal_file_names_are_numbered(made: tuple[StudyResult, Pat
     names = {path.name for path in (tmp_path / "out/figures").iterdir()}
     for label in ("mine", "mine-2"):
         assert {f"contact_sheet_{label}.png", f"pictures_{label}.svg"} <= names
-        assert f"Best pixel size, {label}:" in " ".join(page.split())
+        assert f"{label}: optimal pixel size" in " ".join(page.split())
     assert str(tmp_path) not in page
     assert {f"figures/{name}" for name in names} <= report_files(study)
 
@@ -132,12 +131,12 @@ def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> No
     curve = made[0].curves[0]
     best = curve.optimum
     low, high = best.interval_um
-    assert f"0.35um: {best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in repr(made[0])
+    assert f"0.35um: optimal pixel size {best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in repr(made[0])
     sheet = replace(
         curve, technology="none", data_sheet=True, fit=replace(curve.fit, optimum=replace(best, inside=False, pitch_um=15.0))
     )
     result = replace(made[0], curves=(sheet,))
-    assert repr(result).endswith("data sheet: no optimum between 5.30 and 15.00 µm, ΔE is least at 15.00 µm>")
+    assert "data sheet: no optimum between 5.30 and 15.00 µm; the error is smallest at 15.00 µm, the end" in repr(result)
     assert sheet.as_dict()["optimum_features"] is None
     assert made[0].as_dict()["curves"][0]["optimum_features"] == pytest.approx(best.pitch_um / 0.35)
     names = [plate.name for plate in plates_of_curves(replace(made[0], curves=(curve, sheet)), curve)]
@@ -158,7 +157,7 @@ def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_pat
     result = made[0]
     times_s = np.concatenate([curve.statistics["integration_s"].ravel() for curve in result.curves])
     assert (times_s == 0.1).all(), "so dim that all frames take the longest that is allowed"
-    assert "Light: display white is 100 cd/m² in the scene; exposed for 100 ms." in words_of(made[1])
+    assert "display white is 100 cd/m² in the scene; exposed for 100 ms." in words_of(made[1])
     table = text_of(made[1]).partition("<caption>scene</caption>")[2].partition("</table>")[0]
     cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>.*?</tr>", table)]
     message = {cell[0]: cell[1:] for cell in cells}
@@ -249,5 +248,5 @@ def test_study_page_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> No
     page = text_of(made[1])
     headings = [html.unescape(item) for item in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]
     assert len(headings) > 8
-    message = [TITLE, f"{best.pitch_um:.2f} µm, 95 % interval", "smallest, 5.30 µm", "largest, 15.00 µm", "Assumptions"]
+    message = [TITLE, f"optimal pixel size {best.pitch_um:.2f} µm (95 %", "smallest, 5.30 µm", "largest, 15.00 µm", "Assumptions"]
     assert_prints(made[1] / "report.html", tmp_path, range(8, 16), message, headings, [item for item in headings if ": " in item])

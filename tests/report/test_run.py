@@ -22,12 +22,12 @@ from pixsim.light.exr import read_channels, write_channels
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.outline import outline_document, run_outline
 from pixsim.report.run import FILES, colour_rows, shown_picture
-from pixsim.report.wording import lens_words
 from pixsim.scene.film import PATH_SAMPLES
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, factor_for, reduced
 from pixsim.studies.run import prepare
+from pixsim.studies.sentences import lens_words
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
 LENS = "--camera.f-number 2.8"
@@ -336,7 +336,7 @@ def test_run_page_matches_score_json(ran: Path) -> None:
     for name in ("full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e", "p99_delta_e", "max_delta_e"):
         assert f"<td>{float(f'{score[name]:.5g}'):.15g}</td>" in page, name  # without an exponent
     assert "256 × 256 pixels of 10.6 µm (0.35um) on 2.714 × 2.714 mm" in page
-    assert "3.86 mm at f/4" in page
+    assert "3.86 mm f/4" in page
     assert f"exposed for {1e3 * score['integration_s']:.3g} ms" in page
     assert "display white is 1000 cd/m² in the scene; exposed for" in page
     assert (
@@ -528,7 +528,7 @@ def test_run_page_prints(ran: Path, tmp_path: Path) -> None:
     headings = re.findall(r"<h2[^>]*>(.*?)</h2>", text_of(ran))
     assert len(headings) == 6
     score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
-    message = [f"Mean ΔE {coarse_mean(score)}", "score.json", "10.6 µm pixels"]
+    message = [f"mean ΔE {coarse_mean(score)}", "score.json", "10.6 µm pixels"]
     assert_prints(ran / "report.html", tmp_path, range(3, 7), message, headings, headings[:3])
 
 

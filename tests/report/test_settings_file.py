@@ -16,10 +16,10 @@ from helpers.tiny import COARSE, rows
 
 import pixsim
 from pixsim.base.config import packaged, read_toml
-from pixsim.report.wording import study_view_words
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.convergence import NO_TIME_LIMIT_S
 from pixsim.studies.result import StudyResult
+from pixsim.studies.sentences import study_view_words
 from pixsim.studies.study_file import load_study
 
 SHEET = """

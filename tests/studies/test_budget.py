@@ -14,7 +14,7 @@ import pytest
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.report.wording import budget_blocks
+from pixsim.report.wording import budget_section
 from pixsim.show.render import lines as lines_of
 from pixsim.studies import budget
 from pixsim.studies.budget import (
@@ -272,12 +272,12 @@ def test_budget_lines_are_aligned():
     budget = effects(calibration(), 512, 0.1, 1e-3, 1)
     sources = {name: {"delta_e": item.delta_e, "optimum_um": None} for name, item in budget.items()}
     message = {"tolerance_delta_e": 0.01, "met": True, "bounded": True, "settings": {"sensors": 2}, "sources": sources}
-    blocks = budget_blocks(message | {"total": {"delta_e": 0.5, "optimum_um": None}})
-    _, *lines = (line for block in blocks for line in lines_of(block))
+    _, words, *lines = lines_of(budget_section(message | {"total": {"delta_e": 0.5, "optimum_um": None}}))
+    assert words == "error budget for 0.01 ΔE (met), with sensors 2:"
     largest_first = sorted(SOURCES, key=lambda name: -(math.inf if math.isnan(budget[name].delta_e) else budget[name].delta_e))
     assert [line[2:23].rstrip() for line in lines] == [*largest_first, "total without display"]
-    assert lines[0][23:] == f" {max(item.delta_e for item in budget.values()):.1e} ΔE"
-    assert {line[23] for line in lines} == {" "}
+    assert lines[0][23:] == f"  {max(item.delta_e for item in budget.values()):.1e} ΔE"
+    assert {line[23:25] for line in lines} == {"  "}
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)

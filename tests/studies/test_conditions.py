@@ -8,6 +8,7 @@ import pytest
 from pixsim.base.parameters import Study
 from pixsim.report.axes import conditions_plate, conditions_table
 from pixsim.report.wording import compromise_answer
+from pixsim.show.document import plain_text
 from pixsim.studies.conditions import compromise, compromises_of, weighted_mean
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import Curve
@@ -158,7 +159,7 @@ def test_conditions_plate_and_tables_have_the_numbers() -> None:
     assert found.regret is not None
     plate = conditions_plate(found, 1)
     assert plate.name == "conditions_1"
-    assert plate.caption.startswith("For day, night, never together (data sheet), 5.44 µm has the least weighted mean ΔE")
+    assert plate.caption.startswith("Data sheet: least weighted mean ΔE ")
     for size in (found.best.pitch_um, found.regret.pitch_um, found.curves[0].optimum.pitch_um):
         assert f"{size:.2f} µm" in plate.caption
     assert plate.table["condition"] == ["day"] * 9 + ["night"] * 9 + ["never"] * 9
@@ -166,7 +167,7 @@ def test_conditions_plate_and_tables_have_the_numbers() -> None:
     assert table["pixel_of"] == ["day", "night", "never", "least weighted mean ΔE", "least worst regret"]
     assert table["pitch_um"][3:] == [found.best.pitch_um, found.regret.pitch_um]
     assert table["worst_regret_delta_e"][4] == found.regret.delta_e
-    line = "; ".join(map(str, ((answer := compromise_answer(found)).head, *answer.below)))
+    line = "; ".join(map(plain_text, ((answer := compromise_answer(found)).head, *answer.below)))
     assert (
         f"least worst regret {found.regret.delta_e:.3f} ΔE, in {found.regret.condition}, at {found.regret.pitch_um:.2f} µm" in line
     )

@@ -10,9 +10,9 @@ import pytest
 from helpers.sheets import sheet
 
 import pixsim
-from pixsim.report.wording import optimum_line
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.studies.result import StudyResult
+from pixsim.studies.sentences import optimum_line
 from pixsim.studies.viewing import Viewing
 
 OPTIONS: dict[str, Any] = {"resolution": 128, "repeats": 2, "jobs": 1, "refine": False, "parameters": {MAX_LP_PER_MM: 20.0}}

@@ -20,7 +20,6 @@ import pixsim
 from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, LensOptions
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
-from pixsim.report.wording import film_words, optimum_line
 from pixsim.scene.convergence import RenderNoise
 from pixsim.scene.film import MAX_ACROSS
 from pixsim.scene.plan import make_plan
@@ -29,6 +28,7 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.film_error import measured_places
 from pixsim.studies.oversampling import FilmError, film_steps, measure_film, render_on_film
 from pixsim.studies.result import StudyResult
+from pixsim.studies.sentences import film_words, optimum_line
 from pixsim.viewer.imaging import Imaging
 
 # --- Parts of large pictures ---

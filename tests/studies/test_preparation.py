@@ -21,17 +21,17 @@ import pixsim
 from pixsim.base.parameters import PixelOptions, Run, Study
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.report.outline import run_outline, study_outline
-from pixsim.report.wording import optimum_line
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import packaged_scenes
 from pixsim.studies.cost import Cost, cases_cost, study_cost, window_within
 from pixsim.studies.lights import render_for
-from pixsim.studies.optimum import fit_curve
+from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, fit_curve
 from pixsim.studies.preparation import BYTES_PER_PIXEL, MAX_FRAME_BYTES, choose_view, fitted_range, prepare
-from pixsim.studies.result import NO_VISIBLE_DELTA_E, WIDE_RATIO, Curve, best_words
+from pixsim.studies.result import WIDE_RATIO, Curve
 from pixsim.studies.run import prepare as prepare_run
 from pixsim.studies.sampling import study_pitches_um
+from pixsim.studies.sentences import optimum_line, optimum_words
 from pixsim.studies.study_file import load_study
 from pixsim.viewer.score import SCENE_CACHE_BYTES
 
@@ -336,14 +336,11 @@ def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() 
     fitted = f"the fitted curve has its minimum outside them, at {steep.optimum.pitch_um:.2f} µm, which more"
     assert f"from {low:.3g} to {high:.3g} µm; {least}; {fitted}" in line
     assert "within 1 %" not in line
-    assert (
-        f"{steep.optimum.pitch_um:.2f} µm (data sheet, by the fitted curve alone; 95 %: unknown beside the steep flank)"
-        in best_words([steep])
-    )
+    assert f"from {low:.3g} to {high:.3g} µm; {least}" in optimum_words([steep])
     even = curve_through(np.geomspace(1.0, 16.0, 9), 0.2 + np.array([0.5, 0.2, 0.03, 0.01, 0.0, 0.01, 0.02, 0.2, 0.5]), 1e-6)
     assert "mean ΔE is least" in optimum_line(even)
     assert "outside" not in optimum_line(even)
-    assert "fitted curve" not in best_words([even])
+    assert "fitted curve" not in optimum_words([even])
 
 
 def test_no_difference_um_narrow_range_is_not_named() -> None:
@@ -364,7 +361,7 @@ def test_study_line_says_that_sizes_look_alike(tiny_result: pixsim.study) -> Non
         "data sheet: no visible difference (< 0.05 ΔE) between sizes from 1.4 to 10 µm, all sizes tried; mean"
     )
     assert curve.as_dict()["no_visible_difference_um"] == (1.4, 10.0)
-    assert "no visible difference between sizes from 1.4 to 10 µm" in repr(replace(tiny_result, curves=(curve,)))
+    assert "no visible difference (< 0.05 ΔE) between sizes from 1.4 to 10 µm" in repr(replace(tiny_result, curves=(curve,)))
     assert "no visible" not in optimum_line(tiny_result.curves[0])
 
 

@@ -75,7 +75,7 @@ def test_study_result_repr_html_escapes_markup(result: StudyResult) -> None:
         best = curve.optimum
         assert curve.technology in message
         assert f"{best.mean_delta_e:.3f} ({best.mean_delta_e_interval[0]:.3f} to " in message
-        assert (f"{best.pitch_um:.2f}" in message) if best.inside else ("none between 5.3 and 15" in message)
+        assert (f"{best.pitch_um:.2f}" in message) if best.inside else (f"none; least at {best.pitch_um:.2f}" in message)
     assert image_of(cell).startswith("<?xml")
 
 

@@ -60,7 +60,7 @@ def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
 
 
 def test_result_is_shown_and_written_as_a_table(made: RunResult, tmp_path: Path) -> None:
-    assert repr(made) == f"<RunResult csf: mean ΔE {made.shown_mean} with 128 × 128 pixels of 21.2 µm>"
+    assert repr(made).startswith(f"<RunResult csf: mean ΔE {made.shown_mean}, with 128 × 128 pixels of 21.2 µm, exposed for ")
     page = made._repr_html_()
     assert made.shown_mean in page
     assert all(note.partition(":")[0] in page for note in made.notes)

@@ -16,7 +16,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, Run, Study
 from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import collected_shares
-from pixsim.report.axes import optima_table
+from pixsim.report.axes import optima_columns
 from pixsim.report.maps import axis_plates
 from pixsim.studies.budget import ProbeDesign, pitch_range_um
 from pixsim.studies.optimum import fit_curve
@@ -67,7 +67,7 @@ def test_study_of_bare_and_lensed_pixels_marks_the_lensed_ones(tmp_path: Path) -
     assert lensed.fresnel_number is not None
     assert lensed.fresnel_at(7.0) == pytest.approx(lensed.fresnel_number[1], rel=1e-12)
     assert "fresnel_number" not in bare.as_dict()
-    table = optima_table(result)["fresnel_number"]
+    table = optima_columns(result)["fresnel_number"]
     assert table[0] == ""
     assert table[1] == pytest.approx((lensed.optimum.pitch_um / lensed.doubtful_below_um) ** 2)
     for plate in axis_plates(result):

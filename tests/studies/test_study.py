@@ -25,12 +25,12 @@ from pixsim.base.config import packaged, read_toml
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import merge
 from pixsim.report.study import light_against_detail, report_files
-from pixsim.report.wording import optimum_line
 from pixsim.sensor.readout import Frame
 from pixsim.studies import evaluations as rows_module
 from pixsim.studies.pixels import imaging_of, technology_of
 from pixsim.studies.preparation import prepare
 from pixsim.studies.result import StudyResult
+from pixsim.studies.sentences import optimum_line
 from pixsim.studies.study_file import load_study
 from pixsim.viewer.score import ImagingChain, SceneCache
 

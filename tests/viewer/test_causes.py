@@ -20,11 +20,11 @@ from scipy.integrate import quad
 import pixsim
 from pixsim.base.parameters import Camera, Display, Pixel
 from pixsim.light.spectral import SpectralImage, Spectrum
-from pixsim.report.wording import optimum_line, unsure_lines
 from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.outside import OUTSIDE, outside_header, outside_share
 from pixsim.sensor.pixel import derive
+from pixsim.studies.sentences import optimum_line, unsure_words
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.light_error import LightError
 
@@ -226,8 +226,8 @@ def test_largest_cause_is_named_first() -> None:
     dark = {"lightness": 1.0, "too_bright_e": 50.0, "spread_e": 1.0, "spread_dn": 1.0, "at_zero_fraction": 0.5, "gain_db": 0.0}
     dark |= {"least_black_level_dn": 9}
     result = run_result([4.0], header, causes=[left_out], dark=dark)
-    assert [line.split()[0] for line in unsure_lines(result)] == ["not", "light"]  # 2.5 and 2 ΔE, and 1 of the black level
-    more = unsure_lines(run_result([4.0], header, causes=[left_out], dark=dark | {"lightness": 2.2}))
+    assert [line.split()[0] for line in unsure_words(result)] == ["not", "light"]  # 2.5 and 2 ΔE, and 1 of the black level
+    more = unsure_words(run_result([4.0], header, causes=[left_out], dark=dark | {"lightness": 2.2}))
     assert [line.split()[0] for line in more] == ["not", "the", "light"]
     assert result.shown_mean == "4.000 (light left out), not converged"
 
@@ -244,7 +244,7 @@ def test_run_names_the_cause_in_line_page_and_json(tmp_path: Path) -> None:
     assert first["words"].endswith("of a step of the ADC above black")
     line, second, *_ = out.splitlines()
     assert line.startswith(f"mean ΔE {score['mean_delta_e']:.1f} ({first['words']}) ± ")
-    assert second == score["notes"][0] == f"{first['words']}: {first['hint']}"
+    assert second.strip() == score["notes"][0] == f"{first['words']}: {first['hint']}"
     assert f"({first['words']})" in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "--pixel.bits" in first["hint"]
 

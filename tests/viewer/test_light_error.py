@@ -10,12 +10,13 @@ from helpers.runs import run_result
 
 import pixsim
 from pixsim.base.caller import command_line
-from pixsim.report.wording import optimum_line, score_parts, study_light_words
+from pixsim.show.document import plain_text
+from pixsim.show.sentences import with_error
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
-from pixsim.studies.unconverged import study_unconverged_lines, unconverged_lines
-from pixsim.viewer.light_error import LightError, with_error
+from pixsim.studies.sentences import optimum_line, score_parts, study_light_words, study_unconverged, unconverged
+from pixsim.viewer.light_error import LightError
 
 NOISY = {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}
 QUIET = NOISY | {"fraction": 0.2, "ended_by": "target"}  # at its target
@@ -44,10 +45,10 @@ def of_run(noise: dict[str, Any] | None, film: FilmError | None, sensors: int = 
 def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
     result = of_run(noise, film)
     assert result.shown_mean == shown
-    lines = unconverged_lines(result.irradiance.header, result.film)
+    lines = unconverged(result.irradiance.header, result.film)
     assert len(lines) == bool(reasons)
     assert all(reason in line for line in lines for reason in reasons)
-    assert score_parts(result)[0].startswith(f"mean ΔE {shown}{',' * bool(reasons)} with 8 × 8 pixels")
+    assert plain_text(score_parts(result)[0]).startswith(f"mean ΔE {shown}{',' * bool(reasons)} with 8 × 8 pixels")
 
 
 @pytest.mark.parametrize(
@@ -67,14 +68,14 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
 def test_unconverged_result_says_what_makes_it_surer(noise, limit, means, others):
     result = of_run(noise, replace(COARSE, limit=limit))
     with command_line():
-        (line,) = unconverged_lines(result.irradiance.header, result.film)
+        (line,) = unconverged(result.irradiance.header, result.film)
     assert all(words in line for words in [*means, "(--window, in mm)"])
     assert not any(words in line for words in others)
 
 
 def test_picture_of_a_render_is_not_made_surer_by_options():
     """A run of an irradiance.exr: neither the time limit nor the window changes what was rendered."""
-    (line,) = unconverged_lines({"render_noise": NOISY}, None)
+    (line,) = unconverged({"render_noise": NOISY}, None)
     assert line.endswith("To be surer: a render of its own, with more samples")
 
 
@@ -84,7 +85,7 @@ def test_error_budget_decides_where_there_is_one(met):
     budget = {"met": met, "total": {"delta_e": 0.03}}
     result = of_run(NOISY, COARSE, 3, budget=budget)
     assert result.shown_mean == "0.9731 ± 0.03 over 3 sensors" + ("" if met else ", not converged")
-    assert len(unconverged_lines(result.irradiance.header, result.film, budget)) == (not met)
+    assert len(unconverged(result.irradiance.header, result.film, budget)) == (not met)
 
 
 @pytest.mark.parametrize("found", ["loud", 1.0, [], {}, {"fraction": "a lot", "target": 0.2}, {"fraction": 3.0}])
@@ -122,12 +123,12 @@ def test_study_shows_the_errors_of_its_light(tiny_result: StudyResult):
     film = replace(COARSE, pitch_um=ends_um, limit="set by --resolution")  # 0.4 in the middle of 0.6 and 0.2
     for error, of_error in ((film, "± 0.4 (film), not converged"), (replace(FINE, pitch_um=ends_um), None)):
         shown = replace(tiny_result, irradiance=quiet, curves=(curve,), film=error)
-        lines = study_unconverged_lines(shown)
-        found = [optimum_line(shown.curves[0]), shown._repr_html_()] + ([] if shown.curves[0].alike_um else [repr(shown)])
+        lines = study_unconverged(shown)
+        found = [optimum_line(shown.curves[0]), shown._repr_html_(), repr(shown)]
         assert len(lines) == bool(of_error)
         assert all((of_error or "not converged") in words for words in found) == bool(of_error)
     noisy = replace(shown, irradiance=quiet.with_planes(quiet.planes, header=header))
-    assert all("not converged" in words for words in (repr(noisy), optimum_line(noisy.curves[0]), *study_unconverged_lines(noisy)))
+    assert all("not converged" in words for words in (repr(noisy), optimum_line(noisy.curves[0]), *study_unconverged(noisy)))
 
 
 def test_study_states_its_field_and_exposure(tiny_result: StudyResult):

@@ -1,0 +1,370 @@
+"""Sentences about results: the optimum, how sure a mean ΔE is, and the light, the film and the display behind it.
+
+Each fact has one wording, of which a terminal, a page, a notebook and a caption take what they have room for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pixsim.base.caller import setting
+from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.notes import told_apart
+from pixsim.base.parameters import Camera, Display
+from pixsim.scene.convergence import RENDER_NOISE, what_reaches
+from pixsim.show.document import Fact, Strong, Table, Text, has_room, headline, joined, plain_text
+from pixsim.show.sentences import few, interval, span, with_ends
+from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
+from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
+from pixsim.viewer.light_error import LightError
+from pixsim.viewer.score import rounded_up
+
+if TYPE_CHECKING:
+    from pixsim.studies.result import Curve, StudyResult
+    from pixsim.studies.run import RunResult
+
+SATURATED_SHOWN = 0.01
+FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel
+LEAST_RISE = 0.1  # per cent, of a curve to an end of its range: a fit says no more
+
+# --- the optimum of a curve ------------------------------------------------------------------------------------------------------
+
+
+def optimum_parts(curve: Curve) -> list[Text]:
+    """Return the optimum of a curve with its interval and the sizes within 1 % of its error, if the film can tell sizes apart.
+
+    Where a wide range of sizes shows no visible difference, that range comes first. What the optimum is on other displays follows.
+    The parts are those of a `headline`.
+    """
+    first, *others = _optimum_parts(curve)
+    viewed = (viewed_words(curve, inside) for inside in (True, False))
+    return [joined([f"{curve.label}: ", first], ""), *others, *filter(None, viewed)]
+
+
+def optimum_line(curve: Curve) -> str:
+    """Return `optimum_parts` as one text."""
+    return plain_text(joined(optimum_parts(curve)))
+
+
+def optimum_words(curves: Sequence[Curve]) -> str:
+    """Return the headline of a curve as text, or the first part of that of each of several."""
+    if len(curves) == 1:
+        return plain_text(headline(optimum_parts(curves[0])).head)
+    return plain_text(joined(optimum_parts(curve)[0] for curve in curves))
+
+
+def _optimum_parts(curve: Curve) -> list[Text]:
+    """Return `optimum_parts` on the chosen display, without the label."""
+    if curve.alike_um:
+        return [alike_words(curve), f"least mean ΔE {curve.light.shown(curve.mean().min())}"]
+    best, interval = curve.optimum, f"95 %: {interval_words(curve)}"
+    within = f"within 1 % of it: {within_words(best.within_1_percent_um, curve)}"
+    if words := no_difference_words(curve):
+        if outside := outside_words(curve):
+            return [(Strong(words),), *outside]
+        size = "" if best.inside else ", the end of the range"
+        least = f"least {curve.light.number(best.mean_delta_e)} at {best.pitch_um:.2f} µm{size} ({interval})"
+        unsure = "" if curve.light.converged else f", {NOT_CONVERGED}"
+        return [(Strong(words),), f"mean ΔE is {least}{unsure}", within]
+    size_um, mean = f"{best.pitch_um:.2f} µm", f"mean ΔE {curve.light.shown(best.mean_delta_e)}"
+    if best.inside:
+        first = "optimal pixel size ", Strong(size_um)
+        whole = (*first, f" ({interval}), {mean}")
+        if has_room([joined([f"{curve.label}: ", whole], "")]):
+            return [whole, within]
+        return [first, mean, interval, within]  # a headline rather names the cause of a mean ΔE than the interval
+    ends = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
+    return [ends, f"the error is smallest at {size_um}, the end of the range ({interval}), {mean}", within]
+
+
+def optima_table(curves: Sequence[Curve]) -> Table:
+    """Return the optimum of each curve, as a page and a notebook list them."""
+    rows, partly = [], any(map(is_partly_filled, curves))
+    for curve in curves:
+        best = curve.optimum
+        size = f"{best.pitch_um:.2f}" if best.inside else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
+        sure = curve.light.converged and not curve.causes
+        within = (within_words(ends, curve) for ends in (best.within_1_percent_um, best.within_2_percent_um))
+        rows.append(
+            (
+                curve.label,
+                alike_words(curve) if curve.alike_um else size,
+                interval_words(curve),
+                with_ends(best.mean_delta_e, best.mean_delta_e_interval, ".3f") if sure else curve.light.shown(best.mean_delta_e),
+                *within,
+                *([f"{100 * curve.optimum_fill_factor:.0f}"] * partly),
+            )
+        )
+    head = ("pixel", "optimum (µm)", "95 % interval", "mean ΔE (95 %)", "within 1 % of it", "within 2 %")
+    return Table("optima", (*head, *["fill factor (%)"] * partly), rows, words=None)
+
+
+def is_partly_filled(curve: Curve) -> bool:
+    """Return whether the photodiode leaves out a part of a pixel."""
+    return bool(curve.fill_factor.min() <= FILLED)
+
+
+def alike_words(curve: Curve) -> str:
+    """Return why no optimum is named: the pitches that the film cannot tell apart."""
+    assert curve.alike_um is not None
+    low_um, high_um = curve.alike_um
+    return f"no optimum: the film cannot tell apart sizes from {low_um:.2f} to {high_um:.2f} µm"
+
+
+def no_difference_words(curve: Curve) -> str:
+    """Return the range of sizes that look alike, as text; empty if it is narrow."""
+    if curve.no_difference_um is None:
+        return ""
+    low, high = curve.no_difference_um
+    whole = ", all sizes tried" if (low, high) == (curve.pitch_um[0], curve.pitch_um[-1]) else ""
+    return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to {high:.3g} µm{whole}"
+
+
+def outside_words(curve: Curve) -> list[str]:
+    """Return where the fitted curve is least, in parts, if that is outside the sizes that look alike; empty otherwise.
+
+    The best size tried is among those.
+    """
+    if not curve.fit_swings:
+        return []
+    best, mean = curve.optimum, curve.mean()
+    least = f"{curve.light.shown(mean.min())} at {curve.pitch_um[mean.argmin()]:.2f} µm"
+    fitted = f"the fitted curve has its minimum outside them, at {best.pitch_um:.2f} µm"
+    return [f"least mean ΔE of the sizes tried {least}", f"{fitted}, which more pixel sizes there would confirm or not"]
+
+
+def interval_words(curve: Curve) -> str:
+    """Return the 95 % interval of a curve's optimum as text, naming an open end; none where the fit swings."""
+    if curve.fit_swings:
+        return "unknown beside the steep flank"
+    low, high = curve.optimum.interval_um
+    first, last = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
+    if (low is None) == (high is None):
+        return interval((low, high))
+    if low is None and high is not None:
+        if high <= first:
+            return "at or below the smallest size tried"
+        size = "smallest possible size" if curve.from_smallest else "smallest size tried"
+        return f"{interval((low, high))}, {flat_words(curve, 0, size) or 'no lower limit among the sizes tried'}"
+    if low is not None and low >= last:
+        return "at or above the largest size tried"
+    return f"{interval((low, high))}, {flat_words(curve, -1, 'largest size tried') or 'no upper limit among the sizes tried'}"
+
+
+def flat_words(curve: Curve, end: int, size: str) -> str:
+    """Return how little the fitted curve rises from a minimum inside the range to one of its ends; empty if it is at an end.
+
+    end : 0 or -1
+    size : that of this end, in words
+    """
+    best = curve.optimum
+    if not best.inside or not best.mean_delta_e > 0:
+        return ""
+    percent = 100 * (float(curve.fit.delta_e[end]) / best.mean_delta_e - 1)
+    return f"flat to the {size}: within {rounded_up(max(percent, LEAST_RISE), 2):g} %"
+
+
+def within_words(ends: tuple[float | None, float | None], curve: Curve) -> str:
+    """Return a range of pitches as text, naming an end at the smallest or the largest pitch tried."""
+    low, high = ends
+    first = f"≤ {curve.pitch_um[0]:.2f} µm (smallest tried)" if low is None else f"{low:.2f}"
+    last = f"≥ {curve.pitch_um[-1]:.2f} µm (largest tried)" if high is None else f"{high:.2f} µm"
+    return f"{first} to {last}"
+
+
+def viewed_words(curve: Curve, inside: bool = True) -> str:
+    """Return the optima under the viewings of the range as text, or under those outside it; empty without any."""
+    own = [each for each in curve.viewed if each.inside == inside]
+    if not own:
+        return ""
+    optima = [each.optimum for each in own] + ([curve.optimum] if inside else [])
+    sizes = sorted(best.pitch_um for best in optima)
+    range_um = span(sizes[0], sizes[-1], ".2g", " µm")
+    each_one = ", ".join(
+        f"{each.optimum.pitch_um:.2g} µm on {each.viewing}{'' if each.optimum.inside else ' (an end of the range of sizes)'}"
+        for each in own
+    )
+    where = "in the range of viewing" if inside else "on other displays than the one stated"
+    return f"{where} the best size goes from {range_um}: {each_one}" if " to " in range_um else f"{where} it is {range_um} too"
+
+
+# --- how sure a mean ΔE is -------------------------------------------------------------------------------------------------------
+
+
+def unconverged(
+    header: Mapping[str, Any], film: Mapping[str, Any] | None, budget: Mapping[str, Any] | None = None, mean_delta_e: float = 0.0
+) -> list[str]:
+    """Return a line on the errors of a result's light that are above their limits, and what makes them less; none without.
+
+    header : of the irradiance
+    film, budget : entries `film` and `error_budget` of score.json; a budget that is met holds all errors
+    mean_delta_e : whose largest error is named first
+    """
+    light = LightError.of(header, film)
+    if light.converged or (budget and budget["met"]):
+        return []
+    found = f"{NOT_CONVERGED}: {'; '.join(reason for _, reason in light.errors(mean_delta_e))}"
+    if film is None:
+        return [f"{found}. To be surer: a render of its own, with more samples"]
+    means, limit = [], film.get("limit", "")
+    if not light.film_is_met and "--resolution" in limit:
+        means.append(f"leaving out {setting('resolution')}")
+    if light.noise is not None and not light.noise_is_met:
+        times, seconds = what_reaches(light.noise, light.noise_target)
+        by_clock = header["render_noise"].get("ended_by") == "max_seconds"
+        longer = f"a longer {setting('max_seconds')}"
+        option = longer if by_clock else setting("max_seconds", f"{seconds:.15g}")
+        means.append(f"{option} (about {times:.15g} times as many samples)")
+    elif light.noise is not None and light.noise > RENDER_NOISE:  # which coarser films show too, so that it counts as their error
+        means.append(f"a lower {setting('render_noise')}")
+    elif not light.film_is_met and "--max-seconds" in limit:
+        means.append(f"a longer {setting('max_seconds')}")
+    surer = [" and ".join(means)] * bool(means)
+    window = f"a smaller part of the die ({setting('window_mm')}, in mm)"
+    return [f"{found}. To be surer: {', or '.join([*surer, window])}"]
+
+
+def study_unconverged(result: StudyResult) -> list[str]:
+    """Return the lines of `unconverged` of a study, each once, for the films at the best pixel sizes."""
+    lines = []
+    for curve in result.curves:
+        part = result.part_of(curve)
+        least = float(curve.mean().min())
+        lines.append(unconverged(part.irradiance.header, part.film_at_best(curve), part.budget, least))
+    return few(lines)
+
+
+def unsure_words(result: RunResult) -> list[str]:
+    """Return the lines that follow a run's mean ΔE: its causes and the errors of its light, the largest first.
+
+    A black level that clips dark noise is among them where it makes more than another one.
+    """
+    mean = result.score.mean_delta_e
+    lines = unconverged(result.irradiance.header, result.film, result.budget, mean)
+    sized = [(size, line) for (size, _), line in zip(result.light.errors(mean), lines, strict=False)]
+    sized += [(cause.delta_e, str(cause)) for cause in result.causes]
+    least = min((size for size, _ in sized), default=math.inf)
+    sized += [(size, note) for note in result.dark_notes if (size := result.dark["lightness"]) > least]
+    return [line for _, line in sorted(sized, key=lambda one: -one[0])]
+
+
+# --- what it belongs to ----------------------------------------------------------------------------------------------------------
+
+
+def score_parts(result: RunResult) -> list[Text]:
+    """Return the mean ΔE of a run, its pixels and its exposure, and how it is shown and rendered, as parts of a `headline`.
+
+    With a tolerance it is the mean over sensors and its error.
+    """
+    frame, settings, delta_e = result.score.frame, result.settings, ("mean ΔE ", Strong(result.shown_mean))
+    rows, columns = frame.pixels
+    border_um = result.score.border_um[1] if settings.display.raster == "fixed_size" else 0.0
+    border = f"{border_um:.3g} µm on each side not scored" if border_um else ""
+    exposure, time_s, saturated = settings.exposure, frame.integration_s, frame.saturated_fraction
+    longest = " (the maximum)" if exposure.integration_s is None and time_s >= exposure.max_integration_s else ""
+    full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
+    pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
+    exposed = f"exposed for {1e3 * time_s:.3g} ms{longest}{full}"
+    first = (*delta_e, f"{',' * (NOT_CONVERGED in result.shown_mean)} with {pixels}")
+    parts: list[Text] = [first, exposed] if has_room([first]) else [delta_e, pixels, exposed]
+    if has_room([whole := (*first, f", {exposed}")]):
+        parts = [whole]
+    shown = ", ".join(filter(None, (border, *run_view_words(result))))
+    film = film_words(result.film) if result.film else result.light.unmeasured
+    noise = "" if result.rendered is None else noise_words(result.rendered.noise.fraction)
+    return [*parts, "; ".join(filter(None, (shown, film, lens_words(result.camera), result.assumption, noise)))]
+
+
+def noise_words(fraction: float) -> str:
+    """Return the noise of a render as a fraction of the sensor's noise, in words."""
+    return f"render noise {fraction:.2g} of the sensor's noise" if fraction else "no render noise"
+
+
+def run_view_words(result: RunResult) -> list[str]:
+    """Return `view_words` of a run."""
+    settings, chosen = result.settings, result.prepared.view
+    return view_words(settings.display, result.irradiance.header, chosen, settings.window_mm, result.score.frame.pixels[1])
+
+
+def lens_words(camera: Camera) -> str:
+    """Return the real lens of a camera, the focal length to which it is scaled, and its field; empty for a thin lens."""
+    if camera.lens is None:
+        return ""
+    lens, name = camera.lens, Path(camera.lens.file).stem
+    return f"lens {name} scaled to {lens.focal_length_mm:.4g} mm, f/{lens.f_number:.3g}, a field of {camera.field_words}"
+
+
+def thin_lens_words(camera: Camera) -> str:
+    """Return the lens of a camera without a real one, and its field."""
+    return f"lens of {camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}, a field of {camera.field_words}"
+
+
+def film_words(film: dict[str, Any]) -> str:
+    """Return the film of a result, the largest error of mean ΔE that it may cause, and why it is not finer if that is too large."""
+    height, width = film["shape"]
+    words = f"film of {width} × {height} samples, its error"
+    if film["met"]:
+        return f"{words} at most {film['delta_e']:.1g} ΔE"
+    tolerated = min(film["tolerated_delta_e"])
+    if film["delta_e"] is None:
+        return f"{words} unknown, {tolerated:.2g} tolerated: {film['limit']}"
+    error, most = told_apart(film["delta_e"], tolerated, 1)
+    return f"{words} at most {error} ΔE, more than the {most} tolerated: {film['limit']}"
+
+
+def view_words(
+    display: Display, header: Mapping[str, Any], chosen: Mapping[str, Any], window_mm: float | None, columns: float | None = None
+) -> list[str]:
+    """Return how a sensor is shown: its pixels a dot, the window, and the end of a chart whose frequencies are not the paper's.
+
+    header : of the irradiance
+    chosen : of `choose_view`
+    columns : of its pixels
+    """
+    words = []
+    if display.raster == "fixed_size":
+        dots = f"shown on {display.dots} dots" + (" (from the sensor's pixels)" if "dots" in chosen else "")
+        a_dot = "" if columns is None else f"{columns / display.dots:.2g}"
+        words.append(f"{dots}, {a_dot} pixel{'s' * (a_dot != '1')} a dot" if a_dot else dots)
+    if (end := stated_end_lp_per_mm(header)) is not None:
+        limit = f", {chosen['limited_by']}" if "limited_by" in chosen else ""
+        words.append(f"chart to {end:.3g} lp/mm{limit}")
+    if window_mm:
+        words.append(f"only the central {window_mm:g} mm of the die are shown and scored")
+    return words
+
+
+def study_view_words(result: StudyResult) -> list[str]:
+    """Return a line on how a study of a data sheet's sensor or of a window is shown; none for other studies."""
+    study = result.study
+    if study.own_um is None and study.window_mm is None:
+        return []
+    columns = None if study.own_um is None else columns_on(result.camera, study.own_um)
+    words = "; ".join(view_words(study.display, result.irradiance.header, result.view, study.window_mm, columns))
+    if others := moved_view(study):
+        words += f", except where an axis or a condition sets {' or '.join(others)}"
+    own = "" if study.own_um is None else f" (pixels of {study.own_um:g} µm, as on the data sheet)"
+    return [f"{words}{own}"] if words else []
+
+
+def study_light_words(result: StudyResult) -> list[str]:
+    """Return a line on the lens of a study, its field, what is display white, and the exposure; in cases, as far as all have it."""
+    parts = result.cases
+    lenses, whites = [], []
+    for part in parts:
+        camera = part.camera
+        words = lens_words(camera) or thin_lens_words(camera)
+        lenses.append("; ".join(filter(None, (words, part.study.camera.assumption(camera).partition(":")[0]))))
+        whites.append(part.light_level)
+    light = whites[0]._replace(shortest_s=min(w.shortest_s for w in whites), longest_s=max(w.longest_s for w in whites))
+    shown = str(light) if len({each.white_cd_per_m2 for each in whites}) == 1 else f"exposed for {light.exposure}"
+    return ["; ".join([*(lenses[:1] if len(set(lenses)) == 1 else []), shown])]
+
+
+def study_facts(result: StudyResult) -> list[Fact]:
+    """Return what follows the optima of a study: causes, errors of its light, what it depends on, how its sensors are shown."""
+    words = [result.cause_notes, study_unconverged(result), study_light_words(result), study_view_words(result)]
+    return [Fact(text) for each in words for text in each]
