@@ -181,16 +181,16 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
     def write_frames(folder: Path) -> None:
         write_numbers(result, folder, raw_stem, files.formats, lambda number: progress and progress(number / frames))
 
-    end = scale_end(result.statistics[0]["p99_delta_e"])
-    pictures = {"ideal.png": light_png(score.ideal), "image.png": light_png(score.image)}
-    pictures["delta_e.png"] = delta_e_png(score.delta_e, picture_axes(irradiance, score.border_um), end)
+    def finish() -> Document:
+        end = scale_end(result.statistics[0]["p99_delta_e"])
+        pictures = {"ideal.png": light_png(score.ideal), "image.png": light_png(score.image)}
+        pictures["delta_e.png"] = delta_e_png(score.delta_e, picture_axes(irradiance, score.border_um), end)
+        settings = {SETTINGS_FILE: run_settings_text(result.prepared, irradiance)}
+        sections = *document.sections, *_sections(result, pictures, files)
+        return replace(document, sections=sections, files={**pictures, **settings})
+
     document = run_document(result)
-    return replace(
-        document,
-        sections=(*document.sections, *_sections(result, pictures, files)),
-        files={**pictures, SETTINGS_FILE: run_settings_text(result.prepared, irradiance)},
-        writers=(write_light, write_frames),  # the largest file by far first
-    )
+    return replace(document, writers=(write_light, write_frames), finish=finish)  # the largest file by far first
 
 
 def several_facts(result: RunResult) -> Iterator[Fact]:

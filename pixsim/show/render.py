@@ -214,10 +214,11 @@ def write(document: Document, folder: Path, provenance: dict[str, Any] | None = 
 
 def write_files(document: Document, folder: Path, figures: Figures = "svg") -> None:
     """Write all files of a document but their provenance to a new folder."""
-    drawn = (plot.drawn_as(figures).files for plot in document.plots)
-    plots = {f"{document.figures}/{name}": content for files in drawn for name, content in files.items()}
     with ThreadPoolExecutor(2) as pool:
         written = [pool.submit(make, folder) for make in document.writers]
+        document = document.finish() if document.finish else document
+        drawn = (plot.drawn_as(figures).files for plot in document.plots)
+        plots = {f"{document.figures}/{name}": content for files in drawn for name, content in files.items()}
         for name, content in {**plots, **document.files, document.page: html(document)}.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
