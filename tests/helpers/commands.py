@@ -79,6 +79,7 @@ def command(line: str, *words: object) -> tuple[int, str, str]:
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(warnings, "showwarning", warnings.showwarning)  # main() sets it
         patch.setattr(verbosity, "__dict__", vars(verbosity).copy())
+        patch.setenv("COLUMNS", os.environ.get("COLUMNS", "160"))  # tables are as wide as the terminal, if there is one
         patch.setattr(pydantic, "TypeAdapter", quick_adapter)
         patch.setattr(_collection, "_resolve_groups_from_callable", quick_groups)
         patch.setattr(Arguments, "_from_callable", quick_arguments)
