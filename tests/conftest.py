@@ -48,7 +48,12 @@ def pytest_collection_finish() -> None:
 def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         # Pictures, compiled kernels and the list of fonts are the same for all processes of a run.
-        for variable, name in ((FOLDER_VARIABLE, "cache"), ("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
+        for variable, name in (
+            (FOLDER_VARIABLE, "cache"),
+            ("DRJIT_CACHE_DIR", "kernels"),
+            ("MPLCONFIGDIR", "matplotlib"),
+            ("DASK_TEMPORARY_DIRECTORY", "dask"),
+        ):
             folder = shared_folder(tmp_path_factory) / name
             folder.mkdir(exist_ok=True)
             patch.setenv(variable, str(folder))
@@ -84,18 +89,6 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     """A study of one technology with the comparison to the paper, on a display slightly larger than a detail."""
     own = merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 512, "paper": True})
     return pixsim.study(tiny(**own), tmp_path_factory.mktemp("tiny"), jobs=1)
-
-
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures of pages are empty: to draw them takes most of the time of a small study."""
-    monkeypatch.setattr("pixsim.show.pages.svg_text", lambda _: '<svg xmlns="http://www.w3.org/2000/svg"/>')
-
-
-@pytest.fixture
-def unpaged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages of studies have neither figures nor pictures, which take longer than the small study that they are of."""
-    monkeypatch.setattr("pixsim.report.study.draw_section", lambda section, _, figures: (section, [], None, []))
 
 
 @pytest.fixture

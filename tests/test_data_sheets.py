@@ -28,7 +28,6 @@ from pixsim.studies.pixels import technology_of
 from pixsim.studies.preparation import check_technologies, prepare
 from pixsim.studies.study_file import load_study
 
-pytestmark = pytest.mark.usefixtures("undrawn")
 SHEET: dict[str, Any] = {
     "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,
     "bits": 12, "prnu": 0.01, "offset_fpn": 0.001,

@@ -32,7 +32,6 @@ from pixsim.studies.study import warn_of_idle_axes
 from pixsim.studies.study_file import load_study
 from pixsim.viewer.score import ImagingChain
 
-pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
 LIGHT = "scene.parameters.luminance_cd_per_m2"
 LENS = {
     "name": "lens",
