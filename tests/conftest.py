@@ -79,7 +79,7 @@ def machine_as_it_was(own_places: tuple[Path, Path]) -> Iterator[None]:
     """The tests of a module leave devices, the home folder and temporary files as they were, also if root runs them."""
     before = devices(), *map(files_below, own_places)
     yield
-    after = devices(), *map(files_below, own_places)
+    after = devices(before[0]), *map(files_below, own_places)
     found = {name: changes(*each) for name, *each in zip(("/dev", "HOME", "TMPDIR"), before, after, strict=True)}
     assert not any(found.values()), found
 

@@ -320,7 +320,9 @@ FILES_OF = {
 def test_signal_beside_finished_files_ends_or_not(line: str, when: str, tmp_path: Path) -> None:
     """A command had moved all its files, or the first of them, and gave the exit code of an interruption."""
     before, files = FILES_OF[line]
-    place = {"before the first file is moved": before, "while files are moved": "pathlib.Path.replace"}.get(when, "interruption.printing")
+    place = {"before the first file is moved": before, "while files are moved": "pathlib.Path.replace"}.get(
+        when, "interruption.printing"
+    )
     owner, _, name = place.rpartition(".")
     (tmp_path / "out").mkdir()
     process = forked(COMMAND_WITH_A_SIGNAL.format(owner=owner, name=name, line=line), tmp_path)
