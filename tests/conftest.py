@@ -28,7 +28,6 @@ import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import merge
 from pixsim.sensor.readout import Frame
-from pixsim.studies import oversampling
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.score import ImagingChain
 
@@ -93,16 +92,8 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 
 @pytest.fixture
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
-    """Frames captured in this process so far, without those that measure the film."""
+    """Frames scored in this process so far; none of them measures a film that is coarse."""
     frames: list[Frame] = []
-    view, measure = ImagingChain.score_frame, oversampling.measure_film
-
-    def uncounted(*arguments, **options):
-        before = len(frames)
-        error = measure(*arguments, **options)
-        del frames[before:]
-        return error
-
+    view = ImagingChain.score_frame
     monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: frames.append(frame) or view(self, frame))
-    monkeypatch.setattr(oversampling, "measure_film", uncounted)
     return frames
