@@ -113,7 +113,7 @@ def test_write_report_equal_file_names_are_numbered(made: tuple[StudyResult, Pat
         path.parent.mkdir()
         text = process.read_text(encoding="utf-8")
         path.write_text(text.replace('name = "0.35um"', f'name = "{path.parent.name}"'), encoding="utf-8")
-    study = tiny(title=TITLE, technologies=[str(path) for path in paths])
+    study = tiny(title=TITLE, technologies=[str(path) for path in paths], resolution=FINE)
     result = pixsim.study(study, tmp_path / "out", jobs=1)
     assert [curve.technology for curve in result.curves] == [str(path) for path in paths]
     assert repr(result).count(str(tmp_path)) == 0
