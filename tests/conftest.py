@@ -28,7 +28,6 @@ import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import merge
 from pixsim.sensor.readout import Frame
-from pixsim.studies import oversampling
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.score import ImagingChain
 
@@ -48,7 +47,12 @@ def pytest_collection_finish() -> None:
 def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         # Pictures, compiled kernels and the list of fonts are the same for all processes of a run.
-        for variable, name in ((FOLDER_VARIABLE, "cache"), ("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
+        for variable, name in (
+            (FOLDER_VARIABLE, "cache"),
+            ("DRJIT_CACHE_DIR", "kernels"),
+            ("MPLCONFIGDIR", "matplotlib"),
+            ("DASK_TEMPORARY_DIRECTORY", "dask"),
+        ):
             folder = shared_folder(tmp_path_factory) / name
             folder.mkdir(exist_ok=True)
             patch.setenv(variable, str(folder))
@@ -74,7 +78,7 @@ def machine_as_it_was(own_places: tuple[Path, Path]) -> Iterator[None]:
     """The tests of a module leave devices, the home folder and temporary files as they were, also if root runs them."""
     before = devices(), *map(files_below, own_places)
     yield
-    after = devices(), *map(files_below, own_places)
+    after = devices(before[0]), *map(files_below, own_places)
     found = {name: changes(*each) for name, *each in zip(("/dev", "HOME", "TMPDIR"), before, after, strict=True)}
     assert not any(found.values()), found
 
@@ -87,29 +91,9 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 
 
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures of pages are empty: to draw them takes most of the time of a small study."""
-    monkeypatch.setattr("pixsim.show.pages.svg_text", lambda _: '<svg xmlns="http://www.w3.org/2000/svg"/>')
-
-
-@pytest.fixture
-def unpaged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages of studies have neither figures nor pictures, which take longer than the small study that they are of."""
-    monkeypatch.setattr("pixsim.report.study.draw_section", lambda section, _, figures: (section, [], None, []))
-
-
-@pytest.fixture
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
-    """Frames captured in this process so far, without those that measure the film."""
+    """Frames scored in this process so far; none of them measures a film that is coarse."""
     frames: list[Frame] = []
-    view, measure = ImagingChain.score_frame, oversampling.measure_film
-
-    def uncounted(*arguments, **options):
-        before = len(frames)
-        error = measure(*arguments, **options)
-        del frames[before:]
-        return error
-
+    view = ImagingChain.score_frame
     monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: frames.append(frame) or view(self, frame))
-    monkeypatch.setattr(oversampling, "measure_film", uncounted)
     return frames

@@ -28,7 +28,6 @@ from pixsim.studies.pixels import technology_of
 from pixsim.studies.preparation import check_technologies, prepare
 from pixsim.studies.study_file import load_study
 
-pytestmark = pytest.mark.usefixtures("undrawn")
 SHEET: dict[str, Any] = {
     "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,
     "bits": 12, "prnu": 0.01, "offset_fpn": 0.001,
@@ -37,7 +36,7 @@ SHEET: dict[str, Any] = {
 WORDS: dict[str, Any] = {name: SHEET[name] for name in ("pitch_um", "full_well_e", "quantum_efficiency", "bits")} | {
     "temporal_dark_noise_e": 6.5, "dark_current": {"e_per_s": 125.0, "at_c": 27.0}, "prnu_percent": 1.0, "dsnu_e": 12.0,
 }  # fmt: skip
-SMALL = "--resolution 64 --display.dots 64 --seed 3"
+SMALL = "--resolution 48 --display.dots 64 --seed 3"
 
 
 def file_of(path: Path, pixel: dict[str, Any]) -> Path:
@@ -316,7 +315,7 @@ def test_compare_names_the_sensor_of_an_implausible_number_or_unused_uncertainty
     with files[1].open("a", encoding="utf-8") as file:
         file.write("[pixel.uncertainty]\nread_noise_e = { sd = 0.5 }\n")
     with warnings.catch_warnings(record=True, action="always"):
-        result = pixsim.compare(files, repeats=2, jobs=1, resolution=64, display={"dots": 32})
+        result = pixsim.compare(files, repeats=2, jobs=1, resolution=48, display={"dots": 32})
     (note,) = [note for note in result.notes if "clips at" in note]
     assert note.startswith("bad: pixel: with gain_e_per_dn = 0.4, the ADC clips at 1638 of 12000 e-")
     (note,) = [note for note in result.notes if "uncertainty" in note]

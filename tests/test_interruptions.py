@@ -290,7 +290,7 @@ COMMAND_WITH_A_SIGNAL = """
 import os, pathlib, signal, sys
 from pixsim import cli
 from pixsim.base import files
-from pixsim.cli import commands
+from pixsim.cli.process import interruption
 from pixsim.scene import charts
 
 def interrupted(*args, **others):
@@ -320,7 +320,9 @@ FILES_OF = {
 def test_signal_beside_finished_files_ends_or_not(line: str, when: str, tmp_path: Path) -> None:
     """A command had moved all its files, or the first of them, and gave the exit code of an interruption."""
     before, files = FILES_OF[line]
-    place = {"before the first file is moved": before, "while files are moved": "pathlib.Path.replace"}.get(when, "commands.show")
+    place = {"before the first file is moved": before, "while files are moved": "pathlib.Path.replace"}.get(
+        when, "interruption.printing"
+    )
     owner, _, name = place.rpartition(".")
     (tmp_path / "out").mkdir()
     process = forked(COMMAND_WITH_A_SIGNAL.format(owner=owner, name=name, line=line), tmp_path)
@@ -338,7 +340,7 @@ def test_signal_beside_finished_files_ends_or_not(line: str, when: str, tmp_path
 def test_signal_beside_files_that_are_kept_changes_no_exit_code(line: str, tmp_path: Path) -> None:
     (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
     for _ in ("written", "kept"):
-        script = COMMAND_WITH_A_SIGNAL.format(owner="commands", name="show", line=line)  # which prints the result
+        script = COMMAND_WITH_A_SIGNAL.format(owner="interruption", name="printing", line=line)  # of the result
         process = forked(script, tmp_path)
         out, err = process.communicate(timeout=HANG_S)
         assert (process.returncode, "report.html" in out) == (0, True), err

@@ -44,3 +44,4 @@ def test_devices_are_seen() -> None:
     """A file of the same name in place of a device, as a command that replaces its output would leave it for root."""
     assert "null" in (before := devices())
     assert changes(before, before | {"null": (0o100644, 0, 0, 0)}) == ["null has changed"]
+    assert devices(before.keys() - {"null"}) == {name: found for name, found in before.items() if name != "null"}

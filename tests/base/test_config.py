@@ -23,7 +23,6 @@ from pixsim.studies.pixels import pixel_of
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study_file import checked_study, load_study, read_study
 
-pytestmark = pytest.mark.usefixtures("undrawn")
 SHEET = """
 [pixel]
 pitch_um = 4.0

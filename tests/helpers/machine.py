@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Container
 from pathlib import Path
 
 DEVICES = Path("/dev")
 
 
-def devices() -> dict[str, tuple[int, ...]]:
-    """Kind, permissions, owner and number of each file in /dev, without the folders that all processes share."""
+def devices(known: Container[str] | None = None) -> dict[str, tuple[int, ...]]:
+    """Kind, permissions, owner and number of each file in /dev, without the folders that all processes share.
+
+    known : names without which a device is left out: the system makes one when something is plugged in
+    """
+    listed = {each.name: each.lstat() for each in (DEVICES.iterdir() if DEVICES.is_dir() else ())}
     return {
-        each.name: (found.st_mode, found.st_uid, found.st_gid, found.st_rdev)
-        for each in (DEVICES.iterdir() if DEVICES.is_dir() else ())
-        if not stat.S_ISDIR((found := each.lstat()).st_mode)
+        name: (found.st_mode, found.st_uid, found.st_gid, found.st_rdev)
+        for name, found in listed.items()
+        if not stat.S_ISDIR(found.st_mode) and (known is None or name in known or not found.st_rdev)
     }
 
 

@@ -11,19 +11,21 @@ import pixsim
 from pixsim.base.parameters import merge
 
 PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
+# Samples across a film that is too small for its error to be measured, which takes most of the time of a small study; and across
+# one that tells its sizes apart.
+COARSE, FINE = 48, 384
 # Dim, so that few, coarse dots have a minimum between noise and blur.
 TINY: dict[str, Any] = {
     "name": "tiny",
     "repeats": 2,
     "iso_delta_e": 1.0,
-    "resolution": 384,
+    "resolution": COARSE,
     "render_noise": 10.0,  # two renders, not six, if a test has the chart sampled
     "scene": {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}},  # its cells are computed
     "camera": {"die_mm": 1.3568},
     "pitch": {"values_um": PITCHES_UM},
     "display": {"dots": 48, "samples_per_deg": 10.0},
 }
-COARSE = 48  # samples across a film that is too small for its error to be measured, which takes most of the time of a small study
 WHOLE_CHART: dict[str, Any] = {"camera": {"die_mm": 2.7136}, "display": {"dots": 96}}  # as in the paper, up to 33.3 lp/mm
 
 

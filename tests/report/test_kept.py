@@ -200,7 +200,6 @@ AXIS = {"axis": [{"name": "lens", "set": "camera.f_number", "values": [2.0, 2.8]
 TYPES = pytest.param({}, "--uncertainty 8 --yes", id="types", marks=pytest.mark.slow)
 
 
-@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("more", "option"), [pytest.param({}, "", id="plain"), pytest.param(AXIS, "", id="axis", marks=pytest.mark.slow), TYPES]
 )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
 from helpers.looks import Elements, assert_short_headlines, text_of
-from helpers.tiny import tiny
+from helpers.tiny import FINE, tiny
 
 import pixsim
 from pixsim.base.labels import label_of
@@ -33,7 +33,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyResult
         patch.chdir(folder)
         other = process.read_text(encoding="utf-8").replace('name = "0.35um"', 'name = "other"')
         Path(OTHER).write_text(other, encoding="utf-8")
-        result = pixsim.study(tiny(title=TITLE, technologies=["0.35um", OTHER]), folder / "out", jobs=1)
+        result = pixsim.study(tiny(title=TITLE, technologies=["0.35um", OTHER], resolution=FINE), folder / "out", jobs=1)
         pixsim.write_report(result, folder / "out", {"render": 1.25})
         yield result, folder / "out"
 
@@ -76,7 +76,6 @@ def test_write_report_matches_summary(made: tuple[StudyResult, Path]) -> None:
             assert f"{delta_e:.4f}" in words
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_write_report_minimum_at_end_is_not_best(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = made[0]
     curve = result.curves[0]
@@ -114,7 +113,7 @@ def test_write_report_equal_file_names_are_numbered(made: tuple[StudyResult, Pat
         path.parent.mkdir()
         text = process.read_text(encoding="utf-8")
         path.write_text(text.replace('name = "0.35um"', f'name = "{path.parent.name}"'), encoding="utf-8")
-    study = tiny(title=TITLE, technologies=[str(path) for path in paths])
+    study = tiny(title=TITLE, technologies=[str(path) for path in paths], resolution=FINE)
     result = pixsim.study(study, tmp_path / "out", jobs=1)
     assert [curve.technology for curve in result.curves] == [str(path) for path in paths]
     assert repr(result).count(str(tmp_path)) == 0
@@ -175,7 +174,6 @@ def test_light_level_exposure_range(made: tuple[StudyResult, Path]) -> None:
     assert str(LightLevel.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_write_report_shows_notes(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """A warning of the render, such as of its noise, is a note of the result."""
     warned = "render noise is 0.31 of the sensor noise, target 0.2"
@@ -211,7 +209,6 @@ def test_write_report_data_sheet_omits_process(made: tuple[StudyResult, Path], t
 
 
 @pytest.mark.slow  # test_paper has the statements, test_plates their figures
-@pytest.mark.usefixtures("undrawn")
 def test_write_report_paper_comparison(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """0.0415 is the largest number of the response file, 0.37 that of the process's."""
     own = {"name": "paper", "paper": True, "pixel": {"response": "literal"}}

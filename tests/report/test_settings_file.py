@@ -35,9 +35,6 @@ die_mm = 1.5
 """
 
 
-pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
-
-
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a sensor and its curve, a technology, and a chart."""

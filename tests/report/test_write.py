@@ -15,7 +15,6 @@ from pixsim.report.compare import comparison_files
 AXIS = [{"name": "lens", "set": "camera.f_number", "values": [2.0, 2.8]}]
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_report_of_a_study_with_an_axis_has_its_table(tmp_path: Path) -> None:
     result = pixsim.study(tiny(axis=AXIS, resolution=COARSE), tmp_path, jobs=1)
     page = pixsim.write_report(result, tmp_path)

@@ -218,7 +218,7 @@ def test_evaluate_off_is_as_before_and_on_is_better() -> None:
 
 def test_study_with_correction_continues_from_its_cache(tmp_path: Path) -> None:
     """Cached frames keep their corrected electrons: another display gets the numbers of a study without cache."""
-    over: dict[str, Any] = {"correction": {"dark_frames": 2, "column_clamp": 4}, "resolution": 192, "camera": {"die_mm": 0.7}}
+    over: dict[str, Any] = {"correction": {"dark_frames": 2, "column_clamp": 4}, "resolution": 48, "camera": {"die_mm": 0.7}}
     first = pixsim.study(tiny(**over), tmp_path / "a", jobs=1)
     again = pixsim.study(tiny(**over, display={"gamma": 2.0}), tmp_path / "b", jobs=1)
     fresh = pixsim.study(tiny(**over, display={"gamma": 2.0}), tmp_path / "b", jobs=1)
@@ -230,7 +230,7 @@ def test_study_with_correction_continues_from_its_cache(tmp_path: Path) -> None:
 def test_run_command_with_correction_states_it(tmp_path: Path) -> None:
     import json
 
-    code, _, err = command(f"run csf --resolution 64 --correction.dark-frames 2 --display.dots 32 --out {tmp_path / 'o'}")
+    code, _, err = command(f"run csf --resolution 48 --correction.dark-frames 2 --display.dots 32 --out {tmp_path / 'o'}")
     assert code == 0, err
     found = json.loads((tmp_path / "o/score.json").read_text(encoding="utf-8"))
     assert found["correction"]["dark_frames"] == 2

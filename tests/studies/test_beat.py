@@ -15,7 +15,7 @@ import pytest
 import pixsim
 
 # slow: tests/sensor/test_registration.py has the claim without noise
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("undrawn", "unpaged")]
+pytestmark = pytest.mark.slow
 SCALED: dict[str, Any] = {"pixel": {"response": "scaled"}, "technologies": ["0.35um"], "paper": False}
 SENSORS = 12
 

@@ -32,7 +32,6 @@ from pixsim.studies.study import warn_of_idle_axes
 from pixsim.studies.study_file import load_study
 from pixsim.viewer.score import ImagingChain
 
-pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
 LIGHT = "scene.parameters.luminance_cd_per_m2"
 LENS = {
     "name": "lens",
@@ -632,7 +631,7 @@ def test_study_command_with_axis_writes_page_maps_and_cases(tmp_path: Path, monk
     assert "pixel.prnu_0.01_night/report.html" in names
     assert {"figures/optimum_by_pixel.prnu.svg"} <= names or any(name.startswith("figures/optimum_by") for name in names)
     page = Path("out/report.html").read_text(encoding="utf-8")
-    assert "One pixel for all conditions" in page
+    assert "least weighted mean ΔE" in page
     # settings.toml makes the same numbers again.
     code, _, err = command("study out/settings.toml --jobs 1 --out again")
     assert code == 0, err
@@ -647,7 +646,7 @@ def test_study_page_of_axes_and_conditions_fits_screens(tmp_path: Path, monkeypa
     code, _, err = command("study s.toml --axis exposure.max_integration_s=0.05,0.1 --jobs 1 --out out")
     assert code == 0, err
     assert_fits(tmp_path / "out/report.html", tmp_path)
-    assert_prints(tmp_path / "out/report.html", tmp_path, range(2, 40), ["One pixel for all conditions", "PRNU"], ["Optima"])
+    assert_prints(tmp_path / "out/report.html", tmp_path, range(2, 40), ["least weighted mean ΔE", "PRNU"], ["Optima"])
 
 
 def test_study_command_dry_run_counts_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ LIGHT = {"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values
 STOP = {"name": "stop", "set": "camera.f_number", "values": [2.8, 8.0]}
 SHORT, LONG = ({"exposure": {"max_integration_s": time_s}} for time_s in (0.01, 0.1))
 TIMES = {"name": "time", "values": [{"label": "short", "set": SHORT}, {"label": "long", "set": LONG}]}
-SMALL = "--display.dots 32 --resolution 64 --repeats 3 --jobs 1"
+SMALL = "--display.dots 32 --resolution 48 --repeats 3 --jobs 1"
 
 
 def cases(axes: list[dict[str, Any]], signs: list[int]) -> ComparedCases:
@@ -53,7 +53,7 @@ def test_headline_says_where_which_is_better(axes: list[dict[str, Any]], signs: 
 def test_conditions_hold_at_each_value() -> None:
     conditions = [
         {"name": "day", "weight": 3.0, "set": {"camera": {"f_number": 4.0}}},
-        {"name": "night", "set": {"resolution": 64}},
+        {"name": "night", "set": {"resolution": 48}},
     ]
     _, found = cases_of_comparison(Study.model_validate({"name": "both", "axis": [LIGHT], "condition": conditions}))
     assert [case.at for case in found] == [{"light": value} for value in (100.0, 0.05, 1.0)]
@@ -61,7 +61,7 @@ def test_conditions_hold_at_each_value() -> None:
         day, night = case.settings.condition
         light = {"parameters": {"luminance_cd_per_m2": case.at["light"]}}
         assert (day.weight, day.set) == (3.0, {"camera": {"f_number": 4.0}, "scene": light})
-        assert night.set == {"resolution": 64, "scene": light}
+        assert night.set == {"resolution": 48, "scene": light}
 
 
 def test_study_without_axes_has_no_cases() -> None:
@@ -82,7 +82,7 @@ def test_each_value_is_a_comparison_of_its_own(tmp_path: Path, monkeypatch: pyte
     assert out.splitlines()[0] == found["verdicts"]["b"]
     page = Path("out/report.html").read_text(encoding="utf-8")
     for light, case in zip((0.05, 100.0), found["cases"], strict=True):
-        small: dict[str, Any] = {"display": {"dots": 32}, "resolution": 64, "repeats": 3, "jobs": 1}
+        small: dict[str, Any] = {"display": {"dots": 32}, "resolution": 48, "repeats": 3, "jobs": 1}
         alone = pixsim.compare(files, parameters={"luminance_cd_per_m2": light}, **small)
         assert case["at"] == {"light": light}
         assert {name: case[name] for name in alone.answers()} == json.loads(json.dumps(alone.answers()))

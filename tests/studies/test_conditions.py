@@ -15,7 +15,7 @@ from pixsim.studies.result import Curve
 
 PITCH_UM = np.geomspace(4.0, 12.0, 9)
 CONDITIONS = [
-    {"name": name, "weight": weight, "set": {"resolution": 64}} for name, weight in (("day", 3.0), ("night", 1.0), ("never", 0.0))
+    {"name": name, "weight": weight, "set": {"resolution": 48}} for name, weight in (("day", 3.0), ("night", 1.0), ("never", 0.0))
 ]
 SHEET = {
     "data_sheet_pitch_um": 5.0,

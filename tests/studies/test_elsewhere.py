@@ -15,7 +15,7 @@ from pixsim.studies.result import StudyResult
 from pixsim.studies.sentences import optimum_line
 from pixsim.studies.viewing import Viewing
 
-OPTIONS: dict[str, Any] = {"resolution": 128, "repeats": 2, "jobs": 1, "refine": False, "parameters": {MAX_LP_PER_MM: 20.0}}
+OPTIONS: dict[str, Any] = {"resolution": 48, "repeats": 2, "jobs": 1, "refine": False, "parameters": {MAX_LP_PER_MM: 20.0}}
 SIZES = {"min_um": 10.0, "max_um": 40.0, "count": 5}
 
 

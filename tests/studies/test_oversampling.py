@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers.commands import command
 from helpers.film_pictures import CAMERA, PIXEL, light
-from helpers.tiny import tiny
+from helpers.tiny import FINE, tiny
 from scipy.ndimage import gaussian_filter
 
 import pixsim
@@ -228,7 +228,7 @@ def test_run_command_resolution_is_judged_and_default_is_finer(tmp_path):
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory) -> StudyResult:
-    return pixsim.study(tiny(), tmp_path_factory.mktemp("study"), jobs=1)
+    return pixsim.study(tiny(resolution=FINE), tmp_path_factory.mktemp("study"), jobs=1)
 
 
 def test_study_names_no_optimum_that_film_cannot_tell(result):
@@ -254,5 +254,5 @@ def test_study_pixels_below_samples_are_alike():
 
 
 def test_study_result_states_film(result):
-    assert result.study.resolution == result.irradiance.shape[1] == 384
-    assert result.as_dict()["film"]["resolution"] == 384
+    assert result.study.resolution == result.irradiance.shape[1] == FINE
+    assert result.as_dict()["film"]["resolution"] == FINE

@@ -21,7 +21,6 @@ from pixsim.studies.sensor_types import MOST_EVALUATIONS, TYPES_FILE, Asked, che
 from pixsim.studies.study_file import load_study, uncertainty_of
 from pixsim.studies.uncertainty import settings_of, unknowns_of_study
 
-pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
 SMALL = {name: value for name, value in TINY.items() if name not in ("scene", "pitch", "resolution")}
 SMALL |= {
     "scene": {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}},

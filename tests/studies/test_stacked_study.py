@@ -32,7 +32,7 @@ PITCHES_UM = [6.0, 7.0, 9.0, 15.0, 20.0]
 
 def test_study_marks_sizes_where_the_model_is_doubtful(tmp_path: Path) -> None:
     """Fresnel numbers n p²/(4 λ h): one warning, a column, and hollow points; none without microlenses."""
-    study = tiny(name="stacked", resolution=96, pitch={"values_um": PITCHES_UM}, pixel={"stack": LENS, "infrared_cut_nm": 650.0})
+    study = tiny(name="stacked", resolution=48, pitch={"values_um": PITCHES_UM}, pixel={"stack": LENS, "infrared_cut_nm": 650.0})
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         result = pixsim.study(study, tmp_path / "out", jobs=1)
@@ -57,7 +57,7 @@ def test_study_of_bare_and_lensed_pixels_marks_the_lensed_ones(tmp_path: Path) -
     """In the table of optima, the tables and captions of maps, and the curve's numbers of summary.json; bare ones have none."""
     axis = {"name": "aperture", "set": "pixel.stack.microlens", "values": ["none", "square"]}
     pixel = {"stack": {key: value for key, value in LENS.items() if key != "microlens"}, "infrared_cut_nm": 650.0}
-    study = tiny(name="aperture", resolution=96, pitch={"values_um": PITCHES_UM}, pixel=pixel, axis=[axis])
+    study = tiny(name="aperture", resolution=48, pitch={"values_um": PITCHES_UM}, pixel=pixel, axis=[axis])
     with warnings.catch_warnings(action="ignore"):
         result = pixsim.study(study, tmp_path / "out", jobs=1)
     bare, lensed = result.curves
@@ -116,7 +116,7 @@ def test_gain_is_an_axis_of_a_study(tmp_path: Path) -> None:
     pixel = {"read_noise_after_gain_e": 200.0, "bits": 12, "infrared_cut_nm": 650.0}
     axis = {"name": "gain", "set": "exposure.gain_db", "values": [0, 20 * math.log10(4)]}
     bright = {"file": "csf", "parameters": {"luminance_cd_per_m2": 1e5}}
-    study = tiny(name="gain", resolution=96, pitch={"values_um": PITCHES_UM}, pixel=pixel, axis=[axis], scene=bright)
+    study = tiny(name="gain", resolution=48, pitch={"values_um": PITCHES_UM}, pixel=pixel, axis=[axis], scene=bright)
     with warnings.catch_warnings(action="ignore"):
         result = pixsim.study(study, tmp_path / "out", jobs=1)
     base, amplified = result.curves

@@ -35,7 +35,6 @@ from pixsim.studies.rows import Row
 from pixsim.studies.study import next_round
 from pixsim.viewer.score import ImagingChain, Score
 
-pytestmark = pytest.mark.usefixtures("undrawn", "unpaged")
 Sensors = dict[float, int]
 PITCH = np.geomspace(5.3, 15, 9).round(4)
 START: Sensors = dict.fromkeys(PITCH.tolist(), 2)

@@ -361,7 +361,6 @@ def test_run_scene_without_white_meets_tolerance(tmp_path):
     assert result["err"].count("does not define its white") == 1
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_study_with_tolerance_reports_budget(chart, tmp_path):
     study = tmp_path / "small.toml"
     study.write_text(

@@ -249,7 +249,6 @@ def test_run_names_the_cause_in_line_page_and_json(tmp_path: Path) -> None:
     assert "--pixel.bits" in first["hint"]
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_study_names_the_cause_in_its_headline(tmp_path: Path) -> None:
     result = pixsim.study(tiny(pixel=FEW, pitch={"values_um": [6.0, 7.0, 8.5, 11.0, 15.0]}), tmp_path, jobs=1)
     (curve,) = result.curves
