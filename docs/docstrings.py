@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import pixsim
-from pixsim.base.parameters import Record
+from pixsim.base.records import Record
 from pixsim.base.units import unit_of
 from pixsim.cli.templates import allowed, toml_value
 

@@ -28,7 +28,7 @@ from typing_extensions import TypeAliasType
 import pixsim
 from pixsim.base.arguments import check_of
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import CameraOptions
+from pixsim.optics.camera import CameraOptions
 
 LIMIT_S = 20.0  # of a call; the slowest takes 0.1 s, the import of Dask 1 s, on a loaded machine many times that
 NM = np.array([450.0, 550.0, 650.0])
@@ -130,7 +130,7 @@ OWN: dict[str, Any] = {
     "pixsim.viewer.scielab.grey_delta_e_map.reference_lab": lambda: np.zeros((4, 4, 3)),
     "pixsim.study.plan": STUDY, "pixsim.study.out": "", "pixsim.study.pixel": {}, "pixsim.study.scene": None,
     "pixsim.sensor.pixel.response_curve.reading": "silicon", "pixsim.evaluate.irradiance": LIGHT,
-    "pixsim.base.parameters.Camera.from_lens_geometry.die_mm": 2.7,
+    "pixsim.optics.camera.Camera.from_lens_geometry.die_mm": 2.7,
     "pixsim.SpectralImage.factors": None, "pixsim.SpectralImage.pitch_um": 100.0,
     "pixsim.viewer.display.picture_size_um.irradiance": LIGHT, "pixsim.optics.stack_collection.index": 1.5,
     "pixsim.Camera.lights_like.other": CAMERA,

@@ -16,9 +16,11 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, ChiefRayAngles, TracedLens
 from pixsim.light.spectral import WHOLE
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import field_angles, traced_lens
+from pixsim.optics.chief_rays import ChiefRayAngles
+from pixsim.optics.lens_options import TracedLens
 from pixsim.optics.pupil import Directions, Pupil, numerical_aperture
 from pixsim.optics.thin_lens import field_factor, irradiance_factor, thin_lens_pupil
 

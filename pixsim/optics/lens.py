@@ -26,11 +26,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, in_threads
-from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Layer, LensOptions
+from pixsim.base.records import checked
 from pixsim.optics.glass import AIR, Glass
+from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.prescription import Prescription, Vignetting, read_prescription
 from pixsim.optics.pupil import Directions
 from pixsim.optics.ray_trace import Rays, at_plane, met, paraxial, rays_from, refracted, trace, turned_round

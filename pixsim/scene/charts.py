@@ -20,7 +20,7 @@ from pixsim.base.arguments import brief, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.locks import temporary_folder_of_process
-from pixsim.base.parameters import content_hash
+from pixsim.base.records import content_hash
 from pixsim.light.exr import fill_channels, write_channels, writing
 
 KIND = "charts"  # of entries of the cache

@@ -13,7 +13,6 @@ from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import (
     HIGH_NM,
     LAMP,
@@ -25,6 +24,7 @@ from pixsim.light.spectral import (
     photopic_efficiency,
     white_words,
 )
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
@@ -38,11 +38,14 @@ from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.scene.tree import Node, nodes_of
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.noise import SOURCES
 from pixsim.sensor.outside import SHOWN_SHARE, outside_header, outside_hint, outside_share, outside_words
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.viewer.display_options import Display
 
 STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction (rules.py).

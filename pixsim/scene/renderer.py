@@ -20,10 +20,11 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of
 from pixsim.base.mapped import release, zeros
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
+from pixsim.base.records import content_hash
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import LOW_NM, RINGS, WHOLE, SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor

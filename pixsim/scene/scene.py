@@ -16,9 +16,12 @@ from pixsim.base import caller
 from pixsim.base.arguments import LARGEST, SMALLEST, brief, checks_arguments, checks_fields
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run, content_hash, names_meant, values_of_lens_geometry
+from pixsim.base.problems import names_meant
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import WHITE_LAMPS
+from pixsim.optics.camera import Camera, CameraOptions, values_of_lens_geometry
 from pixsim.optics.camera_lens import camera_with_lens
+from pixsim.optics.lens_options import LensOptions
 from pixsim.scene import charts
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, find_lamps, is_neutral, named_files, white_of
 from pixsim.scene.film import FILM_ROUNDING
@@ -28,6 +31,7 @@ from pixsim.scene.guard.plugins import REASONS
 from pixsim.scene.illuminance import ILLUMINANCE, strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
 from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, parse_tree, plain
+from pixsim.viewer.setting import Run
 
 CHART, CHART_LINEAR = "chart", "chart_linear"
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"

@@ -23,14 +23,16 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Correction, Display, StackOptions
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import RINGS, SPOKES, CameraPupil, camera_pupil
 from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits, nodes_for
 from pixsim.sensor.colour import Layout, of_channels
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.crosstalk import share_with_neighbours, share_with_neighbours_of_channels, shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
 from pixsim.sensor.pixel import USUAL_F_NUMBER, PixelPhysics
+from pixsim.sensor.stack_options import StackOptions
 
 # Wavelengths at which shares are computed, with a polynomial through them: 6e-5 of a share from 400 to 1000 nm. The absorption of
 # silicon, by a factor of 100 over that range, needs more: then .001.
@@ -168,14 +170,12 @@ def kernel_on_axis(physics: PixelPhysics, light: Illumination) -> Array:
     return np.asarray(_collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0)).shares[0, 0])
 
 
-def shading_of(
-    collection: Collection | ColourCollection | None, shape: tuple[int, int], display: Display, correction: Correction
-) -> Array | None:
-    """Return by what the display divides a frame, (rows, columns): `Collection.relative`; None for nothing.
+def shading_of(collection: Collection | ColourCollection | None, shape: tuple[int, int], correction: Correction) -> Array | None:
+    """Return by what a shading correction divides a frame, (rows, columns): `Collection.relative`; None for nothing.
 
     Flat frames already hold it.
     """
-    if collection is None or collection.is_scale or not display.shading_correction or correction.flat_frames:
+    if collection is None or collection.is_scale or correction.flat_frames:
         return None
     return collection.relative(shape)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Correction
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, Sensor, read_out, sample_sensor
@@ -196,7 +196,7 @@ def residual_variance_e2(signal_e: float, integration_s: float, physics: PixelPh
     It is valid for a linear response, far from 0 DN, the well and the top code, to first order in PRNU and 1/√L.
 
     >>> from pixsim.pixel import derive
-    >>> from pixsim.parameters import Pixel
+    >>> from pixsim import Pixel
     >>> pixel = derive(Pixel(prnu=0.01))
     >>> float(residual_variance_e2(2e4, 0.01, pixel, Correction(flat_frames=16)).gain)
     0.0

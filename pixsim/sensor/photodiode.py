@@ -33,9 +33,9 @@ from scipy.special import expit
 from pixsim.base.arguments import check_broadcast, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Pixel
 from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.pixel import Diode, PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 
 # The public names; everything else is internal.
 __all__ = ["charge_from_total_e", "collected_charge_e", "default_diode", "diode_of"]

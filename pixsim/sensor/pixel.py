@@ -19,29 +19,13 @@ from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fiel
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import (
-    ABSOLUTE_ZERO_C,
-    BIN,
-    CENTRED_BORDER,
-    DATA_SHEET,
-    MIN_FRACTION,
-    NO_TECHNOLOGY,
-    REGISTERED_BORDER,
-    STANDS_FOR,
-    WELL_RANGE_E,
-    Display,
-    EfficiencyCurve,
-    Pixel,
-    PixelOptions,
-    StackOptions,
-    channels_of,
-    efficiencies_of,
-    stack_excluded_by,
-)
+from pixsim.light.curves import EfficiencyCurve
+from pixsim.light.quantities import MIN_FRACTION
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.optics.stack import LOWEST_LENS, Stack
 from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.colour import Layout, channel_efficiency
+from pixsim.sensor.colour_options import BIN, channels_of, efficiencies_of
 from pixsim.sensor.mismatch import (
     E_PER_FC,
     ELECTRON_C,
@@ -51,7 +35,19 @@ from pixsim.sensor.mismatch import (
     prnu_of_area,
 )
 from pixsim.sensor.noise import constant_e, variance_e2
+from pixsim.sensor.pixel_options import (
+    ABSOLUTE_ZERO_C,
+    CENTRED_BORDER,
+    DATA_SHEET,
+    NO_TECHNOLOGY,
+    REGISTERED_BORDER,
+    STANDS_FOR,
+    Pixel,
+    PixelOptions,
+)
+from pixsim.sensor.quantities import WELL_RANGE_E
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
+from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
 from pixsim.sensor.technology import Junction, Technology, load_technology, number_of, with_fill_factor_law
 
 # The public names; everything else is internal.
@@ -466,14 +462,14 @@ class PixelPhysics:
         return (CENTRED_BORDER if self.is_centred else REGISTERED_BORDER) * self.read_pitch_um
 
     @checks_arguments
-    def registered(self, repeat: int, display: Display) -> PixelPhysics:
+    def registered(self, repeat: int) -> PixelPhysics:
         """Return the pixel of one repeat of a study or a comparison: with a registration of its own (`spread_registration`).
 
-        One that the pixel states stays. Where dots are pixels the array stays centred.
+        One that the pixel states stays.
 
         repeat : its number, from 0
         """
-        if not self.is_centred or display.raster != "fixed_size":
+        if not self.is_centred:
             return self
         return replace(self, pixel=self.pixel.model_copy(update={"registration": spread_registration(repeat)}))
 

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from pixsim.base.arguments import checks_arguments, checks_fields, made
 from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_on
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel_options import Pixel
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.

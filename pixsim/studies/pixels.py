@@ -7,9 +7,12 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import MIN_FRACTION, NO_TECHNOLOGY, Camera, Pixel, Study
+from pixsim.light.quantities import MIN_FRACTION
+from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel import PixelPhysics, derive, fill_factor_law
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
+from pixsim.studies.study_settings import Study
 from pixsim.viewer.imaging import Imaging
 
 

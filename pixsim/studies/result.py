@@ -15,13 +15,14 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.labels import file_label, label_of, labels_of
 from pixsim.base.notes import told_apart
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import least_fresnel_number
 from pixsim.sensor.integration import collecting_area_um2
+from pixsim.sensor.labels import file_label, label_of, labels_of
 from pixsim.sensor.pixel import PixelPhysics, has_microlens, smallest_pitch_um
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, rows_csv
@@ -37,6 +38,7 @@ from pixsim.studies.rows import Row
 from pixsim.studies.sampling import largest_lens_um
 from pixsim.studies.sentences import interval_words, optima_table, optimum_words
 from pixsim.studies.series import Series, scenes_of, series_of
+from pixsim.studies.study_settings import Study
 from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate

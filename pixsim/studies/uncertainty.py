@@ -21,16 +21,21 @@ from scipy.special import betaincinv, ndtr, ndtri
 
 from pixsim.base.arguments import brief, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
-from pixsim.base.config import spreads_of_study
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.labels import label_of
-from pixsim.base.parameters import MIN_FRACTION, PixelOptions, Record, Spread, StackOptions, Study, excluded_by, stack_excluded_by
+from pixsim.base.records import Record
+from pixsim.light.quantities import MIN_FRACTION
+from pixsim.sensor.labels import label_of
+from pixsim.sensor.pixel_options import PixelOptions, excluded_by
+from pixsim.sensor.spread import Spread
+from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
 from pixsim.sensor.technology import Junction, Technology
 from pixsim.show.figures import COLOURS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, rows_csv
 from pixsim.show.sentences import with_ends
 from pixsim.studies.indices import FirstOrder, Marginal, first_order, saltelli, total_indices
 from pixsim.studies.pixels import technology_of
+from pixsim.studies.study_file import spreads_of_study
+from pixsim.studies.study_settings import Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -199,7 +204,7 @@ def unknowns_of_sheet(pixel: PixelOptions, uncertainty: Mapping[str, Spread], te
     """Return the uncertain numbers of a data sheet.
 
     pixel : the data sheet
-    uncertainty : its [pixel.uncertainty], as `pixsim.base.config.sheet_uncertainty` returns it
+    uncertainty : its [pixel.uncertainty], as `pixsim.sensor.spread.sheet_uncertainty` returns it
     technology : name of the sheet in a study of several; empty for the study's own [pixel]
 
     Raises PixsimError for a number that the pixel does not have, as where an option states it in another word.

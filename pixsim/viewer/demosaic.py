@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, empty_planes
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.parameters import BAYER, channels_of
+from pixsim.sensor.colour_options import BAYER, channels_of
 from pixsim.viewer.display import SPLINE_DEGREE, average_axis
 
 Method = Literal["bilinear", "malvar2004", "menon2007", "interpolate"]

@@ -17,8 +17,8 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import STRIP_DOTS, Array, strips, transposed
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import CENTRED_BORDER, REGISTERED_BORDER, Camera, Display
 from pixsim.light.spectral import WHITE_LAMPS, SpectralImage, d65, white_words
+from pixsim.optics.camera import Camera
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.integration import (
     M2_PER_UM2,
@@ -30,7 +30,9 @@ from pixsim.sensor.integration import (
     pixels_on,
 )
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration
+from pixsim.sensor.pixel_options import CENTRED_BORDER, REGISTERED_BORDER
 from pixsim.sensor.readout import Frame
+from pixsim.viewer.display_options import Display
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])

@@ -21,10 +21,14 @@ from pydantic import TypeAdapter, ValidationError
 import pixsim
 from pixsim.base.arguments import LARGEST, SMALLEST
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Pixel, PixelOptions, Record, Run, Study
+from pixsim.base.records import Record
+from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel, PixelOptions
 from pixsim.studies.preparation import prepare
 from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.setting import Run
 
 # Bounds that do not stand in the field: of curves in `_check_curve`, `_check_channel` and `_check_chief_rays`; of scenes and axes
 # in `_free_number`; of lenses, some of whose numbers may be infinite, in `prescription._checked` and `check_coefficients`, which

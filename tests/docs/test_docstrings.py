@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from helpers.public_names import CLASSES, PUBLIC, fields
 
-from pixsim.base.parameters import Record
+from pixsim.base.records import Record
 
 # Units at the end of names.
 UNITS = (

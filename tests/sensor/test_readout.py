@@ -17,11 +17,13 @@ from scipy.stats import norm, poisson
 
 from pixsim.base import arrays
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.sensor import readout as sensors
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.photodiode import linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 
 SHAPE = (4, 250_000)
 SIGMAS = 5.0
