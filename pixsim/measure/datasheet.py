@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Positive, Whole, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
@@ -323,8 +323,8 @@ def datasheet(
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     pixel: Pixel | Mapping[str, Any] | None = None,
     exposure: Exposure | Mapping[str, Any] | None = None,
-    wavelength_nm: float | None = None,
-    seed: int | None = None,
+    wavelength_nm: Positive | None = None,
+    seed: Whole | None = None,
     progress: Stage | None = None,
 ) -> DataSheet:
     """Measure one simulated sensor of a pixel by EMVA 1288, ISO 15739 and ISO 12232, beside the true values.

@@ -7,14 +7,14 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from pixsim.base.arguments import brief, checks_arguments
+from pixsim.base.arguments import Positive, brief, checks_arguments
 from pixsim.base.errors import invalid
 from pixsim.base.problems import Words
 from pixsim.base.records import Record
 from pixsim.light.quantities import Fraction
 from pixsim.optics.chief_rays import ChiefRays
 from pixsim.optics.lens_options import LensOptions, TracedLens
-from pixsim.optics.quantities import DieWidth, Distance, FNumber, FocalLength
+from pixsim.optics.quantities import DieWidth, Distance, FieldOfView, FNumber, FocalLength, UpToInfinity
 
 FASTEST_WORKING_F_NUMBER = 0.5
 LARGEST_MAGNIFICATION = 1e6  # green light is half a metre long in the image; beyond it the object lies in the focus
@@ -210,7 +210,7 @@ class Camera(Record):
         return self.height_mm / 2 * self.object_distance_m / self.image_distance_mm
 
     @checks_arguments
-    def window(self, width_mm: float | None) -> Camera:
+    def window(self, width_mm: DieWidth | None) -> Camera:
         """The same lens on a central part of the die, of `width_mm`; the camera itself for None.
 
         Raises PixsimError if the window is wider than the die.
@@ -224,7 +224,9 @@ class Camera(Record):
 
     @classmethod
     @checks_arguments
-    def from_lens_geometry(cls, fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> Camera:
+    def from_lens_geometry(
+        cls, fov_deg: FieldOfView, aperture_radius_m: UpToInfinity, focus_distance_m: UpToInfinity, die_mm: DieWidth
+    ) -> Camera:
         """Camera of a renderer's thin lens: v from field of view and die, then 1/f = 1/u + 1/v."""
         return cls(**values_of_lens_geometry(fov_deg, aperture_radius_m, focus_distance_m, die_mm))
 
@@ -290,7 +292,7 @@ class CameraOptions(Record):
         return Camera(**camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"}))
 
     @checks_arguments
-    def with_die(self, pitch_um: float | None) -> CameraOptions:
+    def with_die(self, pitch_um: Positive | None) -> CameraOptions:
         """These options with the die of `pixels` at a pitch (µm). ValueError if a given die differs by more than half a pixel."""
         if self.pixels is None:
             return self

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Positive, checks_arguments
 from pixsim.base.arrays import Array, first_where
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import replacing
@@ -42,7 +42,7 @@ MOST_NEGATIVE = 0.01  # of the brightest band's mean: sums of fitted factors may
 
 @checks_arguments
 def read_irradiance(
-    path: str | os.PathLike[str], camera: Camera | None = None, *, units: str | None = None, pitch_um: float | None = None
+    path: str | os.PathLike[str], camera: Camera | None = None, *, units: str | None = None, pitch_um: Positive | None = None
 ) -> SpectralImage:
     """Read spectral irradiance on the sensor, W m⁻² nm⁻¹, from a file of pixsim or of another program.
 

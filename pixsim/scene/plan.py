@@ -9,10 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments, checks_fields
+from pixsim.base.arguments import Count, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.light.quantities import FilmSamples
 from pixsim.light.spectral import (
     HIGH_NM,
     LAMP,
@@ -45,7 +46,8 @@ from pixsim.sensor.outside import SHOWN_SHARE, outside_header, outside_hint, out
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.viewer.display_options import Display
+from pixsim.sensor.quantities import Pitch
+from pixsim.viewer.display_options import Display, Luminance
 
 STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction (rules.py).
@@ -98,7 +100,7 @@ class Plan:
 
     lights: tuple[Light, ...]
     bands: Bands
-    white_cd_per_m2: float | None
+    white_cd_per_m2: Luminance | None
     lens: Literal["thinlens", "perspective"]
     integrator: dict[str, Any] | None
     spp: int
@@ -108,9 +110,9 @@ class Plan:
     full_passes: int
     full_spp: int
     chart: Chart | None = field(default=None, repr=False)
-    tolerance_e: float = TOLERANCE_E
+    tolerance_e: Positive = TOLERANCE_E
     warnings: tuple[str, ...] = ()
-    resolution: int | None = None
+    resolution: FilmSamples | None = None
     sampler: str = "multijitter"
     given_spp: bool = False
     exact: bool = False
@@ -128,7 +130,7 @@ class Plan:
         return without_lens(camera) if self.tiling is None else camera
 
     @checks_arguments
-    def margin(self, shape: tuple[int, int], pitch_um: float) -> int:
+    def margin(self, shape: tuple[Count, Count], pitch_um: Pitch) -> int:
         """Return the cells at each side of a film that are rendered beyond it, as far as the blur of a real lens reaches.
 
         shape : (H, W) of the film in cells
@@ -465,7 +467,7 @@ def make_plan(
     *,
     exposure: Exposure | None = None,
     display: Display | None = None,
-    tolerance_e: float = TOLERANCE_E,
+    tolerance_e: Positive = TOLERANCE_E,
     full: bool = False,
 ) -> Plan:
     """Plan a simulation: what is rendered, what is left out and why, and a bound for the error.

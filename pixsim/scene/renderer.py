@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base import cache, mapped
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Whole, checks_arguments
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of
@@ -146,7 +146,7 @@ class Work(NamedTuple):
 def render(
     scene: Scene,
     camera: Camera | None = None,
-    seed: int = 0,
+    seed: Whole = 0,
     *,
     full: bool = False,
     plan: Plan | None = None,

@@ -18,6 +18,7 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
 from pixsim.base.problems import names_meant
 from pixsim.base.records import content_hash
+from pixsim.light.quantities import FilmSamples
 from pixsim.light.spectral import WHITE_LAMPS
 from pixsim.optics.camera import Camera, CameraOptions, values_of_lens_geometry
 from pixsim.optics.camera_lens import camera_with_lens
@@ -31,6 +32,7 @@ from pixsim.scene.guard.plugins import REASONS
 from pixsim.scene.illuminance import ILLUMINANCE, strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
 from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, parse_tree, plain
+from pixsim.viewer.display_options import Luminance
 from pixsim.viewer.setting import Run
 
 CHART, CHART_LINEAR = "chart", "chart_linear"
@@ -67,10 +69,10 @@ class Scene:
     names: frozenset[str]
     sensor_id: str | None
     choice: variants.Choice
-    white_cd_per_m2: float | None = None
+    white_cd_per_m2: Luminance | None = None
     white_lamps: tuple[str, ...] = ()
     own_chart: OwnChart | None = None
-    resolution: int | None = None
+    resolution: FilmSamples | None = None
     shows_csf: bool = False
     strength: float | None = None
     _texts: dict[str, SceneText] = field(default_factory=dict, repr=False, compare=False)
@@ -165,7 +167,7 @@ class Scene:
         return max(1, math.ceil(across * ratio - FILM_ROUNDING)), across
 
     @checks_arguments
-    def with_resolution(self, resolution: int) -> Scene:
+    def with_resolution(self, resolution: FilmSamples) -> Scene:
         """Return the scene on a film of `resolution` samples across."""
         return replace(self, resolution=resolution)
 

@@ -19,8 +19,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
-from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arguments import Count, checks_arguments
+from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.optics.camera import Camera
@@ -59,7 +59,7 @@ class Illumination:
     spare_e: float = 0.0
 
     @checks_arguments
-    def nodes(self, count: int) -> tuple[Array, Array]:
+    def nodes(self, count: Count) -> tuple[Array, Array]:
         """Return wavelengths, (count,) or fewer, and the weights with which the spectrum has a polynomial through them; sum 1."""
         nm, weight = np.array(self.wavelength_nm), np.array(self.weight)
         nm, weight = nm[weight > 0], weight[weight > 0] / weight.sum()
@@ -246,7 +246,7 @@ def _seen_nm(physics: PixelPhysics, wavelength_nm: Array) -> Array:
 
 
 @checks_arguments
-def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: Array) -> None:
+def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveArray) -> None:
     """Warn of each limit of the stack's model that the light of a camera exceeds (`pixsim.optics.stack.model_limits`).
 
     wavelength_nm : of the light, in any order; only those count to which the pixel responds

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from pydantic import Field
 
 from pixsim.base.records import Record
 from pixsim.light.quantities import Fraction
-from pixsim.sensor.quantities import Seconds
+from pixsim.sensor.quantities import GainDb, Seconds
 
 
 class Exposure(Record):
@@ -21,7 +19,7 @@ class Exposure(Record):
         description="automatic exposure: mean signal of the brightest pixel, as a fraction of saturation (the lower of the full "
         "well and the range of the ADC at gain_db)",
     )
-    gain_db: Annotated[float, Field(ge=0, le=60)] = Field(
+    gain_db: GainDb = Field(
         0.0,
         description="amplification before the ADC; at 0 dB the codes above the black level span the full well, unless pixel gives "
         "gain_e_per_dn, dn_per_e or adc_full_scale_e",

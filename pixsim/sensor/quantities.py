@@ -6,6 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
+from pixsim.base.arguments import Bounds
+
 Pitch = Annotated[float, Field(ge=1e-3, le=1e6)]  # 1 nm ... 1 m
 Seconds = Annotated[float, Field(ge=1e-15, le=1e9)]  # 1 fs ... 30 years
 WELL_RANGE_E = (1.0, 1e18)  # at least one electron
@@ -29,3 +31,8 @@ SiliconDepth = Annotated[float, Field(ge=0, le=1e4)]
 DiffusionLength = Annotated[float, Field(ge=1e-3, le=1e6)]
 Crosstalk = Annotated[float, Field(ge=0, le=0.8)]  # at 0.8 a pixel has no more of its light than each of its neighbours
 HalfPitch = Annotated[float, Field(ge=-5e5, le=5e5)]  # of the largest pitch: a lens that is displaced further is the neighbour's
+GainDb = Annotated[float, Field(ge=0, le=60)]
+# Of functions alone.
+FrameBits = Annotated[int, Field(ge=1, le=32)]
+Aspect = Annotated[float, Field(ge=1e-6, le=1e6)]
+SaturatedFraction = Annotated[float, Bounds(0, 1, unknown=True)]

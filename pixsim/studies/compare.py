@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Count, Jobs, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.files import output_folder
 from pixsim.base.layers import listed, plain_tables
@@ -70,12 +70,12 @@ def compare(
     *,
     study: Study | str | os.PathLike[str] | None = None,
     match: Match = "view",
-    repeats: int = 8,
+    repeats: Count = 8,
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     sensor: str | None = None,
     variant: str | None = None,
-    jobs: int | None = None,
+    jobs: Jobs | None = None,
     scheduler: object = None,
     progress: Stage | None = None,
     out: str | os.PathLike[str] | None = None,

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Jobs, checks_arguments
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder
 from pixsim.base.layers import listed
@@ -259,7 +259,7 @@ def study(
     pixel: Mapping[str, Any] | None = None,
     scene: str | os.PathLike[str] | None = None,
     quick: bool = False,
-    jobs: int | None = None,
+    jobs: Jobs | None = None,
     scheduler: object = None,
     variant: str | None = None,
     progress: Stage | None = None,

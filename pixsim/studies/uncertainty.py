@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv, ndtr, ndtri
 
-from pixsim.base.arguments import brief, checks_arguments, checks_fields
+from pixsim.base.arguments import Whole, brief, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.records import Record
@@ -368,7 +368,7 @@ def sobol(n: int, dimensions: int, seed: int) -> Array:
 
 
 @checks_arguments
-def sample_types(unknowns: Sequence[Unknown], n: int, seed: int = 0, shared: Sequence[str] = SHARED) -> Sample:
+def sample_types(unknowns: Sequence[Unknown], n: int, seed: Whole = 0, shared: Sequence[str] = SHARED) -> Sample:
     """Draw sensor types, n rounded up to a power of two, since only so many Sobol' points are balanced.
 
     shared : quantities with one draw in all technologies
@@ -380,7 +380,7 @@ def sample_types(unknowns: Sequence[Unknown], n: int, seed: int = 0, shared: Seq
 
 
 @checks_arguments
-def sobol_points(unknowns: Sequence[Unknown], n: int, seed: int = 0, shared: Sequence[str] = SHARED) -> Sample:
+def sobol_points(unknowns: Sequence[Unknown], n: int, seed: Whole = 0, shared: Sequence[str] = SHARED) -> Sample:
     """Return the n(k + 2) sensor types of `pixsim.studies.indices.total_indices`, k the number of inputs; as `sample_types`."""
     inputs = inputs_of(unknowns, shared)
     return Sample(inputs, saltelli(sobol(n, 2 * len(inputs), seed)))

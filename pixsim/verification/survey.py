@@ -11,7 +11,7 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Whole, checks_arguments
 from pixsim.base.locks import temporary_folder
 from pixsim.base.progress import Stage, no_stage
 from pixsim.light.spectral import SpectralImage
@@ -113,7 +113,7 @@ def accuracy(
     correction: Mapping[str, Any] | None = None,
     develop: Mapping[str, Any] | None = None,
     display: Mapping[str, Any] | None = None,
-    seed: int | None = None,
+    seed: Whole | None = None,
     sensor: str | None = None,
     variant: str | None = None,
     progress: Stage | None = None,

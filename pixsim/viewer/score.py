@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
-from pixsim.base.arguments import checks_arguments, checks_fields, made
+from pixsim.base.arguments import NotNegative, Whole, checks_arguments, checks_fields, made
 from pixsim.base.arrays import Array, mixed, stream
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
@@ -104,7 +104,7 @@ class Score:
     image: Array = field(repr=False)
     frame: Frame = field(repr=False)
     physics: PixelPhysics = field(repr=False)
-    border_um: tuple[float, float] = (0.0, 0.0)
+    border_um: tuple[NotNegative, NotNegative] = (0.0, 0.0)
     out_of_gamut: tuple[float, float] | None = None
     light: LightError = field(default=NOTHING_KNOWN, repr=False)
 
@@ -881,7 +881,7 @@ def evaluate(
     *,
     correction: Correction | None = None,
     develop: Develop | None = None,
-    seed: int = 0,
+    seed: Whole = 0,
     full: bool = False,
 ) -> Score:
     """Simulate one frame of one sensor, show it on a display, and compare it with the ideal image by S-CIELAB.

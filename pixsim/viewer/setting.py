@@ -12,6 +12,7 @@ from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
 from pixsim.base.problems import Words
 from pixsim.base.records import NumberOrText, Record
+from pixsim.light.quantities import FilmSamples
 from pixsim.optics.camera import PIXELS_OR_FILM, CameraOptions
 from pixsim.optics.lens_options import LensOptions, replaced_by_lens
 from pixsim.optics.quantities import DieWidth
@@ -54,9 +55,9 @@ class Effort(Record):
     render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
         0.2, description="largest render noise, as a fraction of the sensor's temporal noise"
     )
-    resolution: Annotated[
-        Annotated[int, Field(ge=1, le=16384)] | None, Words(instead={"resolution": PIXELS_OR_FILM}, hint=_hint_of_pixels)
-    ] = Field(None, description="film samples across the die (absent: chosen from the pixel, the lens and the display)")
+    resolution: Annotated[FilmSamples | None, Words(instead={"resolution": PIXELS_OR_FILM}, hint=_hint_of_pixels)] = Field(
+        None, description="film samples across the die (absent: chosen from the pixel, the lens and the display)"
+    )
     max_seconds: Seconds | None = Field(
         None,
         description="time after which a render ends, with a warning that states its noise; what is unfinished then is given up "
