@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import pixsim
-from pixsim.base.parameters import Record
+from pixsim.base.arguments import without_bounds
+from pixsim.base.records import Record
 from pixsim.base.units import unit_of
 from pixsim.cli.templates import allowed, toml_value
 
@@ -143,7 +144,7 @@ def field_of(name: str, owner: type, described: str) -> Field:
         return Field(name, inner, default, "; ".join(part for part in parts if part))
     own = next(each for each in dataclasses.fields(owner) if each.name == name)
     default = "" if own.default is dataclasses.MISSING else repr(own.default)
-    return Field(name, short(str(own.type)), default, described)
+    return Field(name, short(without_bounds(str(own.type), owner)), default, described)
 
 
 def short(annotation: str) -> str:
@@ -168,6 +169,7 @@ def signature_of(thing: Any) -> tuple[inspect.Signature, str] | None:
         return None
     signature = inspect.signature(thing)
     own = [each for each in signature.parameters.values() if each.name not in ("self", "cls")]
-    own = [each if each.annotation is each.empty else each.replace(annotation=Source(short(str(each.annotation)))) for each in own]
+    words = {each.name: short(without_bounds(str(each.annotation), thing)) for each in own if each.annotation is not each.empty}
+    own = [each.replace(annotation=Source(words[each.name])) if each.name in words else each for each in own]
     result = "" if inspect.isclass(thing) else short(str(signature.return_annotation))
     return inspect.Signature(own), result

@@ -10,22 +10,14 @@ from pixsim.base.version import VERSION
 TYPE_CHECKING = False  # as of `typing`, whose import takes as long as the rest of this file
 if TYPE_CHECKING:
     from pixsim import optics as optics, sensor as sensor
-    from pixsim.base import parameters as parameters
     from pixsim.base.errors import PixsimError as PixsimError
-    from pixsim.base.parameters import (
-        Camera as Camera,
-        Correction as Correction,
-        Display as Display,
-        Exposure as Exposure,
-        Pixel as Pixel,
-        Study as Study,
-    )
     from pixsim.light import spectral as spectral
     from pixsim.light.exr import read_exr as read_exr, write_exr as write_exr
     from pixsim.light.spectral import SpectralImage as SpectralImage
     from pixsim.measure.datasheet import datasheet as datasheet
     from pixsim.measure.lens import lens as lens
     from pixsim.measure.sfr import edge_response as edge_response, sfr as sfr
+    from pixsim.optics.camera import Camera as Camera
     from pixsim.optics.exchange import read_irradiance as read_irradiance, write_npz as write_npz
     from pixsim.optics.lens import load_lens as load_lens
     from pixsim.report.write import write_report as write_report
@@ -35,17 +27,22 @@ if TYPE_CHECKING:
     from pixsim.scene.renderer import render as render
     from pixsim.scene.scene import load_scene as load_scene
     from pixsim.sensor import photodiode as photodiode, pixel as pixel
+    from pixsim.sensor.correction_options import Correction as Correction
+    from pixsim.sensor.exposure import Exposure as Exposure
     from pixsim.sensor.pixel import derive as derive
+    from pixsim.sensor.pixel_options import Pixel as Pixel
     from pixsim.sensor.raw import read_frame as read_frame, write_frame as write_frame
     from pixsim.sensor.readout import Frame as Frame, capture as capture, make_sensor as make_sensor
     from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
     from pixsim.studies.compare import compare as compare
     from pixsim.studies.run import run as run
     from pixsim.studies.study import study as study
+    from pixsim.studies.study_settings import Study as Study
     from pixsim.verification.survey import accuracy as accuracy
     from pixsim.viewer import display as display, scielab as scielab
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
     from pixsim.viewer.demosaic import demosaic as demosaic
+    from pixsim.viewer.display_options import Display as Display
     from pixsim.viewer.scielab import delta_e_map as delta_e_map
     from pixsim.viewer.score import evaluate as evaluate
 
@@ -53,7 +50,12 @@ __version__ = VERSION
 
 _NAMES_OF = {
     "base.errors": "PixsimError",
-    "base.parameters": "Camera Correction Display Exposure Pixel Study",
+    "optics.camera": "Camera",
+    "sensor.correction_options": "Correction",
+    "sensor.exposure": "Exposure",
+    "sensor.pixel_options": "Pixel",
+    "studies.study_settings": "Study",
+    "viewer.display_options": "Display",
     "sensor.technology": "Technology load_technology",
     "light.spectral": "SpectralImage",
     "light.exr": "read_exr write_exr",
@@ -88,7 +90,6 @@ _MODULES = {
     "display": "viewer.display",
     "scielab": "viewer.scielab",
     "charts": "scene.charts",
-    "parameters": "base.parameters",
     "spectral": "light.spectral",
 }
 

@@ -26,9 +26,9 @@ from helpers.tiny import WHOLE_CHART, tiny
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.parameters import merge
 from pixsim.sensor.readout import Frame
 from pixsim.studies.result import StudyResult
+from pixsim.viewer.merging import merge
 from pixsim.viewer.score import ImagingChain
 
 

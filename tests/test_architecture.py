@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import pixsim
+from pixsim.base.units import unit_of
 
 PACKAGE = Path(pixsim.__file__).parent
 
@@ -38,6 +39,17 @@ ALLOWED = {
     "verification": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "report"),
     "cli": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "measure", "report", "verification"),
 }
+# What users state, in the room of its physics, and the readers of it: records without NumPy, which `pixsim --help` imports.
+SETTINGS = {
+    "light.curves", "light.quantities", "light.tables", "optics.camera", "optics.chief_rays", "optics.lens_options",
+    "optics.quantities", "scene.study_scene", "sensor.colour_options", "sensor.correction_options", "sensor.exposure",
+    "sensor.labels", "sensor.number", "sensor.pixel_options", "sensor.quantities", "sensor.spread", "sensor.stack_options",
+    "studies.axis", "studies.case_folders", "studies.condition", "studies.pitch_range", "studies.study_layers",
+    "studies.study_settings", "studies.varied", "viewer.develop_options", "viewer.display_options", "viewer.merging",
+    "viewer.setting", "viewer.settings_file",
+}  # fmt: skip
+# Package -> packages of which it knows the settings, and nothing that computes.
+KNOWS_SETTINGS_OF = {"scene": ("viewer",), "report": ("light", "optics", "sensor", "viewer")}
 # Slow to import: 0.3 s (mitsuba) to 2.6 s (colour). They are imported inside functions.
 HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral", "distributed", "dask"}
 
@@ -95,8 +107,13 @@ def arrows() -> dict[str, set[str]]:
     return graph
 
 
-def package_arrows() -> set[tuple[str, str]]:
-    pairs = {(module.partition(".")[0], other.partition(".")[0]) for module, others in arrows().items() for other in others}
+def package_arrows(*, settings: bool) -> set[tuple[str, str]]:
+    """Pairs of packages, of which one imports the other.
+
+    settings : whether imports of what users state count, too
+    """
+    found = ((module, other) for module, others in arrows().items() for other in others if settings or other not in SETTINGS)
+    pairs = {(module.partition(".")[0], other.partition(".")[0]) for module, other in found}
     return {(one, other) for one, other in pairs if one != other}
 
 
@@ -106,20 +123,41 @@ def test_files_are_in_packages() -> None:
 
 
 def test_packages_import_allowed_packages_only() -> None:
-    backwards = {(one, other) for one, other in package_arrows() if other not in ALLOWED[one]}
+    backwards = {(one, other) for one, other in package_arrows(settings=False) if other not in ALLOWED[one]}
     assert not backwards
 
 
+def test_packages_import_settings_of_allowed_packages_only() -> None:
+    known = {name: {*others, *KNOWS_SETTINGS_OF.get(name, ())} for name, others in ALLOWED.items()}
+    assert {(one, other) for one, other in package_arrows(settings=True) if other not in known[one]} == set()
+
+
+@pytest.mark.parametrize("module", sorted(SETTINGS))
+def test_settings_import_settings_and_no_numpy(module: str) -> None:
+    """Beside the machinery of base: so each stands in the room of its physics, and `pixsim --help` is fast."""
+    others = {name for name in arrows()[module] if not name.startswith("base.")}
+    assert others <= SETTINGS
+    assert "numpy" not in roots(tree(module), at_top_only=True)
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if name.startswith("base.") and name != "base.units"])
+def test_base_has_no_quantity(module: str) -> None:
+    """Nothing in it has a unit, but the seconds of a clock; `base.units` reads units from the names of others."""
+    nodes = list(ast.walk(tree(module)))
+    names = {node.id for node in nodes if isinstance(node, ast.Name)} | {node.arg for node in nodes if isinstance(node, ast.arg)}
+    assert {name for name in names if unit_of(name.lower()) not in ("", "s")} == set()
+
+
 def test_imports_have_no_cycles() -> None:
-    files, packages = arrows(), {name: {other for one, other in package_arrows() if one == name} for name in ALLOWED}
+    files, packages = arrows(), {name: {other for one, other in package_arrows(settings=True) if one == name} for name in ALLOWED}
     assert files["cli"], "the graph is empty"
     for graph in (files, packages):
         TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
 
 
 def test_package_graph_is_small() -> None:
-    """12 packages, at most 11 of them in one chain of imports, and at most 50 imports between packages."""
-    between = package_arrows()
+    """12 packages, at most 11 of them in one chain of imports, and at most 50 imports between packages, but for settings."""
+    between = package_arrows(settings=False)
 
     def floor(name: str) -> int:
         return 1 + max((floor(other) for one, other in between if one == name), default=0)

@@ -26,15 +26,16 @@ from pydantic import BaseModel
 from typing_extensions import TypeAliasType
 
 import pixsim
-from pixsim.base.arguments import check_of
+from pixsim.base.arguments import check_of, without_bounds
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import CameraOptions
+from pixsim.optics.camera import CameraOptions
 
 LIMIT_S = 20.0  # of a call; the slowest takes 0.1 s, the import of Dask 1 s, on a loaded machine many times that
 NM = np.array([450.0, 550.0, 650.0])
 JUNK: dict[str, Any] = {
     "None": None, "empty text": "", "text": "x", "-1": -1, "0": 0, "nan": math.nan, "inf": math.inf, "10**30": 10**30,
-    "[]": [], "{}": {}, "object()": object(), "a type": int, "missing path": Path("/no/such/file"), "folder": Path("/tmp"),
+    "1e-320": 1e-320, "[]": [], "{}": {}, "object()": object(), "a type": int, "missing path": Path("/no/such/file"),
+    "folder": Path("/tmp"),
 }  # fmt: skip
 
 
@@ -130,7 +131,7 @@ OWN: dict[str, Any] = {
     "pixsim.viewer.scielab.grey_delta_e_map.reference_lab": lambda: np.zeros((4, 4, 3)),
     "pixsim.study.plan": STUDY, "pixsim.study.out": "", "pixsim.study.pixel": {}, "pixsim.study.scene": None,
     "pixsim.sensor.pixel.response_curve.reading": "silicon", "pixsim.evaluate.irradiance": LIGHT,
-    "pixsim.base.parameters.Camera.from_lens_geometry.die_mm": 2.7,
+    "pixsim.optics.camera.Camera.from_lens_geometry.die_mm": 2.7,
     "pixsim.SpectralImage.factors": None, "pixsim.SpectralImage.pitch_um": 100.0,
     "pixsim.viewer.display.picture_size_um.irradiance": LIGHT, "pixsim.optics.stack_collection.index": 1.5,
     "pixsim.Camera.lights_like.other": CAMERA,
@@ -199,6 +200,11 @@ def arguments_of(name: str) -> dict[str, inspect.Parameter]:
     parameters = inspect.signature(getattr(thing, "__func__", thing)).parameters
     variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
     return {key: each for key, each in parameters.items() if key not in ("self", "cls") and each.kind not in variadic}
+
+
+def called(name: str) -> Any:
+    """The function or class of a target, whose module has the names of its annotations."""
+    return getattr(TARGETS[name], "__func__", TARGETS[name])
 
 
 def good(name: str, argument: str) -> Any:
@@ -303,8 +309,8 @@ def test_any_argument_gives_a_right_result_or_an_error_that_names_it(name: str) 
             else:
                 if not is_right(result):
                     wrong.append(f"{case}: NaN")
-                elif kind_is_wrong(str(parameter.annotation), junk):
-                    wrong.append(f"{case}: taken for {parameter.annotation}")
+                elif kind_is_wrong(hint := without_bounds(str(parameter.annotation), called(name)), junk):
+                    wrong.append(f"{case}: taken for {hint}")
     assert not wrong, "\n".join(wrong)
 
 

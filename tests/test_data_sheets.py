@@ -16,17 +16,18 @@ from helpers.commands import command
 from helpers.tiny import rows, tiny, tiny_toml, toml_of
 
 import pixsim
-from pixsim.base.config import read_toml
-from pixsim.base.parameters import Pixel, Study, is_data_sheet
+from pixsim.base.toml import read_toml
 from pixsim.cli.options import SceneOptions
 from pixsim.measure import datasheet
 from pixsim.measure.datasheet import make_datasheet
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
+from pixsim.sensor.pixel_options import Pixel, is_data_sheet
 from pixsim.show.render import BELOW
 from pixsim.studies.pixels import technology_of
 from pixsim.studies.preparation import check_technologies, prepare
 from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
 
 SHEET: dict[str, Any] = {
     "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,

@@ -14,8 +14,9 @@ import pytest
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import AS_CURVES, as_chief_ray_angles, as_quantum_efficiency
+from pixsim.light.curves import AS_CURVES, as_quantum_efficiency
 from pixsim.light.foreign import parse_light_unit
+from pixsim.optics.chief_rays import as_chief_ray_angles
 from pixsim.optics.exchange import read_irradiance
 from pixsim.optics.glass import read_catalogue
 from pixsim.scene.guard.meshes import inspect_mesh

@@ -26,26 +26,18 @@ from pydantic import BaseModel, ValidationError
 import pixsim
 from pixsim.base.arguments import SMALLEST
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import (
-    MISMATCH,
-    STANDS_FOR,
-    Camera,
-    CameraOptions,
-    DarkCurrent,
-    Display,
-    Effort,
-    Exposure,
-    PitchRange,
-    Pixel,
-    PixelOptions,
-    Record,
-    excluded_by,
-    explain,
-)
+from pixsim.base.problems import explain
+from pixsim.base.records import Record
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera, CameraOptions
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import MISMATCH, STANDS_FOR, DarkCurrent, Pixel, PixelOptions, excluded_by
 from pixsim.sensor.readout import Frame, capture_from_rates, sample_sensor
 from pixsim.sensor.technology import Junction, Technology, load_technology
+from pixsim.studies.pitch_range import PitchRange
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.setting import Effort
 
 REPEATABLE = {"derandomize": True, "database": None, "deadline": None, "suppress_health_check": list(HealthCheck)}
 MAX_LINEAR_DECADES = 2.0  # wider ranges are drawn uniformly in the logarithm

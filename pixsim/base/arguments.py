@@ -1,7 +1,8 @@
-"""Arguments of public functions, checked by their annotations and names before any of them is used.
+"""Arguments of public functions, checked by their annotations before any of them is used.
 
-An annotation states the kind of an argument (a number, an array, a record), its name the quantity, and so its bounds: a pitch
-is above 0 wherever it is asked for. What depends on several arguments is checked where they are used.
+An annotation states the kind of an argument (a number, an array, a record) and the bounds of its quantity, as those of records do:
+`Annotated` with pydantic's `Field(ge=…, le=…)`, or with `Bounds` for what only functions take. What depends on several arguments is
+checked where they are used.
 """
 
 from __future__ import annotations
@@ -11,14 +12,15 @@ import inspect
 import math
 import numbers
 import os
+import re
 import reprlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from pixsim.base.errors import PixsimError, invalid
 
@@ -32,7 +34,7 @@ MAX_SHOWN = 80  # characters of a value in a message
 
 @dataclass(frozen=True)
 class Bounds:
-    """Range of a quantity.
+    """Range of a quantity; above 0 is `SMALLEST` or more.
 
     unknown : NaN is allowed, for a number that was not counted
     """
@@ -40,24 +42,28 @@ class Bounds:
     low: float = -math.inf
     high: float = math.inf
     open_low: bool = False
+    open_high: bool = False
     infinite: bool = False
     unknown: bool = False
 
     def of(self, what: str) -> str:
         """The allowed values of `what`, such as "number", for a message."""
         finite = "" if self.infinite or self.high < math.inf else "finite "
+        high = f"{'below ' * self.open_high}{self.high:g}"
         if self.low == -math.inf:
             return f"{finite}{what}" if finite else f"{what}, not NaN"
         if self.high < math.inf:
-            return f"{what} {'above' if self.open_low else 'from'} {self.low:g} to {self.high:g}"
-        return f"{finite}{what} {'above' if self.open_low else 'not below'} {self.low:g}"
+            return f"{what} {'above' if self.open_low else 'from'} {self.low:g} to {high}"
+        least = f" ({SMALLEST:g} or more)" * (self.open_low and not self.low)
+        return f"{finite}{what} {'above' if self.open_low else 'not below'} {self.low:g}{least}"
 
     def hold(self, low: float, high: float) -> bool:
         """Whether numbers from `low` to `high` are within."""
         if math.isnan(low):
             return self.unknown
-        above = low > self.low if self.open_low else low >= self.low
-        return bool(above and high <= self.high and (self.infinite or (math.isfinite(low) and math.isfinite(high))))
+        above = low >= max(self.low, SMALLEST) and low > self.low if self.open_low else low >= self.low
+        below = high < self.high if self.open_high else high <= self.high
+        return bool(above and below and (self.infinite or (math.isfinite(low) and math.isfinite(high))))
 
 
 SMALLEST = 1e-30  # of any number but 0: below 2e-308 operations take very long, and ratios of smaller ones overflow
@@ -66,61 +72,20 @@ FINITE = Bounds()
 INFINITE_TOO = Bounds(infinite=True)
 POSITIVE = Bounds(0, open_low=True)
 NOT_NEGATIVE = Bounds(0)
-FRACTION = Bounds(0, 1)
-COUNT = Bounds(1, 1 << 31)
-# Quantities by the names of arguments. A number of another name is finite; the values of other arrays are not looked at.
-BOUNDS = {
-    **dict.fromkeys(("wavelength_nm", "band_width_nm", "pitch_um", "samples_per_deg", "width_mm"), POSITIVE),
-    **dict.fromkeys(("image_distance_mm", "length_um", "white_e", "area_um2", "feature_size_um"), POSITIVE),
-    **dict.fromkeys(("half_window_px", "size_um", "dn_per_e", "full_well_e"), POSITIVE),
-    **dict.fromkeys(("integration_s", "photocurrent_e_per_s", "brightest_e_per_s", "mean_e", "signal_e"), NOT_NEGATIVE),
-    **dict.fromkeys(("total_e_per_s", "signal_e_per_s", "side_um", "border_um", "mean_dark_e"), NOT_NEGATIVE),
-    **dict.fromkeys(("frequency_lp_per_mm", "dark_current_e_per_s", "reset_noise_e", "read_noise_e", "prnu", "dsnu"), NOT_NEGATIVE),
-    **dict.fromkeys(("offset_fpn_e", "column_fpn_e", "black_level_dn", "read_noise_after_gain_e"), NOT_NEGATIVE),
-    **dict.fromkeys(("gain_e_per_dn", "adc_full_scale_e"), POSITIVE),
-    "gain_db": Bounds(0, 60),
-    "hot_pixel_fraction": FRACTION,
-    "hot_pixel_median": Bounds(1, 1e6),
-    "hot_pixel_spread": Bounds(0, 3),
-    **dict.fromkeys(("contrast", "dark", "peak_quantum_efficiency"), FRACTION),
-    **dict.fromkeys(("columns", "count", "shape", "repeats"), COUNT),
-    **dict.fromkeys(("width", "height"), Bounds(1, 32768)),
-    **dict.fromkeys(("workers", "jobs"), Bounds(1, 1 << 16)),
-    "f_number": Bounds(0, open_low=True, infinite=True),  # infinite for a pinhole
-    "white_cd_per_m2": POSITIVE,
-    "tolerance_e": Bounds(0, 1, open_low=True),
-    **dict.fromkeys(("seed", "repeat"), NOT_NEGATIVE),
-    "bits": Bounds(1, 32),
-    "die_mm": Bounds(1e-5, 1000),
-    "saturated_fraction": Bounds(0, 1, unknown=True),
-    "aspect": Bounds(1e-6, 1e6),
-    "highest_lp_per_mm": Bounds(0, 1e6, open_low=True),
-    "resolution": Bounds(1, 16384),
-    **dict.fromkeys(("magnification", "frequency_cy_per_mm"), FINITE),
-    **dict.fromkeys(("x", "y"), FRACTION),  # of a chart
-    "index": NOT_NEGATIVE,
-    "axis": Bounds(0, 1),
-    "degree": Bounds(0, 5),
-    "fov_deg": Bounds(1e-9, 180 - 1e-9),
-    **dict.fromkeys(("aperture_radius_m", "focus_distance_m"), Bounds(0, 1e18, open_low=True)),
-    **dict.fromkeys(("chief_ray_deg", "azimuth_deg", "frequency_x_cy_per_mm", "frequency_y_cy_per_mm"), FINITE),
-    **dict.fromkeys(("photodiode_side_um", "height_um", "absorption_per_um", "diffusion_length_um"), POSITIVE),
-    **dict.fromkeys(("follower_area_um2", "node_capacitance_ff"), POSITIVE),
-    **dict.fromkeys(("depletion_um", "perimeter_um", "prnu_um", "threshold_mv_um"), NOT_NEGATIVE),
-    **dict.fromkeys(("area_na_per_cm2", "perimeter_na_per_cm"), NOT_NEGATIVE),
-    "numerical_aperture": FRACTION,
-    "entrance_pupil_diameter_mm": POSITIVE,
-    "object_distance_mm": Bounds(0, open_low=True, infinite=True),
-    **dict.fromkeys(("stop_x", "stop_y"), Bounds(-2, 2)),  # over the stop's radius: a square grid, no lengths
-    "tan_field": INFINITE_TOO,  # infinite for light parallel to the sensor
-    "level_dn": INFINITE_TOO,
-    "relative_luminance": INFINITE_TOO,
-}
-# Axes of arrays, by the names of arguments; other arrays may have any.
-AXES = {
-    **dict.fromkeys(("picture", "texels", "signal_e_per_s", "luminance", "mosaic"), 2),
-    **dict.fromkeys(("weight", "edges_um"), 1),
-}
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Number of axes of an array that is not empty."""
+
+    count: int
+
+
+Positive = Annotated[float, POSITIVE]
+NotNegative = Annotated[float, NOT_NEGATIVE]
+Whole = Annotated[int, NOT_NEGATIVE]
+Count = Annotated[int, Bounds(1, 1 << 31)]
+Jobs = Annotated[int, Bounds(1, 1 << 16)]
 
 
 def check_broadcast(**shapes: tuple[int, ...]) -> None:
@@ -135,7 +100,7 @@ def check_broadcast(**shapes: tuple[int, ...]) -> None:
 
 
 def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
-    """Check the arguments of a function by their annotations and `BOUNDS`; arrays are converted from lists and numbers.
+    """Check the arguments of a function by their annotations; arrays are converted from lists and numbers.
 
     The function then raises PixsimError that names the first argument that is not of its kind or out of bounds.
     """
@@ -144,10 +109,10 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
 
     def prepare() -> None:  # at the first call: annotations may name what is defined further down
         parameters = inspect.signature(function).parameters.values()
-        hints = get_type_hints(_Annotated(function))
+        hints = get_type_hints(_Annotated(function), include_extras=True)
         for parameter in parameters:
             if parameter.name in hints and parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
-                checks[parameter.name] = check_of(hints[parameter.name], BOUNDS.get(parameter.name), AXES.get(parameter.name))
+                checks[parameter.name] = check_of(hints[parameter.name])
             if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
                 positions.append((parameter.name, checks.get(parameter.name)))
 
@@ -190,9 +155,18 @@ def made(kind: type[T], *fields: Any, **named: Any) -> T:
 def check_of(hint: object, bounds: Bounds | None = None, axes: int | None = None) -> Check:
     """The check of an annotation.
 
-    axes : of an array
+    bounds : where the annotation states none
+    axes : of an array, likewise
     """
-    import numpy as np  # here: `parameters`, which `pixsim --help` imports, does without
+    if get_origin(hint) is not Annotated:
+        return _check_of_kind(hint, bounds, axes)
+    kind, *stated = get_args(hint)
+    return _check_of_kind(kind, _bounds_in(stated) or bounds, next((each.count for each in stated if isinstance(each, Axes)), axes))
+
+
+def _check_of_kind(hint: object, bounds: Bounds | None, axes: int | None) -> Check:
+    """The check of an annotation without bounds."""
+    import numpy as np  # here: records, which `pixsim --help` imports, do without
     from numpy.typing import ArrayLike
 
     if hint is not ArrayLike:
@@ -224,6 +198,38 @@ def check_of(hint: object, bounds: Bounds | None = None, axes: int | None = None
     if kind is os.PathLike:
         return _path
     return _instance(kind, "a pathlib.Path" if kind is Path else f"a {kind.__name__}")
+
+
+def without_bounds(annotation: str, owner: Any) -> str:
+    """An annotation as the source spells it, with plain types in place of those with bounds, as float for Positive.
+
+    owner : function or class in whose module the names are known
+    """
+    import numpy as np
+    from numpy.typing import ArrayLike
+
+    scope = vars(sys.modules[owner.__module__])
+
+    def plain(match: re.Match[str]) -> str:
+        named = scope.get(match[0])
+        if get_origin(named) is not Annotated:
+            return match[0]
+        bare = get_args(named)[0]
+        return "Array" if get_origin(bare) is np.ndarray else "ArrayLike" if bare == ArrayLike else str(bare.__name__)
+
+    return re.sub(r"(?<![.\w])[A-Z]\w+", plain, annotation)
+
+
+def _bounds_in(stated: Sequence[object]) -> Bounds | None:
+    """The bounds that parts of an annotation state; None if they state none."""
+    from pydantic.fields import FieldInfo
+
+    fields = [part for each in stated if isinstance(each, FieldInfo) for part in each.metadata]
+    found = {name: getattr(part, name) for part in fields for name in ("ge", "gt", "le", "lt") if hasattr(part, name)}
+    if not found:
+        return next((each for each in stated if isinstance(each, Bounds)), None)
+    low, high = found.get("ge", found.get("gt", -math.inf)), found.get("le", found.get("lt", math.inf))
+    return Bounds(low, high, open_low="gt" in found, open_high="lt" in found)
 
 
 def brief(value: object) -> str:
@@ -264,7 +270,8 @@ def _path(name: str, value: object) -> object:
 def _number(kind: type, bounds: Bounds | None) -> Check:
     bounds = bounds or FINITE
     expected = f"a {bounds.of('whole number' if kind is int else 'number')}"
-    low, high = bounds.low, min(bounds.high, sys.float_info.max)
+    low = max(bounds.low, SMALLEST) if bounds.open_low else bounds.low
+    high = min(bounds.high, sys.float_info.max)
 
     def check(name: str, value: Any) -> object:
         number, own = value, type(value)
@@ -325,8 +332,8 @@ def _within(array: Any, bounds: Bounds) -> Any:
     import numpy as np
 
     finite = ~np.isnan(array) if bounds.infinite else np.isfinite(array)
-    above = array > bounds.low if bounds.open_low else array >= bounds.low
-    return finite & above & (array <= bounds.high)
+    above = (array > bounds.low) & (array >= SMALLEST) if bounds.open_low else array >= bounds.low
+    return finite & above & (array < bounds.high if bounds.open_high else array <= bounds.high)
 
 
 def _any_of(hint: object, bounds: Bounds | None) -> Check:

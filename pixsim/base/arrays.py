@@ -13,11 +13,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import IO, Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from pixsim.base.arguments import FINITE, INFINITE_TOO, NOT_NEGATIVE, POSITIVE, Axes, Bounds
 from pixsim.base.errors import PixsimError, invalid, one_line
 from pixsim.base.files import check_compression, check_size, opened, reason
 from pixsim.base.lazy import load_when_used
@@ -26,6 +27,19 @@ from pixsim.base.machine import threads
 load_when_used("f2py", "testing")  # before SciPy is imported, which uses neither: a third of the time of its import
 
 Array = NDArray[np.float64]
+# Arrays as arguments, with the bounds of all of their values, or the number of their axes.
+Positives = Annotated[ArrayLike, POSITIVE]
+PositiveArray = Annotated[Array, POSITIVE]
+NotNegatives = Annotated[ArrayLike, NOT_NEGATIVE]
+NotNegativeArray = Annotated[Array, NOT_NEGATIVE]
+Finites = Annotated[ArrayLike, FINITE]
+FiniteArray = Annotated[Array, FINITE]
+Numbers = Annotated[ArrayLike, INFINITE_TOO]
+NumberArray = Annotated[Array, INFINITE_TOO]
+UnitIntervals = Annotated[ArrayLike, Bounds(0, 1)]
+Picture = Annotated[Array, Axes(2)]
+Row = Annotated[Array, Axes(1)]
+NotNegativePicture = Annotated[Array, NOT_NEGATIVE, Axes(2)]
 Item = TypeVar("Item")
 MAX_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
 CACHE_LINE_BYTES = 64

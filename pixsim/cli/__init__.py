@@ -50,7 +50,7 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
         from pydantic import ValidationError
 
         from pixsim.base.errors import PixsimError
-        from pixsim.base.parameters import explain
+        from pixsim.base.problems import explain
         from pixsim.cli.commands import run_command
     except ImportError as error:
         end(broken(error), UNEXPECTED)

@@ -16,15 +16,18 @@ from typing import Annotated, Any, Literal, get_args
 from cyclopts import Parameter
 
 from pixsim.base.caller import command_line
-from pixsim.base.config import checked, study_layers
 from pixsim.base.errors import UnwritableError, invalid
 from pixsim.base.files import check_replaceable, output_folder, told_of_finished_files, write_made_from
+from pixsim.base.layers import Layer
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import Layer, LensOptions, Run
+from pixsim.base.records import checked
 from pixsim.cli import options as common
 from pixsim.cli.options import DEFAULT_OUT, HELP, HELP_ALL, Json, Out, SceneOptions, answer, app, field_option, given, say, stages
 from pixsim.cli.process import interruption
+from pixsim.optics.lens_options import LensOptions
+from pixsim.studies.study_layers import study_layers
+from pixsim.viewer.setting import Run
 
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from cyclopts import Argument, CycloptsError, MissingArgumentError, UnknownOptionError, UnusedCliTokensError
 
-from pixsim.base.config import packaged
-from pixsim.base.parameters import Run, names_meant
+from pixsim.base.problems import names_meant
+from pixsim.base.toml import packaged
 from pixsim.cli.options import app, scene_names
+from pixsim.viewer.setting import Run
 
 OF_FILES_TO_WRITE = (".toml", ".exr", ".xml")  # which commands with -o write
 

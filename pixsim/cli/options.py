@@ -17,27 +17,23 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get
 from cyclopts import App, Parameter
 
 from pixsim.base import progress
-from pixsim.base.config import packaged, run_settings
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, printable
 from pixsim.base.files import private_folder
-from pixsim.base.parameters import (
-    NO_TECHNOLOGY,
-    NUMBERS,
-    Camera,
-    CameraOptions,
-    Correction,
-    Develop,
-    Display,
-    Exposure,
-    LensOptions,
-    PitchRange,
-    Pixel,
-    Record,
-    Run,
-)
 from pixsim.base.progress import Stage
+from pixsim.base.records import Record
+from pixsim.base.toml import packaged
 from pixsim.base.version import VERSION
 from pixsim.cli.process import interruption
+from pixsim.optics.camera import Camera, CameraOptions
+from pixsim.optics.lens_options import LensOptions
+from pixsim.sensor.correction_options import Correction
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY, NUMBERS, Pixel
+from pixsim.studies.pitch_range import PitchRange
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import run_settings
 
 DEFAULT_OUT = Path("pixsim-out")
 QUIET, VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")

@@ -7,10 +7,15 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from pixsim.base.config import MAY_BE_UNCERTAIN, packaged
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.parameters import DATA_SHEET, NUMBERS, Camera, Record, Run, Spread, Study
+from pixsim.base.records import Record
+from pixsim.base.toml import packaged
 from pixsim.base.units import unit_of
+from pixsim.optics.camera import Camera
+from pixsim.sensor.pixel_options import DATA_SHEET, NUMBERS
+from pixsim.sensor.spread import MAY_BE_UNCERTAIN, Spread
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.setting import Run
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110

@@ -20,9 +20,9 @@ from pixsim.base.arrays import Array, ArrayHeader, first_where, read_arrays, str
 from pixsim.base.errors import PixsimError, excerpt, invalid, names_in
 from pixsim.base.files import check_size, read_bytes, reason, size_of
 from pixsim.base.notes import warn
-from pixsim.base.tables import POWERS, as_number, as_text, unit_of_wavelength
 from pixsim.light.exr import read_channels, read_header
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, bands_last_hint
+from pixsim.light.tables import POWERS, as_number, as_text, unit_of_wavelength
 
 IRRADIANCE_UNIT = "W.m^-2.nm^-1"  # of pixsim's files, as the layout of Fichet et al. spells it
 ALLOWED_UNITS = (

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pixsim.base.arguments import check_broadcast, checks_arguments
-from pixsim.base.arrays import Array, strips, values_of
+from pixsim.base.arguments import Count, Positive, Whole, check_broadcast, checks_arguments
+from pixsim.base.arrays import Array, Positives, Row, strips, values_of
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.mapped import is_mapped, release, update_with_array
 
@@ -37,7 +37,7 @@ LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
 @checks_arguments
-def photons_per_joule(wavelength_nm: ArrayLike) -> Array:
+def photons_per_joule(wavelength_nm: Positives) -> Array:
     """Return λ/(hc), photons per joule, in the shape (...) of the wavelengths; SI constants of 2019."""
     return np.asarray(wavelength_nm, float) * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S)
 
@@ -48,14 +48,14 @@ def _photometric_table() -> Array:
 
 
 @checks_arguments
-def photopic_efficiency(wavelength_nm: ArrayLike) -> Array:
+def photopic_efficiency(wavelength_nm: Positives) -> Array:
     """Return ȳ(λ) of the CIE 1931 observer (CIE 018:2019) (...) as the wavelengths: 1 at its peak, 0 outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
 
 
 @checks_arguments
-def colour_matching(wavelength_nm: ArrayLike) -> Array:
+def colour_matching(wavelength_nm: Positives) -> Array:
     """Return x̄(λ), ȳ(λ) and z̄(λ) of the CIE 1931 observer (CIE 018:2019), (..., 3) as the wavelengths; 0 outside 360-830 nm.
 
     Relative to the peak of ȳ, which is 1.
@@ -68,14 +68,14 @@ def colour_matching(wavelength_nm: ArrayLike) -> Array:
 
 
 @checks_arguments
-def d65(wavelength_nm: ArrayLike) -> Array:
+def d65(wavelength_nm: Positives) -> Array:
     """Return the relative power of CIE D65 (CIE 15:2018) (...) as the wavelengths: 100 at 560 nm, 0 outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 4], left=0.0, right=0.0)
 
 
 @checks_arguments
-def luminous_weight(wavelength_nm: ArrayLike, band_width_nm: ArrayLike) -> Array:
+def luminous_weight(wavelength_nm: Positives, band_width_nm: Positives) -> Array:
     """Return the weights (B,) that turn band values per nm into lx (from W m⁻² nm⁻¹) or cd/m² (from W m⁻² sr⁻¹ nm⁻¹).
 
     683.002 lm/W times `photopic_efficiency` times the width (CIE 018:2019).
@@ -122,9 +122,9 @@ class SpectralImage:
     @checks_arguments
     def __init__(
         self,
-        wavelength_nm: ArrayLike,
-        band_width_nm: ArrayLike,
-        pitch_um: float,
+        wavelength_nm: Positives,
+        band_width_nm: Positives,
+        pitch_um: Positive,
         *,
         data: ArrayLike | None = None,
         factors: tuple[ArrayLike, ArrayLike] | None = None,
@@ -201,7 +201,7 @@ class SpectralImage:
         return np.stack([self.band(index) for index in range(self.wavelength_nm.size)], axis=2)
 
     @checks_arguments
-    def band(self, index: int, rows: slice = WHOLE) -> NDArray[np.float32]:
+    def band(self, index: Whole, rows: slice = WHOLE) -> NDArray[np.float32]:
         """Return band `index`, (H, W) float32 in W m⁻² nm⁻¹, or some of its `rows`.
 
         Raises PixsimError if there is no such band.
@@ -224,7 +224,7 @@ class SpectralImage:
         return self.factors[1].shape[1:] if self.factors else self.data.shape[:2]
 
     @checks_arguments
-    def weighted(self, weight: Array) -> Array:
+    def weighted(self, weight: Row) -> Array:
         """Return Σ_b weight_b · E_b at each sample, (H, W) float64, independent of the number of threads.
 
         weight : (B,), any unit per W m⁻² nm⁻¹
@@ -236,7 +236,7 @@ class SpectralImage:
         return total
 
     @checks_arguments
-    def weighted_part(self, weight: Array, part: tuple[slice, slice]) -> Array:
+    def weighted_part(self, weight: Row, part: tuple[slice, slice]) -> Array:
         """Return some rows and columns of `weighted`, bit for bit the same.
 
         weight : (B,), any unit per W m⁻² nm⁻¹
@@ -258,7 +258,7 @@ class SpectralImage:
         return total
 
     @checks_arguments
-    def box_reduced(self, columns: int) -> SpectralImage:
+    def box_reduced(self, columns: Count) -> SpectralImage:
         """Return the image on `columns` samples across, each the mean over its area, of the larger pitch.
 
         The width stays. Where the height is no whole number of the larger samples, less than one of them is cut off, half above
@@ -288,7 +288,12 @@ class SpectralImage:
 
     @checks_arguments
     def with_planes(
-        self, planes: NDArray[np.float32], *, pitch_um: float | None = None, header: dict[str, Any] | None = None, margin: int = 0
+        self,
+        planes: NDArray[np.float32],
+        *,
+        pitch_um: Positive | None = None,
+        header: dict[str, Any] | None = None,
+        margin: int = 0,
     ) -> SpectralImage:
         """Return an image of the same bands with other `planes`, (n, H, W), of any height and width.
 

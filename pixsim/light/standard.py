@@ -6,10 +6,9 @@ from functools import lru_cache
 from importlib import resources
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, Positives
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.light.spectral import d65
 
@@ -36,7 +35,7 @@ def illuminant_names() -> tuple[str, ...]:
 
 
 @checks_arguments
-def illuminant(name: str, wavelength_nm: ArrayLike) -> Array:
+def illuminant(name: str, wavelength_nm: Positives) -> Array:
     """Return the relative power of a CIE illuminant (CIE 15:2018) (...) as the wavelengths; 0 outside 360-780 nm.
 
     It is linear between the points of the tables. Those of FL and LED begin at 380 nm, and that of D65 ends at 830 nm.
@@ -56,7 +55,7 @@ def illuminant(name: str, wavelength_nm: ArrayLike) -> Array:
 
 
 @checks_arguments
-def patch_reflectance(wavelength_nm: ArrayLike) -> Array:
+def patch_reflectance(wavelength_nm: Positives) -> Array:
     """Return the reflectance of the 24 patches (ISO 17321-1), 0 to 1, (24, ...) as the wavelengths.
 
     It is linear between the points of the table, and constant outside 380-780 nm.

@@ -18,7 +18,6 @@ import numpy as np
 
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import DEVELOP
 from pixsim.light.spectral import photons_per_joule
 from pixsim.light.standard import CHROMATIC_PATCHES, illuminant
 from pixsim.measure.estimators import Estimate, Frames
@@ -29,6 +28,7 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import frame_variance_dn2, read_out, sample_sensor
 from pixsim.viewer.colour_matrix import STANDARD_NM, chart_responses, chart_xyz, metamerism_index
 from pixsim.viewer.develop import Rendition, check_told_apart, product
+from pixsim.viewer.develop_options import DEVELOP
 from pixsim.viewer.display import XYZ_FROM_RGB
 
 LAMP = "D55"  # the default of ISO 17321-1

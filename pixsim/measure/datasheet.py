@@ -16,25 +16,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Positive, Whole, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.base.config import listed, read_toml, run_settings
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.parameters import NO_TECHNOLOGY, Exposure, Pixel, Run
+from pixsim.base.layers import listed
 from pixsim.base.progress import Stage, no_stage
+from pixsim.base.toml import read_toml
 from pixsim.measure import colour as colours, estimators
 from pixsim.measure.colour import Colour, measure_colour
 from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, RowNoise, Series, Stack, root
 from pixsim.measure.experiment import Experiment, make_experiment
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
 from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
 from pixsim.show.sentences import rounded
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import run_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -319,8 +323,8 @@ def datasheet(
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     pixel: Pixel | Mapping[str, Any] | None = None,
     exposure: Exposure | Mapping[str, Any] | None = None,
-    wavelength_nm: float | None = None,
-    seed: int | None = None,
+    wavelength_nm: Positive | None = None,
+    seed: Whole | None = None,
     progress: Stage | None = None,
 ) -> DataSheet:
     """Measure one simulated sensor of a pixel by EMVA 1288, ISO 15739 and ISO 12232, beside the true values.

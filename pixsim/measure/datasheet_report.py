@@ -12,9 +12,9 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.files import versions
-from pixsim.base.labels import file_label, label_of
-from pixsim.base.parameters import Pixel
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
+from pixsim.sensor.labels import file_label, label_of
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.show.document import Answer, Beside, Document, Note, Plot, Section, Table, headline, pairs
 from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers

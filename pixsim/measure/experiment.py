@@ -16,11 +16,12 @@ import numpy as np
 
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Exposure, Pixel
 from pixsim.measure.estimators import Frames, Series, pair, series
 from pixsim.sensor.collection import collected_fraction, even_light
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Positive, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
@@ -22,6 +22,7 @@ from pixsim.optics.field_blur import UM_PER_NM, Light, even_window, fit_wavefron
 from pixsim.optics.glass import AIR
 from pixsim.optics.lens import FirstOrder, Lens, load_lens
 from pixsim.optics.lens_waves import pupil_rays
+from pixsim.optics.quantities import FNumberOrPinhole
 from pixsim.optics.ray_trace import sag_and_slope
 from pixsim.show.pages import plain
 
@@ -420,12 +421,12 @@ def lens(
     file: str | os.PathLike[str],
     *,
     focal_length_mm: float | None = None,
-    f_number: float | None = None,
+    f_number: FNumberOrPinhole | None = None,
     field_deg: float | None = None,
     refocus: Literal["paraxial", "axis", "field"] | None = None,
     object_distance_m: float | None = None,
-    wavelength_nm: Sequence[float] = (),
-    pitch_um: float | None = None,
+    wavelength_nm: Sequence[Positive] = (),
+    pitch_um: Positive | None = None,
     configuration: int | None = None,
     semi_diameters: Literal["ignore", "clip"] = "ignore",
     vignetting_factors: Literal["use", "ignore"] | None = None,

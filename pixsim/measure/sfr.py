@@ -22,11 +22,12 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal.windows import tukey
 from scipy.special import chndtrinc, erf, ndtri
 
-from pixsim.base.arguments import LARGEST, SMALLEST, checks_arguments, checks_fields
+from pixsim.base.arguments import LARGEST, SMALLEST, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.notes import collected_notes, warn
+from pixsim.base.records import UnitInterval
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, layout_of, read_picture, stated_number
 from pixsim.show.document import Document, Note, Plot, Section, headline
@@ -103,13 +104,13 @@ class EdgeResponse:
     distance_px: Array = field(repr=False)
     edge_spread: Array = field(repr=False)
     angle_deg: float
-    half_window_px: float
+    half_window_px: Positive
     rows_used: int
-    contrast: float
+    contrast: UnitInterval
     mtf50_interval_cy_per_px: tuple[float | None, float | None] = (None, None)
     nyquist_cy_per_px: float = NYQUIST_CY_PER_PX
     channel: str | None = None
-    pitch_um: float | None = None
+    pitch_um: Positive | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -130,7 +131,7 @@ class EdgeResponse:
         return sfr, low, high
 
     @checks_arguments
-    def frequency_cy_per_mm(self, pitch_um: float) -> Array:
+    def frequency_cy_per_mm(self, pitch_um: Positive) -> Array:
         """(F,) frequencies on the sensor for a given pixel pitch."""
         return self.frequency_cy_per_px * 1e3 / pitch_um
 
@@ -230,7 +231,7 @@ def edge_response(
     picture: ArrayLike,
     *,
     region: Sequence[int] | None = None,
-    half_window_px: float = HALF_WINDOW_PX,
+    half_window_px: Positive = HALF_WINDOW_PX,
     saturation: float | None = None,
     is_unclipped: bool = False,
     layout: str | None = None,
@@ -939,7 +940,7 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
 def sfr(
     image: str | os.PathLike[str],
     *,
-    pitch_um: float | None = None,
+    pitch_um: Positive | None = None,
     channel: str | None = None,
     layout: str | None = None,
     black: float | None = None,

@@ -22,8 +22,9 @@ from pydantic import TypeAdapter, ValidationError
 from pixsim.base import cache
 from pixsim.base.arrays import WORTH_THREADS, Array, in_threads, strips
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.parameters import READING, Camera, CameraOptions, LensOptions, TracedLens, content_hash
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.diffraction import white_otf
 from pixsim.optics.field_blur import (
     RADIAL_STEPS,
@@ -47,6 +48,7 @@ from pixsim.optics.field_blur import (
     transform_of,
 )
 from pixsim.optics.lens import Lens, read_lens
+from pixsim.optics.lens_options import READING, LensOptions, TracedLens
 from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.thin_lens import irradiance_factor
 

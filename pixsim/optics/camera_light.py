@@ -14,11 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Count, Positive, checks_arguments
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, ChiefRayAngles, TracedLens
 from pixsim.light.spectral import WHOLE
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import field_angles, traced_lens
+from pixsim.optics.chief_rays import ChiefRayAngles
+from pixsim.optics.lens_options import TracedLens
 from pixsim.optics.pupil import Directions, Pupil, numerical_aperture
 from pixsim.optics.thin_lens import field_factor, irradiance_factor, thin_lens_pupil
 
@@ -106,7 +108,9 @@ def camera_pupil(camera: Camera) -> CameraPupil:
 
 
 @checks_arguments
-def camera_factor(camera: Camera, shape: tuple[int, int], pitch_um: float, part: tuple[slice, slice] = (WHOLE, WHOLE)) -> Array:
+def camera_factor(
+    camera: Camera, shape: tuple[Count, Count], pitch_um: Positive, part: tuple[slice, slice] = (WHOLE, WHOLE)
+) -> Array:
     """Return the irradiance on the sensor over the radiance of the scene, (H, W) sr, at each sample of a grid on the axis.
 
     It is `field_factor`; with a relative illumination in `Camera.chief_ray_angle`, that of the axis times it, linear between its

@@ -8,10 +8,25 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import check_broadcast, checks_arguments
-from pixsim.base.arrays import Array, dct, empty_planes, inverse_dct, strips, strips_of, values_of
+from pixsim.base.arguments import Count, NotNegative, Positive, check_broadcast, checks_arguments
+from pixsim.base.arrays import (
+    Array,
+    FiniteArray,
+    Finites,
+    Picture,
+    PositiveArray,
+    Positives,
+    Row,
+    dct,
+    empty_planes,
+    inverse_dct,
+    strips,
+    strips_of,
+    values_of,
+)
 from pixsim.base.errors import invalid
 from pixsim.base.mapped import release
+from pixsim.optics.quantities import FNumberOrPinhole
 
 NM_PER_MM = 1e6
 OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
@@ -20,7 +35,7 @@ KEPT_WHITE = 64  # of sums over the wavelengths, 16 MiB in all
 
 
 @checks_arguments
-def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
+def cutoff_cy_per_mm(wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Array:
     """Return the cut-off frequency 1/(λ N_e) = 2 sin α/λ of a diffraction-limited lens, in the shape (...) of the wavelengths.
 
     It is 0 for a pinhole, N_e = infinity. Goodman, Introduction to Fourier Optics, 3rd ed.
@@ -36,7 +51,7 @@ def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
 
 
 @checks_arguments
-def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_number: float) -> Array:
+def diffraction_otf(frequency_cy_per_mm: Finites, wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Array:
     """Return the OTF of a circular pupil, (2/π)(acos x - x√(1-x²)) with x = frequency · λ · N, zero beyond x = 1.
 
     Goodman, Introduction to Fourier Optics, 3rd ed., eq. (6-31). The OTF at frequency 0 is always 1. It is the same over the
@@ -66,7 +81,7 @@ def check_bands(wavelength_nm: Array, weight: Array) -> None:
 
 
 @checks_arguments
-def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f_number: float) -> Array:
+def white_otf(frequency_cy_per_mm: FiniteArray, wavelength_nm: PositiveArray, weight: Row, f_number: FNumberOrPinhole) -> Array:
     """Return Σ weight · `diffraction_otf` over wavelengths, in the shape (...) of the frequencies.
 
     It is the white-light OTF if the weights add up to 1.
@@ -87,10 +102,10 @@ def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f
 @checks_arguments
 def diffract_sum(
     pictures: Iterable[tuple[ArrayLike, Array]],
-    shape: tuple[int, int],
-    pitch_um: float,
-    wavelength_nm: Array,
-    f_number: float | None,
+    shape: tuple[Count, Count],
+    pitch_um: Positive,
+    wavelength_nm: PositiveArray,
+    f_number: FNumberOrPinhole | None,
     transfer: Callable[[Array, float], Array] | None = None,
 ) -> Array:
     """Return the sum of pictures (H, W), each convolved with its white-light PSF Σ_λ weight · PSF_λ of `diffraction_otf`.
@@ -116,10 +131,10 @@ def diffract_sum(
 def diffract_sums(
     pictures: Iterable[tuple[ArrayLike, Sequence[Array]]],
     channels: int,
-    shape: tuple[int, int],
-    pitch_um: float,
-    wavelength_nm: Array,
-    f_number: float | None,
+    shape: tuple[Count, Count],
+    pitch_um: Positive,
+    wavelength_nm: PositiveArray,
+    f_number: FNumberOrPinhole | None,
     transfer: Callable[[Array, float], Array] | None = None,
 ) -> list[Array]:
     """Return `diffract_sum` for several channels, [(H, W)] each, of one forward transform per picture and an inverse one each.
@@ -220,7 +235,7 @@ def _filter(
 
 
 @checks_arguments
-def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float) -> Array:
+def diffract(picture: Picture, pitch_um: Positive, wavelength_nm: PositiveArray, weight: Row, f_number: FNumberOrPinhole) -> Array:
     """Return a picture convolved with the white-light PSF of `diffraction_otf`, (H, W) in its unit; see `diffract_sum`.
 
     picture : (H, W)
@@ -238,7 +253,7 @@ def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Arra
 
 
 @checks_arguments
-def square_aperture_mtf(frequency_cy_per_mm: ArrayLike, side_um: float) -> Array:
+def square_aperture_mtf(frequency_cy_per_mm: Finites, side_um: NotNegative) -> Array:
     """Return |sin(πx)/(πx)|, x = frequency · side: the MTF of a square photodiode along one axis, (...) as the frequencies.
 
     The geometric MTF of Chen et al. (2000), section 2.2.

@@ -14,20 +14,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Positive, checks_arguments
 from pixsim.base.arrays import Array, first_where
-from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import replacing
+from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, CameraOptions, Layer, LensOptions
-from pixsim.base.tables import unit_hint
+from pixsim.base.records import checked
 from pixsim.base.version import VERSION
 from pixsim.light import foreign
 from pixsim.light.exr import read_exr, read_header
 from pixsim.light.spectral import MAX_VALUE, OUTLIER, OUTLIERS, RINGS, SpectralImage, find_outliers, lowest_allowed, luminous_weight
+from pixsim.light.tables import unit_hint
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.optics.camera_light import camera_factor
+from pixsim.optics.lens_options import LensOptions
 
 ALLOWED_NM = (300.0, 1200.0)  # where glass transmits and silicon responds
 PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
@@ -40,7 +42,7 @@ MOST_NEGATIVE = 0.01  # of the brightest band's mean: sums of fitted factors may
 
 @checks_arguments
 def read_irradiance(
-    path: str | os.PathLike[str], camera: Camera | None = None, *, units: str | None = None, pitch_um: float | None = None
+    path: str | os.PathLike[str], camera: Camera | None = None, *, units: str | None = None, pitch_um: Positive | None = None
 ) -> SpectralImage:
     """Read spectral irradiance on the sensor, W m⁻² nm⁻¹, from a file of pixsim or of another program.
 

@@ -19,22 +19,25 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields as dataclass_fields, replace
 from functools import cache, cached_property, lru_cache
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fields
-from pixsim.base.arrays import Array, in_threads
-from pixsim.base.config import checked
+from pixsim.base.arguments import Bounds, Positive, check_broadcast, checks_arguments, checks_fields
+from pixsim.base.arrays import Array, Finites, Positives, in_threads
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Layer, LensOptions
+from pixsim.base.records import checked
 from pixsim.optics.glass import AIR, Glass
+from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.prescription import Prescription, Vignetting, read_prescription
 from pixsim.optics.pupil import Directions
+from pixsim.optics.quantities import AnyDistance, FNumberOrPinhole
 from pixsim.optics.ray_trace import Rays, at_plane, met, paraxial, rays_from, refracted, trace, turned_round
 
+StopPoints = Annotated[ArrayLike, Bounds(-2, 2)]  # over the stop's radius: a square grid, no lengths
 MM_PER_NM = 1e-6
 DEGREE = 11  # of the polynomial from the stop to the entrance pupil: within 1e-9 of its radius for a Cooke triplet at 20°
 RINGS, SPOKES = 8, 13  # of rays to which that polynomial is fitted, on half of the stop
@@ -356,9 +359,9 @@ class Lens:
     """
 
     prescription: Prescription
-    entrance_pupil_diameter_mm: float
+    entrance_pupil_diameter_mm: Positive
     max_field_deg: float
-    object_distance_mm: float = math.inf
+    object_distance_mm: AnyDistance = math.inf
     # Not shown, so that the text of a lens without it, and what is derived from it, stays.
     vignetting: tuple[tuple[float, float, float, float], ...] = field(default=(), repr=False)
 
@@ -406,7 +409,7 @@ class Lens:
     # Paraxial ------------------------------------------------------------------------------------------------------------
 
     @checks_arguments
-    def first_order(self, wavelength_nm: float) -> FirstOrder:
+    def first_order(self, wavelength_nm: Positive) -> FirstOrder:
         """Return paraxial data at a wavelength. Raises PixsimError if it is outside the range of a glass."""
         surfaces, indices = self.prescription.surfaces, self._indices(np.array([wavelength_nm]))
         height, angle = paraxial(surfaces, indices, np.array([1.0]), np.array([0.0]))
@@ -676,7 +679,7 @@ class Lens:
         return "does not reach the stop's centre"
 
     @checks_arguments
-    def chief_ray(self, field_deg: ArrayLike, wavelength_nm: ArrayLike) -> ChiefRay:
+    def chief_ray(self, field_deg: ArrayLike, wavelength_nm: Positives) -> ChiefRay:
         """Return the ray through the centre of the stop: its height in the image plane in mm, and its angle, both (...).
 
         field_deg, wavelength_nm : broadcast together to (...)
@@ -689,7 +692,7 @@ class Lens:
         return ChiefRay(rays.y[:, 0].reshape(shape)[()], angle.reshape(shape)[()])
 
     @checks_arguments
-    def opd_waves(self, field_deg: ArrayLike, wavelength_nm: ArrayLike, stop_x: ArrayLike, stop_y: ArrayLike) -> Array:
+    def opd_waves(self, field_deg: ArrayLike, wavelength_nm: Positives, stop_x: StopPoints, stop_y: StopPoints) -> Array:
         """Return the optical path difference in waves of its own wavelength, (...); NaN outside the stop.
 
         Rays that a clear aperture stops have one too.
@@ -742,7 +745,7 @@ class Lens:
 
     @checks_arguments
     def wavefront(
-        self, field_deg: ArrayLike, wavelength_nm: ArrayLike, stop_x: ArrayLike, stop_y: ArrayLike, aimed: float = AIMED
+        self, field_deg: ArrayLike, wavelength_nm: Positives, stop_x: StopPoints, stop_y: StopPoints, aimed: float = AIMED
     ) -> Wavefront:
         """Return rays of fields and wavelengths through points of the stop, in the image plane.
 
@@ -788,7 +791,7 @@ class Lens:
         return self._wavefront_of(rays, at_x, at_y, chief, field_deg, wavelength_nm)
 
     @checks_arguments
-    def unaimed_wavefront(self, field_deg: ArrayLike, wavelength_nm: ArrayLike, x_mm: ArrayLike, y_mm: ArrayLike) -> Wavefront:
+    def unaimed_wavefront(self, field_deg: ArrayLike, wavelength_nm: Positives, x_mm: ArrayLike, y_mm: ArrayLike) -> Wavefront:
         """Return rays through points of the paraxial entrance pupil at the primary wavelength, as programs without aiming do.
 
         The chief ray is the one through its centre; off the axis it does not meet the centre of the stop.
@@ -858,7 +861,7 @@ class Lens:
         return np.where(np.isfinite(rays.n) & np.isfinite(widest), widest, np.inf)
 
     @checks_arguments
-    def outline(self, field_deg: ArrayLike, wavelength_nm: ArrayLike, spokes: int = SPOKES_OF_OUTLINE) -> Outline:
+    def outline(self, field_deg: ArrayLike, wavelength_nm: Positives, spokes: int = SPOKES_OF_OUTLINE) -> Outline:
         """Return the outline of the directions that light comes from at the chief rays' image points.
 
         The directions are those whose rays, traced backwards from that point, pass the stop and all clear apertures.
@@ -937,7 +940,7 @@ class Lens:
         return np.where(least < 1, chosen, np.nan)
 
     @checks_arguments
-    def projected_solid_angle_sr(self, field_deg: ArrayLike, wavelength_nm: ArrayLike) -> Array:
+    def projected_solid_angle_sr(self, field_deg: ArrayLike, wavelength_nm: Positives) -> Array:
         """Return irradiance over the scene's radiance at image points, (...), in sr, without losses in the glass.
 
         It is the area, in direction cosines, of the directions at the chief ray's image point whose rays, traced backwards, pass
@@ -953,7 +956,7 @@ class Lens:
         return np.asarray(area.reshape(shape)[()])
 
     @checks_arguments
-    def relative_illumination(self, field_deg: ArrayLike, wavelength_nm: float | None = None) -> Array:
+    def relative_illumination(self, field_deg: ArrayLike, wavelength_nm: Positive | None = None) -> Array:
         """Return irradiance on the image relative to that on the axis, (...), for a scene of uniform radiance.
 
         wavelength_nm : the primary one by default
@@ -965,7 +968,7 @@ class Lens:
 
     @checks_arguments
     def directions(
-        self, field_deg: ArrayLike, wavelength_nm: ArrayLike, azimuth_deg: ArrayLike, rings: int = 24, spokes: int = 48
+        self, field_deg: ArrayLike, wavelength_nm: Positives, azimuth_deg: Finites, rings: int = 24, spokes: int = 48
     ) -> Directions:
         """Return the directions of the light at image points (...), as a microlens sees them.
 
@@ -990,7 +993,7 @@ class Lens:
         return Directions(cosines.reshape(*shape, -1, 2), weight.reshape(*shape, -1), chief.reshape(*shape, 2))
 
     @checks_arguments
-    def ray_points(self, field_deg: float, wavelength_nm: float, stop_x: ArrayLike, stop_y: ArrayLike) -> Array:
+    def ray_points(self, field_deg: float, wavelength_nm: Positive, stop_x: StopPoints, stop_y: StopPoints) -> Array:
         """Return where rays meet the surfaces and the image plane, (P, surfaces + 1, 3), in mm from the first vertex: x, y, z.
 
         stop_x, stop_y : over the stop's radius, broadcast together, then in one line, (P,); NaN for rays that are lost
@@ -1024,7 +1027,7 @@ class Lens:
         return float(-self.object_distance_mm / angle[0])
 
     @checks_arguments
-    def distortion(self, field_deg: ArrayLike, wavelength_nm: float | None = None) -> Array:
+    def distortion(self, field_deg: ArrayLike, wavelength_nm: Positive | None = None) -> Array:
         """Return the chief ray's height over the paraxial image height, minus 1, a ratio (...); 0 on the axis.
 
         wavelength_nm : of the chief ray, the primary one by default; the paraxial height is that of the primary
@@ -1037,7 +1040,7 @@ class Lens:
         return np.asarray(np.divide(height, ideal, out=np.ones(np.shape(ideal)), where=ideal != 0) - 1)[()]
 
     @checks_arguments
-    def foci_mm(self, field_deg: ArrayLike, wavelength_nm: ArrayLike) -> tuple[Array, Array]:
+    def foci_mm(self, field_deg: ArrayLike, wavelength_nm: Positives) -> tuple[Array, Array]:
         """Return the tangential and the sagittal focus of rays near the chief ray, mm behind the image plane, both (...).
 
         field_deg, wavelength_nm : broadcast together to (...)
@@ -1054,7 +1057,7 @@ class Lens:
         return np.asarray(tangential.reshape(shape)[()]), np.asarray(sagittal.reshape(shape)[()])
 
     @checks_arguments
-    def field_of_height(self, height_mm: float, wavelength_nm: float) -> float:
+    def field_of_height(self, height_mm: float, wavelength_nm: Positive) -> float:
         """Return the number of degrees of the field angle whose chief ray has this height in the image plane.
 
         Raises PixsimError if no field has: the point lies beyond the image circle.
@@ -1074,7 +1077,7 @@ class Lens:
         return math.copysign(float(found[0]), height_mm)
 
     @checks_arguments
-    def image_circle_mm(self, wavelength_nm: float) -> float:
+    def image_circle_mm(self, wavelength_nm: Positive) -> float:
         """Return the largest image height that light reaches, in mm, to about 1 % of the field angle."""
         fields, heights = self._imaged(wavelength_nm)
         lit = self._outline(fields, np.full(fields.size, wavelength_nm), 32).area > 0
@@ -1089,7 +1092,7 @@ class Lens:
         return fields[:count], rays.y[:count, 0]
 
     @checks_arguments
-    def fresnel_transmittance(self, wavelength_nm: float) -> float:
+    def fresnel_transmittance(self, wavelength_nm: Positive) -> float:
         """Return the fraction of light on the axis that uncoated surfaces let through, for information."""
         indices = [float(np.asarray(index).flat[0]) for index in self._indices(np.array([wavelength_nm]))]
         return math.prod(4 * one * other / (one + other) ** 2 for one, other in pairwise(indices))
@@ -1097,7 +1100,7 @@ class Lens:
     # Changed lenses ------------------------------------------------------------------------------------------------------
 
     @checks_arguments
-    def scaled(self, factor: float) -> Lens:
+    def scaled(self, factor: Positive) -> Lens:
         """Return the lens with every length times `factor`, but the object's distance. Raises PixsimError unless it is above 0.
 
         factor : a ratio of lengths
@@ -1111,7 +1114,7 @@ class Lens:
         )
 
     @checks_arguments
-    def stopped_down(self, f_number: float) -> Lens:
+    def stopped_down(self, f_number: FNumberOrPinhole) -> Lens:
         """Return the lens with a smaller stop. Raises PixsimError, which names the widest f-number, for a larger one."""
         first = self.first_order(self.primary_nm)
         if not first.f_number * (1 - WIDEST) <= f_number < math.inf:
@@ -1123,7 +1126,7 @@ class Lens:
     def refocused(
         self,
         focus: Literal["paraxial", "axis", "field"] = "axis",
-        object_distance_mm: float = math.inf,
+        object_distance_mm: AnyDistance = math.inf,
         field_deg: float | None = None,
     ) -> Lens:
         """Return the lens with its image plane moved to the focus of an object plane.

@@ -17,7 +17,7 @@ from scipy.special import j1
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import field_angles, groups_of, traced_lens
 from pixsim.optics.field_blur import UM_PER_NM, FittedWavefronts, Light, even_window, fit_wavefronts, periodic_psf, picture_error
 from pixsim.optics.lens_waves import pupil_rays

@@ -17,10 +17,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pixsim.base.config import checked, packaged, read_toml
 from pixsim.base.errors import PLAIN_WORD, PixsimError, did_you_mean, excerpt, invalid, names_in, one_line, quoted
 from pixsim.base.files import read_text
-from pixsim.base.parameters import AnyNumber, Layer, LensOptions, Record
+from pixsim.base.layers import Layer
+from pixsim.base.records import AnyNumber, Record, checked
+from pixsim.base.toml import packaged, read_toml
 from pixsim.optics.glass import (
     ABBE_NUMBERS,
     AIR,
@@ -39,6 +40,7 @@ from pixsim.optics.glass import (
     shifted,
     text_of,
 )
+from pixsim.optics.lens_options import LensOptions
 
 MAX_BYTES = 4 << 20  # of a file; prescriptions have some kB
 MAX_SURFACES = 200

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, Finites, UnitIntervals
 from pixsim.base.errors import invalid
 
 AREA_NODES = 256  # of the trapezoidal rule along a boundary, exact to rounding up to f/0.5 and 89°
@@ -136,7 +136,7 @@ def numerical_aperture(f_number: float) -> float:
 
 
 @checks_arguments
-def disc_pupil(numerical_aperture: ArrayLike, chief_ray_deg: ArrayLike = 0.0, azimuth_deg: ArrayLike = 0.0) -> Pupil:
+def disc_pupil(numerical_aperture: UnitIntervals, chief_ray_deg: Finites = 0.0, azimuth_deg: Finites = 0.0) -> Pupil:
     """Return discs of direction cosines around chief rays, (...) as the arguments broadcast.
 
     numerical_aperture : of the lens on the sensor side, sin α

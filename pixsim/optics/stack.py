@@ -30,10 +30,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import sici
 
-from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arguments import NotNegative, Positive, checks_arguments
+from pixsim.base.arrays import Array, Finites, Positives
 from pixsim.base.errors import invalid
 from pixsim.optics.pupil import Directions, Pupil, disc_pupil, numerical_aperture
+from pixsim.optics.quantities import FNumberOrPinhole
 
 LOWEST_LENS = 1 / math.sqrt(math.pi)  # height over pitch at which a microlens reaches the bound of étendue
 NARROWEST = 1e-8  # semi-axis in direction cosines; a pupil below is one direction, since its boundary would be all rounding
@@ -133,12 +134,12 @@ class Stack:
 
 @checks_arguments
 def stack_collection(
-    pitch_um: float,
-    photodiode_side_um: float,
-    height_um: float,
-    index: float,
+    pitch_um: Positive,
+    photodiode_side_um: Positive,
+    height_um: Positive,
+    index: NotNegative,
     *,
-    f_number: float,
+    f_number: FNumberOrPinhole,
     chief_ray_deg: float = 0.0,
     azimuth_deg: float = 0.0,
     microlens: bool = True,
@@ -172,7 +173,7 @@ def stack_collection(
 
 
 @checks_arguments
-def collected_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: ArrayLike | None = None) -> Array:
+def collected_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positives | None = None) -> Array:
     """Return the shares of the light on a pixel that photodiodes of 5 × 5 pixels collect, (..., 5, 5) [dy + 2, dx + 2].
 
     pupil : of the points (...) of the sensor
@@ -192,7 +193,7 @@ def collected_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Arr
 
 @checks_arguments
 def aperture_mtf(
-    stack: Stack, pupil: Pupil | Directions, frequency_x_cy_per_mm: ArrayLike, frequency_y_cy_per_mm: ArrayLike = 0.0
+    stack: Stack, pupil: Pupil | Directions, frequency_x_cy_per_mm: Finites, frequency_y_cy_per_mm: Finites = 0.0
 ) -> Array:
     """Return the MTF of a pixel's aperture as light of a pupil meets it, (..., f), 1 at frequency 0.
 
@@ -251,7 +252,7 @@ def _overlaps(stack: Stack, pupil: Pupil | Directions) -> tuple[Array, Array, Ar
 
 
 @checks_arguments
-def model_limits(stack: Stack, pupil: Pupil | Directions, wavelength_nm: ArrayLike) -> list[str]:
+def model_limits(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positives) -> list[str]:
     """Return a sentence for each limit of the model that a stack exceeds, with the number and what changes it.
 
     wavelength_nm : longest and others of the light, in any order

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import brief, check_broadcast, checks_arguments
-from pixsim.base.arrays import Array, strips
+from pixsim.base.arguments import Bounds, Count, Positive, brief, check_broadcast, checks_arguments
+from pixsim.base.arrays import Array, Finites, Numbers, strips
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import WHOLE
 from pixsim.optics.pupil import Pupil
+from pixsim.optics.quantities import FNumberOrPinhole
+
+FNumbers = Annotated[ArrayLike, Bounds(0, open_low=True, infinite=True)]  # infinite for a pinhole
 
 
 @checks_arguments
-def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: ArrayLike = 0.0) -> Array:
+def irradiance_factor(f_number: FNumbers, tan_field: Numbers, magnification: Finites = 0.0) -> Array:
     """Return the irradiance on the sensor over the radiance of the scene, E/L in sr, for a thin lens.
 
     Foote's disc source (Sci. Papers Bur. Stand. 12, 583, 1915) in a form without cancellation: with
@@ -51,10 +56,10 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
 
 @checks_arguments
 def field_factor(
-    shape: tuple[int, int],
-    pitch_um: float,
-    image_distance_mm: float,
-    f_number: float,
+    shape: tuple[Count, Count],
+    pitch_um: Positive,
+    image_distance_mm: Positive,
+    f_number: FNumberOrPinhole,
     magnification: float,
     part: tuple[slice, slice] = (WHOLE, WHOLE),
 ) -> Array:
@@ -76,7 +81,9 @@ def field_factor(
 
 
 @checks_arguments
-def thin_lens_pupil(f_number: float, tan_field: ArrayLike, azimuth_deg: ArrayLike = 0.0, magnification: float = 0.0) -> Pupil:
+def thin_lens_pupil(
+    f_number: FNumberOrPinhole, tan_field: Numbers, azimuth_deg: Finites = 0.0, magnification: float = 0.0
+) -> Pupil:
     """Return the pupils of a thin lens, (...) as field and azimuth broadcast: its aperture disc seen from the image points.
 
     The area of each in direction cosines is `irradiance_factor`, Foote (1915). Its semi-axes are about NA cos θ, and NA cos³θ

@@ -8,8 +8,7 @@ from functools import partial
 from itertools import cycle
 from typing import Any
 
-from pixsim.base.config import SETTINGS_FILE
-from pixsim.base.parameters import Study
+from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
 from pixsim.report.study import (
     PARTS_FILE,
@@ -37,6 +36,7 @@ from pixsim.studies.oversampling import FilmError
 from pixsim.studies.parts import parts_table
 from pixsim.studies.result import CasesResult, StudyResult, fresnel_column
 from pixsim.studies.sentences import film_words, optima_table, optimum_line
+from pixsim.studies.study_settings import Study
 
 SHOWN_CASES = 4  # with a report of their own
 SHOWN_COMPROMISES = 6  # with a figure of their own

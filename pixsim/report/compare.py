@@ -14,14 +14,16 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.config import SETTINGS_FILE, scene_table, settings_table_text, settings_text, whole_path
 from pixsim.base.files import check_replaceable
 from pixsim.base.machine import processors
-from pixsim.base.parameters import NO_TECHNOLOGY, RESPONSES, Condition, Record, Run, Study, paths_of
+from pixsim.base.records import Record
+from pixsim.base.toml import SETTINGS_FILE, settings_table_text, whole_path
+from pixsim.light.curves import RESPONSES
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import record_rows, scene_rows, settings_table
 from pixsim.report.wording import DELTA_E, map_words
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.show.document import (
     Answer,
     Block,
@@ -44,14 +46,19 @@ from pixsim.show.sentences import rounded, setting_value, span
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
+from pixsim.studies.condition import Condition
 from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.lineup import OF_A_SENSOR, SHARED, ComparisonJob, Lineup, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
 from pixsim.studies.sensor_types import TYPES_FILE
+from pixsim.studies.settings_text import scene_table, settings_text
+from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import FEW_SENSORS
+from pixsim.studies.varied import paths_of
 from pixsim.studies.verdicts import answers, conditions_line, facts, sensor_words, shown_probability
 from pixsim.studies.viewing import OF_VIEWING, Viewed
+from pixsim.viewer.setting import Run
 
 JSON_FILE = "compare.json"
 ROWS_FILES = {

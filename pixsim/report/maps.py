@@ -16,16 +16,20 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.labels import labels_of
-from pixsim.base.parameters import Axis, Camera, Study, content_hash, setting_path
+from pixsim.base.records import content_hash
 from pixsim.base.units import unit_of
+from pixsim.optics.camera import Camera
+from pixsim.sensor.labels import labels_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 from pixsim.show.sentences import Along, Seen, capital, extremes_of, of_lines, sentences, span, three_digits, trends
+from pixsim.studies.axis import Axis
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
 from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, fresnel_column, interval_columns, with_ends
 from pixsim.studies.sampling import CUTOFF_NM, cutoff_pitch_um
+from pixsim.studies.study_settings import Study
+from pixsim.studies.varied import setting_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

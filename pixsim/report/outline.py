@@ -6,8 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.labels import label_of
-from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Run, Study
+from pixsim.optics.camera import Camera, CameraOptions
+from pixsim.sensor.labels import label_of
 from pixsim.show.document import Block, Document, Table
 from pixsim.show.sentences import duration, rounded
 from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost
@@ -15,6 +15,9 @@ from pixsim.studies.extent import columns_on
 from pixsim.studies.outline import planned_run, planned_study
 from pixsim.studies.oversampling import TOLERATED_SHARE
 from pixsim.studies.sentences import lens_words, view_words
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.setting import Effort, Run
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan

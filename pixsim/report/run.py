@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pixsim.base.arrays import Array
-from pixsim.base.config import SETTINGS_FILE, settings_text
 from pixsim.base.files import digest_of
-from pixsim.base.labels import label_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import NO_TECHNOLOGY
 from pixsim.base.progress import Progress
+from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.kept import digest_of_content
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.settings import scene_rows, settings_tables
 from pixsim.report.wording import DELTA_E, blur_words, budget_section, map_words
+from pixsim.sensor.labels import label_of
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.show.document import (
     Answer,
     Document,
@@ -43,6 +43,7 @@ from pixsim.studies.light_level import LightLevel
 from pixsim.studies.run import LitRun, RunJob, RunResult
 from pixsim.studies.run_arrays import Irradiance, write_irradiance, write_numbers
 from pixsim.studies.sentences import FILLED, lens_words, score_parts, thin_lens_words, unsure_words
+from pixsim.studies.settings_text import settings_text
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage

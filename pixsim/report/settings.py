@@ -7,9 +7,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.parameters import Camera, PixelOptions, Record, Setting
+from pixsim.base.records import Record
+from pixsim.optics.camera import Camera
+from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.show.document import Table
 from pixsim.show.sentences import setting_value
+from pixsim.viewer.setting import Setting
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage

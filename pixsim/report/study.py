@@ -9,16 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pixsim.base.config import SETTINGS_FILE
 from pixsim.base.files import versions
-from pixsim.base.labels import file_label, labels_of
-from pixsim.base.parameters import Study
+from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
 from pixsim.report.pictures import size_words
 from pixsim.report.settings import record_rows, scene_rows, settings_table, settings_tables
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
 from pixsim.report.wording import DELTA_E, blur_words, budget_section, compromise_answer
+from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
     Beside,
     Block,
@@ -48,6 +47,7 @@ from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.studies.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.studies.result import Curve, StudyResult, curve_table, delta_e_against_pitch, interval_columns, with_ends
 from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
+from pixsim.studies.study_settings import Study
 
 ANSWERS_SHOWN = 12  # optima at the top
 PARTS_FILE = "parts.csv"

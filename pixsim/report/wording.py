@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.parameters import Camera, Display
+from pixsim.optics.camera import Camera
 from pixsim.show.document import Answer, Fact, Section, Strong, Table, headline, joined
 from pixsim.show.sentences import interval
 from pixsim.studies.conditions import Compromise
 from pixsim.studies.merit import LENSES, detail_frequency_lp_per_mm, mtf_terms, of_sensor
+from pixsim.viewer.display_options import Display
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage

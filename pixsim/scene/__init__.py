@@ -4,5 +4,5 @@ In the order of the flow: `guard` (what a scene may say and name, inspected; and
 lux), `tree` (the parsed scene), `scene`, `contents` (lamps, surfaces, shapes, textures), `bands`, `rules` (what can be left out),
 `plan`, `renderer`, `convergence`.
 `charts` makes the textures of test charts. Only `mitsuba` imports Mitsuba; `guard.variant` chooses a variant that can run.
-May import: base, light, optics, sensor.
+May import: base, light, optics, sensor, and settings of viewer.
 """

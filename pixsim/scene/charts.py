@@ -10,19 +10,23 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base import cache
-from pixsim.base.arguments import brief, checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arguments import Axes, Bounds, brief, checks_arguments
+from pixsim.base.arrays import Array, UnitIntervals
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.locks import temporary_folder_of_process
-from pixsim.base.parameters import content_hash
+from pixsim.base.records import UnitInterval, content_hash
 from pixsim.light.exr import fill_channels, write_channels, writing
+from pixsim.optics.quantities import DieWidth
 
+Side = Annotated[int, Bounds(1, 32768)]  # texels
+HighestFrequency = Annotated[float, Bounds(0, 1e6, open_low=True)]
+Texels = Annotated[NDArray[np.float32], Axes(2)]
 KIND = "charts"  # of entries of the cache
 # Chen, Catrysse, El Gamal and Wandell (2000), sections 3 and 4.
 LUMINANCE_CD_PER_M2 = (25.0, 1000.0)
@@ -41,7 +45,7 @@ POINTS_PER_TEXEL = 8  # along each side, for the area coverage
 
 
 @checks_arguments
-def csf_frequency_lp_per_mm(x: ArrayLike, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM) -> Array:
+def csf_frequency_lp_per_mm(x: UnitIntervals, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM) -> Array:
     """Return the local frequency (...) at x in [0, 1] across the die: exponential, from 1 to 33.3 lp/mm (Chen et al. 2000).
 
     highest_lp_per_mm : at the right, above 1
@@ -53,7 +57,7 @@ def csf_frequency_lp_per_mm(x: ArrayLike, highest_lp_per_mm: float = MAX_FREQUEN
 
 
 @checks_arguments
-def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: float) -> Callable[[ArrayLike], Array] | None:
+def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: DieWidth) -> Callable[[ArrayLike], Array] | None:
     """Return the frequency in lp/mm, (...) as x in [0, 1] across a picture of the CSF chart, as a function; None for another scene.
 
     The chart of Chen et al. (2000) fills the die. It begins at 2.7 cycles across the die, and ends at `max_lp_per_mm` or at 90.5
@@ -72,7 +76,7 @@ def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: float) -> Calla
 
 
 @checks_arguments
-def csf_contrast(y: ArrayLike) -> Array:
+def csf_contrast(y: UnitIntervals) -> Array:
     """Return the Michelson contrast (...) at y in [0, 1], 0 at the top: exponential from 1 % of the largest to the largest, 0.951.
 
     The largest contrast is 25 to 1000 cd/m² (Chen et al. 2000).
@@ -82,7 +86,9 @@ def csf_contrast(y: ArrayLike) -> Array:
 
 
 @checks_arguments
-def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM) -> Array:
+def csf_value(
+    x: UnitIntervals, y: UnitIntervals, die_mm: DieWidth = DIE_MM, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM
+) -> Array:
     """Return the CSF chart at a point: mean (1 + contrast(y) sin φ(x)), where φ is the integral of 2π frequency.
 
     A value of 1 is 1000 cd/m², and the mean is 0.5125 (Chen et al. 2000).
@@ -99,7 +105,7 @@ def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM, highest_lp_per
 
 @checks_arguments
 def csf(
-    width: int = 8192, height: int = 256, die_mm: float = DIE_MM, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM
+    width: Side = 8192, height: Side = 256, die_mm: DieWidth = DIE_MM, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM
 ) -> NDArray[np.float32]:
     """Return the contrast-sensitivity chart of Chen et al. (2000), (height, width): `csf_value` at the texel centres.
 
@@ -120,7 +126,7 @@ def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: in
 
 
 @checks_arguments
-def slanted_edge(width: int = 1024, height: int = 1024, dark: float = 0.1) -> NDArray[np.float32]:
+def slanted_edge(width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0.1) -> NDArray[np.float32]:
     """Return an edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the right, `dark` on the left."""
     factor, slope = POINTS_PER_TEXEL, np.tan(np.radians(SLANT_DEG))
     x, y = ((np.arange(size * factor) + 0.5) / (size * factor) for size in (width, height))
@@ -135,7 +141,7 @@ def slanted_edge(width: int = 1024, height: int = 1024, dark: float = 0.1) -> ND
 
 
 @checks_arguments
-def siemens_star(width: int = 1024, height: int = 1024, dark: float = 0.025) -> NDArray[np.float32]:
+def siemens_star(width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0.025) -> NDArray[np.float32]:
     """Return a sector star of 72 cycles in a disc of 90 % of the die, (height, width), with values 1 and `dark`."""
 
     def inside(x: Array, y: Array) -> Array:
@@ -146,7 +152,7 @@ def siemens_star(width: int = 1024, height: int = 1024, dark: float = 0.025) -> 
 
 
 @checks_arguments
-def flat(width: int = 4, height: int = 4) -> NDArray[np.float32]:
+def flat(width: Side = 4, height: Side = 4) -> NDArray[np.float32]:
     """Return a uniform field of relative luminance 1, (height, width)."""
     return np.ones((height, width), np.float32)
 
@@ -155,7 +161,9 @@ CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {chart.__name__: chart f
 
 
 @checks_arguments
-def make_chart(kind: str, width: int | None = None, height: int | None = None, die_mm: float | None = None) -> NDArray[np.float32]:
+def make_chart(
+    kind: str, width: Side | None = None, height: Side | None = None, die_mm: DieWidth | None = None
+) -> NDArray[np.float32]:
     """Return a chart by name, (H, W) float32 relative luminance; the default size is that of the packaged textures.
 
     kind : csf, slanted_edge, siemens_star or flat
@@ -180,7 +188,7 @@ def make_chart(kind: str, width: int | None = None, height: int | None = None, d
 
 
 @checks_arguments
-def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> None:
+def write_chart(path: str | os.PathLike[str], texels: Texels) -> None:
     """Write a texture for Mitsuba's bitmap with `raw` true: one linear float32 channel Y, row 0 at the top.
 
     path : ends in .exr
@@ -226,7 +234,7 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
 
 
 @checks_arguments
-def csf_file(highest_lp_per_mm: float, die_mm: float) -> Path:
+def csf_file(highest_lp_per_mm: HighestFrequency, die_mm: DieWidth) -> Path:
     """Return the file of the CSF chart that fills a die and ends at a frequency; it begins at 2.7 cycles across the die.
 
     Raises PixsimError if that frequency is not above the lowest.

@@ -29,7 +29,8 @@ from pixsim.base.files import files_are_finished, replacing, resolved
 from pixsim.light.exr import fill_channels, writing
 from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W, colour_matching, d65, grid_nm
 from pixsim.light.standard import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
-from pixsim.scene.charts import LUMINANCE_CD_PER_M2, csf_contrast, make_chart
+from pixsim.optics.quantities import DieWidth
+from pixsim.scene.charts import LUMINANCE_CD_PER_M2, Side, csf_contrast, make_chart
 
 PRIMARIES = ("red", "green", "blue")
 MEAN = sum(LUMINANCE_CD_PER_M2) / (2 * LUMINANCE_CD_PER_M2[1])  # of each slide, as of the grey chart
@@ -170,9 +171,9 @@ def write_colour_chart(
     path: str | os.PathLike[str],
     change: Modulation,
     title: str,
-    width: int | None = None,
-    height: int | None = None,
-    die_mm: float | None = None,
+    width: Side | None = None,
+    height: Side | None = None,
+    die_mm: DieWidth | None = None,
 ) -> Sequence[Path]:
     """Write the CSF chart as a scene, `path`, with a slide of each primary beside it, and return the paths of the slides.
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array, first_where
 from pixsim.base.errors import did_you_mean, invalid, names_in
 from pixsim.base.files import digest_of
-from pixsim.base.parameters import Camera
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, WHITE_LAMPS, Spectrum, grid_nm, tabulated
+from pixsim.optics.camera import Camera
 from pixsim.scene.guard.assets import EIGHT_BIT, check_share
 from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum
 from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, plain

@@ -15,16 +15,20 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
 from pixsim.base.mapped import is_mapped, release, zeros
 from pixsim.base.notes import told_apart, warn
-from pixsim.base.parameters import Camera, Effort, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.scene.guard.tracer import OutOfTimeError
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Picture, Renderer
 from pixsim.scene.scene import Scene
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import Columns, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s
+from pixsim.viewer.setting import Effort
 
 RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
 MAX_RUNS = 1 << 12

@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 
 from pixsim.base.mapped import MOST_BYTES
-from pixsim.base.parameters import Camera, Display
+from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
+from pixsim.viewer.display_options import Display
 
 GREEN_NM = 550.0
 SAMPLES_PER_DETAIL = 2

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.parameters import content_hash
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import grid_nm
 from pixsim.scene.guard import graphics
 from pixsim.scene.guard.assets import mitsuba_folder

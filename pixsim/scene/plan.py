@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments, checks_fields
+from pixsim.base.arguments import Count, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel
+from pixsim.light.quantities import FilmSamples
 from pixsim.light.spectral import (
     HIGH_NM,
     LAMP,
@@ -25,6 +25,7 @@ from pixsim.light.spectral import (
     photopic_efficiency,
     white_words,
 )
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
@@ -38,11 +39,15 @@ from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.scene.tree import Node, nodes_of
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.noise import SOURCES
 from pixsim.sensor.outside import SHOWN_SHARE, outside_header, outside_hint, outside_share, outside_words
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.quantities import Pitch
+from pixsim.viewer.display_options import Display, Luminance
 
 STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction (rules.py).
@@ -95,7 +100,7 @@ class Plan:
 
     lights: tuple[Light, ...]
     bands: Bands
-    white_cd_per_m2: float | None
+    white_cd_per_m2: Luminance | None
     lens: Literal["thinlens", "perspective"]
     integrator: dict[str, Any] | None
     spp: int
@@ -105,9 +110,9 @@ class Plan:
     full_passes: int
     full_spp: int
     chart: Chart | None = field(default=None, repr=False)
-    tolerance_e: float = TOLERANCE_E
+    tolerance_e: Positive = TOLERANCE_E
     warnings: tuple[str, ...] = ()
-    resolution: int | None = None
+    resolution: FilmSamples | None = None
     sampler: str = "multijitter"
     given_spp: bool = False
     exact: bool = False
@@ -125,7 +130,7 @@ class Plan:
         return without_lens(camera) if self.tiling is None else camera
 
     @checks_arguments
-    def margin(self, shape: tuple[int, int], pitch_um: float) -> int:
+    def margin(self, shape: tuple[Count, Count], pitch_um: Pitch) -> int:
         """Return the cells at each side of a film that are rendered beyond it, as far as the blur of a real lens reaches.
 
         shape : (H, W) of the film in cells
@@ -462,7 +467,7 @@ def make_plan(
     *,
     exposure: Exposure | None = None,
     display: Display | None = None,
-    tolerance_e: float = TOLERANCE_E,
+    tolerance_e: Positive = TOLERANCE_E,
     full: bool = False,
 ) -> Plan:
     """Plan a simulation: what is rendered, what is left out and why, and a bound for the error.

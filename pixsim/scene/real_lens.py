@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pixsim.base.parameters import Camera, Pixel
 from pixsim.light.spectral import photons_per_joule
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import MIN_SPACING, TILES, Tiling, choose_tiling, dark_share, distortion_of, thin_lens_error
 from pixsim.optics.lens_defocus import Defocus, defocus_at, largest_disc_um, signed_disc_um, smallest_disc_um
 from pixsim.scene.contents import LAMBERTIAN, Body
@@ -17,6 +17,7 @@ from pixsim.scene.rules import ALIKE, Decision
 from pixsim.scene.scene import Scene
 from pixsim.scene.tree import Tree, nodes_of
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 
 SEEN_NM = np.arange(400.0, 701.0, 10.0)  # light for which tiles are chosen: even in energy, as the sensor sees it
 THIN_LENS_SHARE = 0.5  # of the tolerance, for a thin lens in place of the real one

@@ -14,16 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base import cache, mapped
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Whole, checks_arguments
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of
 from pixsim.base.mapped import release, zeros
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
+from pixsim.base.records import content_hash
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import LOW_NM, RINGS, WHOLE, SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
@@ -145,7 +146,7 @@ class Work(NamedTuple):
 def render(
     scene: Scene,
     camera: Camera | None = None,
-    seed: int = 0,
+    seed: Whole = 0,
     *,
     full: bool = False,
     plan: Plan | None = None,

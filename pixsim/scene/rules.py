@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from pixsim.base import cache
 from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.mapped import release, zeros
-from pixsim.base.parameters import Camera, Pixel
 from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
+from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import diffract
 from pixsim.scene.contents import FLAT, LAMBERTIAN, Body, emitted_picture, face_one_way, greatest_blur_um, parsed_table
 from pixsim.scene.tree import Tree, children, nodes_of
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -16,9 +16,13 @@ from pixsim.base import caller
 from pixsim.base.arguments import LARGEST, SMALLEST, brief, checks_arguments, checks_fields
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run, content_hash, names_meant, values_of_lens_geometry
+from pixsim.base.problems import names_meant
+from pixsim.base.records import content_hash
+from pixsim.light.quantities import FilmSamples
 from pixsim.light.spectral import WHITE_LAMPS
+from pixsim.optics.camera import Camera, CameraOptions, values_of_lens_geometry
 from pixsim.optics.camera_lens import camera_with_lens
+from pixsim.optics.lens_options import LensOptions
 from pixsim.scene import charts
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, find_lamps, is_neutral, named_files, white_of
 from pixsim.scene.film import FILM_ROUNDING
@@ -28,6 +32,8 @@ from pixsim.scene.guard.plugins import REASONS
 from pixsim.scene.illuminance import ILLUMINANCE, strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
 from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, parse_tree, plain
+from pixsim.viewer.display_options import Luminance
+from pixsim.viewer.setting import Run
 
 CHART, CHART_LINEAR = "chart", "chart_linear"
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
@@ -63,10 +69,10 @@ class Scene:
     names: frozenset[str]
     sensor_id: str | None
     choice: variants.Choice
-    white_cd_per_m2: float | None = None
+    white_cd_per_m2: Luminance | None = None
     white_lamps: tuple[str, ...] = ()
     own_chart: OwnChart | None = None
-    resolution: int | None = None
+    resolution: FilmSamples | None = None
     shows_csf: bool = False
     strength: float | None = None
     _texts: dict[str, SceneText] = field(default_factory=dict, repr=False, compare=False)
@@ -161,7 +167,7 @@ class Scene:
         return max(1, math.ceil(across * ratio - FILM_ROUNDING)), across
 
     @checks_arguments
-    def with_resolution(self, resolution: int) -> Scene:
+    def with_resolution(self, resolution: FilmSamples) -> Scene:
         """Return the scene on a film of `resolution` samples across."""
         return replace(self, resolution=resolution)
 

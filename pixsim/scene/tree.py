@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import content_hash
+from pixsim.base.records import content_hash
 from pixsim.scene.mitsuba import parse
 
 if TYPE_CHECKING:

@@ -19,18 +19,20 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
-from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arguments import Count, checks_arguments
+from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Correction, Display, StackOptions
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import RINGS, SPOKES, CameraPupil, camera_pupil
 from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits, nodes_for
 from pixsim.sensor.colour import Layout, of_channels
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.crosstalk import share_with_neighbours, share_with_neighbours_of_channels, shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
 from pixsim.sensor.pixel import USUAL_F_NUMBER, PixelPhysics
+from pixsim.sensor.stack_options import StackOptions
 
 # Wavelengths at which shares are computed, with a polynomial through them: 6e-5 of a share from 400 to 1000 nm. The absorption of
 # silicon, by a factor of 100 over that range, needs more: then .001.
@@ -57,7 +59,7 @@ class Illumination:
     spare_e: float = 0.0
 
     @checks_arguments
-    def nodes(self, count: int) -> tuple[Array, Array]:
+    def nodes(self, count: Count) -> tuple[Array, Array]:
         """Return wavelengths, (count,) or fewer, and the weights with which the spectrum has a polynomial through them; sum 1."""
         nm, weight = np.array(self.wavelength_nm), np.array(self.weight)
         nm, weight = nm[weight > 0], weight[weight > 0] / weight.sum()
@@ -168,14 +170,12 @@ def kernel_on_axis(physics: PixelPhysics, light: Illumination) -> Array:
     return np.asarray(_collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0)).shares[0, 0])
 
 
-def shading_of(
-    collection: Collection | ColourCollection | None, shape: tuple[int, int], display: Display, correction: Correction
-) -> Array | None:
-    """Return by what the display divides a frame, (rows, columns): `Collection.relative`; None for nothing.
+def shading_of(collection: Collection | ColourCollection | None, shape: tuple[int, int], correction: Correction) -> Array | None:
+    """Return by what a shading correction divides a frame, (rows, columns): `Collection.relative`; None for nothing.
 
     Flat frames already hold it.
     """
-    if collection is None or collection.is_scale or not display.shading_correction or correction.flat_frames:
+    if collection is None or collection.is_scale or correction.flat_frames:
         return None
     return collection.relative(shape)
 
@@ -246,7 +246,7 @@ def _seen_nm(physics: PixelPhysics, wavelength_nm: Array) -> Array:
 
 
 @checks_arguments
-def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: Array) -> None:
+def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveArray) -> None:
     """Warn of each limit of the stack's model that the light of a camera exceeds (`pixsim.optics.stack.model_limits`).
 
     wavelength_nm : of the light, in any order; only those count to which the pixel responds

@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import ColourOptions, Curves, PixelOptions, channels_of
+from pixsim.light.curves import Curves
 from pixsim.sensor.camera_data import camera_channels, camera_sensitivities
+from pixsim.sensor.colour_options import ColourOptions, channels_of
+from pixsim.sensor.pixel_options import PixelOptions
 
 STACK_MARK, ROW_MARK = "+", "/"
 Values = TypeVar("Values", np.float64, np.bool_)

@@ -12,10 +12,10 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import NotNegative, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Correction
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, Sensor, read_out, sample_sensor
@@ -116,7 +116,7 @@ def _dark_rows(sensor: Sensor, count: int, rng: np.random.Generator) -> Sensor |
 
 
 @checks_arguments
-def flat_light_e(physics: PixelPhysics, correction: Correction, integration_s: float) -> float:
+def flat_light_e(physics: PixelPhysics, correction: Correction, integration_s: NotNegative) -> float:
     """Return the photo-electrons of the flat frames: `flat_level` of saturation, less the dark charge.
 
     Raises PixsimError if the dark charge leaves no light.
@@ -180,7 +180,9 @@ class Residual:
 
 
 @checks_arguments
-def residual_variance_e2(signal_e: float, integration_s: float, physics: PixelPhysics, correction: Correction) -> Residual:
+def residual_variance_e2(
+    signal_e: NotNegative, integration_s: NotNegative, physics: PixelPhysics, correction: Correction
+) -> Residual:
     """Return the closed form of the variance that a correction leaves in even light, without defects.
 
     With T = reset² + read² + dark charge + rounding (LSB²/12) the variance of a dark pixel over frames, s the signal, L that of
@@ -196,7 +198,7 @@ def residual_variance_e2(signal_e: float, integration_s: float, physics: PixelPh
     It is valid for a linear response, far from 0 DN, the well and the top code, to first order in PRNU and 1/√L.
 
     >>> from pixsim.pixel import derive
-    >>> from pixsim.parameters import Pixel
+    >>> from pixsim import Pixel
     >>> pixel = derive(Pixel(prnu=0.01))
     >>> float(residual_variance_e2(2e4, 0.01, pixel, Correction(flat_frames=16)).gain)
     0.0

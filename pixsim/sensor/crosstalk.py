@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array, strips
+from pixsim.base.arrays import Array, NotNegativePicture, strips
 from pixsim.base.errors import invalid
 
 NEGLIGIBLE = 1e-12  # of the light on a pixel: shares below are left out
 
 
 @checks_arguments
-def share_with_neighbours(signal_e_per_s: Array, shares: Array) -> Array:
+def share_with_neighbours(signal_e_per_s: NotNegativePicture, shares: Array) -> Array:
     """Return what each pixel collects, (rows, columns), of the light on it and on the pixels around.
 
     A pixel collects the share [dy + 2, dx + 2] of the light of the pixel that is dy rows above and dx columns to the left of it,
@@ -36,7 +36,9 @@ def share_with_neighbours(signal_e_per_s: Array, shares: Array) -> Array:
 
 
 @checks_arguments
-def share_with_neighbours_of_channels(signal_e_per_s: Array, shares: Sequence[Array], channels: NDArray[np.intp]) -> Array:
+def share_with_neighbours_of_channels(
+    signal_e_per_s: NotNegativePicture, shares: Sequence[Array], channels: NDArray[np.intp]
+) -> Array:
     """Return `share_with_neighbours` of light that falls through the filters of a mosaic, each with shares of its own.
 
     It is the sum over the channels of their light alone, in the time of one of them. At the border the picture is

@@ -16,12 +16,12 @@ from functools import lru_cache
 from importlib import resources
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.special import erf, erfcx
 
-from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arguments import NotNegative, Positive, checks_arguments
+from pixsim.base.arrays import Array, Finites, Positives
 from pixsim.base.errors import invalid
+from pixsim.sensor.quantities import Pitch
 
 OFFSETS = np.arange(-2.0, 3.0)  # of the pixels that collect charge, in pixels
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)
@@ -35,7 +35,7 @@ def _absorption_table() -> Array:
 
 
 @checks_arguments
-def absorption_per_um(wavelength_nm: ArrayLike) -> Array:
+def absorption_per_um(wavelength_nm: Positives) -> Array:
     """Return the absorption coefficient α of silicon at 300 K in 1/µm, (...) as the wavelengths.
 
     M. A. Green, Sol. Energy Mater. Sol. Cells 92 (2008) 1305, its logarithm interpolated linearly. C. Schinke et al., AIP Adv. 5
@@ -53,7 +53,7 @@ def absorption_per_um(wavelength_nm: ArrayLike) -> Array:
 
 @checks_arguments
 def diffusion_mtf(
-    frequency_cy_per_mm: ArrayLike, absorption_per_um: ArrayLike, depletion_um: float, diffusion_length_um: float
+    frequency_cy_per_mm: Finites, absorption_per_um: Positives, depletion_um: NotNegative, diffusion_length_um: Positive
 ) -> Array:
     """Return the MTF of diffusion, [1 - e^(-αL_D)/(1 + αL)]/[1 - e^(-αL_D)/(1 + αL_n)] with 1/L² = 1/L_n² + 4π²f².
 
@@ -83,7 +83,7 @@ def _collected(alpha: Array, depletion_um: float, length_um: Array | float) -> A
 
 @checks_arguments
 def diffused_shares(
-    pitch_um: float, side_um: float, absorption_per_um: ArrayLike, depletion_um: float, diffusion_length_um: float
+    pitch_um: Pitch, side_um: NotNegative, absorption_per_um: Positives, depletion_um: NotNegative, diffusion_length_um: Positive
 ) -> Array:
     """Return the shares of the charge of a pixel's light that the pixels around collect, (..., 5, 5) [dy + 2, dx + 2].
 

@@ -20,9 +20,9 @@ from scipy.sparse import csr_array
 from pixsim.base.arrays import Array, in_threads, strips, transposed
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera
 from pixsim.base.progress import watched_share
 from pixsim.light.spectral import SpectralImage, photons_per_joule
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import GROUP_WAVELENGTHS, GROUPS, Tiling, blur_of, groups_of, psfs_of, tiling_of, traced_lens
 from pixsim.optics.diffraction import diffract_sums
 from pixsim.sensor.collection import (

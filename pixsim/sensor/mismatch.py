@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import NotNegative, Positive, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 
@@ -21,7 +21,7 @@ UM_PER_CM = 1e4
 
 
 @checks_arguments
-def prnu_of_area(prnu_um: float, area_um2: float) -> float:
+def prnu_of_area(prnu_um: NotNegative, area_um2: Positive) -> float:
     """Return the PRNU of photodiodes, k/√area, relative to the mean gain.
 
     Edges and layers vary at random, with an area law as that of Pelgrom et al. (1989).
@@ -35,7 +35,7 @@ def prnu_of_area(prnu_um: float, area_um2: float) -> float:
 
 
 @checks_arguments
-def follower_offset_e(threshold_mv_um: float, follower_area_um2: float, node_capacitance_ff: float) -> float:
+def follower_offset_e(threshold_mv_um: NotNegative, follower_area_um2: Positive, node_capacitance_ff: Positive) -> float:
     """Return the spread of offsets that source followers cause, σ(V_t) C/q in electrons with σ(V_t) = A_Vt/√(W L).
 
     M. J. M. Pelgrom, A. C. J. Duinmaijer and A. P. G. Welbers, IEEE J. Solid-State Circuits 24 (1989) 1433. Their A_Vt is that of
@@ -53,7 +53,7 @@ def follower_offset_e(threshold_mv_um: float, follower_area_um2: float, node_cap
 
 @checks_arguments
 def dark_current_of_geometry_e_per_s(
-    area_na_per_cm2: float, perimeter_na_per_cm: float, area_um2: float, perimeter_um: float
+    area_na_per_cm2: NotNegative, perimeter_na_per_cm: NotNegative, area_um2: Positive, perimeter_um: NotNegative
 ) -> float:
     """Return the dark current of a photodiode in e-/s: generation under its area and along its isolation.
 

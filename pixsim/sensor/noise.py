@@ -65,7 +65,7 @@ def constant_e(physics: PixelPhysics, *, is_temporal: bool | None = None, along:
     is_temporal, along : of which sources; None means all
 
     >>> from pixsim.sensor.pixel import derive
-    >>> from pixsim.base.parameters import Pixel
+    >>> from pixsim.sensor.pixel_options import Pixel
     >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, temporal_dark_noise_e=2.0))
     >>> constant_e(pixel, is_temporal=True)
     2.0

@@ -27,15 +27,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.special import expit
 
 from pixsim.base.arguments import check_broadcast, checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, NotNegativeArray, NotNegatives
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Pixel
 from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.pixel import Diode, PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 
 # The public names; everything else is internal.
 __all__ = ["charge_from_total_e", "collected_charge_e", "default_diode", "diode_of"]
@@ -66,7 +65,7 @@ def default_diode() -> Diode:
 
 
 @checks_arguments
-def collected_charge_e(photocurrent_e_per_s: ArrayLike, integration_s: ArrayLike, diode: Diode | None = None) -> Array:
+def collected_charge_e(photocurrent_e_per_s: NotNegatives, integration_s: NotNegatives, diode: Diode | None = None) -> Array:
     """Return the charge that a photodiode collects after its reset, dark charge included, by quadrature.
 
     Parameters
@@ -92,7 +91,7 @@ def collected_charge_e(photocurrent_e_per_s: ArrayLike, integration_s: ArrayLike
 
 
 @checks_arguments
-def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode) -> Array:
+def charge_from_total_e(total_e_per_s: NotNegativeArray, integration_s: NotNegativeArray, diode: Diode) -> Array:
     """Return the collected charge in e-, (...) as the arguments, for a = i_ph + I_s (e-/s, ≥ 0); see the module.
 
     diode : from `diode_of`

@@ -15,33 +15,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fields
-from pixsim.base.arrays import Array
+from pixsim.base.arguments import NotNegative, Positive, Whole, check_broadcast, checks_arguments, checks_fields
+from pixsim.base.arrays import Array, PositiveArray, Positives
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import (
-    ABSOLUTE_ZERO_C,
-    BIN,
-    CENTRED_BORDER,
-    DATA_SHEET,
-    MIN_FRACTION,
-    NO_TECHNOLOGY,
-    REGISTERED_BORDER,
-    STANDS_FOR,
-    WELL_RANGE_E,
-    Display,
-    EfficiencyCurve,
-    Pixel,
-    PixelOptions,
-    StackOptions,
-    channels_of,
-    efficiencies_of,
-    stack_excluded_by,
-)
+from pixsim.base.records import UnitInterval
+from pixsim.light.curves import EfficiencyCurve
+from pixsim.light.quantities import MIN_FRACTION
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.optics.stack import LOWEST_LENS, Stack
 from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.colour import Layout, channel_efficiency
+from pixsim.sensor.colour_options import BIN, channels_of, efficiencies_of
 from pixsim.sensor.mismatch import (
     E_PER_FC,
     ELECTRON_C,
@@ -51,7 +36,19 @@ from pixsim.sensor.mismatch import (
     prnu_of_area,
 )
 from pixsim.sensor.noise import constant_e, variance_e2
+from pixsim.sensor.pixel_options import (
+    ABSOLUTE_ZERO_C,
+    CENTRED_BORDER,
+    DATA_SHEET,
+    NO_TECHNOLOGY,
+    REGISTERED_BORDER,
+    STANDS_FOR,
+    Pixel,
+    PixelOptions,
+)
+from pixsim.sensor.quantities import WELL_RANGE_E, GainDb, HotMedian, HotSpread
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
+from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
 from pixsim.sensor.technology import Junction, Technology, load_technology, number_of, with_fill_factor_law
 
 # The public names; everything else is internal.
@@ -265,7 +262,7 @@ RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
 
 @checks_arguments
-def fill_factor_law(pitch_um: ArrayLike, technology: Technology) -> Array:
+def fill_factor_law(pitch_um: Positives, technology: Technology) -> Array:
     """Return the fill factor η((p - s)² - (p0 - s)²)/p² in the shape (...) of the pitches; negative below the smallest pitch p0.
 
     s, a width lost at every pitch, is zero in the packaged processes: η(1 - (p0/p)²). It is fitted to the fill factors of Chen
@@ -307,7 +304,7 @@ def _response_table(curve: str) -> Array:
 
 
 @checks_arguments
-def silicon_curve(wavelength_nm: ArrayLike, peak_quantum_efficiency: float) -> Array:
+def silicon_curve(wavelength_nm: Positives, peak_quantum_efficiency: UnitInterval) -> Array:
     """Return the QE of a generic silicon photodiode, scaled to a peak, (...) as the wavelengths; 0 outside 359-1029 nm.
 
     The curve is ISETCam's cmosPhotodetectorQE (2008). `peak_quantum_efficiency` is in electrons per photon.
@@ -317,7 +314,7 @@ def silicon_curve(wavelength_nm: ArrayLike, peak_quantum_efficiency: float) -> A
 
 
 @checks_arguments
-def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficiency: float) -> Array:
+def response_curve(wavelength_nm: Positives, reading: str, peak_quantum_efficiency: UnitInterval) -> Array:
     """Return the QE of the HP/MOSIS photodiode in the shape (...) of the wavelengths; 0 outside 400-800 nm.
 
     The curve is ISETCam's pdHPMosis (2003, estimated). `reading` is `Pixel.response`: with `literal` the numbers are the QE
@@ -334,7 +331,7 @@ def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficien
 
 
 @checks_arguments
-def given_efficiency(wavelength_nm: ArrayLike, given: float | EfficiencyCurve) -> Array:
+def given_efficiency(wavelength_nm: Positives, given: float | EfficiencyCurve) -> Array:
     """Return the QE of a data sheet in the shape (...) of the wavelengths: the constant `given`, or its curve.
 
     The curve is interpolated linearly and 0 outside its points. Raises PixsimError for fewer than two points.
@@ -406,22 +403,22 @@ class PixelPhysics:
     technology: Technology
     fill_factor: float
     capacitance_ff: float | None
-    full_well_e: float
-    dark_current_e_per_s: float
-    reset_noise_e: float
-    read_noise_e: float
-    prnu: float
-    dsnu: float
-    offset_fpn_e: float
-    column_fpn_e: float
+    full_well_e: Positive
+    dark_current_e_per_s: NotNegative
+    reset_noise_e: NotNegative
+    read_noise_e: NotNegative
+    prnu: NotNegative
+    dsnu: NotNegative
+    offset_fpn_e: NotNegative
+    column_fpn_e: NotNegative
     diode: Diode | None = None
-    gain_e_per_dn: float | None = None
-    adc_full_scale_e: float | None = None
-    read_noise_after_gain_e: float = 0.0
-    hot_pixel_fraction: float = 0.0
-    hot_pixel_median: float = 1.0
-    hot_pixel_spread: float = 0.0
-    gain_db: float = 0.0
+    gain_e_per_dn: Positive | None = None
+    adc_full_scale_e: Positive | None = None
+    read_noise_after_gain_e: NotNegative = 0.0
+    hot_pixel_fraction: UnitInterval = 0.0
+    hot_pixel_median: HotMedian = 1.0
+    hot_pixel_spread: HotSpread = 0.0
+    gain_db: GainDb = 0.0
     stack: Stack | None = None
     charge: StackOptions | None = None
     channel: str = ""
@@ -466,14 +463,14 @@ class PixelPhysics:
         return (CENTRED_BORDER if self.is_centred else REGISTERED_BORDER) * self.read_pitch_um
 
     @checks_arguments
-    def registered(self, repeat: int, display: Display) -> PixelPhysics:
+    def registered(self, repeat: Whole) -> PixelPhysics:
         """Return the pixel of one repeat of a study or a comparison: with a registration of its own (`spread_registration`).
 
-        One that the pixel states stays. Where dots are pixels the array stays centred.
+        One that the pixel states stays.
 
         repeat : its number, from 0
         """
-        if not self.is_centred or display.raster != "fixed_size":
+        if not self.is_centred:
             return self
         return replace(self, pixel=self.pixel.model_copy(update={"registration": spread_registration(repeat)}))
 
@@ -504,7 +501,7 @@ class PixelPhysics:
         )
 
     @checks_arguments
-    def at_gain(self, gain_db: float) -> PixelPhysics:
+    def at_gain(self, gain_db: GainDb) -> PixelPhysics:
         """Return the pixel read with an amplification (`Exposure.gain_db`), which moves the ADC's range and the noise behind it.
 
         >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, read_noise_e=1.5, read_noise_after_gain_e=4))
@@ -648,7 +645,7 @@ class PixelPhysics:
         return response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
 
     @checks_arguments
-    def quantum_efficiency(self, wavelength_nm: ArrayLike) -> Array:
+    def quantum_efficiency(self, wavelength_nm: Positives) -> Array:
         """Return electrons per photon on the photodiode at each wavelength, (B,); 0 beyond the infrared cut.
 
         Those of `channel`; of a colour sensor's pixel without one, the mean over the values of its frames.
@@ -662,14 +659,14 @@ class PixelPhysics:
         return self.pixel.infrared_cut_nm or math.inf
 
     @checks_arguments
-    def band_quantum_efficiency(self, wavelength_nm: Array, band_width_nm: Array) -> Array:
+    def band_quantum_efficiency(self, wavelength_nm: PositiveArray, band_width_nm: PositiveArray) -> Array:
         """Return electrons per photon of bands, (B,): at their centres, times the fraction of each below the infrared cut."""
         check_broadcast(wavelength_nm=wavelength_nm.shape, band_width_nm=band_width_nm.shape)
         below = np.clip((self.infrared_cut_nm - wavelength_nm) / band_width_nm + 0.5, 0.0, 1.0)
         return self._uncut_quantum_efficiency(wavelength_nm) * below
 
     @checks_arguments
-    def dynamic_range_db(self, integration_s: float) -> float:
+    def dynamic_range_db(self, integration_s: NotNegative) -> float:
         """Return the dynamic range: 20 log₁₀ of saturation less the dark charge, over the dark noise (Chen et al. 2000, eq. 1).
 
         Raises PixsimError if the dark charge fills the well.
@@ -686,7 +683,7 @@ class PixelPhysics:
         return 20 * math.log10((self.saturation_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
 
     @checks_arguments
-    def snr_db(self, signal_e: float, integration_s: float) -> float:
+    def snr_db(self, signal_e: NotNegative, integration_s: NotNegative) -> float:
         """Return the SNR of a signal charge (Chen et al. 2000, eq. 2); -inf for a charge of 0.
 
         Raises PixsimError if the charge is negative.
@@ -709,7 +706,7 @@ WELL_NAMES = "full_well_e", "saturation_capacity_e"
 
 
 @checks_arguments
-def other_unit_of_pitch(pitch_um: float) -> str:
+def other_unit_of_pitch(pitch_um: Positive) -> str:
     """Return the pitch that a large one is if it was given in nm, in words; empty for a usual one."""
     return f"{pitch_um:g} nm is {pitch_um / 1e3:g} µm." if pitch_um > LARGE_PITCH_UM else ""
 
@@ -732,7 +729,7 @@ def incomplete_sheet(pixel: Pixel, technology: Technology) -> PixsimError:
 
 
 @checks_arguments
-def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float, full_well_e: float | None = None) -> float:
+def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: Positive, full_well_e: Positive | None = None) -> float:
     """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is not given.
 
     full_well_e : of the measured pixel; None: `pixel.full_well_e`

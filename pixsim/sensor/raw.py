@@ -27,12 +27,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments, checks_fields
+from pixsim.base.arguments import NotNegative, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import ArrayHeader, first_where, read_array, read_arrays
 from pixsim.base.errors import PixsimError, invalid, names_in
 from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened, reason, size_of
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.colour import ROW_MARK, Layout
+from pixsim.sensor.quantities import FrameBits, Pitch, SaturatedFraction
 from pixsim.sensor.readout import Frame
 
 if TYPE_CHECKING:
@@ -67,13 +68,13 @@ class RawFrame:
     """
 
     dn: NDArray[Any] = field(repr=False)
-    black_level_dn: float | None = None
+    black_level_dn: NotNegative | None = None
     white_level_dn: float | None = None
-    bits: int | None = None
-    pitch_um: float | None = None
-    dn_per_e: float | None = None
-    integration_s: float | None = None
-    saturated_fraction: float | None = None
+    bits: FrameBits | None = None
+    pitch_um: Pitch | None = None
+    dn_per_e: Positive | None = None
+    integration_s: NotNegative | None = None
+    saturated_fraction: SaturatedFraction | None = None
     layout: Layout | None = None
 
     @property

@@ -10,16 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments, checks_fields, made
-from pixsim.base.arrays import Array, in_threads, strips
+from pixsim.base.arguments import Count, NotNegative, Positive, Whole, checks_arguments, checks_fields, made
+from pixsim.base.arrays import Array, NotNegativeArray, NotNegativePicture, NumberArray, in_threads, strips
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_on
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.quantities import Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
@@ -34,7 +37,7 @@ MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 
 
 @checks_arguments
-def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_per_s: float) -> float:
+def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_per_s: NotNegative) -> float:
     """Return the manual integration time, or the time that exposes the brightest pixel to the target, up to the maximum.
 
     The target is a share of `PixelPhysics.saturation_e` at the gain of the exposure, for the mean charge with dark charge.
@@ -65,7 +68,7 @@ class Sensor:
     """
 
     physics: PixelPhysics
-    shape: tuple[int, int]
+    shape: tuple[Count, Count]
     gain: Array | None = field(repr=False)
     dark_gain: Array | None = field(repr=False)
     offset_e: Array | None = field(repr=False)
@@ -73,7 +76,7 @@ class Sensor:
 
 
 @checks_arguments
-def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.Generator) -> Sensor:
+def sample_sensor(physics: PixelPhysics, shape: tuple[Count, Count], rng: np.random.Generator) -> Sensor:
     """Draw the fixed pattern of a sensor of a given `shape` (rows, columns) from `rng`.
 
     PRNU is normal, clipped at zero. DSNU is gamma-distributed, since a normal distribution would have negative currents; hot
@@ -115,7 +118,7 @@ def _draw_gaussian(spread: float, out: Array, rng: np.random.Generator) -> None:
 
 
 @checks_arguments
-def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float | None = None) -> Sensor:
+def make_sensor(pixel: Pixel, camera: Camera, seed: Whole = 0, *, aspect: Aspect | None = None) -> Sensor:
     """Make a sensor that fills the camera's die, with its fixed pattern drawn from the seed.
 
     seed : 0 or more; equal seeds give equal sensors
@@ -160,16 +163,16 @@ class Frame:
     """
 
     dn: NDArray[np.int32] = field(repr=False)
-    mean_e: Array = field(repr=False)
-    integration_s: float
-    dn_per_e: float
-    black_level_dn: float
-    mean_dark_e: float
-    pitch_um: float
-    bits: int
-    saturated_fraction: float
+    mean_e: NotNegativeArray = field(repr=False)
+    integration_s: NotNegative
+    dn_per_e: Positive
+    black_level_dn: NotNegative
+    mean_dark_e: NotNegative
+    pitch_um: Pitch
+    bits: FrameBits
+    saturated_fraction: SaturatedFraction
     corrected_e: NDArray[np.float32] | None = field(default=None, repr=False)
-    gain_db: float = 0.0
+    gain_db: GainDb = 0.0
     layout: Layout | None = None
     registration: Registration = CENTRED
 
@@ -197,7 +200,7 @@ class Frame:
 
 
 @checks_arguments
-def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
+def shot_noise(mean_e: NotNegativeArray, rng: np.random.Generator) -> Array:
     """Draw Poisson counts (...) of mean `mean_e` from `rng`, in electrons; above 1e9 they are rounded normal values.
 
     The variance of NumPy's Poisson is 3.5 % too large at 1e15.
@@ -215,7 +218,7 @@ def _shot_noise(mean_e: Array, rng: np.random.Generator) -> NDArray[Any]:
 
 
 @checks_arguments
-def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
+def quantise(level_dn: NumberArray, bits: FrameBits) -> NDArray[np.int32]:
     """Round half to even and clip to 0 … 2^bits - 1, (...). This adds a variance of 1/12 DN² (within 0.3 %) if σ exceeds 0.6 DN.
 
     Raises PixsimError for more than 31 bits.
@@ -237,7 +240,7 @@ def _quantise(level_dn: Array, bits: int, out: NDArray[np.int32]) -> None:
 
 
 @checks_arguments
-def read_out(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
+def read_out(mean_e: NotNegativeArray, integration_s: NotNegative, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
     """Return one frame, (rows, columns) int32 DN, from the mean photo-electrons of each pixel; temporal noise is from `rng`.
 
     The gain is that of the sensor's `physics`: `at_gain` sets it, as `capture_from_rates` does for an exposure.
@@ -308,7 +311,7 @@ def by_block(draw: Callable[[slice, np.random.Generator], None], shape: tuple[in
 
 
 @checks_arguments
-def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhysics) -> Array:
+def frame_mean_dn(mean_e: NotNegativeArray | NotNegative, integration_s: NotNegative, physics: PixelPhysics) -> Array:
     """Return the expected DN over sensors and frames, in the shape (...) of `mean_e`.
 
     It is valid at least 6σ away from 0, the well and the top code, for a linear response: with `well_limit = "diode"` below
@@ -319,7 +322,9 @@ def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhy
 
 
 @checks_arguments
-def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: PixelPhysics, fixed_pattern: bool = True) -> Array:
+def frame_variance_dn2(
+    mean_e: NotNegativeArray | NotNegative, integration_s: NotNegative, physics: PixelPhysics, fixed_pattern: bool = True
+) -> Array:
     """Return the variance of a pixel's DN over frames and, with `fixed_pattern`, over sensors, in the shape (...) of `mean_e`.
 
     It is the noise of eq. (2) of Chen et al. (2000) with read noise, fixed pattern and the ADC's LSB²/12; valid where
@@ -334,7 +339,7 @@ def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: Pix
 
 
 @checks_arguments
-def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
+def dark_spread_e(physics: PixelPhysics, integration_s: NotNegative) -> float:
     """Return the standard deviation in e- of a dark signal over frames and over the pixels that are not hot.
 
     The tail of hot pixels is far above the black level: it says nothing about what a clip at 0 DN cuts off.
@@ -346,7 +351,7 @@ def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
 
 
 @checks_arguments
-def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
+def least_black_level_dn(physics: PixelPhysics, integration_s: NotNegative) -> int:
     """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and one LSB above 0 DN.
 
     Without a given gain a range F spans the codes M - b above the black level b, so that b = 6σ(M - b)/F, solved for b.
@@ -358,7 +363,7 @@ def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
 
 
 @checks_arguments
-def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
+def capture_from_rates(signal_e_per_s: NotNegativePicture, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
     """Return a frame from mean photo-electron rates (rows, columns), at the gain of the exposure, with temporal noise from `rng`.
 
     Raises PixsimError if the shape is not that of the sensor, or if the electrons are too many for the numbers of the rates.
@@ -376,7 +381,11 @@ def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure
 
 @checks_arguments
 def make_frame(
-    dn: NDArray[np.int32], saturated_fraction: float, signal_e_per_s: Array, physics: PixelPhysics, exposure: Exposure
+    dn: NDArray[np.int32],
+    saturated_fraction: SaturatedFraction,
+    signal_e_per_s: NotNegativePicture,
+    physics: PixelPhysics,
+    exposure: Exposure,
 ) -> Frame:
     """Return a `Frame` of digital numbers and the mean photo-electron rates behind them, both (rows, columns).
 

@@ -9,36 +9,31 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 from pydantic import Field, create_model, model_validator
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.config import checked, packaged, read_toml
 from pixsim.base.errors import PixsimError, did_you_mean, excerpt, invalid, name_fault, one_line, quoted
-from pixsim.base.labels import label_of
-from pixsim.base.parameters import (
-    MICROLENSES,
-    NO_TECHNOLOGY,
-    NUMBERS,
-    SHIFTS,
-    AnyNumber,
+from pixsim.base.layers import Layer
+from pixsim.base.records import AnyNumber, Record, checked
+from pixsim.base.toml import packaged, read_toml
+from pixsim.light.quantities import Fraction
+from pixsim.optics.quantities import FNumber
+from pixsim.sensor.labels import label_of
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY, NUMBERS, PixelOptions
+from pixsim.sensor.quantities import (
     AreaMismatch,
     Crosstalk,
     DarkSpread,
     DiffusionLength,
-    Distribution,
-    FNumber,
-    Fraction,
     GainSpread,
     GateArea,
-    Layer,
     NoiseElectrons,
     OffsetSpread,
     Pitch,
-    PixelOptions,
-    Record,
     RefractiveIndex,
     SiliconDepth,
     StackHeight,
-    StackOptions,
     VoltageMismatch,
 )
+from pixsim.sensor.spread import Distribution
+from pixsim.sensor.stack_options import MICROLENSES, SHIFTS, StackOptions
 
 Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
 Grading = Annotated[float, Field(ge=0, le=0.99)]
@@ -262,7 +257,7 @@ class Technology(NumbersOfPixels):
         return technology.model_copy(update={"ranges": self.ranges, "distributions": self.distributions})
 
 
-# For a sensor that is described by a data sheet (`pixsim.base.parameters.DATA_SHEET`). Numbers that the data sheet lacks are
+# For a sensor that is described by a data sheet (`pixsim.sensor.pixel_options.DATA_SHEET`). Numbers that the data sheet lacks are
 # ideal: no non-uniformity, no offsets, no reset noise apart from the read noise, and a fill factor of 1, since a data sheet's
 # quantum efficiency is that of the whole pixel with its microlens. The other numbers are placeholders.
 NO_PROCESS = Technology.model_validate(

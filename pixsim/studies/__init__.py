@@ -1,5 +1,6 @@
 """Mean ΔE against pixel size: `Study` in, `result.StudyResult` out, with optima, their intervals and an error budget.
 
+What a user states: `study_settings` (with `axis`, `condition`, `pitch_range`), from the layers of `study_layers`, without NumPy.
 `study` runs a study: `cases` of its axes and conditions, `evaluations` on the workers of `engine`; `optimum` fits the curve,
 `allocation` chooses further evaluations. `budget` estimates errors, `claims` checks the paper's statements in each case.
 `uncertainty` draws all unknown numbers together, and `indices` says which of them matter. `compare` compares sensors, as they

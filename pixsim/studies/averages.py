@@ -14,7 +14,6 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.headline import NOT_CONVERGED
-from pixsim.base.parameters import Run
 from pixsim.light.spectral import SpectralImage
 from pixsim.show.sentences import with_error
 from pixsim.studies.lineup import Lineup
@@ -25,6 +24,7 @@ from pixsim.studies.viewing import Viewed
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.score import Score, clip_words, clips_dark
+from pixsim.viewer.setting import Run
 
 if TYPE_CHECKING:
     from pixsim.scene.convergence import RenderNoise

@@ -35,8 +35,9 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import PixsimError
 from pixsim.base.notes import told_apart, warn
-from pixsim.base.parameters import Camera, Display, PitchRange, Study, content_hash
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RenderNoise, noise_of
 from pixsim.scene.film import largest_film
 from pixsim.scene.plan import Plan, make_render_plan
@@ -57,8 +58,11 @@ from pixsim.studies.film_error import (
     order_of,
     step_size,
 )
+from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import imaging_of
 from pixsim.studies.sampling import largest_pixel_um
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import ImagingChain, SceneCache, Seen, white_header
 

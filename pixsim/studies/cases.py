@@ -15,10 +15,15 @@ from typing import Any, Generic, TypeVar
 from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
-from pixsim.base.labels import labels_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Axis, AxisPoint, Setting, Study, case_folder, check_case_folders, explain, merge
+from pixsim.base.problems import explain
+from pixsim.sensor.labels import labels_of
+from pixsim.studies.axis import Axis, AxisPoint
+from pixsim.studies.case_folders import case_folder, check_case_folders
 from pixsim.studies.pixels import technology_of
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.merging import merge
+from pixsim.viewer.setting import Setting
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 

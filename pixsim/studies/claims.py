@@ -16,11 +16,12 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Pixel, Study, content_hash
 from pixsim.base.progress import Progress
+from pixsim.base.records import content_hash
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.pixel import derive, fill_factor_law
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.engine import Workers, results_of
@@ -28,6 +29,7 @@ from pixsim.studies.pixels import physics_of, technology_of
 from pixsim.studies.result import CasesResult, Curve, StudyResult
 from pixsim.studies.sampling import largest_pixel_um
 from pixsim.studies.sentences import interval_words
+from pixsim.studies.study_settings import Study
 from pixsim.viewer.display import picture_size_um
 
 # Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).

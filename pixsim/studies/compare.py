@@ -15,17 +15,17 @@ from pathlib import Path
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Count, Jobs, checks_arguments
 from pixsim.base.arrays import Array
-from pixsim.base.config import listed, plain_tables
 from pixsim.base.files import output_folder
+from pixsim.base.layers import listed, plain_tables
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import REGISTERED_BORDER, Run, Study
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
+from pixsim.sensor.pixel_options import REGISTERED_BORDER
 from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.comparison import Comparison
@@ -43,6 +43,7 @@ from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sizes
 from pixsim.studies.sensor_types import TYPES_FILE, sample_of
 from pixsim.studies.series import Series
+from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import elsewhere_note
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -57,6 +58,7 @@ from pixsim.viewer.score import (
     warn_of_clipping,
     white_header,
 )
+from pixsim.viewer.setting import Run
 
 FEW_SECONDS = 3.0  # of all frames: processes take a second to start
 
@@ -68,12 +70,12 @@ def compare(
     *,
     study: Study | str | os.PathLike[str] | None = None,
     match: Match = "view",
-    repeats: int = 8,
+    repeats: Count = 8,
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     sensor: str | None = None,
     variant: str | None = None,
-    jobs: int | None = None,
+    jobs: Jobs | None = None,
     scheduler: object = None,
     progress: Stage | None = None,
     out: str | os.PathLike[str] | None = None,

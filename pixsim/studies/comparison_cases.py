@@ -11,16 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.parameters import MAX_CASE_NAME, Axis, Study, merge
 from pixsim.base.units import unit_of
 from pixsim.show.document import Answer, Table
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.render import cell_of
 from pixsim.studies.averages import Averaged
+from pixsim.studies.axis import Axis
 from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, values_at, with_range_ends
 from pixsim.studies.comparison import FIGURE_BORDER_IN, FIGURE_WIDTH_IN, ROW_IN, Comparison
 from pixsim.studies.study_file import study_of
+from pixsim.studies.study_settings import Study
+from pixsim.studies.varied import MAX_CASE_NAME
 from pixsim.studies.verdicts import headline
+from pixsim.viewer.merging import merge
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Study
 from pixsim.studies.optimum import (
     FINE_PLACES,
     PLACES,
@@ -28,6 +27,7 @@ from pixsim.studies.optimum import (
 )
 from pixsim.studies.pixels import photodiode_widths_um
 from pixsim.studies.result import Curve
+from pixsim.studies.study_settings import Study
 
 LEAST_PITCHES = 5  # that a curve is fitted to
 SHUFFLED = 1 << 16  # of the seeds with which the sensors of the conditions' posteriors are drawn

@@ -12,7 +12,7 @@ from pixsim.base.arrays import MEASURED
 from pixsim.base.errors import PixsimError
 from pixsim.base.machine import memory
 from pixsim.base.mapped import MOST_BYTES
-from pixsim.base.parameters import Camera, Display, Study
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import GROUPS
 from pixsim.optics.field_blur import blur_work
 from pixsim.scene.film import PROGRAM_BYTES, film_bytes, film_memory_bytes
@@ -23,7 +23,9 @@ from pixsim.studies.engine import workers_here
 from pixsim.studies.keys import rendered_across
 from pixsim.studies.preparation import choose_view, fitted_range, with_view
 from pixsim.studies.sampling import BYTES_PER_PIXEL, study_pitches_um
+from pixsim.studies.study_settings import Study
 from pixsim.studies.viewing import SENSORS_VIEWED, STUDY_VIEWINGS
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import SCENE_CACHE_BYTES
 
 if TYPE_CHECKING:

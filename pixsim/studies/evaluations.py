@@ -20,8 +20,8 @@ import numpy as np
 
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Display, content_hash
 from pixsim.base.progress import Progress
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import pixels_on
@@ -33,6 +33,7 @@ from pixsim.studies.rows import Row, RowStore, StoredRows
 from pixsim.studies.sampling import Sizes
 from pixsim.studies.series import Series
 from pixsim.viewer.colour_matrix import AlikeChannelsError
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import IdealFacts, ImagingChain, PreparedScene, SharedLight, chain_of_frames, check_one_ideal, shown
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pixsim.base.parameters import Camera, Study, paths_of
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.scene.charts import MAX_LP_PER_MM, csf_contrast, csf_frequency_on_sensor
 from pixsim.sensor.integration import pixels_along
+from pixsim.studies.study_settings import Study
+from pixsim.studies.varied import paths_of
 from pixsim.viewer.display import picture_size_um
 
 Border = tuple[float, float]  # µm omitted above and below, and left and right, of the rendered picture

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Display
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import LENS_HEADER
 from pixsim.scene.film import BLOCK, SAMPLES_PER_DETAIL, details_across, dots_across
 from pixsim.scene.rules import Chart
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 
 MIN_CELLS = 4  # across a film

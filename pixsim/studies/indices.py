@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtri
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Whole, checks_arguments
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
 
@@ -230,7 +230,7 @@ def q2_of(left_out: Array, y: Array) -> float:
 
 
 @checks_arguments
-def first_order(quantiles: Array, values: Array, marginals: Mapping[str, Marginal], seed: int = 0) -> FirstOrder:
+def first_order(quantiles: Array, values: Array, marginals: Mapping[str, Marginal], seed: Whole = 0) -> FirstOrder:
     """Return the first-order indices of a result from a surrogate, withheld if it predicts left-out points badly.
 
     quantiles : (n, k) of the inputs, between 0 and 1, independent
@@ -296,7 +296,7 @@ def saltelli(sobol: Array) -> Array:
 
 
 @checks_arguments
-def total_indices(values: Array, names: Sequence[str], seed: int = 0) -> tuple[dict[str, Index], dict[str, Index]]:
+def total_indices(values: Array, names: Sequence[str], seed: Whole = 0) -> tuple[dict[str, Index], dict[str, Index]]:
     """Return first-order and total indices of a result at the points of `saltelli`, with bootstrap intervals.
 
     values : (n(k + 2),) the result, in the order of the points

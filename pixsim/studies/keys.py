@@ -11,12 +11,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixsim.base import cache
-from pixsim.base.parameters import Camera, Effort, Pixel, Setting, Study, content_hash
+from pixsim.base.records import content_hash
+from pixsim.optics.camera import Camera
 from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import pixels_on
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import first_sampling
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.setting import Effort, Setting
 
 if TYPE_CHECKING:
     from pixsim.studies.series import Series

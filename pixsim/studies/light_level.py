@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pixsim.base.parameters import Display
 from pixsim.light.spectral import SpectralImage
 from pixsim.show.sentences import span
 from pixsim.viewer.display import white_light
+from pixsim.viewer.display_options import Display
 
 
 class LightLevel(NamedTuple):

@@ -7,11 +7,11 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pixsim.base.labels import label_in
-from pixsim.base.parameters import Camera, Run, Study
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RenderNoise, render_until
+from pixsim.sensor.labels import label_in
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.keys import light_hash
@@ -21,9 +21,11 @@ from pixsim.studies.preparation import first_film, plan_of, scene_for, smallest_
 from pixsim.studies.prepared import Prepared
 from pixsim.studies.sampling import largest_pixel_um, study_pitches_um
 from pixsim.studies.sight import Sight, clearest
+from pixsim.studies.study_settings import Study
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import Seen, white_header
+from pixsim.viewer.setting import Run
 
 if TYPE_CHECKING:
     from pixsim.studies.budget import Settled

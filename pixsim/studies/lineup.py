@@ -16,37 +16,24 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pixsim.base.caller import setting
-from pixsim.base.config import checked, packaged, settings_layer, sheet_uncertainty, warn_of_mixed_sensors
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
-from pixsim.base.labels import file_label, labels_of
+from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
-from pixsim.base.parameters import (
-    NO_TECHNOLOGY,
-    NOT_SETTINGS,
-    OF_DIE,
-    REGISTERED_BORDER,
-    Camera,
-    CameraOptions,
-    Condition,
-    Display,
-    Effort,
-    Layer,
-    Record,
-    Run,
-    Setting,
-    Study,
-    StudyScene,
-    owner_of,
-    paths_of,
-)
+from pixsim.base.records import Record, checked
+from pixsim.base.toml import packaged
+from pixsim.optics.camera import OF_DIE, Camera, CameraOptions
 from pixsim.scene.charts import MAX_LP_PER_MM
+from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.integration import check_pixel_count, pixels_on
+from pixsim.sensor.labels import file_label, labels_of
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY, REGISTERED_BORDER
+from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.sensor.technology import check_name
-from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Case
+from pixsim.studies.condition import Condition
 from pixsim.studies.cost import VIEWED_S_PER_DOT, Cost, dots_on, frame_cost
 from pixsim.studies.lights import demand_of
 from pixsim.studies.matched_cameras import Match, matched_cameras
@@ -56,8 +43,14 @@ from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.preparation import ALLOWED_DOTS, choose_view, with_view
 from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
 from pixsim.studies.study_file import study_of
+from pixsim.studies.study_settings import Study, owner_of
+from pixsim.studies.varied import NOT_SETTINGS, paths_of
 from pixsim.studies.viewing import OF_VIEWING, Viewing, ViewingRange
 from pixsim.viewer.display import dot_edges_um
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.setting import Effort, Run, Setting
+from pixsim.viewer.settings_file import settings_layer, warn_of_mixed_sensors
+from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.parameters import Camera
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import lens_on_die
 
 Match = Literal["view", "lens", "own"]

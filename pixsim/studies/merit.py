@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import lens_mtf
 from pixsim.optics.diffraction import diffraction_otf, square_aperture_mtf, white_otf
 from pixsim.optics.stack import aperture_mtf, aperture_side_um
@@ -20,6 +20,7 @@ from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.viewer.display import interpolation_mtf, picture_size_um
+from pixsim.viewer.display_options import Display
 
 if TYPE_CHECKING:
     from pixsim.studies.result import StudyResult

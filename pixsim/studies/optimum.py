@@ -38,6 +38,7 @@ from scipy.special import fdtrc, gammaincinv, stdtrit
 
 from pixsim.base.arguments import checks_fields
 from pixsim.base.arrays import Array
+from pixsim.sensor.quantities import Pitch
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 CONFIDENCE = 0.95
@@ -82,7 +83,7 @@ class Optimum:
         an end at the smallest or the largest pitch tried
     """
 
-    pitch_um: float
+    pitch_um: Pitch
     interval_um: tuple[float | None, float | None]
     mean_delta_e: float
     mean_delta_e_interval: tuple[float, float]

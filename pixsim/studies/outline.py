@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.machine import processors
-from pixsim.base.parameters import Camera
+from pixsim.optics.camera import Camera
 from pixsim.sensor.integration import pixels_on
 from pixsim.studies.cost import (
     COLOUR_S,

@@ -19,9 +19,10 @@ import numpy as np
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, Array, Item, in_threads
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Display, Pixel, Setting, content_hash
 from pixsim.base.progress import Progress, share_of, steps_of
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import Tiling, tiling_of
 from pixsim.scene.convergence import RenderNoise, render_until
 from pixsim.scene.film import BLOCK, fitting_width, largest_film
@@ -31,6 +32,7 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import Illumination
 from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.budget import Settled, sensor_delta_e, without_warnings
 from pixsim.studies.film_error import (
@@ -55,8 +57,10 @@ from pixsim.studies.film_error import (
 )
 from pixsim.studies.keys import remember_rendered
 from pixsim.viewer.colour_matrix import AlikeChannelsError
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import ImagingChain, Seen, white_header
+from pixsim.viewer.setting import Setting
 
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 WORTH_WIDENING = 1.2

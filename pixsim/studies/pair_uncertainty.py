@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.config import sheet_uncertainty, whole_path
-from pixsim.base.labels import file_label, labels_of
-from pixsim.base.parameters import NO_TECHNOLOGY, Pixel, Spread
+from pixsim.base.toml import whole_path
+from pixsim.sensor.labels import file_label, labels_of
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
+from pixsim.sensor.spread import Spread, sheet_uncertainty
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.indices import FirstOrder, first_order
 from pixsim.studies.sensor_types import Asked, sample_of

@@ -5,16 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import MIN_FRACTION, NO_TECHNOLOGY, Camera, Pixel, Study
+from pixsim.light.quantities import MIN_FRACTION
+from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel import PixelPhysics, derive, fill_factor_law
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
+from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
+from pixsim.studies.study_settings import Study
 from pixsim.viewer.imaging import Imaging
 
 
 @checks_arguments
-def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
+def pixel_of(study: Study, technology: str, pitch_um: Pitch) -> Pixel:
     """Pixel of a study in a technology, by name or path, at a pitch."""
     sensor = study.sensors.get(technology)
     if sensor is None:
@@ -50,7 +54,7 @@ def imaging_of(study: Study, camera: Camera, technology: str, pitch_um: float) -
 
 
 @checks_arguments
-def physics_of(study: Study, technology: str, pitch_um: float, process: Technology | None = None) -> PixelPhysics:
+def physics_of(study: Study, technology: str, pitch_um: Pitch, process: Technology | None = None) -> PixelPhysics:
     """Return the physical properties of a study's pixel, with the process numbers of `Study.process`, at the study's gain.
 
     Parameters
@@ -66,7 +70,7 @@ def physics_of(study: Study, technology: str, pitch_um: float, process: Technolo
 
 
 @checks_arguments
-def photodiode_widths_um(study: Study, technology: str, pitch_um: Array) -> Array:
+def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray) -> Array:
     """Return the widths √fill factor · pitch in µm of the square photodiodes of a study's pixels, (n,) as the pitches.
 
     technology : a name or path as in `Study.technologies`

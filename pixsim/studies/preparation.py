@@ -12,30 +12,36 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from pixsim.base.config import Uncertainty
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.labels import label_of, labels_of
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Display, PitchRange, Run, Setting, Study, content_hash
+from pixsim.base.records import content_hash
 from pixsim.base.schema import KEY
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import rendered_camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
 from pixsim.scene.scene import Scene
+from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
+from pixsim.sensor.labels import label_of, labels_of
 from pixsim.sensor.pixel import PixelPhysics, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
-from pixsim.sensor.unused import warn_of_unused_settings
 from pixsim.studies.cases import BASE, Case, cases_of, with_range_ends
+from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
 from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
 from pixsim.studies.results_file import COLUMNS
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
+from pixsim.studies.study_settings import Study
 from pixsim.studies.unused import StudyConfiguration
 from pixsim.viewer.display import dot_edges_um
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.setting import Run, Setting
+from pixsim.viewer.unused import warn_of_unused_settings
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
 MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
@@ -79,7 +85,10 @@ def with_view(settings: Chosen, view: Mapping[str, Any]) -> Chosen:
         display = display.model_copy(update={"dots": view["dots"]})
     if MAX_LP_PER_MM in view:
         chart = {MAX_LP_PER_MM: view[MAX_LP_PER_MM]}
-        scene = chart | scene if isinstance(scene, dict) else scene.model_copy(update={"parameters": chart | scene.parameters})
+        if isinstance(scene, dict):
+            scene = chart | scene
+        elif isinstance(scene, StudyScene):
+            scene = scene.model_copy(update={"parameters": chart | scene.parameters})
     return settings.model_copy(update={"display": display, "scene": scene})
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.studies.cases import Case, Settings
 
 if TYPE_CHECKING:

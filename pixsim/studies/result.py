@@ -12,16 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments, checks_fields
-from pixsim.base.arrays import Array
+from pixsim.base.arguments import Count, Positive, checks_arguments, checks_fields
+from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import invalid
-from pixsim.base.labels import file_label, label_of, labels_of
 from pixsim.base.notes import told_apart
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import least_fresnel_number
 from pixsim.sensor.integration import collecting_area_um2
+from pixsim.sensor.labels import file_label, label_of, labels_of
 from pixsim.sensor.pixel import PixelPhysics, has_microlens, smallest_pitch_um
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
+from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, rows_csv
@@ -37,6 +39,7 @@ from pixsim.studies.rows import Row
 from pixsim.studies.sampling import largest_lens_um
 from pixsim.studies.sentences import interval_words, optima_table, optimum_words
 from pixsim.studies.series import Series, scenes_of, series_of
+from pixsim.studies.study_settings import Study
 from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate
@@ -78,8 +81,8 @@ class Curve:
     """
 
     technology: str
-    feature_size_um: float
-    pitch_um: Array = field(repr=False)
+    feature_size_um: Positive
+    pitch_um: PositiveArray = field(repr=False)
     fill_factor: Array = field(repr=False)
     statistics: dict[str, Array] = field(repr=False)
     fit: FittedCurve = field(repr=False)
@@ -184,7 +187,7 @@ class Curve:
         return float(self.pitch_um[0] / np.sqrt(self.fresnel_number[0]))
 
     @checks_arguments
-    def fresnel_at(self, pitch_um: float) -> float | None:
+    def fresnel_at(self, pitch_um: Pitch) -> float | None:
         """Return the Fresnel number of the microlens at any pitch, to whose square it is proportional; None without microlenses."""
         return None if self.doubtful_below_um is None else (pitch_um / self.doubtful_below_um) ** 2
 
@@ -285,7 +288,7 @@ class StudyResult:
         return (self,)
 
     @checks_arguments
-    def physics(self, technology: str, pitch_um: float) -> PixelPhysics:
+    def physics(self, technology: str, pitch_um: Pitch) -> PixelPhysics:
         """Return a pixel of the study. Raises PixsimError for a pitch that is impossible in the technology."""
         return physics_of(self.study, technology, pitch_um)
 
@@ -355,7 +358,7 @@ class StudyResult:
         return {}
 
     @checks_arguments
-    def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:
+    def scores(self, technology: str, pitch_um: Pitch, repeats: Count | None = None) -> list[Score]:
         """Return the scores, with pictures, of the first `repeats` sensors of a `technology` at a pitch.
 
         repeats : None means as many as the study has at this pitch, or started with
@@ -365,7 +368,7 @@ class StudyResult:
         return self._scores(technology, pitch_um, repeats)
 
     @checks_arguments
-    def shown_scores(self, technology: str, pitch_um: float, repeats: int) -> list[Score]:
+    def shown_scores(self, technology: str, pitch_um: Pitch, repeats: Count) -> list[Score]:
         """Return `scores` of a `technology` in less time, for pictures: where the cache has the frames, their `mean_e` is 0.
 
         pitch_um : of the pixels
@@ -386,7 +389,7 @@ class StudyResult:
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 
     @checks_arguments
-    def shown_part(self, technology: str, pitch_um: float, part: Callable[[Array], Array]) -> Array:
+    def shown_part(self, technology: str, pitch_um: Pitch, part: Callable[[Array], Array]) -> Array:
         """Return a part of the picture, (rows, columns), that the first sensor of a pitch shows, as `scores` has it, without ΔE.
 
         A frame of the cache is shown directly, which takes a fifth of the time of simulating it.
@@ -399,7 +402,7 @@ class StudyResult:
         return shown(chain.light(frame, part), self.study.display)
 
     @checks_arguments
-    def sensors_at(self, technology: str, pitch_um: float) -> int:
+    def sensors_at(self, technology: str, pitch_um: Pitch) -> int:
         """Return the number of sensors of a pitch; for a pitch not in the study, the number that each pitch started with.
 
         technology : name or path as in `Study.technologies`

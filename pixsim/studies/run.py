@@ -11,25 +11,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Count, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.base.config import run_settings, scene_table
 from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import collected_notes
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Run
 from pixsim.base.progress import Stage, no_stage, share_of, watched
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import read_with_camera
 from pixsim.scene.convergence import without_clock
 from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene, packaged_scenes
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_on
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Technology, load_technology
-from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.document import headline, pairs, plain_text
 from pixsim.show.pages import rows_csv
 from pixsim.show.render import cell_of
@@ -41,11 +40,15 @@ from pixsim.studies.paired import mean_interval
 from pixsim.studies.preparation import choose_view, scene_with_view, with_view
 from pixsim.studies.prepared import Job, Prepared, loaded_scene
 from pixsim.studies.sentences import score_parts
+from pixsim.studies.settings_text import scene_table
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError, cause_words
 from pixsim.viewer.score import ImagingChain, Score, Seen, clip_words, clips_dark, dark_clip, make_imaging_chain, white_header
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import run_settings
+from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -382,7 +385,7 @@ def run(
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
-    repeats: int = 1,
+    repeats: Count = 1,
     frames: int = 1,
     full: bool = False,
     sensor: str | None = None,

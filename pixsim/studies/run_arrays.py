@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Literal
 
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Run
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.studies.run import RunResult
+from pixsim.viewer.setting import Run
 
 Irradiance = Literal["reduced", "full", "factors", "none"]  # what irradiance.exr holds
 

@@ -9,12 +9,14 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
+from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.film import GREEN_NM
 from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.technology import with_fill_factor_law
 from pixsim.studies.pixels import technology_of
+from pixsim.studies.study_settings import Study
 
 CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
 BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated

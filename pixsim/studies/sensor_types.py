@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from pixsim.base.caller import setting
-from pixsim.base.config import Uncertainty
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Study, merge
 from pixsim.base.progress import Progress
+from pixsim.sensor.spread import Uncertainty
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.claims import scaling_rows
 from pixsim.studies.cost import MOST_EVALUATIONS
@@ -26,6 +25,7 @@ from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sizes, study_pitches_um
 from pixsim.studies.series import Series, scenes_of, series_of
+from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import (
     LEAST_DRAWS,
     MOST_DRAWS,
@@ -39,6 +39,7 @@ from pixsim.studies.uncertainty import (
     summarise,
     unknowns_of_study,
 )
+from pixsim.viewer.merging import merge
 
 MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
 TYPES_FILE = "types.csv"

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 from pixsim.base.caller import setting
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import told_apart
-from pixsim.base.parameters import Camera, Display
+from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.show.document import Fact, Strong, Table, Text, has_room, headline, joined, plain_text
 from pixsim.show.sentences import few, interval, span, with_ends
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.score import rounded_up
 

@@ -6,14 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from pixsim.base.labels import label_in
-from pixsim.base.parameters import Camera, Display, Study, channels_of
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout
+from pixsim.sensor.colour_options import channels_of
 from pixsim.sensor.integration import electrons_per_joule
+from pixsim.sensor.labels import label_in
 from pixsim.studies.keys import Fingerprints, frames_fit_in_cache
 from pixsim.studies.pixels import imaging_of
 from pixsim.studies.sampling import study_pitches_um
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import PreparedScene, SceneCache, SharedLight, allows_single
 

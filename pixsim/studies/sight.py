@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.parameters import content_hash
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.rules import Chart
 from pixsim.sensor.integration import collecting_area_um2, electrons_per_joule

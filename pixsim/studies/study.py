@@ -9,17 +9,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.arguments import checks_arguments
-from pixsim.base.config import SETTINGS_FILE, listed, scene_table, settings_text, spreads_of_study
+from pixsim.base.arguments import Jobs, checks_arguments
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder
-from pixsim.base.labels import label_in
+from pixsim.base.layers import listed
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import Study, content_hash
 from pixsim.base.progress import Progress, Stage, no_stage
+from pixsim.base.records import content_hash
+from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.spectral import SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.scene.scene import packaged_scenes
+from pixsim.sensor.labels import label_in
 from pixsim.show.sentences import few
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, check_number
@@ -36,7 +37,9 @@ from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sampling, Sizes, first_sampling, study_pitches_um
 from pixsim.studies.series import Series, most_channels, scenes_of, series_of
-from pixsim.studies.study_file import load_study, uncertainty_of
+from pixsim.studies.settings_text import scene_table, settings_text
+from pixsim.studies.study_file import load_study, spreads_of_study, uncertainty_of
+from pixsim.studies.study_settings import Study
 from pixsim.viewer.score import SceneCache, warn_of_clipping
 
 if TYPE_CHECKING:
@@ -256,7 +259,7 @@ def study(
     pixel: Mapping[str, Any] | None = None,
     scene: str | os.PathLike[str] | None = None,
     quick: bool = False,
-    jobs: int | None = None,
+    jobs: Jobs | None = None,
     scheduler: object = None,
     variant: str | None = None,
     progress: Stage | None = None,

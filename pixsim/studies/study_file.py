@@ -7,22 +7,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pixsim.base.config import (
-    FILES,
-    checked,
-    listed,
-    packaged,
-    plain_tables,
-    read_toml,
-    resolve_file,
-    sheet_uncertainty,
-    study_layers,
-    without_uncertainty,
-)
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import missing
+from pixsim.base.layers import Layer, listed, plain_tables
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Layer, Spread, Study, merge, owner_of, paths_of
+from pixsim.base.records import checked
+from pixsim.base.toml import packaged, read_toml, resolve_file
+from pixsim.sensor.spread import Spread, Uncertainty, sheet_uncertainty, without_uncertainty
+from pixsim.studies.settings_text import FILES
+from pixsim.studies.study_layers import study_layers
+from pixsim.studies.study_settings import Study, owner_of
+from pixsim.studies.varied import paths_of
+from pixsim.viewer.merging import merge
 
 
 def read_study(name: str | os.PathLike[str]) -> Layer:
@@ -196,3 +192,16 @@ def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = N
         quick = [Layer(layer.table["quick"], f"{layer.source} [quick]") for layer in layers if "quick" in layer.table]
         checked(Study, [*full, *quick])
     return study
+
+
+def spreads_of_study(study: Study, uncertainty: Uncertainty) -> dict[str, dict[str, Spread]]:
+    """Return how far the numbers of a study's [pixel] and of its data sheets may be wrong.
+
+    uncertainty : as the study's files state it; that of a data sheet which is not in it stands in the sheet's own file
+    """
+    spreads = {"": dict(uncertainty.get("", {}))}
+    for name in study.technologies:
+        if name in study.sensors:
+            of_file = sheet_uncertainty(Path(name)) if name not in uncertainty and Path(name).is_file() else {}
+            spreads[name] = dict(uncertainty.get(name, of_file))
+    return spreads

@@ -19,18 +19,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv, ndtr, ndtri
 
-from pixsim.base.arguments import brief, checks_arguments, checks_fields
+from pixsim.base.arguments import Whole, brief, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
-from pixsim.base.config import spreads_of_study
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.labels import label_of
-from pixsim.base.parameters import MIN_FRACTION, PixelOptions, Record, Spread, StackOptions, Study, excluded_by, stack_excluded_by
+from pixsim.base.records import Record
+from pixsim.light.quantities import MIN_FRACTION
+from pixsim.sensor.labels import label_of
+from pixsim.sensor.pixel_options import PixelOptions, excluded_by
+from pixsim.sensor.spread import Spread
+from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
 from pixsim.sensor.technology import Junction, Technology
 from pixsim.show.figures import COLOURS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, rows_csv
 from pixsim.show.sentences import with_ends
 from pixsim.studies.indices import FirstOrder, Marginal, first_order, saltelli, total_indices
 from pixsim.studies.pixels import technology_of
+from pixsim.studies.study_file import spreads_of_study
+from pixsim.studies.study_settings import Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -199,7 +204,7 @@ def unknowns_of_sheet(pixel: PixelOptions, uncertainty: Mapping[str, Spread], te
     """Return the uncertain numbers of a data sheet.
 
     pixel : the data sheet
-    uncertainty : its [pixel.uncertainty], as `pixsim.base.config.sheet_uncertainty` returns it
+    uncertainty : its [pixel.uncertainty], as `pixsim.sensor.spread.sheet_uncertainty` returns it
     technology : name of the sheet in a study of several; empty for the study's own [pixel]
 
     Raises PixsimError for a number that the pixel does not have, as where an option states it in another word.
@@ -363,7 +368,7 @@ def sobol(n: int, dimensions: int, seed: int) -> Array:
 
 
 @checks_arguments
-def sample_types(unknowns: Sequence[Unknown], n: int, seed: int = 0, shared: Sequence[str] = SHARED) -> Sample:
+def sample_types(unknowns: Sequence[Unknown], n: int, seed: Whole = 0, shared: Sequence[str] = SHARED) -> Sample:
     """Draw sensor types, n rounded up to a power of two, since only so many Sobol' points are balanced.
 
     shared : quantities with one draw in all technologies
@@ -375,7 +380,7 @@ def sample_types(unknowns: Sequence[Unknown], n: int, seed: int = 0, shared: Seq
 
 
 @checks_arguments
-def sobol_points(unknowns: Sequence[Unknown], n: int, seed: int = 0, shared: Sequence[str] = SHARED) -> Sample:
+def sobol_points(unknowns: Sequence[Unknown], n: int, seed: Whole = 0, shared: Sequence[str] = SHARED) -> Sample:
     """Return the n(k + 2) sensor types of `pixsim.studies.indices.total_indices`, k the number of inputs; as `sample_types`."""
     inputs = inputs_of(unknowns, shared)
     return Sample(inputs, saltelli(sobol(n, 2 * len(inputs), seed)))

@@ -1,12 +1,14 @@
-"""Settings that nothing uses in a study, beside those of `pixsim.sensor.unused`: on its pixel sizes, sensors and rounds."""
+"""Settings that nothing uses in a study, beside those of `pixsim.viewer.unused`: on its pixel sizes, sensors and rounds."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pixsim.base.parameters import NO_TECHNOLOGY, Record, Study
+from pixsim.base.records import Record
 from pixsim.sensor.pixel import PixelPhysics
-from pixsim.sensor.unused import RULES, Configuration, Rule, of_calibration, of_fill_factor_law
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.unused import RULES, Configuration, Rule, of_calibration, of_fill_factor_law
 
 
 @dataclass(frozen=True, kw_only=True)

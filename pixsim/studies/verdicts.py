@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from pixsim.base.headline import NOT_CONVERGED
-from pixsim.base.labels import label_of
-from pixsim.base.parameters import NO_TECHNOLOGY, Run
+from pixsim.sensor.labels import label_of
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline as answer_of
 from pixsim.studies.averages import Averaged, shown_delta_e
 from pixsim.studies.extent import stated_end_lp_per_mm
@@ -15,6 +15,7 @@ from pixsim.studies.lineup import ComparisonJob, Lineup, pixels_of
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.prepared import Prepared
 from pixsim.studies.viewing import Viewed, range_words, where_words
+from pixsim.viewer.setting import Run
 
 if TYPE_CHECKING:
     from pixsim.studies.comparison import Comparison

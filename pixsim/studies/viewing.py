@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import Any, NamedTuple
 
-from pixsim.base.parameters import Display
 from pixsim.studies.optimum import Optimum
+from pixsim.viewer.display_options import Display
 
 DEGREE_FACTORS = (0.5, 1.0, 2.0)  # of the dots per degree: from half and from twice the distance
 APART = 1.25  # ratio of neighbouring numbers of dots, above which one between them is scored too

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.scene.bands import Pulse
 from pixsim.scene.guard import variant as variants

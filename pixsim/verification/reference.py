@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.scene.charts import MAX_LP_PER_MM, SLANT_DEG, csf_contrast, csf_value
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.parameters import Run
 from pixsim.show.document import plain_text
 from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
@@ -18,6 +17,7 @@ from pixsim.verification.ladders import METRICS, Metric, Rung
 from pixsim.verification.orders import Order, beaten_by, fit_order
 from pixsim.verification.solvers import Solved
 from pixsim.verification.stability import Case
+from pixsim.viewer.setting import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Pixel
 from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.photodiode import collected_charge_e, stored_signal_e
 from pixsim.sensor.pixel import Diode, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.figures import LEGEND_LINE, LOOKS, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 

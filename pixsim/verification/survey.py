@@ -11,12 +11,11 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from pixsim.base.arguments import checks_arguments
-from pixsim.base.config import run_settings
+from pixsim.base.arguments import Whole, checks_arguments
 from pixsim.base.locks import temporary_folder
-from pixsim.base.parameters import Camera, Pixel, Run
 from pixsim.base.progress import Stage, no_stage
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.report.run import run_page
 from pixsim.scene.convergence import RENDER_NOISE
 from pixsim.scene.plan import Plan, make_plan
@@ -24,6 +23,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import Scene, chart_parameters
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.render import write_files
 from pixsim.studies.budget import MAX_DOTS, ProbeDesign, calibrate, effects, pitches_around_optimum_um, probe
 from pixsim.studies.cases import Case
@@ -36,6 +36,8 @@ from pixsim.verification.result import Accuracy
 from pixsim.verification.solvers import Solved, solvers
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import Seen, white_header
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import run_settings
 
 LONG_S = 5.0
 # (name, photo-charge in full wells, seconds): from mid-grey to a sensor in the sun for hours.
@@ -111,7 +113,7 @@ def accuracy(
     correction: Mapping[str, Any] | None = None,
     develop: Mapping[str, Any] | None = None,
     display: Mapping[str, Any] | None = None,
-    seed: int | None = None,
+    seed: Whole | None = None,
     sensor: str | None = None,
     variant: str | None = None,
     progress: Stage | None = None,

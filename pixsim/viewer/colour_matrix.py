@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.light.spectral import colour_matching
 from pixsim.light.standard import CHROMATIC_PATCHES, illuminant as power_of, patch_reflectance
@@ -55,7 +55,7 @@ LAB_FROM_F = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -20
 
 @checks_arguments
 def colour_matrix(
-    wavelength_nm: Array,
+    wavelength_nm: PositiveArray,
     sensitivities: Array,
     illuminant: str = "D55",
     method: Literal["least_squares", "least_delta_e"] = "least_delta_e",
@@ -89,7 +89,7 @@ def colour_matrix(
 
 
 @checks_arguments
-def chart_xyz(wavelength_nm: Array, power: Array) -> tuple[Array, Array]:
+def chart_xyz(wavelength_nm: PositiveArray, power: Array) -> tuple[Array, Array]:
     """Return XYZ of the 24 patches, (24, 3), and of the perfect white, (3,), under a lamp; white has Y = 1. CIE 15.
 
     wavelength_nm : (B,)
@@ -105,7 +105,7 @@ def chart_xyz(wavelength_nm: Array, power: Array) -> tuple[Array, Array]:
 
 
 @checks_arguments
-def chart_responses(wavelength_nm: Array, sensitivities: Array, power: Array) -> Array:
+def chart_responses(wavelength_nm: PositiveArray, sensitivities: Array, power: Array) -> Array:
     """Return the white-balanced responses of a camera to the 24 patches, (24, C), relative to the perfect white (ISO 17321-1).
 
     wavelength_nm : (B,)

@@ -24,9 +24,9 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import Array, empty_planes
+from pixsim.base.arrays import Array, Picture, empty_planes
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.parameters import BAYER, channels_of
+from pixsim.sensor.colour_options import BAYER, channels_of
 from pixsim.viewer.display import SPLINE_DEGREE, average_axis
 
 Method = Literal["bilinear", "malvar2004", "menon2007", "interpolate"]
@@ -44,7 +44,7 @@ MALVAR_CROSS = np.array([[0, 0, -1.5, 0, 0], [0, 2, 0, 2, 0], [-1.5, 0, 6, 0, -1
 
 
 @checks_arguments
-def demosaic(mosaic: Array, pattern: str | Sequence[str], method: Method = "bilinear") -> Array:
+def demosaic(mosaic: Picture, pattern: str | Sequence[str], method: Method = "bilinear") -> Array:
     """Return all channels at each pixel of a mosaic, (H, W, C), in the unit of the mosaic (H, W); nothing is clipped.
 
     Bilinear and malvar2004 of float32 are float32, all else is float64.

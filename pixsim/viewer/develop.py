@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, mixed
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.parameters import BAYER, Camera, Develop, Display
 from pixsim.light.spectral import SpectralImage, colour_matching
 from pixsim.light.standard import CHROMATIC_PATCHES, patch_reflectance
+from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout, of_channels
+from pixsim.sensor.colour_options import BAYER
 from pixsim.sensor.integration import response_within
 from pixsim.sensor.noise import constant_e
 from pixsim.sensor.pixel import PixelPhysics
@@ -33,7 +34,18 @@ from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.colour_matrix import RANK_TOLERANCE, Fit, check_noise_gains, colour_errors, fit_matrix
 from pixsim.viewer.demosaic import Method, demosaic, demosaic_column_covariance, demosaic_covariance, demosaic_row_covariance
-from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, fits_single, means_on_dots, on_dots, white_light, white_lx
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display import (
+    RGB_FROM_XYZ,
+    WHITE_XYZ,
+    ElectronsOfChannels,
+    fits_single,
+    means_on_dots,
+    on_dots,
+    white_light,
+    white_lx,
+)
+from pixsim.viewer.display_options import Display
 
 SATURATED = 0.99  # of the saturation level
 
@@ -208,7 +220,13 @@ def demosaic_method(develop: Develop, layout: Layout) -> Method:
 
 @checks_arguments
 def balanced_planes(
-    frame: Frame, develop: Develop, white_e: Array, saturation_e: float, shading: Array | None = None, *, single: bool = False
+    frame: Frame,
+    develop: Develop,
+    white_e: ElectronsOfChannels,
+    saturation_e: float,
+    shading: Array | None = None,
+    *,
+    single: bool = False,
 ) -> list[Array]:
     """Return the channels of a frame at each of its pixels, [(rows, columns)] each, 1 for the scene's white in every one.
 

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from pixsim.base.arguments import checks_arguments
-from pixsim.base.arrays import STRIP_DOTS, Array, strips, transposed
+from pixsim.base.arguments import Bounds, Count, NotNegative, Positive, checks_arguments
+from pixsim.base.arrays import STRIP_DOTS, Array, Finites, NumberArray, Picture, Row, strips, transposed
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import CENTRED_BORDER, REGISTERED_BORDER, Camera, Display
 from pixsim.light.spectral import WHITE_LAMPS, SpectralImage, d65, white_words
+from pixsim.optics.camera import Camera
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.integration import (
     M2_PER_UM2,
@@ -30,9 +30,16 @@ from pixsim.sensor.integration import (
     pixels_on,
 )
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration
+from pixsim.sensor.pixel_options import CENTRED_BORDER, REGISTERED_BORDER
 from pixsim.sensor.readout import Frame
+from pixsim.viewer.display_options import Display
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
+FAINTEST = Bounds(math.ulp(0.0))  # light may be however faint
+Electrons = Annotated[float, FAINTEST]
+ElectronsOfChannels = Annotated[Array, FAINTEST]
+AxisNumber = Annotated[int, Bounds(0, 1)]
+Degree = Annotated[int, Bounds(0, 5)]
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
 # Columns are the display's primaries, those of sRGB (IEC 61966-2-1), so scaled that their sum is its white.
 PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
@@ -100,10 +107,10 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
 
 @checks_arguments
 def dot_edges_um(
-    size_um: tuple[float, float],
-    pitch_um: float,
+    size_um: tuple[Positive, Positive],
+    pitch_um: Positive,
     display: Display,
-    border_um: float,
+    border_um: NotNegative,
     array_um: tuple[float, float] | None = None,
     registration: Registration = CENTRED,
 ) -> tuple[Array, Array]:
@@ -145,7 +152,7 @@ def dot_edges_um(
 
 
 @checks_arguments
-def pixel_edges_um(length_um: float, count: int, pitch_um: float, registration: float | None = None) -> Array:
+def pixel_edges_um(length_um: Positive, count: Count, pitch_um: Positive, registration: float | None = None) -> Array:
     """Return the edges of a line of `count` pixels, (count + 1,), measured from the picture's edge.
 
     registration : of the pixels along this axis, as of `PixelPhysics`: a fraction of the pitch; None for a centred line
@@ -163,7 +170,7 @@ def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
 
 
 @checks_arguments
-def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array, degree: int, axis: int) -> Array:
+def average_axis(values: Array, pitch_um: Positive, low_um: float, edges_um: Row, degree: Degree, axis: AxisNumber) -> Array:
     """Return the means, over intervals along an axis, of cells interpolated through their centres.
 
     The cells start at `low_um`; beyond the outermost centres the interpolation is constant.
@@ -242,7 +249,7 @@ def _mean_weights(n: int, pitch_um: float, low_um: float, edges_bytes: bytes, de
 
 
 @checks_arguments
-def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpolation: str) -> Array:
+def interpolation_mtf(frequency_cy_per_mm: Finites, pitch_um: Positive, interpolation: str) -> Array:
     """Return the MTF of the interpolation between pixel centres, (...) as the frequencies, 0 to 1.
 
     With x = frequency · pitch: nearest |sinc x|, linear sinc² x, the interpolating cubic spline sinc⁴ x · 3/(2 + cos 2πx). In
@@ -270,7 +277,7 @@ def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpola
 
 
 @checks_arguments
-def means_on_dots(picture: Array, pitch_um: float, edges_um: tuple[Array, Array]) -> Array:
+def means_on_dots(picture: Picture, pitch_um: Positive, edges_um: tuple[Row, Row]) -> Array:
     """Return the means over dots of a picture.
 
     picture : (H, W), any unit, means over cells
@@ -289,7 +296,7 @@ def means_on_dots(picture: Array, pitch_um: float, edges_um: tuple[Array, Array]
 
 @checks_arguments
 def ideal_luminance(
-    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, edges_um: tuple[Array, Array]
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, edges_um: tuple[Row, Row]
 ) -> Array:
     """Return the relative luminance of each dot for an ideal sensor: no pixels, noise or quantisation, and no diffraction.
 
@@ -309,10 +316,10 @@ def ideal_luminance(
 @checks_arguments
 def frame_luminance(
     frame: Frame,
-    size_um: tuple[float, float],
-    white_e: float,
+    size_um: tuple[Positive, Positive],
+    white_e: Electrons,
     display: Display,
-    edges_um: tuple[Array, Array],
+    edges_um: tuple[Row, Row],
     shading: Array | None = None,
     *,
     single: bool = False,
@@ -343,18 +350,18 @@ def frame_luminance(
 
 
 @checks_arguments
-def fits_single(frame: Frame, white_e: float) -> bool:
+def fits_single(frame: Frame, white_e: Electrons) -> bool:
     """Return whether all codes of a frame, in units of white (electrons), are far within the range of float32."""
     return 2.0**frame.bits / frame.dn_per_e + frame.mean_dark_e < MAX_SINGLE * white_e
 
 
 @checks_arguments
 def on_dots(
-    picture: Array,
-    pitch_um: float,
-    size_um: tuple[float, float],
+    picture: Picture,
+    pitch_um: Positive,
+    size_um: tuple[Positive, Positive],
     display: Display,
-    edges_um: tuple[Array, Array],
+    edges_um: tuple[Row, Row],
     registration: Registration = CENTRED,
 ) -> Array:
     """Return the means of a picture over the display's dots, (H, W), in its unit, as `frame_luminance` takes them.
@@ -378,7 +385,7 @@ def on_dots(
 
 
 @checks_arguments
-def shown_luminance(relative_luminance: Array, display: Display, *, in_place: bool = False) -> Array:
+def shown_luminance(relative_luminance: NumberArray, display: Display, *, in_place: bool = False) -> Array:
     """Return `relative_luminance` (...) as a display of finite bits and range shows it, in the same shape, 1 for white.
 
     That of float32 is float32. Encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1.
@@ -440,7 +447,7 @@ def _light_of_bins(gamma: float, top: int, single: bool) -> Array:
 
 
 @checks_arguments
-def to_xyz(luminance: Array) -> Array:
+def to_xyz(luminance: Picture) -> Array:
     """Return the XYZ of grey light on a D65 display, (H, W, 3) with white at Y = 100, for relative luminance (H, W). CIE 15."""
     return luminance[:, :, None] * WHITE_XYZ
 

@@ -5,12 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from pixsim.base.parameters import DEVELOP, NO_CORRECTION, Camera, Correction, Develop, Display, Exposure, Pixel, Run
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
+from pixsim.sensor.correction_options import NO_CORRECTION, Correction
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import ChannelLight
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Technology
+from pixsim.viewer.develop_options import DEVELOP, Develop
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import ImagingChain, PreparedScene, SharedLight, chain_at_pitch, prepare_scene
+from pixsim.viewer.setting import Run
 
 
 @dataclass(frozen=True)
@@ -49,8 +55,8 @@ class Imaging:
         return replace(self, pixel=self.pixel.model_copy(update={"pitch_um": pitch_um}))
 
     def registered(self, repeat: int) -> PixelPhysics:
-        """Return the pixel of one repeat, with its registration."""
-        return self.physics.registered(repeat, self.display)
+        """Return the pixel of one repeat, with its registration; where dots are pixels the array stays centred."""
+        return self.physics.registered(repeat) if self.display.raster == "fixed_size" else self.physics
 
     def light(
         self, irradiance: SpectralImage, physics: PixelPhysics | None = None, lights: tuple[ChannelLight, ...] | None = None

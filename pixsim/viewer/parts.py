@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import Collection, ColourCollection, collection_of, read_as_one
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.arguments import Positive, checks_arguments
 from pixsim.base.arrays import STRIP_DOTS, dct, empty_planes, first_where, inverse_dct, strips, strips_of
 from pixsim.base.errors import invalid
 from pixsim.light.standard import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
@@ -214,7 +214,7 @@ def delta_e_map(
     test_xyz: npt.ArrayLike,
     *,
     white_xyz: npt.ArrayLike,
-    samples_per_deg: float,
+    samples_per_deg: Positive,
     filters: Filters = "published",
     formula: Formula = "1976",
 ) -> Floats:
@@ -244,7 +244,7 @@ def delta_e_map(
 
 @checks_arguments
 def filtered_lab(
-    xyz: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published", single: bool = False
+    xyz: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: Positive, filters: Filters = "published", single: bool = False
 ) -> Planes:
     """Return the CIELAB of an image blurred by the eye's filters, (H, W, 3), for comparison with many others. [ZW]
 
@@ -270,7 +270,7 @@ def filtered_grey_lab(
     luminance: npt.ArrayLike,
     *,
     white_xyz: npt.ArrayLike,
-    samples_per_deg: float,
+    samples_per_deg: Positive,
     filters: Filters = "published",
     single: bool = False,
 ) -> Planes:
@@ -293,7 +293,7 @@ def grey_delta_e_map(
     luminance: npt.ArrayLike,
     *,
     white_xyz: npt.ArrayLike,
-    samples_per_deg: float,
+    samples_per_deg: Positive,
     filters: Filters = "published",
     single: bool = False,
 ) -> Floats:
@@ -318,7 +318,7 @@ def colour_delta_e_map(
     xyz: npt.ArrayLike,
     *,
     white_xyz: npt.ArrayLike,
-    samples_per_deg: float,
+    samples_per_deg: Positive,
     filters: Filters = "published",
     single: bool = False,
 ) -> Floats:

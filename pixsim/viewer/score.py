@@ -12,25 +12,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
-from pixsim.base.arguments import checks_arguments, checks_fields, made
+from pixsim.base.arguments import NotNegative, Whole, checks_arguments, checks_fields, made
 from pixsim.base.arrays import Array, mixed, stream
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
-from pixsim.base.parameters import (
-    DEVELOP,
-    NO_CORRECTION,
-    Camera,
-    Correction,
-    Develop,
-    Display,
-    Exposure,
-    Pixel,
-    Record,
-    check_develop,
-    content_hash,
-)
+from pixsim.base.records import Record, content_hash
 from pixsim.light.spectral import SpectralImage, without_outliers
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import ideal_light
 from pixsim.sensor.collection import (
     Collection,
@@ -42,9 +31,12 @@ from pixsim.sensor.collection import (
 )
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
+from pixsim.sensor.correction_options import NO_CORRECTION, Correction
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, centred_pixels, electrons_per_joule, lights_of
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import (
     MAX_BLACK,
     Frame,
@@ -55,7 +47,6 @@ from pixsim.sensor.readout import (
     least_black_level_dn,
     sample_sensor,
 )
-from pixsim.sensor.unused import Configuration, warn_of_unused_settings
 from pixsim.show.document import pairs
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import rows_csv
@@ -66,6 +57,8 @@ from pixsim.viewer import display as displays
 from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, noise_covariance, rendition_of
+from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metrics import DELTA_E, percentiles
 from pixsim.viewer.scielab import (
@@ -77,6 +70,7 @@ from pixsim.viewer.scielab import (
     grey_delta_e_map,
     xyz_to_lab,
 )
+from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -110,7 +104,7 @@ class Score:
     image: Array = field(repr=False)
     frame: Frame = field(repr=False)
     physics: PixelPhysics = field(repr=False)
-    border_um: tuple[float, float] = (0.0, 0.0)
+    border_um: tuple[NotNegative, NotNegative] = (0.0, 0.0)
     out_of_gamut: tuple[float, float] | None = None
     light: LightError = field(default=NOTHING_KNOWN, repr=False)
 
@@ -279,7 +273,8 @@ class ImagingChain:
     @cached_property
     def shading(self) -> Array | None:
         """By what the display divides a frame, as `shading_of`."""
-        return shading_of(self.collection, self.signal_e_per_s.shape, self.screen.display, self.correction)
+        corrects = self.screen.display.shading_correction
+        return shading_of(self.collection, self.signal_e_per_s.shape, self.correction) if corrects else None
 
     def simulate(self, *key: object) -> Score:
         """Return the score of a new sensor and a new frame for each key."""
@@ -886,7 +881,7 @@ def evaluate(
     *,
     correction: Correction | None = None,
     develop: Develop | None = None,
-    seed: int = 0,
+    seed: Whole = 0,
     full: bool = False,
 ) -> Score:
     """Simulate one frame of one sensor, show it on a display, and compare it with the ideal image by S-CIELAB.
@@ -947,7 +942,7 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     gain_db : of the exposure, without which the black level would have room
 
     >>> from pixsim.pixel import derive
-    >>> from pixsim.parameters import Pixel
+    >>> from pixsim import Pixel
     >>> clip = dark_clip(derive(Pixel()), 0.03, white_e=5e4)  # no black level: half of the dark levels, σ of 209 e-
     >>> round(clip["at_zero_fraction"], 2), round(clip["too_bright_e"]), clip["least_black_level_dn"]
     (0.54, 71, 15)

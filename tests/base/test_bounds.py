@@ -11,20 +11,26 @@ import math
 import pkgutil
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
-from pydantic import TypeAdapter, ValidationError
+from numpy.typing import ArrayLike
+from pydantic import Field, TypeAdapter, ValidationError, create_model
 
 import pixsim
-from pixsim.base.arguments import LARGEST, SMALLEST
+from pixsim.base.arguments import LARGEST, POSITIVE, SMALLEST, check_of
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Pixel, PixelOptions, Record, Run, Study
+from pixsim.base.records import Record
+from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel, PixelOptions
 from pixsim.studies.preparation import prepare
 from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.setting import Run
 
 # Bounds that do not stand in the field: of curves in `_check_curve`, `_check_channel` and `_check_chief_rays`; of scenes and axes
 # in `_free_number`; of lenses, some of whose numbers may be infinite, in `prescription._checked` and `check_coefficients`, which
@@ -108,6 +114,32 @@ def test_every_number_is_bounded_on_both_sides() -> None:
         )
     ]
     assert open_ends == []
+
+
+@pytest.mark.parametrize("bounds", [POSITIVE, Field(gt=0)], ids=["function", "record"])
+@pytest.mark.parametrize("value", [1e-320, 5e-324, 9e-31, -1e-320, 0.0])
+def test_arguments_above_0_are_not_tiny(bounds: Any, value: float) -> None:
+    """Also in arrays; 1e-30 is the smallest."""
+    for kind, given in ((float, value), (ArrayLike, [1.0, value]), (tuple[float, float], (1.0, value))):
+        with pytest.raises(PixsimError, match=r"pitch_um.*: got .*allowed: .*a? ?finite number.* above 0 \(1e-30 or more\)"):
+            check_of(Annotated[kind, bounds])("pitch_um", given)
+        check_of(Annotated[kind, bounds])("pitch_um", 1e-30 if kind is float else (1.0, 1e-30))
+
+
+@pytest.mark.parametrize("field", [Field(ge=2, le=3), Field(gt=1.5, lt=3.5), Field(ge=2, lt=3.5)])
+def test_functions_share_the_bounds_of_records(field: Any) -> None:
+    check = check_of(Annotated[float, field])
+    record = create_model("Shared", __base__=Record, number=(Annotated[float, field], 2.0))
+
+    def refuses(call: Callable[[], object]) -> bool:
+        try:
+            call()
+        except PixsimError:
+            return True
+        return False
+
+    for value in (1.5, 2.0, 2.5, 3.0, 3.5, math.nan):
+        assert refuses(partial(check, "number", value)) == refuses(partial(record, number=value)), value
 
 
 def test_no_lower_bound_lets_tiny_numbers_through() -> None:

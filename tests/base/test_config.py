@@ -13,15 +13,22 @@ from helpers.commands import assert_refused, command
 from helpers.tiny import tiny_toml
 
 import pixsim
-from pixsim.base.config import checked, settings_layer, sheet_uncertainty, study_layers, with_data_sheets
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import CameraOptions, Layer, Pixel, Run, Study
+from pixsim.base.layers import Layer
+from pixsim.base.records import checked
 from pixsim.cli.options import SceneOptions
+from pixsim.optics.camera import CameraOptions
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import derive, fill_factor_law
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.studies.pixels import pixel_of
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study_file import checked_study, load_study, read_study
+from pixsim.studies.study_layers import study_layers, with_data_sheets
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import settings_layer
 
 SHEET = """
 [pixel]

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.base.config import checked, settings_layer
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import PixelOptions, Run, explain
+from pixsim.base.problems import explain
+from pixsim.base.records import checked
 from pixsim.optics.prescription import read_prescription
 from pixsim.scene.guard.inspector import open_scene
+from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.technology import load_technology
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import settings_layer
 
 KEY = "wJalrXUtnFEMI/K7MDENG bPxRfi/CYEXAMPLEKEY"  # as of a service, with a space
 WORD = "wJalrXUtnFEMIK7MDENG"

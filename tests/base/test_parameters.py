@@ -9,20 +9,17 @@ import pytest
 from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import (
-    Camera,
-    CameraOptions,
-    Display,
-    Exposure,
-    Pixel,
-    Run,
-    Study,
-    TracedLens,
-    content_hash,
-    explain,
-    merge,
-)
+from pixsim.base.problems import explain
+from pixsim.base.records import content_hash
+from pixsim.optics.camera import Camera, CameraOptions
+from pixsim.optics.lens_options import TracedLens
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.merging import merge
+from pixsim.viewer.setting import Run
 
 RECORDS = [Camera, CameraOptions, Display, Exposure, Pixel, Run]
 

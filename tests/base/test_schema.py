@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from pixsim.base.config import HEAD, read_toml, settings_table_text
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import PROVENANCE, check_replaceable, publishing, write_json
 from pixsim.base.schema import CHANGES, KEY, SCHEMA
+from pixsim.base.toml import HEAD, read_toml, settings_table_text
 from pixsim.cli.options import answer
 from pixsim.show.document import Document
 from pixsim.studies.results_file import COLUMNS, ResultsFile

@@ -29,15 +29,19 @@ import pixsim
 from pixsim import optics
 from pixsim.base.arrays import STRIP_DOTS, dct, empty_planes, inverse_dct, stream, strips_of
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.parameters import Camera, Display, Exposure, LensOptions, Pixel
 from pixsim.light.spectral import SpectralImage, d65
+from pixsim.optics.camera import Camera
+from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.charts import csf_value
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture_from_rates, sample_sensor
 from pixsim.viewer import scielab
 from pixsim.viewer.demosaic import demosaic
 from pixsim.viewer.display import WHITE_XYZ, frame_luminance
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import ImagingChain, PreparedScene, chain_at_pitch, prepare_scene, shown
 
 Work = Callable[[], object]

@@ -26,16 +26,18 @@ from unittest import mock
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
 from pixsim.light.spectral import photons_per_joule
 from pixsim.optics import camera_lens
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import Tiling, blur_of, choose_tiling, light_of
 from pixsim.optics.field_blur import FieldBlur, Light, periodic_psf
 from pixsim.optics.lens import load_lens
+from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.charts import csf_value
 from pixsim.scene.real_lens import SEEN_NM
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 
 SIDE, POINTS, LIT, TOLERANCE = 1024, 64, 1 / 250, 0.01
 COMPARED, FINEST = (16, 32, 64), 128  # tiles across

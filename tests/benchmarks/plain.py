@@ -15,12 +15,13 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.ndimage import convolve
 
 from pixsim import optics
-from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.scene import Scene, sensor_node
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.display import WHITE_XYZ
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.scielab import OPPONENT_FROM_XYZ, PUBLISHED_GAUSSIANS, XYZ_FROM_OPPONENT
 
 GAMMA, TOP_CODE = 2.2, 255  # of the display

@@ -38,13 +38,13 @@ from helpers.timing import fresh
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.parameters import Pixel
 from pixsim.base.progress import stages
 from pixsim.light.spectral import photons_per_joule
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import Renderer
 from pixsim.sensor.integration import ideal_rate
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 
 TARGETS = {"csf": (1e-3, 100.0, 3.0), "macbeth": (1e-3, 50.0, 2.0), "still_life": (5e-2, 1.5, 1.0)}  # error, target ratios
 BANDS_NM = np.arange(400.0, 701.0, 10.0)

@@ -12,10 +12,13 @@ import warnings
 
 import numpy as np
 
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.sensor import collection
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
 CASES = {

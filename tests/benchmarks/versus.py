@@ -48,18 +48,20 @@ import pixsim
 from pixsim import optics
 from pixsim.base.arrays import stream
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.parameters import Camera, Display, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.scene.convergence import render_until
 from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.sensor.integration import M2_PER_UM2, diffracted_rate, electrons_per_joule, ideal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture_from_rates, integration_time_s, sample_sensor
 from pixsim.viewer import scielab
 from pixsim.viewer.demosaic import demosaic
 from pixsim.viewer.display import WHITE_XYZ, white_rate
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
 PACKAGES = ("colour-science==0.4.7", "colour-demosaicing==0.2.7", "prysm==0.21.1", "poppy==1.1.2", "optiland==0.6.3")

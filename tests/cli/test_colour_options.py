@@ -12,8 +12,10 @@ from helpers.tiny import toml_of
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Develop, Display
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display_options import Display
 
 NM = range(400, 701, 10)
 CAMERA = Camera(die_mm=0.1)

@@ -17,9 +17,9 @@ from helpers.commands import process
 from helpers.processes import HANG_S
 
 from pixsim.base import machine
-from pixsim.base.parameters import Camera
 from pixsim.cli import doctor
 from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, doctor_document, requirements, satisfies
+from pixsim.optics.camera import Camera
 from pixsim.scene.guard import checks, graphics, trial, variant
 from pixsim.show import render
 

@@ -10,11 +10,13 @@ import pytest
 from helpers.commands import command
 
 from pixsim import load_lens, load_scene
-from pixsim.base.config import packaged
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import CameraOptions, LensOptions, Pixel
+from pixsim.base.toml import packaged
 from pixsim.cli.commands import with_lens_file
+from pixsim.optics.camera import CameraOptions
+from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.plan import make_render_plan
+from pixsim.sensor.pixel_options import Pixel
 
 # Settings of [lens] and [camera], and what the error names.
 WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [

@@ -20,9 +20,10 @@ from helpers.tiny import tiny_toml
 import pixsim
 from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.parameters import Run, Study
 from pixsim.cli import options
 from pixsim.cli.commands import app
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.setting import Run
 
 SMALL = "--resolution 64 --display.dots 64"
 

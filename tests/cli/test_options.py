@@ -10,12 +10,17 @@ import pytest
 from helpers.commands import assert_refused, command
 from rich.console import Console
 
-from pixsim.base.config import packaged
-from pixsim.base.parameters import CameraOptions, Display, Effort, Exposure, Pixel, Record, Run
+from pixsim.base.records import Record
+from pixsim.base.toml import packaged
 from pixsim.cli.commands import with_each_format
 from pixsim.cli.help import COMMON, MANY
 from pixsim.cli.options import app, choices_of, complete_study, value_name
+from pixsim.optics.camera import CameraOptions
 from pixsim.scene.scene import packaged_scenes
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.setting import Effort, Run
 
 
 def shown_help(name: str, monkeypatch: pytest.MonkeyPatch, option: str = "--help-all") -> str:

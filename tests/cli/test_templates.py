@@ -14,11 +14,14 @@ from helpers.commands import command
 from pydantic import BaseModel
 
 import pixsim
-from pixsim.base.config import packaged, read_toml, sheet_uncertainty
-from pixsim.base.parameters import DATA_SHEET, STANDS_FOR, Run, Study, excluded_by
+from pixsim.base.toml import packaged, read_toml
 from pixsim.base.units import UNITS, unit_of
 from pixsim.cli import options
 from pixsim.cli.templates import allowed, json_schema, template
+from pixsim.sensor.pixel_options import DATA_SHEET, STANDS_FOR, excluded_by
+from pixsim.sensor.spread import sheet_uncertainty
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.setting import Run
 
 RECORDS = {"sensor": Run, "study": Study}
 

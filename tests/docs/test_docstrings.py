@@ -18,7 +18,8 @@ from typing import Any
 import pytest
 from helpers.public_names import CLASSES, PUBLIC, fields
 
-from pixsim.base.parameters import Record
+from pixsim.base.arguments import without_bounds
+from pixsim.base.records import Record
 
 # Units at the end of names.
 UNITS = (
@@ -117,7 +118,7 @@ def complaints(name: str, function: Callable[..., Any], tree: ast.FunctionDef | 
     if not text:
         yield "docstring", "missing"
         return
-    hints = {parameter: str(hint) for parameter, hint in function.__annotations__.items()}
+    hints = {parameter: without_bounds(str(hint), function) for parameter, hint in function.__annotations__.items()}
     result, short_name = hints.pop("return", "None"), name.rpartition(".")[2]
     for parameter, hint in hints.items():
         description = description_of(parameter, text)

@@ -15,12 +15,16 @@ import pytest
 from helpers.documents import MADE_ON, ROOT, Page, alike_pictures, blocks_of, difference, differs_from_made_on, first_study, updated
 
 import pixsim
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel, Study
+from pixsim.optics.camera import Camera
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Junction, Technology
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import Curve
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import ImagingChain, Score
 
 README = ROOT / "README.md"
@@ -128,7 +132,7 @@ def test_glossary_names_exist(words: str, ours: str, unit: str, home: str) -> No
 
 
 def has(home: object, name: str) -> bool:
-    return name in getattr(home, "model_fields", {}) | getattr(home, "__dataclass_fields__", {}) | vars(home)
+    return name in getattr(home, "model_fields", {}) | getattr(home, "__dataclass_fields__", {}) or hasattr(home, name)
 
 
 def test_glossary_has_all_symbols() -> None:

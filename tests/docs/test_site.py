@@ -146,7 +146,7 @@ def test_reference_has_every_public_name(site: Path, pages: dict[Path, Page]) ->
         return any(f"{base.__module__}.{base.__qualname__}.{attribute}" in entries for base in bases)
 
     assert {name for name in names - entries if not described_with_base(name)} == set()
-    assert "pixsim.base.parameters.Record.content_hash" in entries
+    assert "pixsim.base.records.Record.content_hash" in entries
 
 
 @pytest.mark.parametrize("name", [name for name in app if not name.startswith("-")])

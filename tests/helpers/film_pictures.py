@@ -14,9 +14,11 @@ from functools import partial
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, Display, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.thin_lens import irradiance_factor
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.viewer.display_options import Display
 
 WIDTH = 4096  # of the films that are taken for the truth of `SCENES`
 CAMERA = Camera(die_mm=2.4, focal_length_mm=4.0, f_number=2.8)

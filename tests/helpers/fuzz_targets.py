@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import pixsim
-from pixsim.base.parameters import CameraOptions, read_curve
 from pixsim.base.schema import KEY, SCHEMA
 from pixsim.cli.options import SceneOptions
+from pixsim.light.curves import read_curve
 from pixsim.light.exr import write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.measure.sfr import read_edge_picture
+from pixsim.optics.camera import CameraOptions
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.pictures import picture_axes
 from pixsim.scene.charts import write_chart

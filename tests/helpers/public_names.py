@@ -15,11 +15,17 @@ RESULTS = (  # inside other results
     *("studies.result.Curve", "studies.optimum.Optimum", "sensor.technology.Junction", "measure.datasheet.Entry"),
     *("verification.ladders.Rung", "verification.orders.Order"),
 )
+RECORDS = (  # of settings, inside those that pixsim itself has
+    *("optics.camera.CameraOptions", "optics.lens_options.LensOptions", "scene.study_scene.StudyScene", "studies.axis.Axis"),
+    *("sensor.colour_options.ColourOptions", "sensor.pixel_options.DarkCurrent", "sensor.pixel_options.PixelOptions"),
+    *("sensor.stack_options.StackOptions", "studies.axis.AxisValue", "studies.condition.Condition", "viewer.setting.Effort"),
+    *("studies.pitch_range.PitchRange", "viewer.develop_options.Develop", "viewer.setting.Run", "viewer.setting.Setting"),
+)
 MODULES = {name: getattr(pixsim, name) for name in pixsim._MODULES}
 
 
 def results() -> dict[str, type]:
-    """Classes of pixsim that public functions return, by their full name."""
+    """Classes of pixsim that public functions return, and records of settings, by their full name."""
     classes: dict[str, type] = {}
     for name in pixsim.__all__:
         function = getattr(pixsim, name)
@@ -29,7 +35,7 @@ def results() -> dict[str, type]:
                 kind = scope.get(each)
                 if inspect.isclass(kind) and kind.__module__.startswith("pixsim."):
                     classes[f"{kind.__module__}.{kind.__name__}"] = kind
-    for name in RESULTS:
+    for name in (*RESULTS, *RECORDS):
         module, _, class_name = name.rpartition(".")
         classes[f"pixsim.{name}"] = getattr(importlib.import_module(f"pixsim.{module}"), class_name)
     return classes
@@ -56,7 +62,8 @@ def public() -> dict[str, Any]:
     short = {id(thing) for thing in names.values()}
     inner = {name: kind for name, kind in results().items() if id(kind) not in short}
     for module in MODULES.values():
-        for name, thing in vars(module).items():
+        lazy = {name: getattr(module, name) for name in getattr(module, "__all__", ())}
+        for name, thing in {**vars(module), **lazy}.items():
             home = getattr(thing, "__module__", "")
             listed = name in getattr(module, "__all__", (name,)) and not name.startswith("_") and id(thing) not in short
             defined = f"{home}.".startswith(f"{module.__name__}.") and (inspect.isroutine(thing) or inspect.isclass(thing))

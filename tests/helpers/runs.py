@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
-from pixsim.base.parameters import Camera, Run
+from pixsim.optics.camera import Camera
 from pixsim.studies.run import RunResult
 from pixsim.viewer.causes import Cause
+from pixsim.viewer.setting import Run
 
 FRAME = {"pixels": (8, 8), "integration_s": 0.01, "saturated_fraction": 0.0}
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pixsim
-from pixsim.base.parameters import merge
+from pixsim.viewer.merging import merge
 
 PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
 # Samples across a film that is too small for its error to be measured, which takes most of the time of a small study; and across

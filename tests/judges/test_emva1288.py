@@ -30,12 +30,14 @@ from judges.gates import not_met, verdict
 from scipy.constants import e as electron
 
 from pixsim.base.arrays import stream
-from pixsim.base.parameters import Correction, Exposure, Pixel
 from pixsim.measure.datasheet import dark_map_e, measure, variance_peak_e
 from pixsim.measure.estimators import Frames, saturation_index
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.correction import correct, residual_variance_e2
+from pixsim.sensor.correction_options import Correction
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import make_frame, sample_sensor
 
 process = pytest.importorskip("emva1288.process")

@@ -36,13 +36,15 @@ from judges.gates import not_met, verdict
 from scipy.signal.windows import tukey
 
 import pixsim
-from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.measure.sfr import BINS_A_PIXEL, NYQUIST_CY_PER_PX, TAPER, EdgeResponse, edge_response
+from pixsim.optics.camera import Camera
 from pixsim.scene import charts
 from pixsim.sensor.collection import kernel_on_axis
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import electrons_per_joule, illumination_of, mean_signal_rate
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, capture_from_rates, sample_sensor
 
 STANDARD = "ISO 12233:2023 e-SFR"

@@ -24,11 +24,11 @@ import numpy as np
 import pytest
 from judges.gates import not_met, verdict
 
-from pixsim.base.parameters import Pixel
 from pixsim.measure.datasheet import NOISE, SPEED, dark_map_e, make_datasheet
 from pixsim.measure.estimators import daylight_e_per_lx_s, noise_15739
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 
 NOISE_GATE, LIGHT_GATE, SATURATION_GATE, SPEED_GATE = 0.005, 0.002, 0.002, 0.02
 SIDE = 400

@@ -25,10 +25,10 @@ import pytest
 from judges.gates import not_met, verdict
 
 from pixsim.base.arrays import stream
-from pixsim.base.parameters import Pixel
 from pixsim.measure.estimators import pair
 from pixsim.measure.experiment import with_black_level
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import frame_mean_dn, read_out, sample_sensor
 
 STANDARD = "Chen et al. (2000), eqs. (1) and (2)"

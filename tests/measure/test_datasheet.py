@@ -16,14 +16,16 @@ from helpers.looks import grey_look
 import pixsim
 from pixsim.base.arrays import stream
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import MIN_FRACTION, Exposure, Pixel
+from pixsim.light.quantities import MIN_FRACTION
 from pixsim.measure import datasheet, estimators
 from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
 from pixsim.measure.datasheet import DataSheet, Entry, expected_moments, make_datasheet, mean_offset_e, variance_peak_e
 from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_document, described, sheet_name, spectrogram
 from pixsim.measure.estimators import Estimate, Series, Stack, daylight_e_per_lx_s
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import dark_spread_e, frame_mean_dn, frame_variance_dn2, least_black_level_dn, read_out, sample_sensor
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}

@@ -10,8 +10,8 @@ from helpers.blur import point_spread
 from scipy.interpolate import CubicSpline
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Run
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     LENS_HEADER,
     Tiling,
@@ -33,7 +33,9 @@ from pixsim.optics.camera_lens import (
 )
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.lens import Lens, load_lens
+from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.thin_lens import irradiance_factor
+from pixsim.viewer.setting import Run
 from tests.scene.test_real_lens import THIN
 
 

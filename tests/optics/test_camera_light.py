@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.base.parameters import Camera
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.exchange import read_irradiance
 from pixsim.optics.pupil import numerical_aperture

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.base.config import packaged
+from pixsim.base.toml import packaged
 from pixsim.optics.glass import AIR, constant_glass
 from pixsim.optics.lens import Lens, lens_of
 from pixsim.optics.prescription import Prescription, Surface

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens, fitted_wavefronts, traced_lens
 from pixsim.optics.field_blur import Light, even_window, picture_error
 from pixsim.optics.lens_defocus import (
@@ -23,6 +23,7 @@ from pixsim.optics.lens_defocus import (
     signed_disc_um,
     wavefronts_at_depth,
 )
+from pixsim.optics.lens_options import LensOptions
 from tests.optics.test_field_blur import blur_of, hopkins
 from tests.scene.test_real_lens import THIN
 

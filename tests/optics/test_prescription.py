@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.base.config import packaged
+from pixsim.base.toml import packaged
 from pixsim.optics.prescription import read_prescription
 
 DATA = Path(__file__).parents[1] / "data" / "lenses"

@@ -11,7 +11,7 @@ import pytest
 
 from pixsim import optics
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera
+from pixsim.optics.camera import Camera
 from pixsim.optics.thin_lens import thin_lens_pupil
 
 

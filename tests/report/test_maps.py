@@ -16,7 +16,6 @@ from helpers.looks import grey_look
 from helpers.tiny import tiny
 
 import pixsim
-from pixsim.base.parameters import Axis
 from pixsim.report.maps import (
     MAX_LINES,
     Grid,
@@ -32,6 +31,7 @@ from pixsim.report.maps import (
 )
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
+from pixsim.studies.axis import Axis
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.optimum import FittedCurve, fit_curve
 from pixsim.studies.result import CasesResult, Curve, StudyResult

@@ -14,9 +14,9 @@ from helpers.looks import Elements, assert_short_headlines, text_of
 from helpers.tiny import FINE, tiny
 
 import pixsim
-from pixsim.base.labels import label_of
 from pixsim.report.study import plates_of_curves, report_files
 from pixsim.report.wording import blur_words
+from pixsim.sensor.labels import label_of
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.pixels import physics_of
 from pixsim.studies.result import StudyResult

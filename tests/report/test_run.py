@@ -17,9 +17,10 @@ from helpers.commands import assert_refused, command
 from helpers.looks import assert_short_headlines, text_of
 
 import pixsim
-from pixsim.base.parameters import CameraOptions, LensOptions, Run
 from pixsim.light.exr import read_channels, write_channels
+from pixsim.optics.camera import CameraOptions
 from pixsim.optics.exchange import read_with_camera, write_npz
+from pixsim.optics.lens_options import LensOptions
 from pixsim.report.outline import outline_document, run_outline
 from pixsim.report.run import FILES, colour_rows, shown_picture
 from pixsim.scene.film import PATH_SAMPLES
@@ -28,6 +29,7 @@ from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, factor_for, reduced
 from pixsim.studies.run import prepare
 from pixsim.studies.sentences import lens_words
+from pixsim.viewer.setting import Run
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
 LENS = "--camera.f-number 2.8"

@@ -15,7 +15,7 @@ from helpers.commands import command
 from helpers.tiny import COARSE, rows
 
 import pixsim
-from pixsim.base.config import packaged, read_toml
+from pixsim.base.toml import packaged, read_toml
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.convergence import NO_TIME_LIMIT_S
 from pixsim.studies.result import StudyResult

@@ -13,9 +13,8 @@ from PIL import Image
 
 import pixsim
 from pixsim.base import cache
-from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import merge
+from pixsim.base.records import checked
 from pixsim.report.pictures import crops
 from pixsim.report.views import best_place, rank, study_views
 from pixsim.show import pictures as details
@@ -37,6 +36,7 @@ from pixsim.show.pictures import (
 )
 from pixsim.studies import evaluations
 from pixsim.studies.result import StudyResult
+from pixsim.viewer.merging import merge
 
 WHOLE = Window(0.0, 0.0, 1.0, 1.0)
 
@@ -261,7 +261,7 @@ def test_study_detail_does_not_change_rows(tiny_result: StudyResult, tmp_path: P
 
 @pytest.mark.parametrize("detail", [[0.5], [0.5, 1.1], [-0.1, 0.5], [0.5, 0.5, 0.5], "middle", [float("nan"), 0.5]])
 def test_study_detail_outside_picture_raises(detail: object) -> None:
-    from pixsim.base.parameters import Layer
+    from pixsim.base.layers import Layer
 
     with pytest.raises(PixsimError, match="detail"):
         checked(pixsim.Study, [Layer(TINY | {"detail": detail}, "a test")])

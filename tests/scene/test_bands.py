@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from helpers.edits import FOLDER, VARIANTS
 
-from pixsim.base.parameters import Pixel
 from pixsim.light.spectral import STEPS_NM, Spectrum, grid_nm, photons_per_joule, photopic_efficiency, tabulated
 from pixsim.scene import bands as spectral_bands
 from pixsim.scene.bands import BAND_EDGES_NM, SHAPE_TOLERANCE, Bands, Pulse, Witness, every_band, fit, passes, place_bands
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.renderer import film, film_response
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 
 SPECTRA = FOLDER / "spectra"
 FINE_STEP_NM = 0.01  # each table here is linear over cells of this width, or nearly: 1e-6 of any integral

@@ -17,7 +17,6 @@ from helpers.edits import load
 
 import pixsim
 from pixsim.base import mapped
-from pixsim.base.parameters import Run
 from pixsim.scene import convergence, film
 from pixsim.scene.convergence import (
     MAX_SPP,
@@ -33,6 +32,7 @@ from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
+from pixsim.viewer.setting import Run
 
 PIXEL = pixsim.Pixel(pitch_um=42.4)  # 64 across
 LOOSE = 1e9  # the first pair is enough

@@ -10,7 +10,7 @@ from helpers.edits import edited, load
 
 import pixsim
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, CameraOptions, Display, Pixel
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.thin_lens import field_factor
 from pixsim.scene.charts import csf_contrast
 from pixsim.scene.film import (
@@ -24,6 +24,8 @@ from pixsim.scene.film import (
     largest_film,
 )
 from pixsim.scene.plan import make_plan, make_render_plan
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.viewer.display_options import Display
 
 LANDSCAPE, PORTRAIT = Camera(die_height_mm=1.8), Camera(die_mm=1.8, die_height_mm=2.7136)
 

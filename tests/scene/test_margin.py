@@ -11,17 +11,19 @@ import pytest
 from pixsim import load_scene, render
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
 from pixsim.light.exr import read_channels, read_exr, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.light.stored import PictureFile
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import Tiling, traced_lens
+from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import mirror_margins
 from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.budget import brighter
 from pixsim.studies.film_error import coarser
 

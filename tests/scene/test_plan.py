@@ -295,7 +295,7 @@ def test_plan_command_prints_json():
     code, out, err = command("plan macbeth --variant scalar_spectral --json --tolerance-e 1e-4 -D resolution=64")
     assert (code, err) == (0, "")
     table = json.loads(out)
-    made = make_plan(load("macbeth", resolution=64), tolerance_e=1e-4, display=pixsim.parameters.Display())
+    made = make_plan(load("macbeth", resolution=64), tolerance_e=1e-4, display=pixsim.Display())
     assert table == made.as_dict() | {"assumption": "", "schema": SCHEMA}
     assert table["tolerance_e"] == 1e-4
     full = json.loads(command("plan macbeth --variant scalar_spectral --json --full")[1])

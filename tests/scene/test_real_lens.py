@@ -9,8 +9,8 @@ import pytest
 from helpers.edits import VARIANT
 
 from pixsim import evaluate, load_scene, render
-from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, LensOptions, Pixel
 from pixsim.light.spectral import RINGS, photons_per_joule
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     LENS_HEADER,
     Tiling,
@@ -22,14 +22,18 @@ from pixsim.optics.camera_lens import (
     without_lens,
 )
 from pixsim.optics.lens_defocus import defocus_error, depth_of_disc_m, largest_disc_um, signed_disc_um
+from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.contents import Body
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.real_lens import SEEN_NM, depth_ranges_m, real_lens_warnings, tried_discs_um
 from pixsim.scene.scene import Scene
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import diffracted_rate, ideal_rate
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import integration_time_s
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import make_imaging_chain
 
 PIXEL = Pixel(pitch_um=6.5)

@@ -13,9 +13,10 @@ from helpers.lamps import D65_LUMINANCE, d65_radiance
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import CameraOptions, LensOptions
 from pixsim.light.exr import write_channels
 from pixsim.light.spectral import grid_nm
+from pixsim.optics.camera import CameraOptions
+from pixsim.optics.lens_options import LensOptions
 from pixsim.scene import charts, illuminance
 from pixsim.scene.contents import Lamp, find_lamp, find_lamps, white_of
 from pixsim.scene.mitsuba import import_mitsuba

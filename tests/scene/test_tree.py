@@ -11,13 +11,13 @@ import pytest
 
 import pixsim
 from pixsim.base import cache
-from pixsim.base.parameters import Exposure
 from pixsim.scene import mitsuba, tree as trees
 from pixsim.scene.convergence import render_until
 from pixsim.scene.mitsuba import parse
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.scene import load_scene, packaged_scenes
 from pixsim.scene.tree import Table, children, parse_tree, tree_of
+from pixsim.sensor.exposure import Exposure
 
 VARIANT = "scalar_spectral"
 EVERY_KIND = """<scene version="3.0.0">

@@ -13,10 +13,10 @@ import pytest
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Correction, Display, Exposure, Pixel, StackOptions, Study, merge
 from pixsim.light.spectral import SpectralImage
 from pixsim.measure.experiment import pixel_efficiency
 from pixsim.measure.sfr import edge_response
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import CameraPupil, camera_pupil
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.pupil import disc_pupil, numerical_aperture
@@ -31,13 +31,20 @@ from pixsim.sensor.collection import (
     scale_error,
     stack_shares,
 )
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import collecting_area_um2, illumination_of, integrate_pixels, mean_signal_rate, pixels_on
 from pixsim.sensor.pixel import PixelPhysics, derive, smallest_pitch_um
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.stack_options import StackOptions
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.studies.cases import cases_of
 from pixsim.studies.pixels import physics_of
 from pixsim.studies.sampling import study_pitches_um
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.merging import merge
 from pixsim.viewer.score import ImagingChain, make_imaging_chain
 
 CAMERA = Camera(die_mm=0.48, f_number=2.0)

@@ -10,17 +10,24 @@ import pytest
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import PATTERNS, Camera, Correction, Develop, Exposure, Pixel, Run, channels_of, merge
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import diffract_sum, diffract_sums
 from pixsim.sensor.camera_data import camera_sensitivities
 from pixsim.sensor.collection import shared
 from pixsim.sensor.colour import Layout
+from pixsim.sensor.colour_options import PATTERNS, channels_of
 from pixsim.sensor.correction import correct
+from pixsim.sensor.correction_options import Correction
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import lights_of, mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive, sheet_disagreements
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.raw import RawFrame, read_frame, write_frame
 from pixsim.sensor.readout import capture_from_rates, frame_mean_dn, frame_variance_dn2, make_sensor, sample_sensor
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.merging import merge
+from pixsim.viewer.setting import Run
 
 NM = np.arange(405.0, 700.0, 10.0)
 CAMERA = Camera(die_mm=0.1)

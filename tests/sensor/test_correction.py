@@ -15,9 +15,11 @@ from pydantic import ValidationError
 import pixsim
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Correction, Exposure, Pixel
 from pixsim.sensor.correction import correct, flat_light_e, outliers, residual_variance_e2, without_defects
+from pixsim.sensor.correction_options import Correction
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, Sensor, capture_from_rates, sample_sensor
 
 SHAPE = (200, 250)

@@ -9,11 +9,12 @@ import pytest
 from scipy.special import ndtr
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions
 from pixsim.light.spectral import SpectralImage
 from pixsim.measure.sfr import edge_response
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import Tiling, camera_with_lens, choose_tiling, distortion_of, light_of
 from pixsim.optics.field_blur import even_window, periodic_psf
+from pixsim.optics.lens_options import LensOptions
 from pixsim.sensor.integration import integrate_pixels, real_lens_rate
 
 NM, FILM_UM, PIXEL_UM = 550.0, 1.25, 2.5

@@ -14,10 +14,11 @@ from scipy.constants import c as light_speed, h as planck
 from scipy.interpolate import make_interp_spline
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
 from pixsim.light.spectral import SpectralImage, photons_per_joule
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import Tiling, camera_with_lens, fitted_wavefronts
 from pixsim.optics.field_blur import Light
+from pixsim.optics.lens_options import LensOptions
 from pixsim.sensor import integration
 from pixsim.sensor.integration import (
     Columns,
@@ -30,6 +31,7 @@ from pixsim.sensor.integration import (
     running_integral,
 )
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 
 DIE_UM = 2713.6
 NM, WIDTH_NM = np.array([420.0, 530.0, 660.0]), np.array([40.0, 60.0, 50.0])

@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens, field_angles, traced_lens
 from pixsim.optics.camera_light import camera_pupil
+from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.pupil import Directions, Pupil
 from pixsim.optics.stack import Stack, collected_shares, spot_integral
 from pixsim.optics.thin_lens import thin_lens_pupil
 from pixsim.sensor.collection import collection_of, illumination
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from tests.scene.test_real_lens import THIN
 
 NM = np.array([550.0])

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.base.parameters import NUMBERS, Correction, Pixel
 from pixsim.measure.datasheet import datasheet
 from pixsim.scene.plan import decide_noise
 from pixsim.sensor.correction import residual_variance_e2
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import SOURCES, NoiseSource
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import NUMBERS, Pixel
 from pixsim.sensor.readout import dark_spread_e, frame_variance_dn2, read_out, sample_sensor
 from pixsim.viewer.score import dark_clip
 
@@ -105,7 +106,7 @@ def test_new_number_is_one_field_and_its_use() -> None:
     """Row noise stands in two files of the package beside its closed forms' one source."""
     package = Path(pixsim.__file__).parent
     naming = {path.relative_to(package).as_posix() for path in package.rglob("*.py") if "row_noise_e" in path.read_text("utf-8")}
-    assert naming == {"base/parameters.py", "sensor/noise.py"}
+    assert naming == {"sensor/pixel_options.py", "sensor/noise.py"}
     assert NUMBERS["row_noise_e"].of_technology
 
 

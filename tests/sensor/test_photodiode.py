@@ -14,10 +14,11 @@ from scipy.integrate import quad
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Exposure, Pixel
 from pixsim.sensor import photodiode as saturation, readout as sensors
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.photodiode import charge_from_total_e, collected_charge_e, default_diode, diode_of
 from pixsim.sensor.pixel import WELL_REFERENCE_S, derive, diode_full_v, junction_charge_fc, junction_ff
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.verification.stability.photodiode import charge_to_e
 
 PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}

@@ -11,13 +11,16 @@ from scipy.constants import c as light_speed, e as electron, h as planck, k as b
 from scipy.integrate import quad
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Exposure, Pixel, Study, excluded_by, merge
 from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
 from pixsim.sensor import pixel as pixels
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel, excluded_by
 from pixsim.sensor.readout import capture_from_rates, frame_variance_dn2, integration_time_s, least_black_level_dn, sample_sensor
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
 from pixsim.studies.pixels import physics_of
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.merging import merge
 
 TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]
 T035 = load_technology("0.35um")

@@ -7,8 +7,9 @@ import pytest
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import (
     any_hard_edge,
     first_edge_um,
@@ -21,7 +22,10 @@ from pixsim.sensor.integration import (
     running_integral,
 )
 from pixsim.sensor.pixel import CENTRED, derive, spread_registration
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer.display import on_dots
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.parts import noiseless_frame
 from pixsim.viewer.score import PreparedScene, chain_at_pitch, evaluate, prepare_scene
 
@@ -135,7 +139,8 @@ def expected_delta_e(light: PreparedScene, pitch_um: float, repeats: int, displa
     """Mean ΔE without noise over the registrations of some repeats."""
     found = []
     for repeat in range(repeats):
-        physics = derive(Pixel(pitch_um=pitch_um, infrared_cut_nm=700.0)).registered(repeat, display)
+        pixel = Pixel(pitch_um=pitch_um, infrared_cut_nm=700.0)
+        physics = Imaging(CAMERA, pixel, LONG, display).registered(repeat)
         chain = chain_at_pitch(light, physics, LONG)
         found.append(chain.score_frame(noiseless_frame(chain, 0.03)).mean_delta_e)
     return float(np.mean(found))
@@ -180,10 +185,9 @@ def test_repeats_of_a_study_have_their_registrations(tmp_path: object) -> None:
     for pitch_um in (PITCHES_UM[0], PITCHES_UM[-1]):
         scores = result.scores(result.curves[0].technology, pitch_um)
         assert [score.frame.registration for score in scores] == [(y, x) for x, y in map(spread_registration, range(3))]
-    physics = derive(Pixel())
-    assert physics.registered(1, Display(raster="one_to_one")).registration == CENTRED
+    assert Imaging(CAMERA, Pixel(), LONG, Display(raster="one_to_one")).registered(1).registration == CENTRED
     stated = derive(Pixel(registration=(0.1, 0.2)))
-    assert stated.registered(1, Display()).registration == (0.2, 0.1)
+    assert stated.registered(1).registration == (0.2, 0.1)
 
 
 def test_evaluate_stays_centred_unless_a_registration_is_stated() -> None:

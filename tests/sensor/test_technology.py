@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pixsim.base.config import packaged, read_toml
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import NUMBERS, Pixel
+from pixsim.base.toml import packaged, read_toml
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import NUMBERS, Pixel
 from pixsim.sensor.technology import Junction, Technology, load_technology
 
 TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]

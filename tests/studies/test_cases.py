@@ -21,15 +21,18 @@ from pydantic import ValidationError
 import pixsim
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Axis, Study, merge, nested
+from pixsim.base.layers import nested
 from pixsim.cli.options import axes_of
 from pixsim.studies import evaluations, preparation, study as study_module
+from pixsim.studies.axis import Axis
 from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number, combinations
 from pixsim.studies.pixels import pixel_of
 from pixsim.studies.preparation import prepare
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study import warn_of_idle_axes
 from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.merging import merge
 from pixsim.viewer.score import ImagingChain
 
 LIGHT = "scene.parameters.luminance_cd_per_m2"

@@ -13,11 +13,11 @@ from scipy import stats
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Study
 from pixsim.studies.averages import Averaged
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.lineup import prepare
 from pixsim.studies.study_file import study_of
+from pixsim.studies.study_settings import Study
 from pixsim.studies.verdicts import headline
 
 DAY = {"scene": {"parameters": {"luminance_cd_per_m2": 300.0}}, "exposure": {"max_integration_s": 0.02}}

@@ -16,15 +16,16 @@ from helpers.tiny import COARSE, toml_of
 from PIL import Image
 
 import pixsim
-from pixsim.base.config import packaged
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Study, merge
+from pixsim.base.toml import packaged
 from pixsim.report.maps import Grid, axis_plates
 from pixsim.scene.colour_chart import modulation, write_colour_chart
 from pixsim.studies.cases import cases_of
 from pixsim.studies.parts import parts_table
 from pixsim.studies.pixels import physics_of
 from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.merging import merge
 from pixsim.viewer.scielab import XYZ_FROM_OPPONENT
 from pixsim.viewer.score import check_one_ideal
 

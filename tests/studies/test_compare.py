@@ -18,7 +18,7 @@ from scipy import stats
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera
+from pixsim.optics.camera import Camera
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
 from pixsim.studies import evaluations, oversampling

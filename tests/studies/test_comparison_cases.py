@@ -12,8 +12,8 @@ from helpers.commands import assert_refused, command
 from helpers.sheets import sheet
 
 import pixsim
-from pixsim.base.parameters import Study
 from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison
+from pixsim.studies.study_settings import Study
 
 LIGHT = {"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values": [100.0, 0.05, 1.0]}
 STOP = {"name": "stop", "set": "camera.f_number", "values": [2.8, 8.0]}

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pixsim.base.parameters import Study
 from pixsim.report.axes import conditions_plate, conditions_table
 from pixsim.report.wording import compromise_answer
 from pixsim.show.document import plain_text
 from pixsim.studies.conditions import compromise, compromises_of, weighted_mean
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import Curve
+from pixsim.studies.study_settings import Study
 
 PITCH_UM = np.geomspace(4.0, 12.0, 9)
 CONDITIONS = [

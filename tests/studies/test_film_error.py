@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from helpers.film_pictures import CAMERA, JUDGES, PIXEL, SCENES, SET_CELLS, WIDTH, cells, light
 
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.scene.rules import Chart
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.budget import ProbeDesign, probe
 from pixsim.studies.film_error import FINE, FINER, FilmSampling, coarser, film_error, finer_parts, parts_of
 from pixsim.studies.oversampling import film_steps, measure_film
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 
 ROUNDING = 3e-4  # by which rounding to the display's codes and the ADC's moves mean ΔE

@@ -10,10 +10,11 @@ import pytest
 from helpers.tiny import tiny
 
 from pixsim.base import cache
-from pixsim.base.parameters import Camera, Study
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.studies.keys import EVALUATED, OF_FRAME, OF_LIGHT, OF_SCORE, OF_WORDS, evaluated_before, light_hash, remember_evaluated
 from pixsim.studies.series import scenes_of, series_of
+from pixsim.studies.study_settings import Study
 
 NAMES = "name", "streams"  # their content is that of the random streams
 PITCH_UM = 6.0

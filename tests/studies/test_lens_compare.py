@@ -6,7 +6,7 @@ import pytest
 from helpers.sheets import sheet
 
 import pixsim
-from pixsim.base.parameters import Camera
+from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, traced_lens
 
 

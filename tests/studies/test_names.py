@@ -10,7 +10,7 @@ from helpers.tiny import tiny, tiny_toml
 
 import pixsim
 from pixsim.base.errors import PixsimError, name_fault
-from pixsim.base.parameters import MAX_PROBLEMS
+from pixsim.base.problems import MAX_PROBLEMS
 from pixsim.studies.cases import cases_of
 from pixsim.studies.preparation import check_technologies
 

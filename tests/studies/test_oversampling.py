@@ -17,18 +17,21 @@ from helpers.tiny import FINE, tiny
 from scipy.ndimage import gaussian_filter
 
 import pixsim
-from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, LensOptions
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
+from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.convergence import RenderNoise
 from pixsim.scene.film import MAX_ACROSS
 from pixsim.scene.plan import make_plan
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import lights_of
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.film_error import measured_places
 from pixsim.studies.oversampling import FilmError, film_steps, measure_film, render_on_film
 from pixsim.studies.result import StudyResult
 from pixsim.studies.sentences import film_words, optimum_line
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 
 # --- Parts of large pictures ---

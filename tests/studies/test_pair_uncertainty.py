@@ -13,11 +13,11 @@ from helpers.commands import assert_refused, command
 from helpers.sheets import sheet
 
 import pixsim
-from pixsim.base.config import SETTINGS_FILE
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Study
+from pixsim.base.toml import SETTINGS_FILE
 from pixsim.studies import evaluations
 from pixsim.studies.sensor_types import TYPES_FILE
+from pixsim.studies.study_settings import Study
 
 SMALL: dict[str, Any] = {"display": {"dots": 32}, "resolution": 64, "repeats": 3, "jobs": 1}
 DIM = {"luminance_cd_per_m2": 0.05}  # so that read noise decides

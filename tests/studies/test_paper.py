@@ -13,14 +13,17 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from pixsim.base.parameters import Camera, CameraOptions, LensOptions, Pixel, StackOptions, Study
 from pixsim.light.spectral import SpectralImage, d65
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, without_lens
 from pixsim.optics.diffraction import diffraction_otf
+from pixsim.optics.lens_options import LensOptions
 from pixsim.report.wording import blur_words
 from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import derive, fill_factor_law
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.stack_options import StackOptions
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.claims import (
     FIGURE_2_INTEGRATION_S,
@@ -53,6 +56,7 @@ from pixsim.studies.optimum import fit_curve
 from pixsim.studies.pixels import pixel_of
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
 
 Array = np.ndarray
 # Dots of a hand-made map: whole numbers of the six frequency and the eight contrast bins.

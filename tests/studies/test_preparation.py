@@ -18,12 +18,12 @@ from helpers.commands import assert_refused, command
 from helpers.tiny import rows, tiny
 
 import pixsim
-from pixsim.base.parameters import PixelOptions, Run, Study
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.report.outline import run_outline, study_outline
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import packaged_scenes
+from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.studies.cost import Cost, cases_cost, study_cost, window_within
 from pixsim.studies.lights import render_for
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, fit_curve
@@ -33,7 +33,9 @@ from pixsim.studies.run import prepare as prepare_run
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.sentences import optimum_line, optimum_words
 from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
 from pixsim.viewer.score import SCENE_CACHE_BYTES
+from pixsim.viewer.setting import Run
 
 SHEET = {"pitch_um": 3.45, "full_well_e": 11000, "read_noise_e": 2.2, "dark_current_e_per_s": 5, "quantum_efficiency": 0.62}
 SMALL = {"resolution": 64, "spp": 4, "luminance_cd_per_m2": 50.0}

@@ -15,11 +15,13 @@ from helpers.tiny import COARSE, TINY, toml_of
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Spread, Study, merge
+from pixsim.sensor.spread import Spread
 from pixsim.studies.engine import Workers
 from pixsim.studies.sensor_types import MOST_EVALUATIONS, TYPES_FILE, Asked, check_axes, draw_types, sample_of
 from pixsim.studies.study_file import load_study, uncertainty_of
+from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import settings_of, unknowns_of_study
+from pixsim.viewer.merging import merge
 
 SMALL = {name: value for name, value in TINY.items() if name not in ("scene", "pitch", "resolution")}
 SMALL |= {

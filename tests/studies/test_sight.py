@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixsim.base.parameters import Study, merge
 from pixsim.studies import lights as rendering
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.lights import lights_of_cases, render_for
 from pixsim.studies.oversampling import SURELY, TOLERATED_DELTA_E, FilmError, Light
 from pixsim.studies.sight import Sight, clearest
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.merging import merge
 
 LIGHT = {"name": "light", "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"], "values": [10.0, 1000.0]}
 LENS = {"name": "lens", "set": "camera.f_number", "values": [2.8, 8.0]}

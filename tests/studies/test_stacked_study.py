@@ -13,7 +13,7 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Run, Study
+from pixsim.optics.camera import Camera
 from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import collected_shares
 from pixsim.report.axes import optima_columns
@@ -24,7 +24,9 @@ from pixsim.studies.pixels import photodiode_widths_um, physics_of
 from pixsim.studies.result import curve_table, delta_e_against_pitch
 from pixsim.studies.sampling import largest_pixel_um
 from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.setting import Run
 
 LENS = {"height_um": 100.0, "index": 1.5, "microlens": "square", "shift": "optimal"}
 PITCHES_UM = [6.0, 7.0, 9.0, 15.0, 20.0]

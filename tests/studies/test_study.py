@@ -21,9 +21,8 @@ from helpers.tiny import FINE, PITCHES_UM, WHOLE_CHART, keys, rows, tiny as tiny
 import pixsim
 from pixsim.base import cache
 from pixsim.base.arrays import stream
-from pixsim.base.config import packaged, read_toml
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.parameters import merge
+from pixsim.base.toml import packaged, read_toml
 from pixsim.report.study import light_against_detail, report_files
 from pixsim.sensor.readout import Frame
 from pixsim.studies import evaluations as rows_module
@@ -32,6 +31,7 @@ from pixsim.studies.preparation import prepare
 from pixsim.studies.result import StudyResult
 from pixsim.studies.sentences import optimum_line
 from pixsim.studies.study_file import load_study
+from pixsim.viewer.merging import merge
 from pixsim.viewer.score import ImagingChain, SceneCache
 
 OWN = {"repeats": 3, "seed": 1}

@@ -15,14 +15,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pixsim.base.config import checked, packaged, with_data_sheets
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Layer, Pixel, Spread, Study, merge
+from pixsim.base.layers import Layer
+from pixsim.base.records import checked
+from pixsim.base.toml import packaged
 from pixsim.report.uncertainty import uncertainty_blocks
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.spread import Spread
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.studies.indices import total_indices
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.pixels import technology_of
+from pixsim.studies.study_layers import with_data_sheets
+from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import (
     SHARED,
     Outcome,
@@ -44,6 +49,7 @@ from pixsim.studies.uncertainty import (
     unknowns_of_study,
     unknowns_of_technology,
 )
+from pixsim.viewer.merging import merge
 
 WIDE_UM = (1e-3, 1e3)
 NAMES = ("p05", "p25", "p50", "p75", "p95")

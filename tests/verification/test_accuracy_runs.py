@@ -22,7 +22,6 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.parameters import Run
 from pixsim.scene.renderer import render
 from pixsim.show.render import text as text_of_document
 from pixsim.studies.budget import SOURCES, ProbeDesign, brighter, pitch_range_um, pitches_around_optimum_um, probe
@@ -33,6 +32,7 @@ from pixsim.verification.report import FILES, accuracy_document, plots_of
 from pixsim.verification.result import Accuracy
 from pixsim.verification.stability import compare
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.setting import Run
 
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
 pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # commands print warnings to stderr

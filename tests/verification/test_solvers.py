@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pixsim.base.parameters import Pixel
 from pixsim.sensor.photodiode import collected_charge_e, default_diode, diode_of
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.verification.solvers import dn_against_light, response_plate, solve_ode, solvers
 
 

@@ -18,14 +18,16 @@ from helpers.tiny import tiny
 from scipy.integrate import quad
 
 import pixsim
-from pixsim.base.parameters import Camera, Display, Pixel
 from pixsim.light.spectral import SpectralImage, Spectrum
+from pixsim.optics.camera import Camera
 from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.outside import OUTSIDE, outside_header, outside_share
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.sentences import optimum_line, unsure_words
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
 
 SCENE = """<scene version="3.0.0">

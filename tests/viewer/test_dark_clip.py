@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import read_out, sample_sensor
 from pixsim.viewer.display import white_rate
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import dark_clip
 
 SHAPE = 4, 250_000  # most of it columns, so that their offsets average too

@@ -10,7 +10,7 @@ import pytest
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import BAYER, channels_of
+from pixsim.sensor.colour_options import BAYER, channels_of
 from pixsim.viewer.demosaic import demosaic, demosaic_column_covariance, demosaic_covariance, demosaic_row_covariance, unit_cell
 from pixsim.viewer.display import SPLINE_DEGREE, average_axis
 

@@ -9,15 +9,19 @@ import numpy as np
 import pytest
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Develop, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage, colour_matching, luminous_weight
 from pixsim.light.standard import illuminant, patch_reflectance
 from pixsim.optics import irradiance_factor
+from pixsim.optics.camera import Camera
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, make_frame
 from pixsim.viewer import develop as develop_module
 from pixsim.viewer.develop import Rendition, noise_covariance
+from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import WHITE_XYZ, rgb_to_xyz
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.scielab import delta_e, xyz_to_lab
 from pixsim.viewer.score import ImagingChain, Score, ideal_on_dots, make_imaging_chain
 

@@ -7,12 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixsim.base.parameters import Camera, Develop, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage, colour_matching, d65, luminous_weight
 from pixsim.optics import irradiance_factor
+from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import Collection, ColourCollection
 from pixsim.sensor.colour import Layout
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.parts import Parts, delta_e_parts, neighbours
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 

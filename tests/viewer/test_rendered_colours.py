@@ -9,7 +9,6 @@ import pytest
 from helpers.edits import load
 
 import pixsim
-from pixsim.base.parameters import Develop, Display
 from pixsim.light.spectral import colour_matching, photons_per_joule
 from pixsim.light.standard import CHROMATIC_PATCHES, illuminant, patch_reflectance
 from pixsim.optics.camera_light import camera_factor
@@ -18,6 +17,8 @@ from pixsim.scene.renderer import Renderer
 from pixsim.sensor.pixel import derive
 from pixsim.viewer.colour_matrix import colour_errors, fit_matrix, metamerism_index
 from pixsim.viewer.develop import rendition_of, xyz_weights
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.scielab import delta_e, xyz_to_lab
 
 DATA = Path(__file__).parents[1] / "data" / "colour"

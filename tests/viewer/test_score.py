@@ -11,13 +11,16 @@ import pytest
 from pixsim import optics
 from pixsim.base import arrays
 from pixsim.base.arguments import made
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage, d65
+from pixsim.optics.camera import Camera
 from pixsim.scene.charts import csf_value
 from pixsim.sensor import integration
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import Columns, diffracted_rate, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer import display as displays, score
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.metrics import percentiles
 from pixsim.viewer.scielab import delta_e, filtered_lab
 

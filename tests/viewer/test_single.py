@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.base.parameters import DEVELOP, Develop, Display, Study
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import derive
 from pixsim.studies.series import scenes_of, series_of
+from pixsim.studies.study_settings import Study
 from pixsim.viewer import scielab
+from pixsim.viewer.develop_options import DEVELOP, Develop
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, out_of_gamut_share, rgb_to_xyz
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import allows_single, chain_at_pitch, make_imaging_chain, prepare_scene
 
 VIEW = {"white_xyz": WHITE_XYZ, "samples_per_deg": 23.0}

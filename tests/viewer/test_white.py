@@ -15,14 +15,16 @@ from helpers.sheets import sheet
 import pixsim
 from pixsim.base.arrays import Array
 from pixsim.base.caller import command_line
-from pixsim.base.parameters import Camera, Display, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import write_npz
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.comparison import Comparison
 from pixsim.viewer.develop import rendition_of
 from pixsim.viewer.display import XYZ_FROM_RGB
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import Seen, fraction_beyond_white, ideal_on_dots, white_header
 
 NM = np.arange(405.0, 900.0, 10.0)

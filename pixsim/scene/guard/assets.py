@@ -31,9 +31,9 @@ from pixsim.base.files import (
     size_of,
 )
 from pixsim.base.notes import warn
-from pixsim.base.tables import A_PER_W, read_table
 from pixsim.light.exr import judge_exr
 from pixsim.light.foreign import parse_light_unit
+from pixsim.light.tables import A_PER_W, read_table
 from pixsim.scene.guard.meshes import inspect_mesh
 
 EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")

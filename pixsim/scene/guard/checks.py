@@ -21,7 +21,7 @@ from pixsim.scene.guard.trial import Line
 
 if TYPE_CHECKING:
     from pixsim.base.arrays import Array
-    from pixsim.base.parameters import Camera
+    from pixsim.optics.camera import Camera
 
 TRIED_SCENE, TRIED_RESOLUTION = "csf", 64
 CAPABILITY = 75, 76  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR

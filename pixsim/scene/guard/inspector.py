@@ -14,8 +14,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from pixsim.base.errors import did_you_mean, excerpt, invalid, quoted
-from pixsim.base.tables import unit_hint
 from pixsim.light.spectral import HIGH_NM, LOW_NM
+from pixsim.light.tables import unit_hint
 from pixsim.scene.guard.assets import NUMBER, check_share, found, inspect_asset, metals, spectrum_value
 from pixsim.scene.guard.files import Node, SceneFiles, check_references, read_scene, written
 from pixsim.scene.guard.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, REASONS, SMALLEST, Plugin, Rule

@@ -10,12 +10,14 @@ from numpy.typing import ArrayLike
 from scipy.stats import norm, poisson
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor import readout as sensors
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.verification.stability import QUIET, ROUNDING, Case, compare, compare_drawn
 
 STORED = 2e-7  # the irradiance is stored in float32

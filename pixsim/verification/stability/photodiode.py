@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Pixel
 from pixsim.sensor import photodiode as model
 from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.photodiode import collected_charge_e, default_diode, diode_of
 from pixsim.sensor.pixel import Diode, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.verification.solvers import solve_ode
 from pixsim.verification.stability import Case, compare
 

@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike
 from scipy.stats import norm, poisson
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Exposure, Pixel
 from pixsim.optics.pupil import disc_pupil
 from pixsim.optics.stack import Stack, collected_shares, stack_collection
 from pixsim.sensor import readout as sensors
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Junction, Technology, load_technology
 from pixsim.verification.stability import QUIET, ROUNDING, Case, compare, compare_drawn
 from pixsim.viewer.causes import causes_of, codes_to_white

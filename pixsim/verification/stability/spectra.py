@@ -9,14 +9,16 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, Display, Pixel
 from pixsim.light import spectral
 from pixsim.light.spectral import HIGH_NM, LOW_NM, SpectralImage, Spectrum, photons_per_joule, photopic_efficiency
+from pixsim.optics.camera import Camera
 from pixsim.scene.bands import Bands, Response, Witness, fit, place_bands
 from pixsim.sensor.integration import electrons_per_joule, mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.verification.stability import Case, compare
 from pixsim.viewer.display import white_rate
+from pixsim.viewer.display_options import Display
 
 # Integer and fractional wavelengths, borders of bands, ends of the response (400 and 800 nm) and of the range.
 CENTRES_NM = (360.0, 360.2, 361.0, 365.0, 365.5, 393.7, 400.0, 400.3, 447.31,

@@ -13,28 +13,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pixsim.base.config import SCALED_WITH_AREA
 from pixsim.base.notes import warn
-from pixsim.base.parameters import (
-    ABSOLUTE_ZERO_C,
-    NO_TECHNOLOGY,
-    OF_DIE,
-    Camera,
-    CameraOptions,
-    Correction,
-    Develop,
-    Display,
-    Effort,
-    Exposure,
-    LensOptions,
-    PixelOptions,
-    Record,
-    Run,
-    StackOptions,
-    efficiencies_of,
-)
+from pixsim.base.records import Record
 from pixsim.light.spectral import HIGH_NM, SpectralImage
+from pixsim.optics.camera import OF_DIE, Camera, CameraOptions
+from pixsim.optics.lens_options import LensOptions
+from pixsim.sensor.colour_options import efficiencies_of
+from pixsim.sensor.correction_options import Correction
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, NO_TECHNOLOGY, SCALED_WITH_AREA, PixelOptions
+from pixsim.sensor.stack_options import StackOptions
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.setting import Effort, Run
 
 WITHIN = 1e-6  # relative, of lengths and temperatures that are equal but for rounding
 NO_LENS = LensOptions()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pixsim.base.errors import one_line
-from pixsim.base.parameters import NO_TECHNOLOGY
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 
 
 def label_of(technology: str) -> str:

@@ -13,29 +13,18 @@ from helpers.sheets import sheet
 from helpers.tiny import tiny
 
 import pixsim
-from pixsim.base.config import packaged
-from pixsim.base.parameters import (
-    NUMBERS,
-    Camera,
-    CameraOptions,
-    ColourOptions,
-    Correction,
-    DarkCurrent,
-    Develop,
-    Display,
-    Exposure,
-    LensOptions,
-    Pixel,
-    Run,
-    StackOptions,
-    Study,
-    merge,
-    nested,
-)
+from pixsim.base.layers import nested
+from pixsim.base.toml import packaged
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens
+from pixsim.optics.lens_options import LensOptions
+from pixsim.sensor.colour_options import ColourOptions
+from pixsim.sensor.correction_options import Correction
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.unused import Configuration, unused_notes, unused_settings
+from pixsim.sensor.pixel_options import NUMBERS, DarkCurrent, Pixel
+from pixsim.sensor.stack_options import StackOptions
 from pixsim.studies import lineup
 from pixsim.studies.cases import cases_of, with_range_ends
 from pixsim.studies.pixels import physics_of
@@ -43,7 +32,13 @@ from pixsim.studies.preparation import prepare
 from pixsim.studies.run import prepare as prepare_run
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
 from pixsim.studies.unused import StudyConfiguration, rules_of
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.merging import merge
+from pixsim.viewer.setting import Run
+from pixsim.viewer.unused import Configuration, unused_notes, unused_settings
 
 SIDE, SAMPLE_UM, WIDTH_NM = 24, 4.0, 40.0
 DIE_MM = 1e-3 * SIDE * SAMPLE_UM

@@ -11,12 +11,16 @@ import pytest
 from helpers.commands import command
 from helpers.tiny import tiny_toml
 
-from pixsim.base.config import checked, settings_layer, settings_text
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Camera, CameraOptions, Run, Study
+from pixsim.base.records import checked
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.report.settings import record_rows
 from pixsim.studies.matched_cameras import matched_cameras
+from pixsim.studies.settings_text import settings_text
 from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import settings_layer
 
 CRA = "image_height_mm,deg\n0,0\n1,12\n2,21.5\n"
 ROWS = ((0.0, 0.0), (1.0, 12.0), (2.0, 21.5))

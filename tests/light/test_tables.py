@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixsim.base.parameters import Camera, Pixel, read_curve
-from pixsim.base.tables import read_table, unit_hint
+from pixsim.light.curves import read_curve
 from pixsim.light.spectral import photons_per_joule
+from pixsim.light.tables import read_table, unit_hint
+from pixsim.optics.camera import Camera
 from pixsim.scene.guard.assets import spectrum_value
+from pixsim.sensor.pixel_options import Pixel
 
 CASES = Path(__file__).parents[1] / "data/cases"
 QE = ((400.0, 0.3), (500.0, 0.4), (600.0, 0.25))

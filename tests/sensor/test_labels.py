@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pixsim.base.errors import MAX_LABEL
-from pixsim.base.labels import file_label, label_of, labels_of
+from pixsim.sensor.labels import file_label, label_of, labels_of
 
 STUDIES = [
     (["0.35um", "0.25um"], ["0.35um", "0.25um"]),

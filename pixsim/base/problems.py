@@ -1,0 +1,205 @@
+"""What is wrong with settings, in words: each problem with the file and the field that it comes from, and how to mend it."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from pixsim.base.errors import PLAIN_WORD, did_you_mean, excerpt, quoted
+from pixsim.base.layers import Layer
+from pixsim.base.units import hint_of_length, hint_of_unit
+
+RECORDS: dict[str, type[BaseModel]] = {}  # by their names, which pydantic's errors have as titles
+
+
+@dataclass(frozen=True, kw_only=True)
+class Words:
+    """How users call a field otherwise, and what they may mean by a value that it does not allow: part of its annotation.
+
+    also : other words for it; those of several fields mean any of them
+    instead : such a word, also the field's own name in another table -> what a message says of it, in place of the names
+    before : pattern of what may stand before a number, as f/ does
+    hint : returns how to write a value, from the path of a name in the field (empty for the field itself) and the value; or ""
+    """
+
+    also: tuple[str, ...] = ()
+    instead: Mapping[str, str] = field(default_factory=dict)
+    before: str = ""
+    hint: Callable[[Sequence[str], Any], str] = lambda path, value: ""
+
+
+def words_of(info: FieldInfo | None) -> Words:
+    """Return the `Words` of a field; none for a field without."""
+    return next((each for each in (info.metadata if info else ()) if isinstance(each, Words)), Words())
+
+
+def meanings(word: str) -> tuple[str, ...]:
+    """Names of the fields that users call by another word."""
+    fields = (pair for record in RECORDS.values() for pair in record.model_fields.items())
+    return tuple(dict.fromkeys(name for name, info in fields if word in words_of(info).also))
+
+
+MAX_VALUE = 80  # characters of a value in a message
+BRANCHES = ("table", "number")  # of a field that may be either, in the place of an error: no name of a user
+
+
+def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
+    """Message of an error: one line for a PixsimError, one line per problem for a ValidationError."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    listed: set[str] = set()
+    problems = error.errors()
+    lines = [_line(error.title, problem, layers, listed) for problem in problems[:MAX_PROBLEMS]]
+    more = len(problems) - len(lines)
+    return "\n".join([*lines, *([f"and {more} more problem{'s' * (more > 1)}"] if more else [])])
+
+
+MAX_PROBLEMS = 10  # of a file, that a message lists: each takes milliseconds, and a reader mends the first ones first
+
+
+def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: set[str]) -> str:
+    """Return a problem as text. `listed` has the tables whose names were said, once for each; it is written to."""
+    path = [str(part) for part in problem["loc"] if part not in BRANCHES]
+    layer = _layer_of(problem, layers)
+    where = _where(title, problem, layer, layers)
+    if problem["type"] == "extra_forbidden":
+        *above, name = path
+        known, hint = names_at(title, above), _hint_of_name(title, above, name.replace("-", "_"))
+        table = where.rpartition(".")[0] if above else ""
+        allowed = "" if table in listed else f"; allowed: {', '.join(known)}"
+        listed.add(table)
+        return f"{where}: unknown name{allowed}.{hint and ' '}{hint}"
+    if problem["type"] == "missing":
+        field = _field(title, path)
+        return f"{where}: missing; it is required{f', as in {field.examples[0]}' if field and field.examples else ''}."
+    message = problem["msg"].removeprefix("Value error, ")
+    if problem["type"].startswith(("greater_than", "less_than")):  # Pydantic writes 1e-15 in full
+        (bound,) = problem["ctx"].values()
+        message = f"{message.rpartition(' ')[0]} {bound if isinstance(bound, int) else format(bound, 'g')}"
+    message = message[0].lower() + message[1:].replace("valid tuple", "list").partition(", unable to parse")[0]
+    if problem["type"] == "value_error":
+        return f"{where}: {message}" + "." * (message[-1:] not in (".", "?"))
+    if problem["type"] == "model_type":
+        message = f"a table of {', '.join(names_at(title, path))}" if names_at(title, path) else "a table"
+    value = _value(problem["input"], layer)
+    value = value if len(value) <= MAX_VALUE else value[:MAX_VALUE] + "…"
+    hint = _hint(title, path, problem["input"], problem["type"])
+    return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
+
+
+def names_meant(title: str, above: Sequence[str], name: str) -> list[list[str]]:
+    """Dotted paths, below the record named `title`, of the settings that an unknown name in the table `above` may mean.
+
+    A field of this table that is also called so counts first, then the same name below it, above all tables, and in another table.
+    """
+    words, others = meanings(name), [[table] for table in names_at(title, [])]
+    own = [[*above, word] for word in words if word in names_at(title, [*above])]
+    below = [[*above, table, name] for table in names_at(title, [*above]) if name in names_at(title, [*above, table])]
+    top = [[name]] if above and name in names_at(title, []) else []
+    beside = [[*table, name] for table in others if name in names_at(title, table)]
+    usual = ([[*table, word] for word in words if word in names_at(title, table)] for table in others)
+    return own or below or top or beside or next(filter(None, usual), [])
+
+
+def _hint_of_name(title: str, above: list[str], name: str) -> str:
+    """What to write in place of an unknown name in a table; empty if nothing is known or similar."""
+    tables = [f"[{word}]" for word in meanings(name) if not above and names_at(title, [word])]
+    meant = names_meant(title, above, name)
+    if tables or (meant and all(path[:-1] == above for path in meant)):
+        hint = f"Write {' or '.join(tables or [path[-1] for path in meant])}."
+    elif meant and names_at(title, meant[0]):
+        hint = f"Write it as a table of its own: [{'.'.join(meant[0])}]."
+    elif meant:
+        places = dict.fromkeys(f"in [{'.'.join(path[:-1])}]" if path[:-1] else "above all tables" for path in meant)
+        words = list(dict.fromkeys(path[-1] for path in meant))
+        named = "" if words == [name] else f", as {' or '.join(words)}"
+        hint = f"It belongs {' or '.join(places)}{named}."
+    else:
+        hint = did_you_mean(name, names_at(title, above))
+    return (above and meant and words_of(_field(title, meant[0])).instead.get(name)) or hint
+
+
+def _hint(title: str, path: Sequence[str], value: Any, fault: str) -> str:
+    """How to write a value that was meant well; empty for others.
+
+    fault : Pydantic's name of the problem
+    """
+    name, before = path[-1] if path else "", words_of(_field(title, path)).before
+    if fault.startswith(("greater_than", "less_than")) and isinstance(value, str):  # of a command line
+        value = float(value)
+    around = (words_of(_field(title, path[:depth])).hint(path[depth:], value) for depth in range(len(path), 0, -1))
+    return hint_of_length(name, value, fault) or next(filter(None, around), "") or hint_of_unit(name, value, fault, before)
+
+
+def _value(value: object, layer: Layer | None) -> str:
+    """A value for a message: numbers as they are, texts of a file as `excerpt` has them."""
+    if layer is None or not layer.source:
+        return repr(value)
+    if isinstance(value, str):
+        return excerpt(value) if layer.named else quoted(value)
+    if isinstance(value, list | tuple | dict) and not all(isinstance(each, bool | int | float) for each in value):
+        return f"a {'table' if isinstance(value, dict) else 'list'} of {len(value)}"
+    return repr(value)
+
+
+def _layer_of(problem: ErrorDetails, layers: Sequence[Layer]) -> Layer | None:
+    """The layer that a problem comes from; None if it comes from no file.
+
+    A missing value, or a conflict between values, has none: it is the last layer with the enclosing table.
+    """
+    loc = [part for part in problem["loc"] if part not in BRANCHES]
+    for length in range(len(loc), -1, -1):
+        for layer in reversed(layers):
+            if layer.table and layer.names(loc[:length]):
+                return layer
+    return next((layer for layer in reversed(layers) if layer.source), None)  # empty ones
+
+
+def _where(title: str, problem: ErrorDetails, layer: Layer | None, layers: Sequence[Layer]) -> str:
+    """`FILE: dotted.path`, or the dotted path alone if the value comes from no file."""
+    loc = [part for part in problem["loc"] if part not in BRANCHES]
+    if layer is None or not layer.source:
+        return ".".join(map(str, loc)) or title
+    known = {name for length in range(len(loc)) for name in names_at(title, [str(part) for part in loc[:length]])}
+    parts = [str(part) if isinstance(part, int) or part in known else _name_in(part, layer) for part in loc]
+    return f"{layer.source}: {'.'.join(parts) or title}"
+
+
+def _name_in(name: str, layer: Layer) -> str:
+    """A name that a file gives, for a message."""
+    return name if not layer.named and PLAIN_WORD.fullmatch(name) else f"(a name of {len(name)} characters)"
+
+
+def names_at(title: str, path: list[str]) -> list[str]:
+    """Field names of the record at a dotted path below the record named `title`."""
+    record = _record(title, path)
+    return [field.alias or name for name, field in record.model_fields.items()] if record else []
+
+
+def _field(title: str, path: Sequence[str]) -> FieldInfo | None:
+    """The field at a dotted path below the record named `title`; None if there is none."""
+    record = _record(title, path[:-1])
+    return record.model_fields.get(path[-1]) if record and path else None
+
+
+def _record(title: str, path: Sequence[str]) -> type[BaseModel] | None:
+    """The record at a dotted path below the record named `title`; None if there is none."""
+    record: Any = RECORDS.get(title)
+    for part in path:
+        if not part.isdecimal():  # the place in a list
+            field = record.model_fields.get(part) if record else None
+            record = _record_in(field.annotation) if field else None
+    return record if isinstance(record, type) and issubclass(record, BaseModel) else None
+
+
+def _record_in(annotation: object) -> object:
+    """The first class of a record in an annotation, such as that of a list of records; None if there is none."""
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for inner in get_args(annotation) if (found := _record_in(inner))), None)

@@ -1,0 +1,124 @@
+"""Frozen, validated records with a content hash: what all settings are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Sequence
+from functools import reduce
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+
+from pixsim.base.arguments import LARGEST, SMALLEST, brief
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.layers import Layer, merge_tables
+from pixsim.base.problems import MAX_VALUE, RECORDS, explain
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)  # it has no public name
+
+
+class RecordType(ModelMetaclass):
+    """Calls of a record's class raise PixsimError; pydantic's own methods, such as `model_validate`, its ValidationError."""
+
+    def __call__(cls, *args: Any, **fields: Any) -> Any:
+        if args:
+            hint = "Of a file: tomllib.loads(Path('sensor.toml').read_text())['pixel'], after ** in the brackets."
+            raise invalid(cls.__name__, repr(args[0])[:MAX_VALUE], "fields by name, as pitch_um=3.45", hint)
+        try:
+            return super().__call__(*args, **fields)
+        except ValidationError as error:
+            raise PixsimError(explain(error)) from None
+
+
+def not_tiny(value: object) -> object:
+    """A value with 0 in place of -0, also in lists. ValueError if a number in it is below `SMALLEST`, and not 0."""
+    if isinstance(value, float):
+        if 0 < abs(value) < SMALLEST:
+            raise ValueError(f"got {value:g}; allowed: 0, or at least {SMALLEST:g} in size")
+        return value + 0.0  # -0.0 + 0.0 is 0.0
+    if isinstance(value, tuple):
+        return tuple(map(not_tiny, value)) if any(isinstance(each, float | tuple) for each in value) else value
+    return value  # numbers of tables are those of a scene, a technology or a lens, which have bounds of their own
+
+
+class Record(BaseModel, metaclass=RecordType):
+    """Frozen, validated parameters. Invalid values and unknown names raise PixsimError, a ValueError."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _reject_bool_as_number(cls, value: object, info: ValidationInfo) -> object:
+        """Pydantic converts true to 1: `bits = true` would be a sensor of one bit."""
+        if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is not bool:
+            raise ValueError(f"got {value}; allowed: a number or a name")
+        return value
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _no_tiny_numbers(cls, value: object) -> object:
+        """A fixed rule beside the bounds of a field: 0, without a sign, or a number that a processor divides by in usual time."""
+        return not_tiny(value)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        RECORDS.setdefault(cls.__name__, cls)
+
+    @classmethod
+    def _merged(cls, layers: Iterable[Layer]) -> dict[str, Any]:
+        """Merge the tables of all layers; later layers take precedence."""
+        return reduce(merge_tables, (layer.table for layer in layers), {})
+
+    @property
+    def content_hash(self) -> str:
+        """Hash of all fields, 16 hexadecimal digits."""
+        return content_hash(self.model_dump(mode="json"))
+
+
+def content_hash(content: object) -> str:
+    """Hash of JSON content, independent of the order of keys: BLAKE2b, 16 hexadecimal digits."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+AnyNumber = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]  # whose own bounds are those of what it is used for
+
+
+def _free_number(value: object) -> object:
+    if isinstance(value, int | float) and not abs(value) <= LARGEST:
+        raise ValueError(f"got {brief(value)}; allowed: a number from {-LARGEST:g} to {LARGEST:g}, or a text")
+    return not_tiny(value)
+
+
+# Of a scene or an axis: a number of any quantity, or a text.
+NumberOrText = Annotated[float | int | str, BeforeValidator(_free_number)]
+UnitInterval = Annotated[float, Field(ge=0, le=1)]
+
+
+def as_float(value: Any) -> float:
+    """Convert to float; integers beyond its range become infinite."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def as_list(value: object) -> object:
+    """Split the text of an option, as 1.4,2.0,2.8."""
+    return value.replace(",", " ").split() if isinstance(value, str) else value
+
+
+Model = TypeVar("Model", bound=Record)
+
+
+def checked(record: type[Model], layers: Sequence[Layer]) -> Model:
+    """Merge layers and validate the record. Raises PixsimError that lists every problem with the file that it comes from."""
+    try:
+        return record.model_validate(record._merged(layers))
+    except ValidationError as error:
+        raise PixsimError(explain(error, layers)) from None

@@ -1,0 +1,12 @@
+"""Quantities of light, with their bounds."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+MIN_FRACTION = 1e-12  # smaller fractions of the light leave no signal
+Fraction = Annotated[float, Field(ge=MIN_FRACTION, le=1)]
+Wavelength = Annotated[float, Field(ge=1, le=1e6)]  # soft X-rays ... 1 mm
+FilmSamples = Annotated[int, Field(ge=1, le=16384)]  # across the die

@@ -1,0 +1,118 @@
+"""Chief ray angles of a lens, from rows or a file."""
+
+from __future__ import annotations
+
+import math
+import re
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, WithJsonSchema
+
+from pixsim.base.arguments import SMALLEST
+from pixsim.base.records import as_float
+from pixsim.light.curves import MAX_FILE_BYTES
+from pixsim.light.tables import PERCENT, as_number, read_cells
+
+ChiefRayAngles = tuple[
+    tuple[float, ...], ...
+]  # (image height in mm, angle in degrees[, relative illumination]), heights increasing
+CHIEF_RAY_COLUMNS = ("image_height_mm", "deg", "relative_illumination")
+ALLOWED_CHIEF_RAYS = "a CSV file with the columns image_height_mm, deg and, if it is known, relative_illumination"
+CHIEF_RAY_HEIGHTS_MM = (1e-6, 1e4)  # 1 nm ... ten times the largest die
+MAX_CHIEF_RAYS = 1000  # rows; makers' tables have 10 to 100
+
+
+def as_chief_ray_angles(value: Any) -> object:
+    """Chief ray angles as rows of numbers, from rows, or from the path of a CSV file. ValueError if it is neither."""
+    if value is None:
+        return None
+    if isinstance(value, str | Path):
+        return read_chief_rays(Path(value))
+    try:
+        rows = tuple(tuple(as_float(number) for number in row) for row in value if not isinstance(row, str))
+    except (TypeError, ValueError):
+        raise ValueError(
+            "got neither a file nor a list of rows; allowed: 'cra.csv', or rows of image height in mm and degrees, as "
+            "[[0, 0], [1.5, 12], [3, 25]]"
+        ) from None
+    return _check_chief_rays(rows, "a list")
+
+
+def read_chief_rays(path: Path) -> ChiefRayAngles:
+    """Chief ray angles from a CSV file whose first line names its columns. ValueError if they are none."""
+    cells = read_cells(path, "chief ray angles", ALLOWED_CHIEF_RAYS, MAX_FILE_BYTES)
+    rows = cells.rows
+    names = tuple((rows[0][1] if len(rows[0][1]) > 1 else rows[0][1][0].split()) if rows else ())
+    shares = [bool(PERCENT.search(name)) for name in names]
+    names = tuple(map(_chief_ray_column, names))
+    known = CHIEF_RAY_COLUMNS[:2], CHIEF_RAY_COLUMNS
+    if sorted(names) not in map(sorted, known):
+        hint = f" Make the first line of '{path}' {','.join(known[0])} or {','.join(known[1])}."
+        raise ValueError(f"got a file without these columns; allowed: {ALLOWED_CHIEF_RAYS}.{hint}")
+    order, table = [names.index(name) for name in CHIEF_RAY_COLUMNS[: len(names)]], []
+    for number, row in rows[1:]:
+        numbers = [as_number(cell, cells.decimal) for cell in row]
+        if len(numbers) < len(order) or None in (found := [numbers[at] for at in order]):
+            raise ValueError(f"got no {len(order)} numbers in line {number} of '{path}'; allowed: {', '.join(names)}") from None
+        scaled = (each.scaleb(-2) if shares[at] else each for each, at in zip(found, order, strict=True) if each is not None)
+        table.append(tuple(map(float, scaled)))
+    if all(one[0] > other[0] for one, other in pairwise(table)):
+        table.reverse()
+    return _check_chief_rays(tuple(table), f"'{path}'")
+
+
+def _chief_ray_column(title: str) -> str:
+    """Name of a column of `CHIEF_RAY_COLUMNS` that a title states with its unit, as Image height (mm); else the title."""
+    plain = title.lower()
+    if "height" in plain and re.search(r"(?<![a-z])mm(?![a-z])", plain):
+        return CHIEF_RAY_COLUMNS[0]
+    if re.search(r"cra|angle", plain) and re.search(r"deg|°", plain):
+        return CHIEF_RAY_COLUMNS[1]
+    return CHIEF_RAY_COLUMNS[2] if re.search(r"relative[ _]illumination", plain) else plain
+
+
+def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
+    allowed = "2 to 1000 rows of an image height in mm and an angle in degrees, and perhaps the relative illumination, all alike"
+    if not (2 <= len(rows) <= MAX_CHIEF_RAYS and len(rows[0]) in (2, 3) and all(len(row) == len(rows[0]) for row in rows)):
+        raise ValueError(f"got {source} of {len(rows)} rows; allowed: {allowed}")
+    rows = tuple(tuple(0.0 if abs(value) < SMALLEST else value for value in row) for row in rows)
+    for number, row in enumerate(rows, 1):
+        if not all(map(math.isfinite, row)):
+            raise ValueError(f"got {source} with {row} in row {number}; allowed: finite numbers")
+        if not abs(row[1]) < 90:
+            raise ValueError(f"got {source} with {row[1]:g} degrees in row {number}; allowed: above -90 and below 90")
+        if len(row) == 3 and not 0 <= row[2] <= MAX_RELATIVE_ILLUMINATION:
+            hint = " Divide percentages by 100." if MAX_RELATIVE_ILLUMINATION < row[2] <= 100 else ""
+            got = f"{source} with a relative illumination of {row[2]:g} in row {number}"
+            raise ValueError(f"got {got}; allowed: 0 to {MAX_RELATIVE_ILLUMINATION:g}, 1 on the axis.{hint}")
+    if rows[0][:2] != (0, 0):
+        got = f"{source} that begins with {rows[0][0]:g} mm and {rows[0][1]:g} degrees"
+        raise ValueError(f"got {got}; allowed: 0 mm and 0 degrees in the first row, the axis of the lens")
+    if len(rows[0]) == 3 and rows[0][2] != 1:
+        got = f"{source} with a relative illumination of {rows[0][2]:g} on the axis"
+        raise ValueError(f"got {got}; allowed: 1 there. Divide all values by {rows[0][2]:g}.")
+    for (low, *_), (high, *_) in pairwise(rows):
+        if not low < high:
+            raise ValueError(f"got {source} with {low:g} mm followed by {high:g} mm; allowed: image heights that increase")
+    least_mm, most_mm = CHIEF_RAY_HEIGHTS_MM
+    if outside := [row[0] for row in rows[1:] if not least_mm <= row[0] <= most_mm]:
+        raise ValueError(f"got {source} with {outside[0]:g} mm; allowed: 0, then {least_mm:g} to {most_mm:g} mm")
+    return rows
+
+
+MAX_RELATIVE_ILLUMINATION = 2.0  # a few per cent above 1 in lenses whose exit pupil grows with the field
+
+ChiefRays = Annotated[
+    ChiefRayAngles,
+    BeforeValidator(as_chief_ray_angles),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "string", "description": f"{ALLOWED_CHIEF_RAYS}, next to the TOML file"},
+                {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}},
+            ]
+        }
+    ),
+]

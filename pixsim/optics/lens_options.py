@@ -1,0 +1,94 @@
+"""A real lens in place of the thin one: its file, and how it is read and focused."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from pixsim.base.records import Record
+from pixsim.optics.quantities import FNumber, FocalLength
+
+OF_THIN_LENS = ("focal_length_mm", "chief_ray_angle")  # of [camera], which a real lens has itself
+
+
+def replaced_by_lens(base: dict[str, Any], over: dict[str, Any]) -> list[str]:
+    """Return the fields of [camera] in `base` that a real lens in `over` replaces."""
+    lens, camera, own = over.get("lens"), base.get("camera"), over.get("camera")
+    if not (isinstance(lens, dict) and lens.get("file") and isinstance(camera, dict)):
+        return []
+    return [
+        name for name in OF_THIN_LENS if camera.get(name) is not None and not (isinstance(own, dict) and own.get(name) is not None)
+    ]
+
+
+def as_file_names(value: object) -> object:
+    """Names of files, from a list or from text with commas, as an option has it."""
+    return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
+
+
+# How a lens's file is read, where it leaves a choice.
+READING = ("configuration", "semi_diameters", "vignetting_factors", "glass_catalogues", "unknown_glass")
+
+
+class LensOptions(Record):
+    """A real lens, traced from its prescription, in place of the thin lens of the camera."""
+
+    file: str | None = Field(
+        None,
+        description="prescription: a .toml or .zmx file, or the name of a packaged lens, as phone (absent: an ideal thin lens)",
+    )
+    focal_length_mm: FocalLength | None = Field(
+        None, description="focal length to which the whole lens is scaled (absent: its largest field reaches the corner of the die)"
+    )
+    refocus: Literal["paraxial", "axis", "field"] = Field(
+        "axis",
+        description="focus on the object: 'paraxial'; 'axis', least rms wavefront there; 'field', least on average over the die",
+    )
+    ideal: Literal["distorted", "undistorted"] = Field(
+        "distorted", description="ideal image: 'distorted' as the lens does at one wavelength, or 'undistorted'"
+    )
+    configuration: Annotated[int, Field(ge=1, lt=10**6)] | None = Field(
+        None, description="configuration of a .zmx file, from 1: a focal length of a zoom, or a focus (absent: the active one)"
+    )
+    semi_diameters: Literal["ignore", "clip"] = Field(
+        "ignore",
+        description="semi-diameters that a .zmx file fixes without an aperture: 'ignore', or 'clip' rays at refracting surfaces",
+    )
+    vignetting_factors: Literal["use", "ignore"] | None = Field(
+        None, description="vignetting factors of a .zmx file: 'use' or 'ignore' (absent: use, unless apertures stop rays)"
+    )
+    glass_catalogues: Annotated[tuple[str, ...], BeforeValidator(as_file_names)] = Field(
+        (), description="glass catalogues of yours as Zemax has them, as my.agf; they go before pixsim's table"
+    )
+    unknown_glass: Literal["error", "model"] = Field(
+        "error", description="a glass that no catalogue has: an 'error', or the 'model' of the n_d and V_d that the file states"
+    )
+
+    @model_serializer(mode="wrap")
+    def _nothing_without_file(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a real lens settings are written, and hashed, as if there were no such table; so are ways of reading unused."""
+        table = {} if self.file is None else dict(handler(self))
+        unused = {name for name in READING if getattr(self, name) == LensOptions.model_fields[name].default}
+        return {name: value for name, value in table.items() if name not in unused}
+
+    @model_validator(mode="after")
+    def _has_a_file(self) -> Self:
+        if self.file is None and (given := [name for name in LensOptions.model_fields if name in self.model_fields_set - {"file"}]):
+            raise ValueError(f"{', '.join(given)} without file; allowed: with the lens's prescription in lens.file")
+        return self
+
+
+class TracedLens(LensOptions):
+    """The real lens of a camera: the file is scaled to the focal length and stopped down.
+
+    f_number : as engraved: focal length over entrance pupil
+    field_mm : half diagonal of the die, for refocus = "field"
+    content : hash of the file
+    """
+
+    file: str
+    focal_length_mm: FocalLength
+    f_number: FNumber
+    field_mm: Annotated[float, Field(ge=1e-6, le=1e3)]  # of the smallest and the largest die
+    content: str

@@ -1,0 +1,19 @@
+"""Quantities of lenses and dies, with their bounds."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from pixsim.base.arguments import Bounds
+
+FocalLength = Annotated[float, Field(ge=1e-4, le=1e6)]  # 0.1 µm ... 1 km
+FNumber = Annotated[float, Field(ge=1e-6, le=1e6)]  # the lower limit depends on the magnification, up to `LARGEST_MAGNIFICATION`
+DieWidth = Annotated[float, Field(ge=1e-5, le=1000)]  # 10 nm ... 1 m
+Distance = Annotated[float, Field(ge=1e-6, le=1e18)]  # 1 µm ... 100 light years
+# Of functions alone.
+FNumberOrPinhole = Annotated[float, Bounds(0, open_low=True, infinite=True)]
+AnyDistance = Annotated[float, Bounds(0, open_low=True, infinite=True)]
+FieldOfView = Annotated[float, Field(ge=1e-9, le=180 - 1e-9)]
+UpToInfinity = Annotated[float, Bounds(0, 1e18, open_low=True)]

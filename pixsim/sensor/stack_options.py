@@ -1,0 +1,71 @@
+"""What lies between the surface of a pixel and its photodiode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from pixsim.base.records import Record, as_list
+from pixsim.sensor.quantities import Crosstalk, DiffusionLength, HalfPitch, RefractiveIndex, SiliconDepth, StackHeight
+
+# Words of a stack that state the same quantity.
+SAME_OF_STACK = (({"shift"}, {"shift_um"}), ({"crosstalk"}, {"depletion_um", "diffusion_length_um"}))
+
+
+def stack_excluded_by(names: Iterable[str]) -> set[str]:
+    """The fields of a stack that cannot be given together with those of `names`."""
+    given, excluded = set(names), set[str]()
+    for one, other in SAME_OF_STACK:
+        excluded |= (other if given & one else set()) | (one if given & other else set())
+    return excluded - given
+
+
+MICROLENSES = Literal["none", "square"]
+SHIFTS = Literal["none", "optimal"]
+StackShift = Annotated[tuple[HalfPitch, HalfPitch], BeforeValidator(as_list)]
+
+
+class StackOptions(Record):
+    """What lies between the surface of a pixel and its photodiode, and how light and charge go astray there.
+
+    Values of None are those of the technology. Without any of them, a pixel collects the light that falls on its photodiode, from
+    every direction alike.
+    """
+
+    enabled: bool = Field(True, description="false: no stack at all, whatever the technology or the other values here state")
+    height_um: StackHeight | None = Field(
+        None, description="height of the microlens or opening above the photodiode; the same at every pitch"
+    )
+    index: RefractiveIndex | None = Field(None, description="refractive index between them")
+    microlens: MICROLENSES | None = Field(
+        None, description="'square', a lens over the whole pixel; 'none', an opening as wide as the photodiode (absent: none)"
+    )
+    shift: SHIFTS | None = Field(
+        None,
+        description="shift of lenses or openings towards the axis: 'none', or 'optimal', so that chief rays land on the centres of "
+        "photodiodes (absent: none)",
+    )
+    shift_um: StackShift | None = Field(None, description="in place of shift: the same x and y for all pixels")
+    refraction: Literal["exact", "paraxial"] | None = Field(
+        None, description="refraction at the surface: 'exact', or 'paraxial', tangents taken for sines (absent: exact)"
+    )
+    depletion_um: SiliconDepth | None = Field(
+        None, description="of a front-lit pixel, with diffusion_length_um: depth of the depletion region"
+    )
+    diffusion_length_um: DiffusionLength | None = Field(
+        None, description="of a front-lit pixel, with depletion_um: diffusion length of electrons below the depletion region"
+    )
+    crosstalk: Crosstalk | None = Field(
+        None, description="in place of diffusion: share of a pixel's charge that its four neighbours collect together"
+    )
+
+    @model_validator(mode="after")
+    def _states_each_quantity_once(self) -> Self:
+        if self.shift is not None and self.shift_um is not None:
+            raise ValueError("shift and shift_um state the same quantity; give one of them")
+        diffusion = [name for name in ("depletion_um", "diffusion_length_um") if getattr(self, name) is not None]
+        if self.crosstalk is not None and diffusion:
+            raise ValueError(f"crosstalk and {', '.join(diffusion)} state the same quantity; give one of them")
+        return self

@@ -1,0 +1,210 @@
+"""An axis of a study: something that it varies beside the pixel size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    SerializerFunctionWrapHandler,
+    Tag,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
+
+from pixsim.base.arguments import brief
+from pixsim.base.errors import did_you_mean, name_fault
+from pixsim.base.problems import BRANCHES, explain
+from pixsim.base.records import AnyNumber, NumberOrText, Record
+from pixsim.studies.varied import (
+    AXIS_COUNT,
+    MOST_TOGETHER,
+    NOT_NAMES,
+    CaseName,
+    DottedSetting,
+    Settings,
+    as_paths,
+    paths_of,
+    setting_path,
+    setting_table,
+    with_technology,
+)
+from pixsim.viewer.merging import merge
+
+
+def _axis_number(value: object) -> object:
+    if isinstance(value, bool) or not isinstance(value, float | int | str) or value == "":
+        raise ValueError(f"got {brief(value)}; allowed: a number, a name, or a table of label and set")
+    if isinstance(value, str) and (fault := name_fault(value)):
+        raise ValueError(f"got a name that {fault}; allowed: another name")
+    return value
+
+
+def _is_table(value: object) -> str:
+    return BRANCHES[0] if isinstance(value, dict | AxisValue) else BRANCHES[1]
+
+
+class AxisValue(Record):
+    """One value of an axis: its label, and the settings of the study that it changes."""
+
+    label: CaseName = Field(description="name of the value, in columns and results", examples=['label = "fast lens"'])
+    set: Settings = Field(description="settings, as set.camera.f_number = 2.8", examples=["set.camera.f_number = 2.8"])
+
+
+# One branch for each kind, so that a message is about the kind that was meant.
+OneOfAxis = Annotated[
+    Annotated[AxisValue, Tag(BRANCHES[0])] | Annotated[NumberOrText, BeforeValidator(_axis_number), Tag(BRANCHES[1])],
+    Discriminator(_is_table),
+]
+
+
+@dataclass(frozen=True)
+class AxisPoint:
+    """One value of an axis, ready to use.
+
+    value : the number, or its label
+    table : settings of the study
+    """
+
+    value: float | int | str
+    table: dict[str, Any]
+
+    @property
+    def label(self) -> str:
+        return self.value if isinstance(self.value, str) else f"{self.value:.4g}"
+
+
+QUICK_OF_AXIS = ("values", "from", "to", "count", "spacing", "alone")
+
+
+class Axis(Record):
+    """Something that a study varies beside the pixel size: settings and their values.
+
+    Either the field set names settings that take each value together, with `values`, or `from`, `to` and `count`; or each of
+    `values` has a label and settings of its own; or `range_of` names a number of technologies, which a study replaces by values.
+    """
+
+    name: CaseName = Field(description="name in columns and for --axis", examples=['name = "lens"'])
+    set: Annotated[
+        tuple[DottedSetting, ...],
+        Field(max_length=MOST_TOGETHER),
+        BeforeValidator(as_paths, json_schema_input_type=str | tuple[str, ...]),
+    ] = Field((), description="dotted settings that take each value together")
+    values: Annotated[tuple[OneOfAxis, ...], Field(max_length=AXIS_COUNT)] | None = Field(
+        None, description="numbers or names, or tables of label and set"
+    )
+    first: AnyNumber | None = Field(None, alias="from", description="first value")
+    to: AnyNumber | None = Field(None, description="last value")
+    count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(None, description="number of values from first to last")
+    spacing: Literal["linear", "log"] = Field("linear", description="'linear': equal steps; 'log': equal ratios")
+    range_of: str | None = Field(
+        None,
+        description=(
+            "a number of the technologies, as dark_current_na_per_cm2; its values are the ends of its range, in all technologies "
+            "together and in each alone"
+        ),
+    )
+    alone: bool = Field(False, description="vary this axis alone, about the values of the study, not with each value of the others")
+    quick: dict[str, Any] = Field(default_factory=dict, description="values that replace those above with --quick")
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    @model_validator(mode="after")
+    def _has_values(self) -> Self:
+        if self.name in NOT_NAMES:
+            raise ValueError(f"name: '{self.name}' is a column of every study; allowed: another name")
+        ends = {"from (in Python first)": self.first, "to": self.to, "count": self.count}
+        given = [name for name, value in ends.items() if value is not None]
+        if self.range_of is not None:
+            if others := [*(["set"] if self.set else []), *(["values"] if self.values is not None else []), *given]:
+                raise ValueError(f"range_of and {', '.join(others)} both state the values; give one")
+            if not self.alone:
+                raise ValueError("range_of without alone = true; allowed: ranges of technologies one at a time, with alone = true")
+            return self
+        given += ["spacing"] * ("spacing" in self.model_fields_set and self.values is not None)
+        if self.values is not None and given:
+            raise ValueError(f"values and {', '.join(given)} both state the values; give one")
+        if self.values is None and len(given) < len(ends):
+            missing = ", ".join(name for name in ends if name not in given)
+            raise ValueError(f"missing: {missing}; allowed: values = [...], or from, to and count")
+        if self.values is not None and not self.values:
+            raise ValueError("values: got an empty list; allowed: one value or more")
+        if self.spacing == "log" and not (self.first is not None and self.to is not None and min(self.first, self.to) > 0):
+            raise ValueError(f"from = {self.first:g}, to = {self.to:g} with spacing = 'log'; allowed: numbers above 0")
+        tables = [value for value in self.values or () if isinstance(value, AxisValue)]
+        if tables and (self.set or len(tables) < len(self.values or ())):
+            raise ValueError("values with settings of their own do not go with set, or with plain values; give one of them")
+        if not tables and not self.set:
+            raise ValueError("set: missing; allowed: a dotted setting, as set = 'camera.f_number', or values with label and set")
+        labels = [point.label for point in self.points]
+        if unknown := [name for name in self.quick if name not in QUICK_OF_AXIS]:
+            hint = did_you_mean(unknown[0], QUICK_OF_AXIS)
+            raise ValueError(f"quick.{unknown[0]}: unknown name; allowed: {', '.join(QUICK_OF_AXIS)}.{hint and ' '}{hint}")
+        if self.quick:
+            try:
+                _ = self.quickened
+            except ValidationError as error:
+                raise ValueError(f"quick: {explain(error).partition(': ')[2].removesuffix('.')}") from None
+        if twice := [place for place, label in enumerate(labels) if label in labels[:place]]:
+            values = [self.points[place].value for place in (labels.index(labels[twice[0]]), twice[0])]
+            if values[0] != values[1]:
+                words = f"{values[0]!r} and {values[1]!r} are both {labels[twice[0]]} to 4 digits"
+                raise ValueError(f"values: {words}; allowed: values that differ in them, or labels")
+            raise ValueError(f"values: {labels[twice[0]]} stands there twice; allowed: each value once")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        table = {("from" if name == "first" else name): value for name, value in handler(self).items()}
+        return {name: value for name, value in table.items() if value not in (None, {}, (), [], False, "linear")}
+
+    @cached_property
+    def points(self) -> tuple[AxisPoint, ...]:
+        """The values in order; none of a range that no study has replaced by values."""
+        if self.range_of is not None:
+            return ()
+        values: Sequence[AxisValue | float | int | str] = self.values or _spaced(
+            self.first or 0.0, self.to or 0.0, self.count or 2, self.spacing
+        )
+        paths = [setting_path(dotted) for dotted in self.set]
+        points = []
+        for value in values:
+            if isinstance(value, AxisValue):
+                points.append(AxisPoint(value.label, with_technology(value.set)))
+            else:
+                points.append(AxisPoint(value, reduce(merge, (setting_table(path, value) for path in paths), {})))
+        return tuple(points)
+
+    @property
+    def paths(self) -> tuple[tuple[str, ...], ...]:
+        """The settings that it changes."""
+        return tuple(dict.fromkeys(path for point in self.points for path in paths_of(point.table)))
+
+    @property
+    def quickened(self) -> Axis:
+        """This axis with its `quick` table applied; `values` there replace from, to, count and spacing."""
+        table = self.model_dump(mode="json", exclude={"quick"})
+        ends = ("from", "to", "count", "spacing")
+        void = ends if "values" in self.quick else ("values",) if {"from", "to", "count"} <= self.quick.keys() else ()
+        table = {name: value for name, value in table.items() if name not in void}
+        return Axis.model_validate(table | self.quick)
+
+
+AXIS_DIGITS = 6
+
+
+def _spaced(first: float, last: float, count: int, spacing: str) -> list[float]:
+    """Values at equal steps or ratios, rounded to 6 digits, with both ends as given."""
+    part = [place / (count - 1) for place in range(count)]
+    if spacing == "log":
+        values = [first * (last / first) ** share for share in part]
+    else:
+        values = [first + (last - first) * share for share in part]
+    return [first, *(float(f"{value:.{AXIS_DIGITS}g}") for value in values[1:-1]), last]

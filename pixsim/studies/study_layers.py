@@ -1,0 +1,142 @@
+"""The layers of a study: its own table, sensor files, data sheets and options."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pixsim.base.errors import invalid
+from pixsim.base.layers import Layer
+from pixsim.base.notes import warn
+from pixsim.base.records import checked
+from pixsim.sensor.pixel_options import DATA_SHEET, NO_TECHNOLOGY, SCALED_WITH_AREA, STANDS_FOR, missing_of_data_sheet
+from pixsim.studies.study_settings import Study
+from pixsim.viewer.merging import merged
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import settings_layer, warn_of_mixed_sensors
+
+SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
+# Fields of a range of pitches, and those of an earlier layer that they replace.
+REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}
+
+
+def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
+    """Layers of a study: its own table, then the sensor files, then the options.
+
+    A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the study, whose sizes go from a
+    quarter to four times its own unless a range is set. A technology becomes the only one of the study; the pitch of its file is
+    not used. Values that a file or an option replaces are removed from the study's [quick] and [sources].
+
+    options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
+
+    Raises PixsimError if a file is invalid, or if an option sets a pitch that nothing depends on.
+    """
+    options = dict(options or {})
+    files = [settings_layer(path) for path in paths]
+    warn_of_mixed_sensors(files)
+    pixel_options = options.get("pixel", {})
+    sensor = [*files, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
+    settings: Run = checked(Run, sensor)  # so that errors name the fields as they were given
+    given = set(merged(sensor).get("pixel", {}))
+    derived: dict[str, Any] = {}
+    sheet = settings.pixel.technology == NO_TECHNOLOGY
+    if sheet:
+        derived = {"technologies": [NO_TECHNOLOGY], "paper": False, "pitch": {"own_um": settings.pixel.pitch_um}}
+    elif "technology" in given:
+        derived = {"technologies": [settings.pixel.technology], "paper": False}
+    elif "pitch_um" in given and given & {*DATA_SHEET, *STANDS_FOR}:
+        names = ", ".join(map(str, study.table.get("technologies", Study.model_fields["technologies"].default)))
+        missing = ", ".join(missing_of_data_sheet(given))
+        warn(f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}")
+    scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
+    if "pitch_um" in given and scaled:
+        derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
+    if "pitch_um" in pixel_options and not (scaled or sheet):
+        got, expected = f"'{pixel_options['pitch_um']}' for a study", "the pitch of a data sheet: a study has sizes of its own"
+        raise invalid("pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um.")
+    if settings.camera.pixels:  # the die of the sheet's own pitch, whatever the pitch of the study
+        derived["camera"] = settings.camera.model_dump(include={"die_mm", "die_height_mm"})
+    source = files[-1].source if files else ""
+    overrides = [Layer(_as_study_table(layer.table), layer.source) for layer in files]
+    overrides += [Layer(derived, source), Layer(_without_sensor_only(options))]
+    overriding = merged(overrides)
+    table = _with_range(study.table, overriding)
+    if overriding.get("scene", {}).get("file") is not None:  # the parameters of the study are those of its own scene
+        table = _without_parameters(table)
+        table |= {"quick": _without_parameters(table["quick"])} if "quick" in table else {}
+    if isinstance(quick := table.get("quick"), dict):
+        table["quick"] = _without(_with_range(quick, overriding), overriding)
+    if isinstance(sources := table.get("sources"), dict):
+        table["sources"] = {name: source for name, source in sources.items() if not Layer(overriding).names(name.split("."))}
+    layers = [Layer(table, study.source), *overrides]
+    return with_data_sheets(layers, _without_sensor_only(options).get("pixel", {}))
+
+
+def _without_parameters(table: Any) -> Any:
+    """A study's table without the parameters of its scene."""
+    scene = table.get("scene") if isinstance(table, dict) else None
+    if not isinstance(scene, dict):
+        return table
+    return table | {"scene": {name: value for name, value in scene.items() if name != "parameters"}}
+
+
+def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without the fields of [pitch] that an overriding range makes void, such as a list of pitches."""
+    pitch, given = table.get("pitch"), overriding.get("pitch", {})
+    if not (isinstance(pitch, dict) and isinstance(given, dict)):
+        return dict(table)
+    void = {name for name, others in REPLACED_RANGE.items() if name not in given and any(other in given for other in others)}
+    return table | {"pitch": {name: value for name, value in pitch.items() if name not in void}}
+
+
+def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list[Layer]:
+    """Layers of a study with the data sheets among its technologies: TOML files with a table [pixel], each a sensor of its own.
+
+    A sheet that the study's [sensors] has already, as in settings.toml, is not read again. Options of the pixel replace values of
+    each sheet, and the study's [pixel] has what a sheet leaves open. If all technologies are data sheets, the pitches go from a
+    quarter of the smallest to four times the largest, unless the study sets a range.
+
+    Raises PixsimError if a sheet is invalid.
+    """
+    study = merged(layers)
+    listed = [part["technologies"] for part in (study, study.get("quick")) if isinstance(part, dict) and "technologies" in part]
+    names = dict.fromkeys(name for part in listed if isinstance(part, list) for name in part if isinstance(name, str))
+    known = study.get("sensors")
+    sensors = {}
+    for name in names:
+        if isinstance(known, dict) and name in known:  # settings.toml states the values, whatever the file says now
+            sheet = [Layer({"pixel": known[name]}, f"sensors.{name}")]
+        elif name.endswith(".toml") and Path(name).is_file() and "pixel" in (layer := settings_layer(Path(name))).table:
+            if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
+                warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}")
+            sheet = [Layer({"pixel": study.get("pixel", {})}), Layer({"pixel": layer.table["pixel"]}, layer.source)]
+        else:
+            continue
+        settings: Run = checked(Run, [*sheet, Layer({"pixel": pixel_options})])
+        if settings.pixel.assumption:
+            warn(f"{name}: {settings.pixel.assumption}")
+        sensors[name] = settings.pixel.model_dump()
+    return [*layers, Layer({"sensors": sensors})] if sensors else layers
+
+
+def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
+    """Settings without what a study has in other fields: pitch, technology, and the pixels that make the die."""
+    left = dict(table)
+    for name, removed in (("pixel", SET_BY_STUDY), ("camera", ("pixels",))):
+        if isinstance(values := table.get(name), dict):
+            left[name] = {key: value for key, value in values.items() if key not in removed}
+    return left
+
+
+def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
+    """Convert a sensor's table to a study's: as `_without_sensor_only`, and with [scene] as scene.parameters."""
+    scene, table = table.get("scene"), _without_sensor_only(table)
+    return table | {"scene": {"parameters": scene}} if isinstance(scene, dict) else table
+
+
+def _without(table: dict[str, Any], removed: dict[str, Any]) -> dict[str, Any]:
+    """A nested table without the entries that `removed` has too."""
+    inner = {name for name, value in table.items() if isinstance(value, dict) and isinstance(removed.get(name), dict)}
+    left = {name: value for name, value in table.items() if name in inner or name not in removed}
+    return left | {name: _without(table[name], removed[name]) for name in inner}

@@ -1,0 +1,45 @@
+"""Merging of settings: what restates a quantity in other words replaces it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import reduce
+from typing import Any
+
+from pixsim.base.layers import Layer, merge_tables
+from pixsim.light.curves import RESPONSES
+from pixsim.optics.lens_options import replaced_by_lens
+from pixsim.sensor.colour_options import colour_excluded_by
+from pixsim.sensor.pixel_options import excluded_by
+from pixsim.sensor.stack_options import stack_excluded_by
+
+# Table -> the words that those of another layer restate.
+RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
+    "pixel": excluded_by,
+    "stack": stack_excluded_by,
+    "colour": colour_excluded_by,
+}
+
+
+def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Merge nested tables; values of `over` replace those of `base`, in [pixel] under whatever word the base states them.
+
+    A real lens replaces the focal length and the chief rays of `base` too.
+    """
+    return merge_tables(base, over, _left_of, RESPONSES)
+
+
+def _left_of(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Tables without what others restate in other words."""
+    gone = {key: words(over[key]) for key, words in RESTATED.items() if isinstance(over.get(key), dict)}
+    gone["camera"] = {*replaced_by_lens(base, over)}
+    return {key: _without(table, gone.get(key, ())) for key, table in base.items()}
+
+
+def _without(table: Any, names: Iterable[str]) -> Any:
+    return {name: value for name, value in table.items() if name not in names} if isinstance(table, dict) else table
+
+
+def merged(layers: Iterable[Layer]) -> dict[str, Any]:
+    """Merge the tables of all layers; later layers take precedence."""
+    return reduce(merge, (layer.table for layer in layers), {})

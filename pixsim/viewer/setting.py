@@ -1,0 +1,118 @@
+"""All that a frame and its score depend on, for a run and a study alike."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Annotated, Any, Self
+
+from pydantic import Field, model_validator
+
+from pixsim.base.layers import Layer
+from pixsim.base.notes import warn
+from pixsim.base.problems import Words
+from pixsim.base.records import NumberOrText, Record
+from pixsim.light.quantities import FilmSamples
+from pixsim.optics.camera import PIXELS_OR_FILM, CameraOptions
+from pixsim.optics.lens_options import LensOptions, replaced_by_lens
+from pixsim.optics.quantities import DieWidth
+from pixsim.sensor.correction_options import Correction
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.pixel_options import Pixel, PixelOptions
+from pixsim.sensor.quantities import Seconds
+from pixsim.viewer.develop_options import Develop, check_develop
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.merging import merged
+
+Seed = Annotated[int, Field(ge=0, lt=2**63)]  # as TOML holds
+
+
+def _hint_of_pixels(path: Sequence[str], value: object) -> str:
+    """What to say of a pair of numbers in place of the film's width."""
+    return PIXELS_OR_FILM if not isinstance(value, int | float) and re.search(r"\d\D+\d", str(value)) else ""
+
+
+def _hint_of_range(path: Sequence[str], value: object) -> str:
+    """How to write a range of a pixel's number."""
+    if not (path and isinstance(value, list | tuple) and len(value) == 2):
+        return ""
+    return f"A range of what is not known: [pixel.uncertainty] {path[-1]} = {{ range = {list(value)} }}; several values: --axis."
+
+
+OF_PIXEL = Words(also=("sensor",), hint=_hint_of_range)
+
+
+class Effort(Record):
+    """What a result may cost: error tolerances, the film, the time limit, and the part of the die."""
+
+    tolerance_e: Annotated[float, Field(ge=1e-9, lt=1)] = Field(
+        1e-3, description="largest relative error of the mean electrons from simplifications of the render"
+    )
+    tolerance_delta_e: Annotated[float, Field(ge=1e-9, le=1e3)] | None = Field(
+        None,
+        description="largest error of the mean ΔE; a calibration chooses film, render noise, tolerance_e and number of sensors",
+    )
+    render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
+        0.2, description="largest render noise, as a fraction of the sensor's temporal noise"
+    )
+    resolution: Annotated[FilmSamples | None, Words(instead={"resolution": PIXELS_OR_FILM}, hint=_hint_of_pixels)] = Field(
+        None, description="film samples across the die (absent: chosen from the pixel, the lens and the display)"
+    )
+    max_seconds: Seconds | None = Field(
+        None,
+        description="time after which a render ends, with a warning that states its noise; what is unfinished then is given up "
+        "(absent: a number of samples limits it, which does not depend on the machine)",
+    )
+    window_mm: DieWidth | None = Field(
+        None,
+        description="width of a central part of the die in mm: the same lens and pixels on a smaller die (absent: the whole die)",
+    )
+
+
+class Setting(Effort):
+    """All that a frame depends on, for a run and a study alike; a study has the size of its pixel elsewhere."""
+
+    seed: Seed = Field(0, description="seed of the render, of sensors and their noise")
+    scene: Record | dict[str, NumberOrText] = Field(
+        default_factory=dict, description="scene; a run has its parameters here, and its file elsewhere"
+    )
+    camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
+    lens: LensOptions = Field(LensOptions(), description="real lens in place of the camera's thin one")
+    pixel: Annotated[PixelOptions, OF_PIXEL] = Field(PixelOptions(), description="pixel, without technology and pitch")
+    exposure: Exposure = Field(Exposure(), description="exposure of each frame")
+    correction: Correction = Field(Correction(), description="correction of each frame by the camera")
+    develop: Develop = Field(Develop(), description="how frames with colour filters become pictures")
+    display: Display = Field(Display(), description="display, viewer and metric")
+
+    @classmethod
+    def _merged(cls, layers: Iterable[Layer]) -> dict[str, Any]:
+        """Merge the tables of all layers, as `pixsim.viewer.merging.merge`; later layers take precedence.
+
+        Warns of what a file states of a thin lens if a later layer names a real one.
+        """
+        layers = list(layers)
+        for index, layer in enumerate(layers):
+            replaced = dict.fromkeys(name for later in layers[index + 1 :] for name in replaced_by_lens(layer.table, later.table))
+            if replaced and layer.source:
+                stated = ", ".join(f"camera.{name}" for name in replaced)
+                warn(f"{stated} of {layer.source} is not used: the real lens, lens.file, has its own")
+        return merged(layers)
+
+
+class Run(Setting):
+    """The options of `pixsim run`, as tables."""
+
+    scene: dict[str, NumberOrText] = Field(
+        default_factory=dict, description="values of the scene's <default> parameters, as -D sets them"
+    )
+    pixel: Annotated[Pixel, OF_PIXEL] = Field(Pixel(), description="pixel of the sensor")
+
+    @model_validator(mode="after")
+    def _frame_can_be_developed(self) -> Self:
+        check_develop(self.develop, self.pixel)
+        return self
+
+    @model_validator(mode="after")
+    def _pixels_make_the_die(self) -> Self:
+        self.__dict__["camera"] = self.camera.with_die(self.pixel.pitch_um if "pitch_um" in self.pixel.model_fields_set else None)
+        return self

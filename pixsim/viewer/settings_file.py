@@ -1,0 +1,75 @@
+"""Files of settings: a sensor, its camera, exposure and display."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pixsim.base.layers import Layer, listed, plain_tables
+from pixsim.base.notes import warn
+from pixsim.base.records import checked
+from pixsim.base.toml import read_toml, resolve_file
+from pixsim.light.curves import RESPONSES
+from pixsim.optics.lens_options import as_file_names
+from pixsim.sensor.spread import without_uncertainty
+from pixsim.viewer.merging import merged
+from pixsim.viewer.setting import Run
+
+
+def settings_layer(path: Path) -> Layer:
+    """Read a settings file; paths in it are resolved by `resolve_file`.
+
+    Its [pixel.uncertainty] is checked and left out, so that a pixel is plain numbers: `sheet_uncertainty` returns it.
+    """
+    table = read_toml(path)
+    pixel = table.get("pixel")
+    if isinstance(pixel, dict):
+        pixel, _ = without_uncertainty(pixel, str(path))
+        table = {**table, "pixel": pixel}
+        resolved: dict[str, Any] = {
+            name: resolve_file(path, pixel[name]) for name in ("technology", "quantum_efficiency") if name in pixel
+        }
+        if isinstance(colour := pixel.get("colour"), dict):
+            resolved["colour"] = colour | {name: resolve_file(path, colour[name]) for name in RESPONSES if name in colour}
+        table = {**table, "pixel": pixel | resolved}
+    camera = table.get("camera")
+    if isinstance(camera, dict) and "chief_ray_angle" in camera:
+        table = {**table, "camera": camera | {"chief_ray_angle": resolve_file(path, camera["chief_ray_angle"])}}
+    lens = table.get("lens")
+    if isinstance(lens, dict) and "file" in lens:
+        named: dict[str, Any] = {"file": resolve_file(path, lens["file"])}
+        if isinstance(catalogues := as_file_names(lens.get("glass_catalogues")), list):
+            named["glass_catalogues"] = [resolve_file(path, name) for name in catalogues]
+        table = {**table, "lens": lens | named}
+    scene = table.get("scene")
+    if isinstance(scene, dict) and "chart" in scene:
+        table = {**table, "scene": scene | {"chart": resolve_file(path, scene["chart"])}}
+    return Layer(table, str(path))
+
+
+def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
+    """Warn if several files set the table [pixel], with the fields that come from each: one sensor got values of another."""
+    sensors = [layer for layer in files if isinstance(layer.table.get("pixel"), dict)]
+    if len(sensors) < 2:
+        return
+    left = set(merged(sensors)["pixel"])
+    parts: list[str] = []
+    for layer in reversed(sensors):
+        own = [name for name in layer.table["pixel"] if name in left]
+        left -= set(own)
+        parts.insert(0, f"{layer.source}: {', '.join(own) or 'nothing'}")
+    warn(f"[pixel] is a mixture of {len(sensors)} files. {'; '.join(parts)}")
+
+
+def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: Mapping[str, Any]) -> Run:
+    """Return settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems.
+
+    config : one or more TOML files; later ones take precedence
+    options : tables and fields of `Run`
+    """
+    files = [settings_layer(Path(path)) for path in listed(config)]
+    warn_of_mixed_sensors(files)
+    settings: Run = checked(Run, [*files, Layer(plain_tables(options))])
+    return settings
