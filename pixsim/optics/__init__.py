@@ -37,3 +37,7 @@ def __getattr__(name: str) -> object:
     from importlib import import_module
 
     return getattr(import_module(f"pixsim.optics.{_HOME.get(name, 'diffraction')}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -41,3 +41,7 @@ def __getattr__(name: str) -> object:
     from pixsim.sensor import readout
 
     return getattr(readout, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

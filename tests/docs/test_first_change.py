@@ -52,7 +52,9 @@ def test_changes_give_a_noise_an_axis_and_a_metric(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
-    assert " passed" in run("pytest", "-q", "-p", "no:cacheprovider", "-k", TESTS, *(f"tests/{name}" for name in FILES))
+    assert " passed" in run(
+        "pytest", "-q", "-p", "no:cacheprovider", "--basetemp", "runs", "-k", TESTS, *(f"tests/{name}" for name in FILES)
+    )
     small = ["--resolution", "64", "--display.dots", "32", "--pixel.pitch-um", "21.2"]
     quiet, noisy = (
         json.loads(run("pixsim", "run", "csf", *small, "--json", "--out", name, *more))
