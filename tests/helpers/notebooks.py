@@ -21,7 +21,7 @@ def executed(path: Path, folder: Path) -> Any:
     for cell in notebook.cells:
         if cell.cell_type == "code":
             cell.outputs, cell.execution_count = [], None
-    environment = {**os.environ, "PYTHONPATH": str(HERE), "MPLBACKEND": "agg", "IPYTHONDIR": str(folder / ".ipython")}
+    environment = {**os.environ, "PYTHONPATH": str(HERE), "MPLBACKEND": "agg"}
     client = NotebookClient(notebook, timeout=LONGEST_S, resources={"metadata": {"path": str(folder)}}, record_timing=False)
     client.execute(env=environment)
     return notebook
