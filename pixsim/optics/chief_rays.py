@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BeforeValidator, WithJsonSchema
 
@@ -24,7 +25,7 @@ CHIEF_RAY_HEIGHTS_MM = (1e-6, 1e4)  # 1 nm ... ten times the largest die
 MAX_CHIEF_RAYS = 1000  # rows; makers' tables have 10 to 100
 
 
-def as_chief_ray_angles(value: Any) -> object:
+def as_chief_ray_angles(value: Iterable[Iterable[object]] | str | Path | None) -> object:
     """Chief ray angles as rows of numbers, from rows, or from the path of a CSV file. ValueError if it is neither."""
     if value is None:
         return None

@@ -69,16 +69,26 @@ def record_rows(
 
 
 def settings_tables(
-    scene: Iterable[Row], settings: Setting, camera: Camera, pixel: Record | None, coloured: bool, *rows: Any
+    scene: Iterable[Row],
+    settings: Setting,
+    camera: Camera,
+    pixel: Record | None,
+    coloured: bool,
+    from_data_sheet: bool,
+    sources: Mapping[str, str] | None = None,
 ) -> list[Table]:
     """Return the tables of a page with all settings of a result, that of its scene first.
 
     pixel : None for sensors that have one each
-    rows : further arguments of `record_rows`
+    from_data_sheet, sources : of `record_rows`
     """
     records = {"camera": camera, "pixel": pixel, "exposure": settings.exposure, "correction": settings.correction}
     records |= {"develop": settings.develop if coloured else None, "display": settings.display}
-    used = {name: record_rows(name, record, *rows, coloured=coloured) for name, record in records.items() if record is not None}
+    used = {
+        name: record_rows(name, record, from_data_sheet, sources, coloured=coloured)
+        for name, record in records.items()
+        if record is not None
+    }
     return [settings_table(name, own) for name, own in {"scene": scene, **used}.items()]
 
 

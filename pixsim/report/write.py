@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.errors import invalid
@@ -53,7 +52,12 @@ def write_report(
         return write(_page(result, path, seconds or {}, figures), Path(folder), times, figures)
 
 
-def _page(result: Any, folder: Path, seconds: dict[str, float], figures: Figures) -> Document:
+def _page(
+    result: RunResult | StudyResult | Comparison | ComparedCases | LensData,
+    folder: Path,
+    seconds: dict[str, float],
+    figures: Figures,
+) -> Document:
     """Return the document of a result with its page; the arguments are those of `write_report`."""
     if isinstance(result, RunResult):
         return run_page(result)

@@ -62,20 +62,20 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
     overrides += [Layer(derived, source), Layer(_without_sensor_only(options))]
     overriding = merged(overrides)
     table = _with_range(study.table, overriding)
-    if overriding.get("scene", {}).get("file") is not None:  # the parameters of the study are those of its own scene
-        table = _without_parameters(table)
-        table |= {"quick": _without_parameters(table["quick"])} if "quick" in table else {}
+    # The parameters of the study are those of its own scene.
+    kept = dict if overriding.get("scene", {}).get("file") is None else _without_parameters
+    table = kept(table)
     if isinstance(quick := table.get("quick"), dict):
-        table["quick"] = _without(_with_range(quick, overriding), overriding)
+        table["quick"] = _without(_with_range(kept(quick), overriding), overriding)
     if isinstance(sources := table.get("sources"), dict):
         table["sources"] = {name: source for name, source in sources.items() if not Layer(overriding).names(name.split("."))}
     layers = [Layer(table, study.source), *overrides]
     return with_data_sheets(layers, _without_sensor_only(options).get("pixel", {}))
 
 
-def _without_parameters(table: Any) -> Any:
+def _without_parameters(table: dict[str, Any]) -> dict[str, Any]:
     """A study's table without the parameters of its scene."""
-    scene = table.get("scene") if isinstance(table, dict) else None
+    scene = table.get("scene")
     if not isinstance(scene, dict):
         return table
     return table | {"scene": {name: value for name, value in scene.items() if name != "parameters"}}

@@ -75,7 +75,7 @@ def paths_of(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[
             yield (*above, name)
 
 
-def _settings(table: Any) -> Any:
+def _settings(table: object) -> dict[str, Any]:
     """Check which settings of a study an axis or a condition may change. ValueError for others."""
     if not isinstance(table, dict) or not table:
         raise ValueError("got no settings; allowed: set.<dotted name> = value, as set.camera.f_number = 2.8")
@@ -91,7 +91,7 @@ def _settings(table: Any) -> Any:
     return table
 
 
-def _of_condition(table: Any) -> object:
+def _of_condition(table: object) -> object:
     """As `_settings`. A technology is what a condition leaves as it is."""
     if isinstance(pixel := _settings(table).get("pixel"), dict) and "technology" in pixel:
         raise ValueError("pixel.technology cannot be changed by a condition; name technologies in the study, or vary it by an axis")

@@ -36,7 +36,7 @@ def _left_of(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     return {key: _without(table, gone.get(key, ())) for key, table in base.items()}
 
 
-def _without(table: Any, names: Iterable[str]) -> Any:
+def _without(table: object, names: Iterable[str]) -> object:
     return {name: value for name, value in table.items() if name not in names} if isinstance(table, dict) else table
 
 

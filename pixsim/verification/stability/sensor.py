@@ -37,8 +37,8 @@ def cases() -> Iterator[Case]:
         yield from group()
 
 
-def physics_of(**options: Any) -> PixelPhysics:
-    return derive(Pixel(**{"fill_factor": 0.5, **QUIET, **options}))
+def physics_of(**options: object) -> PixelPhysics:
+    return derive(Pixel.model_validate({"fill_factor": 0.5, **QUIET, **options}))
 
 
 def frame(
