@@ -26,7 +26,7 @@ import pytest
 from helpers.forks import Forked
 from helpers.processes import HANG_S, signalled
 from helpers.tasks import collects_garbage, die_always, die_once, die_once_at_7_um, double, fail, folder_of, keep, nothing, warn
-from helpers.tiny import tiny_toml, toml_of
+from helpers.tiny import COARSE, tiny_toml, toml_of
 
 import pixsim
 from pixsim.base import cache
@@ -257,7 +257,7 @@ def of_axes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
     """A study of axes, four lights on few cells, and results.csv of one process without a cache."""
     folder = tmp_path_factory.mktemp("axes")
     chart = {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}}
-    table = {"name": "axes", "repeats": 2, "resolution": 64, "scene": chart, "axis": AXES}
+    table = {"name": "axes", "repeats": 2, "resolution": COARSE, "scene": chart, "axis": AXES}
     table |= {"camera": {"die_mm": 0.7}, "display": {"dots": 32}, "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0]}}
     (folder / "axes.toml").write_text("".join(f"{name} = {toml_of(value)}\n" for name, value in table.items()), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
