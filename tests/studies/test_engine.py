@@ -416,7 +416,7 @@ def test_study_on_cluster_of_processes_same_bytes(cluster: str, toml: Path, expe
 def test_study_of_axes_on_cluster_same_bytes(cluster_here: str, of_axes: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
     """Lights of a batch travel together; here two batches of two."""
     toml, expected = of_axes
-    monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 250_000)
+    monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 150_000)
     assert pixsim.study(toml, tmp_path, scheduler=cluster_here).scenes.capacity == 2
     assert (tmp_path / "results.csv").read_bytes() == expected
 
