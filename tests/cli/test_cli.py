@@ -402,8 +402,7 @@ sys.argv = ["pixsim", "--help"]
     assert done.stdout.endswith("slow: []\n")
 
 
-def test_cameras_are_listed_with_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "160")  # else a worker has that of the terminal
+def test_cameras_are_listed_with_what_they_are() -> None:
     code, out, _ = command("cameras")
     assert code == 0
     assert re.search(r"^Canon_EOS_R5 +measured +RGB +380-780 nm, peaks .*Canon EOS R5$", out, re.MULTILINE)
