@@ -11,8 +11,9 @@ from pixsim.optics.camera import Camera
 from pixsim.show.document import Answer, Fact, Section, Strong, Table, headline, joined
 from pixsim.show.sentences import interval
 from pixsim.studies.conditions import Compromise
-from pixsim.studies.merit import LENSES, detail_frequency_lp_per_mm, mtf_terms, of_sensor
+from pixsim.studies.merit import detail_frequency_lp_per_mm
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.mtf import LENSES, mtf_terms, of_sensor
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage

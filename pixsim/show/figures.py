@@ -222,7 +222,7 @@ def label_axes(axes: Axes, where: PictureAxes) -> None:
 
 
 def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str) -> Array:
-    """Draw the terms of `merit.mtf_terms` against x, with a legend, and their product, which is returned."""
+    """Draw the terms of `mtf.mtf_terms` against x, with a legend, and their product, which is returned."""
     for term, mtf in terms.items():
         name, look = TERMS[term]
         axes.plot(x, mtf, markevery=1 if x.size < MANY_POINTS else x.size // 5, ms=4, label=name.format(interpolation), **look.line)

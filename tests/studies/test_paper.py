@@ -43,15 +43,7 @@ from pixsim.studies.claims import (
     rise,
     threshold_contrast,
 )
-from pixsim.studies.merit import (
-    mpe30_lx_s,
-    mtf50_cy_per_mm,
-    mtf_terms,
-    sensitivity_e_per_lx_s_um2,
-    shown_mtf,
-    study_mtf_terms,
-    system_mtf,
-)
+from pixsim.studies.merit import mpe30_lx_s, mtf50_cy_per_mm, sensitivity_e_per_lx_s_um2, shown_mtf, study_mtf_terms, system_mtf
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.pixels import pixel_of
 from pixsim.studies.result import Curve, StudyResult
