@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from pixsim.optics.camera import Camera
 from pixsim.show.document import Answer, Fact, Section, Strong, Table, headline, joined
 from pixsim.show.sentences import interval
 from pixsim.studies.conditions import Compromise
-from pixsim.studies.merit import detail_frequency_lp_per_mm
+from pixsim.studies.merit import detail_terms
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.mtf import LENSES, mtf_terms, of_sensor
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
@@ -65,17 +62,15 @@ def budget_section(budget: dict[str, Any] | None) -> Section:
 
 def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> str:
     """Return sentences on the contrast left by each term at `detail_frequency_lp_per_mm`."""
-    frequency, name = detail_frequency_lp_per_mm(irradiance, physics.pitch_um)
-    terms = {term: float(mtf) for term, mtf in mtf_terms(irradiance, camera, physics, display, np.array(frequency)).items()}
-    left, *others = (f"{term} {'is ' * (term in LENSES)}{terms[term]:.3f}" for term in of_sensor(terms))
+    frequency, name, terms, of_display = detail_terms(irradiance, camera, physics, display)
+    left, *others = (f"{term} {'is ' * ('lens' in term.split())}{mtf:.3f}" for term, mtf in terms.items())
     *some, last = (f"that of the {words}" for words in others)
     words = f"At {frequency:.3g} lp/mm, {name}, the MTF of the {', '.join([left, *some])} and {last}: "
-    sensor = math.prod(of_sensor(terms).values())
-    words += f"together they reduce the contrast by {100 * (1 - sensor):.0f} %. "
-    if "dot" not in terms:
+    words += f"together they reduce the contrast by {100 * (1 - math.prod(terms.values())):.0f} %. "
+    if not of_display:
         return words + "The display shows each pixel as one dot and reduces it no further."
-    of_display = terms["interpolation"] * terms["dot"]
+    lost = 1 - math.prod(of_display.values())
     return words + (
-        f"On the display, the MTF of the {display.interpolation} interpolation is {terms['interpolation']:.3f} and that of the "
-        f"dots {terms['dot']:.3f}: they reduce the recorded contrast by another {100 * (1 - of_display):.0f} %."
+        f"On the display, the MTF of the {display.interpolation} interpolation is {of_display['interpolation']:.3f} and that of "
+        f"the dots {of_display['dot']:.3f}: they reduce the recorded contrast by another {100 * lost:.0f} %."
     )

@@ -10,11 +10,13 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
 from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, electrons_per_joule, illumination_of
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.extent import csf_range_lp_per_mm
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.mtf import mtf_terms, of_sensor
 
 if TYPE_CHECKING:
@@ -58,6 +60,16 @@ def detail_frequency_lp_per_mm(irradiance: SpectralImage, pitch_um: float) -> tu
     if frequencies := csf_range_lp_per_mm(irradiance):
         return frequencies[1], "the highest frequency of the chart"
     return 1e3 / (4 * pitch_um), f"half the Nyquist frequency of {pitch_um:.3g} µm pixels"
+
+
+def detail_terms(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display
+) -> tuple[float, str, dict[str, float], dict[str, float]]:
+    """Return the frequency and its name, and the MTF there of each term, to the sensor and of the display."""
+    frequency, name = detail_frequency_lp_per_mm(irradiance, physics.pitch_um)
+    terms = {term: float(mtf) for term, mtf in mtf_terms(irradiance, camera, physics, display, np.array(frequency)).items()}
+    sensor = of_sensor(terms)
+    return frequency, name, sensor, {term: mtf for term, mtf in terms.items() if term not in sensor}
 
 
 def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float = MPE30_INTEGRATION_S) -> float:

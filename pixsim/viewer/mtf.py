@@ -20,7 +20,6 @@ from pixsim.viewer.display import interpolation_mtf, picture_size_um
 from pixsim.viewer.display_options import Display
 
 Value = TypeVar("Value", Array, float)
-LENSES = ("lens", "real lens")
 OF_DISPLAY = ("interpolation", "dot")
 
 

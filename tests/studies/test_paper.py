@@ -49,6 +49,7 @@ from pixsim.studies.pixels import pixel_of
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.studies.study_file import load_study
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.mtf import mtf_terms
 
 Array = np.ndarray
 # Dots of a hand-made map: whole numbers of the six frequency and the eight contrast bins.
