@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from pixsim.studies.study import study as study
     from pixsim.studies.study_settings import Study as Study
     from pixsim.verification.survey import accuracy as accuracy
-    from pixsim.viewer import display as display, scielab as scielab
+    from pixsim.viewer import display as display, judges as judges, scielab as scielab
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
     from pixsim.viewer.demosaic import demosaic as demosaic
     from pixsim.viewer.display_options import Display as Display
@@ -89,6 +89,7 @@ _MODULES = {
     "sensor": "sensor",
     "display": "viewer.display",
     "scielab": "viewer.scielab",
+    "metrics": "viewer.judges",
     "charts": "scene.charts",
     "spectral": "light.spectral",
 }

@@ -118,6 +118,10 @@ GOOD: dict[str, Any] = {
     "gain_db": 6.0, "frequency_cy_per_px": 0.2, "mosaic": PLANE, "pattern": "rggb", "method": "bilinear", "rgb": XYZ / 100,
     "sensitivities": lambda: pixsim.spectral.colour_matching(np.arange(400.0, 701.0, 10.0)), "illuminant": "D55",
     "file": "cooke_triplet", "field_deg": 10.0, "stop_x": 0.0, "stop_y": 0.0, "x_mm": 1.0, "y_mm": 1.0,
+    "difference": PLANE, "variance": PLANE, "signal": 1.0, "noise": 1.0, "folded": 0.0, "level": 1.0, "corner_cy_per_mm": 1.0,
+    "power": lambda: lambda y, x: np.exp(-np.hypot(y, x)), "mtf": np.array([1.0, 0.8, 0.5]), "noise_power": np.array(1e-3),
+    "mean": 1.0, "rer": 0.4, "ground_m": 0.5, "snr": 50.0, "frequency": np.array([0.0, 1.0, 2.0]), "reflectance": 0.9,
+    "frequency_cy_per_deg": np.array([0.0, 1.0, 2.0]), "angle_deg": 5.0, "white_cd_per_m2": 100.0,
     "factor": 2.0, "edges_nm": np.array([400.0, 500.0, 600.0]), "height_mm": 1.0, "azimuth_deg": 30.0,
 }  # fmt: skip
 OWN: dict[str, Any] = {
@@ -139,6 +143,10 @@ OWN: dict[str, Any] = {
     **dict.fromkeys((f"pixsim.optics.lens.Lens.{name}.wavelength_nm" for name in (
         "first_order", "field_of_height", "image_circle_mm", "fresnel_transmittance", "ray_points")), 550.0),
     "pixsim.optics.lens.Lens.stopped_down.f_number": 8.0,
+    "pixsim.viewer.judges.relative_edge_response.frequency_cy_per_px": np.array([0.0, 0.5, 1.0]),
+    **dict.fromkeys((f"pixsim.viewer.judges.{name}.frequency_cy_per_mm" for name in (
+        "information_bits_per_mm2", "folded_spectrum")), np.linspace(-50.0, 50.0, 5)),
+    "pixsim.viewer.judges.information_bits_per_mm2.signal": 1.0, "pixsim.viewer.judges.edge_mtf.picture": lambda: EDGE,
     "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
 }  # fmt: skip
 # Optional arguments that every call has: without them it takes long, or means nothing.

@@ -28,7 +28,7 @@ from pixsim.measure.colour import Colour, measure_colour
 from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, RowNoise, Series, Stack, root
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.noise import constant_e, variance_e2
+from pixsim.sensor.noise import constant_e, signal_at_snr_e, variance_e2
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
@@ -710,7 +710,7 @@ def speed(sheet: DataSheet) -> list[Entry]:
     dark_dn2 = float(dark_map_e(e).var(ddof=1)) + sheet.true_dark_noise_e**2 + QUANTISATION_DN2 / p.dn_per_e**2
     for wanted in estimators.SIGNAL_TO_NOISE:
         exposure = estimators.exposure_at_snr(lx_s, mean, deviation, wanted, 1 / math.sqrt(2 * sheet.pixels))
-        true_e = estimators.signal_at_snr_e(wanted, dark_dn2, sheet.true_prnu)
+        true_e = signal_at_snr_e(wanted, dark_dn2, sheet.true_prnu)
         true = estimators.NOISE_SPEED_LX_S * per_lx_s / true_e if true_e < p.saturation_e else math.nan
         note = "" if math.isfinite(exposure.value) else "not reached below saturation"
         name, speed = f"noise-based speed, S/N {wanted:g}", Estimate(estimators.NOISE_SPEED_LX_S) / exposure

@@ -431,11 +431,3 @@ def exposure_at_snr(exposure: Array, signal: Array, noise: Array, wanted: float,
     slope = (ratio[index + 1] - ratio[index]) / (log_exposure[1] - log_exposure[0])
     value = math.exp(log_exposure[0] - ratio[index] / slope)
     return Estimate(value, value * relative_error / slope)
-
-
-def signal_at_snr_e(wanted: float, dark_variance_e2: float, gain_spread: float) -> float:
-    """Mean electrons μ that solve μ/√(μ + σ² + (PRNU μ)²) = wanted; NaN if PRNU limits S/N below that."""
-    square = wanted**-2 - gain_spread**2
-    if square <= 0:
-        return math.nan
-    return (1 + math.sqrt(1 + 4 * square * dark_variance_e2)) / (2 * square)

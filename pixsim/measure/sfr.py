@@ -34,6 +34,7 @@ from pixsim.show.document import Document, Note, Plot, Section, headline
 from pixsim.show.figures import COLOURS, new_figure, own_style
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
 from pixsim.show.render import notebook, write
+from pixsim.viewer.judges.sharpness import first_crossing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -192,16 +193,6 @@ class EdgeResponse:
 
     def __repr__(self) -> str:
         return f"<EdgeResponse {sfr_parts(self.as_dict())[0]}>"
-
-
-def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
-    """Frequency at which a curve first falls to `level`, by linear interpolation; None if it does not."""
-    below = np.flatnonzero(sfr < level)
-    if not below.size or below[0] == 0:
-        return None
-    right = int(below[0])
-    left = right - 1
-    return float(frequency[left] + (sfr[left] - level) / (sfr[left] - sfr[right]) * (frequency[right] - frequency[left]))
 
 
 class Grid(NamedTuple):

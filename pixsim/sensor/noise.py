@@ -92,3 +92,11 @@ def variance_e2(
     for each in chosen(is_temporal, along):
         start = start + (each.deviation(physics) * charge[each.grows_with]) ** 2
     return start
+
+
+def signal_at_snr_e(wanted: float, dark_variance_e2: float, gain_spread: float) -> float:
+    """Mean electrons μ that solve μ/√(μ + σ² + (PRNU μ)²) = wanted; NaN if PRNU limits S/N below that."""
+    square = wanted**-2 - gain_spread**2
+    if square <= 0:
+        return math.nan
+    return (1 + math.sqrt(1 + 4 * square * dark_variance_e2)) / (2 * square)

@@ -13,7 +13,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
 from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, electrons_per_joule, illumination_of
-from pixsim.sensor.noise import variance_e2
+from pixsim.sensor.noise import signal_at_snr_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.viewer.display_options import Display
@@ -75,8 +75,8 @@ def detail_terms(
 def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float = MPE30_INTEGRATION_S) -> float:
     """Return the minimum photometric exposure on the sensor for an SNR of 30 dB (eq. 2); inf if it exceeds saturation."""
     snr = 10 ** (30 / 20)
-    noise_e2 = variance_e2(physics, is_temporal=True) + physics.dark_current_e_per_s * integration_s
-    signal_e = (snr**2 + np.sqrt(snr**4 + 4 * snr**2 * noise_e2)) / 2
+    noise_e2 = float(variance_e2(physics, is_temporal=True)) + physics.dark_current_e_per_s * integration_s
+    signal_e = signal_at_snr_e(snr, noise_e2, 0.0)
     if signal_e > physics.saturation_e:
         return np.inf
     area_um2 = collecting_area_um2(result.irradiance, result.camera, physics)

@@ -51,6 +51,7 @@ KERNELS = (
         "sensor.readout",
     ),
     *("scene.charts", "viewer.colour_matrix", "viewer.demosaic", "viewer.display", "viewer.scielab"),
+    *(f"viewer.judges.{name}" for name in ("information_density", "non_prewhitening", "sharpness")),
 )
 # Public names exempt from a rule, and why.
 EXCEPTIONS = {

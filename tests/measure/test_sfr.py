@@ -14,9 +14,10 @@ from scipy.special import erf
 
 from pixsim import PixsimError, edge_response, sfr, write_frame
 from pixsim.light.exr import write_channels
-from pixsim.measure.sfr import NYQUIST_CY_PER_PX, first_crossing, read_edge_picture, sfr_parts
+from pixsim.measure.sfr import NYQUIST_CY_PER_PX, read_edge_picture, sfr_parts
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import RawFrame
+from pixsim.viewer.judges.sharpness import first_crossing
 
 SIDE = 320
 DARK, LIGHT = 100.0, 1000.0

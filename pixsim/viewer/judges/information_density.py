@@ -1,0 +1,135 @@
+"""Information per area of the sensor: what the spectra of a scene, of noise and of aliases leave of it.
+
+Frequencies of one axis serve both. A sorted axis runs from minus the Nyquist frequency to it, or from 0 (a quadrant, which stands
+for all four); its ends are half cells (trapezium). That of `np.fft.fftfreq`, in its order or shifted, has whole cells. Spectra are
+(n, n), [along y, along x], two-sided and per area: independent noise of variance σ² in each pixel has σ² pitch².
+
+C. L. Fales & F. O. Huck, "An information theory of image gathering", Information Sciences 57 (1991) 245.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import product
+from typing import Annotated
+
+import numpy as np
+
+from pixsim.base.arguments import FINITE, Axes, Bounds, NotNegative, Positive, check_broadcast, checks_arguments
+from pixsim.base.arrays import Array, Finites, NotNegatives, Positives, values_of
+from pixsim.base.errors import invalid
+
+UM_PER_MM = 1e3
+WITHIN = 1e-6  # of a cell: places of frequencies
+MAX_ORDERS = 64
+Axis = Annotated[Array, FINITE, Axes(1)]
+
+
+def axis_weights(frequency: Array) -> Array:
+    """Return the width of the cell of each frequency of an axis (n,), as the head of this module says, in their unit.
+
+    Raises PixsimError for another axis.
+    """
+    ordered = np.sort(frequency)
+    steps = np.diff(ordered)
+    if frequency.size > 1 and steps.min() > 0:
+        first, last, step = float(ordered[0]), float(ordered[-1]), float(steps[0])
+        tolerance = WITHIN * step
+        is_sorted = bool((frequency == ordered).all())
+        of_fft = not is_sorted and bool((frequency == np.fft.ifftshift(ordered)).all())
+        # -Nyquist stands for both ends of an even number; an odd one has its ends half a cell inside.
+        misses = first + last + step if frequency.size % 2 == 0 else first + last
+        if (of_fft or (is_sorted and frequency.size % 2 == 0)) and abs(misses) <= tolerance and np.ptp(steps) <= tolerance:
+            return np.full(frequency.size, step)
+        if is_sorted and (first == 0 or abs(first + last) <= tolerance):
+            trapezium = (np.append(0.0, steps) + np.append(steps, 0.0)) / 2
+            return trapezium * (2 if first == 0 else 1)
+    hint = "Take np.linspace(-1, 1, n) / (2 * pitch_mm), np.linspace(0, 1, n) / (2 * pitch_mm) or np.fft.fftfreq(n, pitch_mm)."
+    got = f"{frequency.size} from {frequency.min():g} to {frequency.max():g}"
+    raise invalid("frequency_cy_per_mm", got, "rising frequencies from -Nyquist or 0 to the Nyquist frequency", hint)
+
+
+@checks_arguments
+def information_bits_per_mm2(
+    frequency_cy_per_mm: Axis, signal: NotNegatives, noise: Positives, folded: NotNegatives = 0.0
+) -> float:
+    """Return the information in bits per mm² of sensor, ½ ∬ log₂(1 + signal/(noise + folded)), over the Nyquist square.
+
+    Exact for constant spectra; Fales & Huck (1991). Per square degree of field it is (focal length in mm · π/180)² times that.
+
+    frequency_cy_per_mm : (n,) of either axis, as the head of the module says
+    signal : S |T|² of the scene's spectrum and the MTF T, (n, n) or a number, in signal² mm²
+    noise : of everything that is no signal, fixed pattern too, likewise
+    folded : aliases of the scene, `folded_spectrum`, likewise
+
+    Raises PixsimError if the axis does not end at the Nyquist frequency in one of these ways, or a shape is another one.
+
+    >>> square = np.linspace(-100.0, 100.0, 33)  # of 5 µm pixels: ½ · 200² mm⁻² · log₂(1 + 3)
+    >>> information_bits_per_mm2(square, 3.0, 1.0)
+    40000.0
+    """
+    weights, count = axis_weights(frequency_cy_per_mm), frequency_cy_per_mm.size
+    for name, values in (("signal", signal), ("noise", noise), ("folded", folded)):
+        if np.shape(values) not in ((), (count, count)):
+            raise invalid(name, f"an array of shape {np.shape(values)}", f"({count}, {count}), as the frequencies, or a number")
+    with np.errstate(over="ignore"):
+        bits = np.log1p(np.asarray(signal, float) / (np.asarray(noise, float) + folded)) / math.log(2)
+    return float(((np.broadcast_to(bits, (count, count)) * weights).sum(axis=1) * weights).sum() / 2)
+
+
+@checks_arguments
+def natural_spectrum(frequency_cy_per_mm: Finites, level: NotNegative, corner_cy_per_mm: Positive) -> Array:
+    """Return the spectrum C/(f² + f₀²) of natural scenes, (...) as the frequencies, in signal² mm² for C in signal².
+
+    D. J. Field, J. Opt. Soc. Am. A 4 (1987) 2379, found 1/f²; a corner, the reciprocal of the largest things, bounds it.
+
+    frequency_cy_per_mm : |f|, `np.hypot` of both axes
+    level : C, in signal²; a band from f₀ to f has the variance π C ln((f² + f₀²)/(2 f₀²))
+    corner_cy_per_mm : f₀, on the sensor
+    """
+    with np.errstate(over="ignore"):
+        return np.asarray(level / (np.asarray(frequency_cy_per_mm, float) ** 2 + corner_cy_per_mm**2))
+
+
+@checks_arguments
+def folded_spectrum(
+    power: Callable[[Array, Array], Array],
+    frequency_cy_per_mm: Axis,
+    pitch_um: Positive,
+    orders: Annotated[int, Bounds(1, MAX_ORDERS)] = 2,
+) -> Array:
+    """Return the aliases Σ P(f + k/pitch), k ≠ 0, of a spectrum that pixels sample, (n, n) in the unit of the power.
+
+    They are noise to what is at f itself. Fales & Huck (1991).
+
+    power : function of two arrays that broadcast, (n, 1) and (n,), frequencies along y and x in cy/mm: S |T|², also beyond Nyquist
+    frequency_cy_per_mm : (n,) of either axis
+    pitch_um : of the pixels
+    orders : how many multiples of 1/pitch on either side of 0, in both axes
+
+    Raises PixsimError if the function fails, or returns another shape.
+    """
+    along_y, along_x, folded = frequency_cy_per_mm[:, None], frequency_cy_per_mm, np.zeros((frequency_cy_per_mm.size,) * 2)
+    for j, i in product(range(-orders, orders + 1), repeat=2):
+        if i or j:
+            shifted = along_y + j * UM_PER_MM / pitch_um, along_x + i * UM_PER_MM / pitch_um
+            folded += values_of("power", power, folded.shape, *shifted)
+    return folded
+
+
+@checks_arguments
+def neq(mtf: Finites, noise_power: Positives, mean: NotNegative) -> Array:
+    """Return the noise-equivalent quanta, mean² |T|²/N, per unit area; it has the shape to which MTF and noise broadcast.
+
+    The quanta that an ideal detector would need for the same ratio of signal to noise at a frequency. Of mm⁻² for noise in mm².
+    R. Shaw, J. Photogr. Sci. 11 (1963) 199; ICRU Report 54 (1996).
+
+    mtf, noise_power : broadcast together; noise power in signal² mm², as of `information_bits_per_mm2`
+    mean : of the signal, in its unit
+
+    Raises PixsimError if the shapes do not broadcast.
+    """
+    check_broadcast(mtf=np.shape(mtf), noise_power=np.shape(noise_power))
+    with np.errstate(over="ignore"):
+        return np.asarray((np.asarray(mtf, float) * mean) ** 2 / np.asarray(noise_power, float))

@@ -1,0 +1,115 @@
+"""Sharpness: the MTF of an edge without noise, where it falls to one half, and acutance, its mean as the eye weights it."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+from scipy.special import gammainc
+
+from pixsim.base.arguments import FINITE, NOT_NEGATIVE, Axes, Bounds, checks_arguments
+from pixsim.base.arrays import Array, NotNegativeArray, NotNegatives
+from pixsim.base.errors import invalid
+
+# Contrast sensitivity 75 ν^0.8 e^(-0.2 ν)/34.05, ν in cy/deg, of IEEE 1858 and ISO 15739:2013, annex B: 3 at its peak, 4 cy/deg.
+# G. M. Johnson & M. D. Fairchild, "A top down description of S-CIELAB and CIEDE2000", Color Res. Appl. 28 (2003) 425.
+CSF_SCALE, CSF_POWER, CSF_DECAY = 75 / 34.05, 0.8, 0.2
+STEEPEST_DEG = 45.0
+
+Frequencies = Annotated[Array, NOT_NEGATIVE, Axes(1)]
+
+
+def check_curve(name: str, frequency: Array, mtf: Array) -> None:
+    """Raise PixsimError if there is not one MTF for each frequency, or these do not rise from 0."""
+    if mtf.shape != frequency.shape:
+        raise invalid(f"{name} and mtf", f"shapes {frequency.shape} and {mtf.shape}", "equal shapes")
+    if frequency[0] or frequency.size < 2 or np.diff(frequency).min() <= 0:
+        raise invalid(name, f"{frequency.size} numbers from {frequency[0]:g}", "two or more, which rise from 0")
+
+
+def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
+    """Frequency at which a curve first falls to `level`, by linear interpolation; None if it does not."""
+    below = np.flatnonzero(sfr < level)
+    if not below.size or below[0] == 0:
+        return None
+    right = int(below[0])
+    left = right - 1
+    return float(frequency[left] + (sfr[left] - level) / (sfr[left] - sfr[right]) * (frequency[right] - frequency[left]))
+
+
+@checks_arguments
+def mtf50(frequency: Frequencies, mtf: NotNegativeArray) -> float | None:
+    """Return the frequency at which an MTF first falls to one half, in its unit, linear between frequencies; None if it does not.
+
+    frequency : (n,) rising from 0, in any unit
+    mtf : (n,)
+
+    Raises PixsimError if the frequencies do not rise from 0, or the shapes differ.
+    """
+    check_curve("frequency", frequency, mtf)
+    return first_crossing(frequency, mtf, 0.5)
+
+
+def luminance_csf(frequency_cy_per_deg: Array) -> Array:
+    """Return the eye's contrast sensitivity for luminance, (...) as the frequencies, relative."""
+    return CSF_SCALE * frequency_cy_per_deg**CSF_POWER * np.exp(-CSF_DECAY * frequency_cy_per_deg)
+
+
+@checks_arguments
+def acutance(frequency_cy_per_deg: Frequencies, mtf: NotNegativeArray) -> float:
+    """Return ∫ MTF · CSF/∫ CSF, a number from 0 to 1 for a picture that is not sharpened. CPIQ, IEEE 1858.
+
+    The CSF is 75 ν^0.8 e^(-0.2 ν)/34.05. The upper integral ends at the last frequency, which is to be the display's Nyquist
+    frequency, the lower one is over all frequencies. Exact for an MTF that is straight between the frequencies.
+
+    frequency_cy_per_deg : (n,) rising from 0
+    mtf : (n,) of all from the scene to the display, 1 at frequency 0
+
+    Raises PixsimError if the frequencies do not rise from 0, or the shapes differ.
+
+    >>> acutance(np.array([0.0, 1e3]), np.ones(2))
+    1.0
+    """
+    check_curve("frequency_cy_per_deg", frequency_cy_per_deg, mtf)
+    low, mtf = frequency_cy_per_deg[:-1], np.asarray(mtf, float)
+    shape = CSF_POWER + 1
+    share = np.diff(gammainc(shape, CSF_DECAY * frequency_cy_per_deg))  # of the CSF in each interval, and its first moment
+    moment = np.diff(gammainc(shape + 1, CSF_DECAY * frequency_cy_per_deg)) * shape / CSF_DECAY
+    slope = np.diff(mtf) / np.diff(frequency_cy_per_deg)
+    return float((mtf[:-1] * share + slope * (moment - low * share)).sum())
+
+
+@checks_arguments
+def edge_mtf(
+    picture: Annotated[Array, FINITE, Axes(2)],
+    angle_deg: Annotated[float, Bounds(-STEEPEST_DEG, STEEPEST_DEG)],
+    frequency_cy_per_px: NotNegatives,
+) -> Array:
+    """Return the MTF of a straight edge without noise, (...) as the frequencies, 0 to 1.
+
+    All samples in the order of their distance from the edge are one edge spread function, as in ISO 12233, without its bins: the
+    Fourier transform of its slope, straight between the samples, is summed as it is. A slanted edge shows frequencies beyond
+    Nyquist; an upright one has a sample a pixel. The edge is known, not measured: `pixsim.edge_response` measures one in noise.
+
+    picture : (H, W) with the edge, flat on either side of it
+    angle_deg : of the edge from the vertical, clockwise with row 0 on top, as of the packaged `slanted_edge`
+    frequency_cy_per_px : along the normal of the edge
+
+    Raises PixsimError if both sides are equally bright.
+    """
+    frequency, angle = np.asarray(frequency_cy_per_px, float), math.radians(angle_deg)
+    rows, columns = (np.arange(count, dtype=float) for count in picture.shape)
+    distance = (math.cos(angle) * columns + math.sin(angle) * rows[:, None]).ravel()
+    order = np.argsort(distance, kind="stable")
+    away, rise = distance[order], np.diff(np.asarray(picture, float).ravel()[order])
+    middle, width = (away[1:] + away[:-1]) / 2, np.diff(away)
+    total = float(rise.sum())
+    if not total:
+        raise invalid("picture", "no step from one side to the other", "an edge between two levels")
+
+    def modulus(one: float) -> float:
+        part, phase = rise * np.sinc(one * width), 2 * np.pi * one * middle
+        return math.hypot(float((part * np.cos(phase)).sum()), float((part * np.sin(phase)).sum())) / abs(total)
+
+    return np.array([modulus(one) for one in frequency.ravel().tolist()]).reshape(frequency.shape)
