@@ -13,7 +13,7 @@ from pixsim.studies.extent import NO_BORDER, Border, csf_contrasts, csf_range_lp
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
-    from pixsim.viewer.score import Score
+    from pixsim.viewer.score import FrameScore
 
 MAX_TICKS = 7
 CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
@@ -49,7 +49,7 @@ def _even_ticks(first_mm: float, last_mm: float) -> tuple[tuple[float, str], ...
     return tuple((step * n, f"{step * n:.3g}") for n in steps)
 
 
-def crops(score: Score, window: Window, name: str, end: float) -> tuple[Picture, ...]:
+def crops(score: FrameScore, window: Window, name: str, end: float) -> tuple[Picture, ...]:
     """Return a detail of the ideal image, of the output and of its ΔE map (scale 0 to `end`), with its mean and largest ΔE."""
     inside = window.of(score.delta_e)
     return (

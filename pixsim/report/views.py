@@ -39,7 +39,7 @@ from pixsim.studies.result import Curve, StudyResult
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from pixsim.viewer.score import Score
+    from pixsim.viewer.score import FrameScore
 
 
 # Layout of four pictures and a colour bar with its labels.
@@ -50,7 +50,7 @@ LEAST = "least error tried"  # "best" is the optimum, which may lie between the 
 
 
 @own_style()
-def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Array], name: str) -> Plate:
+def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, maps: Sequence[Array], name: str) -> Plate:
     """Show the ideal image, the image of one sensor, its ΔE map, and curves of equal ΔE of the mean map of several sensors."""
     mean, pitch_um = np.mean(maps, axis=0), score.physics.pitch_um
     smooth = scipy.ndimage.gaussian_filter(mean, ISO_SMOOTHING_DOTS, mode="nearest")
@@ -141,7 +141,7 @@ def is_best(curve: Curve, place: int) -> bool:
     return place == best_place(curve) and (curve.optimum.inside or 0 < place < curve.pitch_um.size - 1)
 
 
-def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
+def study_views(result: StudyResult, curve: Curve, best: FrameScore) -> Views:
     """Return whole pictures of the smallest, best and largest pixels, and a detail from every pitch.
 
     best : score of the first sensor at `best_place`

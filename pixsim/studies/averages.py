@@ -23,7 +23,7 @@ from pixsim.studies.prepared import Prepared
 from pixsim.studies.viewing import Viewed
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.light_error import LightError
-from pixsim.viewer.score import Score, clip_words, clips_dark
+from pixsim.viewer.score import FrameScore, clip_words, clips_dark
 from pixsim.viewer.setting import Run
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Compared:
     irradiance: SpectralImage = field(repr=False)
     noise: RenderNoise
     film: FilmError
-    score: Score = field(repr=False)
+    score: FrameScore = field(repr=False)
     viewed: Array = field(repr=False)
     dark: dict[str, float] = field(repr=False)
     white_e: float

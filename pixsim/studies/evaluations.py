@@ -35,6 +35,7 @@ from pixsim.studies.series import Series
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.judged import Judged
 from pixsim.viewer.score import IdealFacts, ImagingChain, PreparedScene, SharedLight, chain_of_frames, check_one_ideal, shown
 
 FEW_SERIES = 64
@@ -174,11 +175,13 @@ def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
     rows: list[Row] = []
     repeats = task.repeats
     try:
-        for repeat, chain, frame, mean_e in frames_of(task, light, repeats, shown=True):
+        judging = task.imaging.judging
+        for repeat, chain, frame, mean_e in frames_of(task, light, repeats, shown=not judging.needs_light):
             known = {} if mean_e is None else {MEAN: mean_e}
             for display in repeats[repeat]:
                 on_screen = chain if isinstance(light, SpectralImage) else chain.on(light.screens[display])
-                numbers = {name: repr(value) for name, value in (on_screen.score_frame(frame).statistics() | known).items()}
+                judged = Judged(on_screen, frame, judging, repeat, task.stream)
+                numbers = {name: repr(value) for name, value in (judged.statistics() | known).items()}
                 of_row = {"key": task.keys[repeat * len(task.displays) + display], "technology": task.name, "repeat": str(repeat)}
                 viewed = task.displays[display]
                 of_display = {DOTS: repr(viewed.dots), DEGREE: repr(viewed.samples_per_deg)}
@@ -321,8 +324,9 @@ class Evaluations:
     def __init__(self, series: Sequence[Series], results: Path | None, workers: Workers, cases: int = 1) -> None:
         self.series, self._workers = series, workers
         more = (*series[0].columns, *((DOTS, DEGREE) if any(len(each.displays) > 1 for each in series) else ()))
-        self._results = None if results is None else ResultsFile(results, more)
-        self._done = RowStore(columns_of(more))
+        metrics = series[0].imaging.judging.metrics
+        self._results = None if results is None else ResultsFile(results, more, metrics)
+        self._done = RowStore(columns_of(more, metrics))
         self._left_out: dict[str, str] = {}
         self._batch = 0
         lights = {each.light_id for each in series}

@@ -20,6 +20,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import first_sampling
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.raw_metrics import DETECTABILITY
 from pixsim.viewer.setting import Effort, Setting
 
 if TYPE_CHECKING:
@@ -36,14 +37,17 @@ OF_LIGHT = (
     *("tolerance_delta_e", "pitch", "exposure", "correction", "develop", "pixel", "sensors", "process", "technologies", "display"),
 )
 OF_FRAME = ("exposure", "correction")  # beside the light, the pixel and the random streams
-OF_SCORE = ("display", "develop")
+OF_SCORE = ("display", "develop", "metrics", "metric")
 # What is said of frames, on which none depends.
 OF_WORDS = ("title", "iso_delta_e", "detail", "paper", "sources")
 
 
 def light_hash(study: Study) -> str:
     """Return the hash of everything that a render depends on."""
-    return content_hash(study.model_dump(mode="json", include=set(OF_LIGHT)))
+    settings = [study.model_dump(mode="json", include=set(OF_LIGHT))]
+    if DETECTABILITY.name in study.metrics:
+        settings.append(study.metric.detectability.model_dump(mode="json", include={"without"}))
+    return content_hash(settings)
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ class Fingerprints:
         """Hash of each display, of the part of the die that is scored on it, of the development, and of the precision."""
         imaging = self.series.imaging
         border_um = imaging.border_um if imaging.display.raster == "fixed_size" else 0.0
-        own = imaging.develop.content_hash, border_um, imaging.single
+        own = imaging.develop.content_hash, border_um, imaging.single, imaging.judging.content
         return [content_hash([display.content_hash, *own]) for display in self.series.displays]
 
     @cached_property

@@ -24,6 +24,7 @@ from pixsim.studies.sight import Sight, clearest
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.raw_metrics import DETECTABILITY
 from pixsim.viewer.score import Seen, white_header
 from pixsim.viewer.setting import Run
 
@@ -158,7 +159,7 @@ def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[
     """
     key, study, variant = task
     demand = demand_of(Prepared(Case(study), *scene_for(study, variant)))
-    if not demand.plan.exact:
+    if not demand.plan.exact or DETECTABILITY.name in study.metrics:  # which takes another light beside it
         return key, None
     camera, plan = demand.camera, demand.plan
     image, noise = render_until(demand.scene, camera, plan, [], study.exposure, study.seed, render_noise=study.render_noise)
@@ -185,4 +186,6 @@ def _light_or_reason(
 
 def _stored(light: Light | str, store: Callable[[SpectralImage], SpectralImage]) -> Light | str:
     """Return a light whose image need not stay in memory; a reason as it is."""
-    return light if isinstance(light, str) else replace(light, image=store(light.image))
+    if isinstance(light, str):
+        return light
+    return replace(light, image=store(light.image), without=light.without and store(light.without))

@@ -18,6 +18,8 @@ import numpy as np
 
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, Array, Item, in_threads
+from pixsim.base.caller import setting
+from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.progress import Progress, share_of, steps_of
 from pixsim.base.records import content_hash
@@ -59,6 +61,7 @@ from pixsim.studies.keys import remember_rendered
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.raw_metrics import DETECTABILITY
 from pixsim.viewer.score import ImagingChain, Seen, white_header
 from pixsim.viewer.setting import Setting
 
@@ -508,12 +511,14 @@ class Light:
     camera : with which it was rendered
     film : the error of its film
     noise : of its render
+    without : irradiance of the scene without its target, if a metric asks for it
     """
 
     image: SpectralImage
     camera: Camera
     film: FilmError
     noise: RenderNoise
+    without: SpectralImage | None = None
 
 
 @dataclass(frozen=True)
@@ -608,7 +613,35 @@ def light_of(demand: Demand, progress: Progress | None = None) -> tuple[Light, P
     )
     if plan.exact or cache.has_room(4 * light.image.planes.size):
         remember_rendered(scene, demand.camera, plan, settings, light.image.shape[1])
+    if DETECTABILITY.name in settings.metrics:
+        light = replace(light, without=_without_target(demand, light.image.shape[1]))
     return light, last
+
+
+def _without_target(demand: Demand, across: int) -> SpectralImage:
+    """Return the irradiance of the scene without its target, on a film of so many samples across.
+
+    Its samples are those of the scene with the target: where the pictures of a lit scene are the same, so is their noise.
+
+    Raises PixsimError if the scene does not have the parameters that leave the target out.
+    """
+    stated, name = demand.settings.metric.detectability.without, setting("metric.detectability.without")
+    if isinstance(stated, str):
+        from pixsim.scene.scene import load_scene
+
+        scene = load_scene(stated, variant=demand.scene.choice.variant)
+    else:
+        known = demand.scene.names
+        if unknown := [each for each in stated if each not in known]:
+            got = f"{', '.join(unknown)}, which {demand.scene.path.name} does not have"
+            hint = "Take the scene target, or state another scene without what is to be found."
+            raise invalid(name, got, f"parameters of the scene ({', '.join(sorted(known))}), or a scene", hint)
+        scene = demand.scene.with_parameters(**stated)
+    scene = scene.with_resolution(across)
+    image, noise = demand.render(scene, demand.plan_of(scene))
+    if noise.relative > 0:
+        warn(f"the light has render noise of {100 * noise.relative:.2g} %: what of it differs without the target counts as signal")
+    return image
 
 
 def render_on_film(

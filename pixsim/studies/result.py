@@ -45,7 +45,7 @@ from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip, shown
+from pixsim.viewer.score import FrameScore, SceneCache, clip_words, clips_dark, dark_clip, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -358,7 +358,7 @@ class StudyResult:
         return {}
 
     @checks_arguments
-    def scores(self, technology: str, pitch_um: Pitch, repeats: Count | None = None) -> list[Score]:
+    def scores(self, technology: str, pitch_um: Pitch, repeats: Count | None = None) -> list[FrameScore]:
         """Return the scores, with pictures, of the first `repeats` sensors of a `technology` at a pitch.
 
         repeats : None means as many as the study has at this pitch, or started with
@@ -368,7 +368,7 @@ class StudyResult:
         return self._scores(technology, pitch_um, repeats)
 
     @checks_arguments
-    def shown_scores(self, technology: str, pitch_um: Pitch, repeats: Count) -> list[Score]:
+    def shown_scores(self, technology: str, pitch_um: Pitch, repeats: Count) -> list[FrameScore]:
         """Return `scores` of a `technology` in less time, for pictures: where the cache has the frames, their `mean_e` is 0.
 
         pitch_um : of the pixels
@@ -378,10 +378,10 @@ class StudyResult:
         """
         return self._scores(technology, pitch_um, repeats, shown=True)
 
-    def _scores(self, technology: str, pitch_um: float, repeats: int | None, shown: bool = False) -> list[Score]:
+    def _scores(self, technology: str, pitch_um: float, repeats: int | None, shown: bool = False) -> list[FrameScore]:
         series = self.series[technology]
         light, count = series.light(), self.sensors_at(technology, pitch_um) if repeats is None else repeats
-        scores: list[Score] = []
+        scores: list[FrameScore] = []
         for block, own in blocks_of(series, count):
             frames = frames_of(task_of(series, series.imaging.at(pitch_um), block, {}), light, own, shown=shown)
             scores += [chain.score_frame(frame) for _, chain, frame, _ in frames]

@@ -20,34 +20,35 @@ from pixsim.base.notes import warn
 from pixsim.base.schema import KEY, SCHEMA, of_another
 from pixsim.show.pages import csv_text
 from pixsim.studies.rows import Row, RowStore, StoredRows
-from pixsim.viewer.metrics import METRICS, ROUNDING
+from pixsim.viewer.metrics import DELTA_E, ROUNDING, Metric, columns_of_metrics
 
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
-JUDGED = tuple(column for metric in METRICS.values() for column in metric.columns)
-COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *JUDGED)
+OF_PIXEL = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)
+COLUMNS = (*OF_PIXEL, *DELTA_E.columns)  # of a study with ΔE alone
 TEXTS = COLUMNS[:2]
 MAX_BYTES = 1 << 31  # eight million rows
 MAX_LINE = 1 << 14
 ROWS_AT_ONCE = 1 << 10  # that are written
 
 
-def columns_of(more: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns of rows, with further ones after the repeat."""
-    after = COLUMNS.index("repeat") + 1
-    return *COLUMNS[:after], *more, *COLUMNS[after:]
+def columns_of(more: Sequence[str], metrics: Sequence[Metric] = (DELTA_E,)) -> tuple[str, ...]:
+    """Return the columns of rows, with further ones after the repeat, and those of some metrics at the end."""
+    after = OF_PIXEL.index("repeat") + 1
+    return *OF_PIXEL[:after], *more, *OF_PIXEL[after:], *columns_of_metrics(metrics)
 
 
 class ResultsFile:
     """results.csv: rows with `COLUMNS` and the schema, of which `TEXTS` hold text and the others numbers.
 
     more : columns of axes and conditions, after the repeat; they hold text
+    metrics : of the rows
     another_schema : that a row states which is left out; empty if the file states none, None if there is no such row
     """
 
-    def __init__(self, path: Path, more: Sequence[str] = ()) -> None:
+    def __init__(self, path: Path, more: Sequence[str] = (), metrics: Sequence[Metric] = (DELTA_E,)) -> None:
         self.path = path
         self.another_schema: str | None = None
-        self.columns = columns_of(more)
+        self.columns, self.metrics = columns_of(more, metrics), tuple(metrics)
 
     def read(self) -> RowStore:
         """Return complete rows by key; an incomplete last line is ignored."""
@@ -93,7 +94,8 @@ class ResultsFile:
     def _is_whole(self, row: Row) -> bool:
         """Return whether a row has every column, with numbers where they belong; other rows are computed again."""
         try:
-            return all(row[name] if name in TEXTS else math.isfinite(float(row[name])) for name in COLUMNS)
+            names = *OF_PIXEL, *columns_of_metrics(self.metrics)
+            return all(row[name] if name in TEXTS else math.isfinite(float(row[name])) for name in names)
         except (KeyError, TypeError, ValueError):
             return False
 
@@ -107,7 +109,7 @@ class ResultsFile:
         done, has_others, impossible = RowStore(self.columns), False, 0
         for row in self._whole_rows():
             expected = is_expected(row)
-            if expected and is_possible(row):
+            if expected and is_possible(row, self.metrics):
                 done[row["key"]] = row
             else:
                 has_others = True
@@ -184,19 +186,17 @@ class ResultsFile:
         return csv_text([*(row[name] for name in self.columns), row.get(KEY, str(SCHEMA))] for row in rows).encode()
 
 
-BOUNDS = dict.fromkeys(PIXEL_STATISTICS, (0.0, math.inf))
-BOUNDS |= {column: metric.bounds for metric in METRICS.values() for column in metric.columns}
-
-
-def is_possible(row: Row) -> bool:
+def is_possible(row: Row, metrics: Sequence[Metric] = (DELTA_E,)) -> bool:
     """Return whether the numbers of a row can be those of an evaluation: within bounds, and as each metric allows them together.
 
     A row is trusted otherwise: its key tells what it is of, not what came out.
     """
-    values = {name: float(row[name]) for name in BOUNDS}
-    if not all(low <= values[name] <= high * (1 + ROUNDING) for name, (low, high) in BOUNDS.items()):
-        return False
-    return all(metric.is_possible(tuple(values[name] for name in metric.columns)) for metric in METRICS.values())
+    bounds = dict.fromkeys(PIXEL_STATISTICS, (0.0, math.inf)) | {name: each.bounds for each in metrics for name in each.columns}
+    values = {name: float(row[name]) for name in bounds}
+    for name, (low, high) in bounds.items():
+        if not low - ROUNDING * abs(low) <= values[name] <= high + ROUNDING * abs(high):
+            return False
+    return all(metric.is_possible(tuple(values[name] for name in metric.columns)) for metric in metrics)
 
 
 def not_through_links(path: str, flags: int) -> int:

@@ -45,7 +45,7 @@ from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError, cause_words
-from pixsim.viewer.score import ImagingChain, Score, Seen, clip_words, clips_dark, dark_clip, make_imaging_chain, white_header
+from pixsim.viewer.score import FrameScore, ImagingChain, Seen, clip_words, clips_dark, dark_clip, make_imaging_chain, white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
@@ -202,7 +202,7 @@ class RunResult(LitRun):
     """
 
     chain: ImagingChain = field(repr=False)
-    score: Score = field(repr=False)
+    score: FrameScore = field(repr=False)
     statistics: tuple[dict[str, float], ...] = field(repr=False)
 
     @property

@@ -18,7 +18,10 @@ from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.judged import Judging
+from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.score import PreparedScene, SceneCache, SharedLight, allows_single
+from pixsim.viewer.setting import Setting
 
 
 @dataclass(frozen=True)
@@ -103,20 +106,36 @@ def series_of(
     made = []
     for name in study.technologies:
         largest_um = float(study_pitches_um(study, name)[-1])
-        imaging = replace(imaging_of(study, scenes.camera, name, largest_um), single=scenes.single)
+        imaging = replace(imaging_of(study, scenes.camera, name, largest_um), single=scenes.single, judging=scenes.judging)
         # The name of the technology, not its path, which is no part of a result.
         stream = study.stream_name, study.seed, imaging.physics.technology.name
         made.append(Series(name, imaging, scenes, stream, True, columns or {}, words, stored))
     return made
 
 
-def scenes_of(study: Study, irradiance: SpectralImage, camera: Camera, others: Sequence[Display] = ()) -> SceneCache:
+def scenes_of(
+    study: Study, irradiance: SpectralImage, camera: Camera, others: Sequence[Display] = (), without: SpectralImage | None = None
+) -> SceneCache:
     """Return the cache of the lights behind the lens of a study.
 
     others : displays on which its frames are shown, too
+    without : irradiance of the scene without its target
     """
-    single = allows_single(study.tolerance_delta_e)
-    return SceneCache(irradiance, camera, study.display, most_channels(study), single=single, others=others)
+    return SceneCache(
+        irradiance,
+        camera,
+        study.display,
+        most_channels(study),
+        single=allows_single(study.tolerance_delta_e),
+        others=others,
+        judging=judging_of(study, study.repeats),
+        without=without,
+    )
+
+
+def judging_of(settings: Setting, repeats: int = 1) -> Judging:
+    """Return what settings ask of the judges, of frames that share the registrations of a pixel size."""
+    return Judging(metrics_named(settings.metrics), settings.metric, repeats)
 
 
 def most_channels(study: Study) -> int:

@@ -15,6 +15,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Technology
 from pixsim.viewer.develop_options import DEVELOP, Develop
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.judged import DELTA_E_ONLY, Judging
 from pixsim.viewer.score import ImagingChain, PreparedScene, SharedLight, chain_at_pitch, prepare_scene
 from pixsim.viewer.setting import Run
 
@@ -26,6 +27,7 @@ class Imaging:
     process : of the pixel's technology; None means that of its file
     border_um : of all that is scored on the same dots, as for `pixsim.viewer.display.dot_edges_um`; None means this pixel's
     single : compute dots and S-CIELAB in float32
+    judging : what is asked of the judges
     """
 
     camera: Camera
@@ -37,6 +39,7 @@ class Imaging:
     process: Technology | None = None
     border_um: float | None = None
     single: bool = False
+    judging: Judging = DELTA_E_ONLY
 
     @classmethod
     def of(cls, run: Run, camera: Camera) -> Imaging:
@@ -67,7 +70,7 @@ class Imaging:
         lights : behind the lens, where they are known
         """
         own = irradiance, self.camera, physics or self.physics, self.display
-        return prepare_scene(*own, border_um=self.border_um, single=self.single, lights=lights)
+        return prepare_scene(*own, border_um=self.border_um, single=self.single, lights=lights, judging=self.judging)
 
     def chain(self, light: SharedLight, physics: PixelPhysics | None = None) -> ImagingChain:
         """Return the imaging chain up to the noise.

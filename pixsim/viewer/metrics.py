@@ -1,15 +1,23 @@
-"""Metrics: what judges a picture, each in one entry of `METRICS`; the columns of results and their bounds follow from it."""
+"""Metrics: what judges a picture, each in one record; the columns of results and their bounds follow from it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import hashlib
+import inspect
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from pixsim.base.arrays import Array, strips
+from pixsim.base.errors import invalid
+
+if TYPE_CHECKING:
+    from pixsim.viewer.judged import Judged
+    from pixsim.viewer.score import Score
 
 HISTOGRAM_BINS = 1 << 14
 COUNTED = 1 << 18  # values at a time, many more than bins
@@ -18,19 +26,23 @@ ROUNDING = 1e-5  # relative, of means in single precision
 
 @dataclass(frozen=True)
 class Metric:
-    """What judges a picture, by numbers over its map.
+    """What judges a picture, by one or several numbers.
 
-    name : of the metric, as in `METRICS`
+    name : of the metric, as settings and commands have it
     title : for people
-    unit : of its numbers
+    unit : of its numbers; empty for a number without one
     better : whether less or more of it is better
     judges : the picture that it is of
     source : where it is defined
     unseen : what it does not see
-    columns : names of its numbers, in results and in this order; the first one is what a study minimises
+    columns : names of its numbers, in results and in this order; the first one is what a study optimises
     bounds : least and largest value that a number may have
-    statistics : numbers of a map, as `columns`
+    compute : numbers of what is judged, as `columns`
+    lacks : what a configuration would need for the metric to mean something; empty if it has all
     is_possible : whether such numbers, within the bounds, may stand beside each other
+    has_optimum : whether a best pixel size may be told from it
+    needs_light : whether it asks for the light of the scene beside the picture
+    code : hash of a function of the user's, on which its numbers depend; empty for one of pixsim's
     """
 
     name: str
@@ -42,8 +54,89 @@ class Metric:
     unseen: str
     columns: tuple[str, ...]
     bounds: tuple[float, float]
-    statistics: Callable[[Array], tuple[float, ...]]
-    is_possible: Callable[[tuple[float, ...]], bool]
+    compute: Callable[[Judged], tuple[float, ...]] = field(repr=False)
+    lacks: Callable[[Asked], str] = field(default=lambda asked: "", repr=False)
+    is_possible: Callable[[tuple[float, ...]], bool] = field(default=lambda values: True, repr=False)
+    has_optimum: bool = True
+    needs_light: bool = False
+    code: str = ""
+
+    @property
+    def label(self) -> str:
+        """Title and unit, for an axis of a figure."""
+        return f"{self.title} ({self.unit})" if self.unit else self.title
+
+    def values(self, judged: Judged) -> dict[str, float]:
+        """Return its numbers by their columns. Raises PixsimError if a number is outside the bounds."""
+        found = dict(zip(self.columns, map(float, self.compute(judged)), strict=True))
+        low, high = self.bounds
+        for name, value in found.items():
+            if not low <= value <= high:
+                raise invalid(f"the metric {self.name}", f"{name} = {value:g}", f"a number from {low:g} to {high:g}")
+        return found
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What decides whether a metric means something, as far as settings tell.
+
+    is_colour : whether the pixel has colour filters
+    has_without : whether there is light of the scene without its target
+    """
+
+    is_colour: bool
+    has_without: bool
+
+
+@dataclass(frozen=True)
+class OwnFunction:
+    """A user's function of a Score as `Metric.compute`."""
+
+    function: Callable[[Score], float]
+
+    def __call__(self, judged: Judged) -> tuple[float]:
+        value = self.function(judged.score)
+        if not isinstance(value, int | float | np.number) or isinstance(value, bool) or not math.isfinite(value):
+            got = f"{value!r:.80} of {self.function.__name__}"
+            raise invalid("metrics", got, "a function that returns one finite number of a Score")
+        return (float(value),)
+
+
+def own_metric(function: Callable[[Score], float]) -> Metric:
+    """Return the metric of a user's function, which takes a `pixsim.Score` and returns a number.
+
+    Its name is the function's. The attributes `better` ('less', the default, or 'more'), `unit`, `title` and `unseen` of the
+    function are the metric's. Results depend on the function's source, or on its code where there is none.
+    """
+    name = getattr(function, "__name__", "")
+    if not name.isidentifier():
+        raise invalid("metrics", f"{function!r:.80}", "a function with a name, which is that of its column: not a lambda")
+    better: Literal["less", "more"] = getattr(function, "better", "less")
+    if better not in ("less", "more"):
+        raise invalid("metrics", f"{name}.better = {better!r}", "'less' or 'more'")
+    try:
+        code = inspect.getsource(function).encode()
+    except (OSError, TypeError):
+        own = getattr(function, "__code__", None)
+        code = repr((own.co_code, own.co_consts, own.co_names)).encode() if own else name.encode()
+    return Metric(
+        name=name,
+        title=getattr(function, "title", name),
+        unit=getattr(function, "unit", ""),
+        better=better,
+        judges="shown picture",
+        source="a function of the user's",
+        unseen=getattr(function, "unseen", "not stated"),
+        columns=(name,),
+        bounds=(-math.inf, math.inf),
+        compute=OwnFunction(function),
+        code=hashlib.blake2b(code, digest_size=8).hexdigest(),
+    )
+
+
+def columns_of_metrics(metrics: Sequence[Metric]) -> tuple[str, ...]:
+    """Return the columns of some metrics, in their order."""
+    return tuple(column for metric in metrics for column in metric.columns)
 
 
 def percentiles(values: Array, percent: tuple[float, ...], largest: float | None = None) -> list[float]:
@@ -71,7 +164,7 @@ def percentiles(values: Array, percent: tuple[float, ...], largest: float | None
     return [float(low + place % 1 * (high - low)) for place, (low, high) in zip(at, found, strict=True)]
 
 
-def _delta_e_statistics(delta_e: Array) -> tuple[float, ...]:
+def delta_e_statistics(delta_e: Array) -> tuple[float, ...]:
     """Return mean, median, 90th and 99th percentile and maximum of a map of ΔE, (H, W)."""
     largest = float(delta_e.max())
     return float(delta_e.mean(dtype=float)), *percentiles(delta_e, (50, 90, 99), largest), largest
@@ -86,15 +179,14 @@ def _rise(values: tuple[float, ...]) -> bool:
 
 DELTA_E = Metric(
     name="delta_e",
-    title="S-CIELAB ΔE",
-    unit="ΔE of CIE 1976, 1994 or 2000, as the display asks",
+    title="mean ΔE, S-CIELAB",
+    unit="",
     better="less",
     judges="shown picture",
     source="Zhang and Wandell, SID Journal 5 (1997) 61; Chen et al., Proc. SPIE 3965 (2000) 451",
     unseen="what nobody sees at the display's distance: detail for machine vision, and light outside 360-830 nm",
     columns=("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e"),
     bounds=(0.0, 1e3),  # of any two colours: black and white differ by 100, the most saturated ones by 260
-    statistics=_delta_e_statistics,
+    compute=lambda judged: delta_e_statistics(judged.score.delta_e),
     is_possible=_rise,
 )
-METRICS: Mapping[str, Metric] = {metric.name: metric for metric in (DELTA_E,)}

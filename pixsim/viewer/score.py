@@ -59,8 +59,10 @@ from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, noise_covariance, rendition_of
 from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.judged import DELTA_E_ONLY, Judged, Judging, frame_statistics, numbers_of
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
-from pixsim.viewer.metrics import DELTA_E, percentiles
+from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
+from pixsim.viewer.metrics import DELTA_E, Asked, delta_e_statistics, percentiles
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
     colour_delta_e_map,
@@ -88,25 +90,29 @@ WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two
 @checks_fields
 @dataclass(frozen=True)
 class Score:
-    """A sensor's picture as shown to a viewer, and its S-CIELAB difference from the ideal image.
+    """A picture as shown to a viewer, and its difference from the ideal one, by S-CIELAB and by further metrics.
 
     delta_e : (H, W) S-CIELAB difference on the display's dots, in the precision in which it was computed
-    ideal, image : (H, W) shown luminance, 1 for white; of a colour sensor (H, W, 3), the light of the display's primaries
-    frame : the sensor frame that the image shows
-    physics : of the pixel
-    border_um : (above and below, left and right) width of the border that is neither shown nor scored
-    out_of_gamut : share of the dots of the ideal image and of the image whose colour the display cannot show; None for grey ones
-    light : what is known of the errors of its light
+    ideal, image : (H, W) shown luminance, 1 for white; in colour (H, W, 3), the light of the display's primaries
+    display : that shows them
+    metrics : numbers of the metrics that were asked for, each by its first column: {"delta_e": mean ΔE, …}
+    further : their other numbers, by columns
     """
 
     delta_e: Array = field(repr=False)
     ideal: Array = field(repr=False)
     image: Array = field(repr=False)
-    frame: Frame = field(repr=False)
-    physics: PixelPhysics = field(repr=False)
-    border_um: tuple[NotNegative, NotNegative] = (0.0, 0.0)
-    out_of_gamut: tuple[float, float] | None = None
-    light: LightError = field(default=NOTHING_KNOWN, repr=False)
+    display: Display = field(repr=False)
+    metrics: dict[str, float] = field(default_factory=dict, kw_only=True)
+    further: dict[str, float] = field(default_factory=dict, kw_only=True, repr=False)
+    _scored: tuple[Array, Array] | None = field(default=None, kw_only=True, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self._scored is None:
+            object.__setattr__(self, "_scored", (self.ideal, self.image))
+        elif self._scored[0] is not self.ideal or self._scored[1] is not self.image:
+            hint = "Score it: pixsim.score_pictures(score.ideal, image, score.display)."
+            raise invalid("image", "another picture in a Score, whose ΔE would be that of the old one", "the picture scored", hint)
 
     @property
     def mean_delta_e(self) -> float:
@@ -114,20 +120,8 @@ class Score:
         return float(self.delta_e.mean(dtype=float))
 
     def statistics(self) -> dict[str, float]:
-        """Return the numbers of score.json and of a study's rows, with the unit in each name."""
-        p, frame = self.physics, self.frame
-        names = "ideal_out_of_gamut_fraction", "out_of_gamut_fraction"
-        gamut = {} if self.out_of_gamut is None else dict(zip(names, self.out_of_gamut, strict=True))
-        return {
-            "pitch_um": p.pitch_um,
-            "fill_factor": p.fill_factor,
-            "full_well_e": p.full_well_e,
-            "integration_s": frame.integration_s,
-            "saturated_fraction": frame.saturated_fraction,
-            "mean_electrons_e": float(frame.mean_e.mean()),
-            **dict(zip(DELTA_E.columns, DELTA_E.statistics(self.delta_e), strict=True)),
-            **gamut,
-        }
+        """Return the numbers of a row, with the unit in each name."""
+        return dict(zip(DELTA_E.columns, delta_e_statistics(self.delta_e), strict=True)) | self.further
 
     @own_style()
     def plot(self) -> Figure:
@@ -151,6 +145,41 @@ class Score:
         return rows_csv([self.statistics()], path)
 
     def _repr_html_(self) -> str:
+        return cell_of(f"mean ΔE {self.mean_delta_e:.3f}", self.plot(), pairs("statistics", self.statistics(), ".6g"))
+
+    def __repr__(self) -> str:
+        return f"<Score mean ΔE {self.mean_delta_e:.4f}, {' × '.join(map(str, self.delta_e.shape))} dots>"
+
+
+@checks_fields
+@dataclass(frozen=True)
+class FrameScore(Score):
+    """The score of a sensor's frame.
+
+    frame : the sensor frame that the image shows
+    physics : of the pixel
+    border_um : (above and below, left and right) width of the border that is neither shown nor scored
+    out_of_gamut : share of the dots of the ideal image and of the image whose colour the display cannot show; None for grey ones
+    light : what is known of the errors of its light
+    """
+
+    frame: Frame = field(repr=False, kw_only=True)
+    physics: PixelPhysics = field(repr=False, kw_only=True)
+    border_um: tuple[NotNegative, NotNegative] = field(default=(0.0, 0.0), kw_only=True)
+    out_of_gamut: tuple[float, float] | None = field(default=None, kw_only=True)
+    light: LightError = field(default=NOTHING_KNOWN, repr=False, kw_only=True)
+
+    @property
+    def gamut(self) -> dict[str, float]:
+        """Shares of dots out of the display's gamut, as in score.json; empty for grey pictures."""
+        names = "ideal_out_of_gamut_fraction", "out_of_gamut_fraction"
+        return {} if self.out_of_gamut is None else dict(zip(names, self.out_of_gamut, strict=True))
+
+    def statistics(self) -> dict[str, float]:
+        """Return the numbers of score.json, with the unit in each name."""
+        return frame_statistics(self.physics, self.frame) | super().statistics() | self.gamut
+
+    def _repr_html_(self) -> str:
         title = f"{self.physics.pitch_um:g} µm pixels, mean ΔE {self.light.shown(self.mean_delta_e)}"
         given = self.physics.pixel.model_dump(exclude_unset=True, exclude_none=True)
         notes = [
@@ -165,6 +194,58 @@ class Score:
     def __repr__(self) -> str:
         words = [f"{self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms", self.light.unmeasured]
         return f"<Score mean ΔE {self.light.shown(self.mean_delta_e)}, {'; '.join(filter(None, words))}>"
+
+
+@dataclass(frozen=True)
+class LightFacts:
+    """What metrics know of the light of a scene beside the picture.
+
+    mean : of all samples, a picture of 1 × 1 with the header of the whole one
+    camera : with which it was rendered
+    picture : behind the lens, as the first channel sees it, (H, W)
+    without : light behind the lens of the scene without its target, for each channel; None: there is none
+    """
+
+    mean: SpectralImage
+    camera: Camera
+    picture: Array = field(repr=False)
+    without: tuple[ChannelLight, ...] | None = None
+
+    @classmethod
+    def of(
+        cls, irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, without: SpectralImage | None, picture: Array
+    ) -> LightFacts:
+        """Return those of the irradiance of a picture."""
+        mean = SpectralImage(
+            irradiance.wavelength_nm,
+            irradiance.band_width_nm,
+            irradiance.pitch_um,
+            data=irradiance.mean_spectrum().astype(np.float32)[None, None],
+            header=irradiance.header,
+        )
+        of_without = None if without is None else lights_of(without, camera, physics)
+        return cls(mean, camera, picture, of_without)
+
+    @cached_property
+    def spectrum(self) -> tuple[Array, Array]:
+        """Power spectrum of the picture over its squared mean, in mm², averaged over directions, at frequencies in cycles/mm.
+
+        Behind a window of Hann, whose light outside the picture would fold. A periodogram scatters by as much as it is; the
+        logarithm of its mean over a ring does not.
+        """
+        mean = float(self.picture.mean(dtype=float))
+        shape, pitch_mm = self.picture.shape, 1e-3 * self.mean.pitch_um
+        window = np.hanning(shape[0])[:, None] * np.hanning(shape[1])
+        deviation = (self.picture / mean - 1.0) * window
+        deviation -= window * (deviation.sum() / window.sum())
+        power = np.abs(np.fft.rfft2(deviation)) ** 2 * pitch_mm**2 / (window**2).sum()
+        down, across = np.fft.fftfreq(shape[0], pitch_mm), np.fft.rfftfreq(shape[1], pitch_mm)
+        radius, step = np.hypot(down[:, None], across), max(across[1], down[1])
+        ring = np.minimum((radius / step + 0.5).astype(int), int(across[-1] / step))
+        twice = np.where((across > 0) & (across < across[-1]), 2.0, 1.0) * np.ones(shape[0])[:, None]  # of a half plane
+        count = np.bincount(ring.ravel(), twice.ravel())
+        found = np.bincount(ring.ravel(), (twice * power).ravel()) / np.maximum(count, 1.0)
+        return np.arange(found.size) * step, found
 
 
 def allows_single(tolerance_delta_e: float | None) -> bool:
@@ -248,6 +329,8 @@ class ImagingChain:
     whites_e_per_s : electrons per second of the scene's white, on axis, in each channel
     collection : what the pixels' stack does to their light; None without a stack
     rendition : what the channels see of a chart; None for a monochrome sensor
+    made_from : the light and the pixel, before it is read, for metrics that ask for light; None if none does
+    without_e_per_s : the signal of the scene without its target; None if no metric asks
     """
 
     signal_e_per_s: Array
@@ -259,6 +342,22 @@ class ImagingChain:
     collection: Collection | ColourCollection | None = None
     develop: Develop = DEVELOP
     rendition: Rendition | None = None
+    made_from: tuple[PreparedScene, PixelPhysics] | None = None
+    without_e_per_s: Array | None = None
+
+    @property
+    def facts(self) -> LightFacts:
+        """What metrics know of the light."""
+        assert self.made_from is not None
+        assert self.made_from[0].facts is not None
+        return self.made_from[0].facts
+
+    def registered(self, number: int) -> ImagingChain:
+        """Return the chain of the same pixels at another registration, of `PixelPhysics.registered`."""
+        assert self.made_from is not None
+        light, physics = self.made_from
+        moved = replace(physics, pixel=physics.pixel.model_copy(update={"registration": None})).registered(number)
+        return chain_at_pitch(light, moved, self.exposure, self.correction, self.develop)
 
     @property
     def white_e_per_s(self) -> float:
@@ -276,7 +375,7 @@ class ImagingChain:
         corrects = self.screen.display.shading_correction
         return shading_of(self.collection, self.signal_e_per_s.shape, self.correction) if corrects else None
 
-    def simulate(self, *key: object) -> Score:
+    def simulate(self, *key: object) -> FrameScore:
         """Return the score of a new sensor and a new frame for each key."""
         return self.score_frame(self.capture(*key))
 
@@ -384,8 +483,8 @@ class ImagingChain:
         light = frame_rgb(planes, frame, self.matrix, *own)
         return light if window is None else np.stack([window(plane) for plane in light])
 
-    def score_frame(self, frame: Frame) -> Score:
-        """Return the score of a frame as shown on the screen."""
+    def score_frame(self, frame: Frame) -> FrameScore:
+        """Return the score of a frame as shown on the screen, with ΔE alone."""
         screen = self.screen
         light, gamut = self.light(frame), None
         if light.ndim == 3:
@@ -393,7 +492,9 @@ class ImagingChain:
         image = shown(light, screen.display, in_place=True)
         # Pixels that fill the picture exactly may begin at -1e-18 µm.
         border_um = max(0.0, float(screen.dot_edges_um[0][0])), max(0.0, float(screen.dot_edges_um[1][0]))
-        return made(Score, screen.delta_e_of(image), screen.ideal, image, frame, self.physics, border_um, gamut)
+        delta_e = screen.delta_e_of(image)
+        own = {"frame": frame, "physics": self.physics, "border_um": border_um, "out_of_gamut": gamut}
+        return made(FrameScore, delta_e, screen.ideal, image, screen.display, **own)
 
 
 def shown(light: Array, display: Display, *, in_place: bool = False) -> Array:
@@ -423,6 +524,7 @@ class PreparedScene:
     rendition : what the channels see of a chart; None for a monochrome sensor
     exposed_for : light of each channel without samples that stand alone far above all others, which sets the automatic exposure;
         None: all light does
+    facts : what metrics know of the light; None if none asks
     """
 
     lights: tuple[ChannelLight, ...]
@@ -433,6 +535,7 @@ class PreparedScene:
     beyond_white: float = 0.0
     rendition: Rendition | None = None
     exposed_for: tuple[ChannelLight, ...] | None = None
+    facts: LightFacts | None = None
     _collections: list[ColourCollection] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @property
@@ -600,6 +703,8 @@ def prepare_scene(
     single: bool = False,
     lights: tuple[ChannelLight, ...] | None = None,
     others: Sequence[Display] = (),
+    judging: Judging = DELTA_E_ONLY,
+    without: SpectralImage | None = None,
 ) -> PreparedScene:
     """Return the light behind the lens and the screens. They depend on the pitch only if the raster is one_to_one.
 
@@ -607,6 +712,8 @@ def prepare_scene(
     single : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not with `full`
     border_um : of all that is scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's
     lights : behind the lens, of a part of a picture whose blur depends on its place; None computes them
+    judging : what is asked of the judges
+    without : the irradiance of the scene without its target, if a metric asks for it
 
     Raises PixsimError if the irradiance is negative or not finite.
     """
@@ -629,7 +736,11 @@ def prepare_scene(
     array_um = array_size_um(irradiance, camera)
     calm = without_outliers(irradiance)
     exposed_for = None if calm is None else lights_of(calm, camera, physics)
-    return PreparedScene(lights, irradiance.pitch_um, whites, tuple(screens), array_um, beyond_white, rendition, exposed_for)
+    own = tuple(screens), array_um, beyond_white, rendition, exposed_for
+    facts = None
+    if judging.needs_light:
+        facts = LightFacts.of(irradiance, camera, physics, without, lights[0].rate_e_per_s_um2)
+    return PreparedScene(lights, irradiance.pitch_um, whites, *own, facts)
 
 
 def screen_of(
@@ -672,7 +783,7 @@ class SceneCache:
     """Prepared scenes of one irradiance, camera and display, made on first use and stored while memory allows.
 
     channels : of the pixels, the most of those that share the cache
-    single, others : of `prepare_scene`
+    single, others, judging, without : of `prepare_scene`
     """
 
     def __init__(
@@ -684,9 +795,11 @@ class SceneCache:
         *,
         single: bool = False,
         others: Sequence[Display] = (),
+        judging: Judging = DELTA_E_ONLY,
+        without: SpectralImage | None = None,
     ) -> None:
         self.irradiance, self.camera, self.display, self.channels = irradiance, camera, display, channels
-        self.single, self.others = single, tuple(others)
+        self.single, self.others, self.judging, self.without = single, tuple(others), judging, without
         self._scenes: dict[object, PreparedScene] = {}
         self._facts: dict[object, IdealFacts] = {}
 
@@ -698,7 +811,9 @@ class SceneCache:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
             own = self.irradiance, self.camera, physics, self.display
-            scene = prepare_scene(*own, border_um=border_um, single=self.single, others=self.others)
+            scene = prepare_scene(
+                *own, border_um=border_um, single=self.single, others=self.others, judging=self.judging, without=self.without
+            )
             self._scenes[key], self._facts[key] = scene, IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal))
         return self._scenes[key]
 
@@ -717,7 +832,8 @@ class SceneCache:
     @cached_property
     def content(self) -> str:
         """Hash of the light, whose header states everything that it depends on, and of the camera."""
-        return content_hash([self.irradiance.header, self.camera.model_dump()])
+        without = [] if self.without is None else [self.without.header]
+        return content_hash([self.irradiance.header, self.camera.model_dump(), *without])
 
     def clear(self) -> None:
         """Drop all prepared scenes; they are made again when needed."""
@@ -799,7 +915,12 @@ def _chain(
         rendition = rendition.mixed_by(collection.mixing_um2, np.array(collection.rates))
     else:
         whites = light.whites_e_per_s(physics)
-    return ImagingChain(signal, read, exposure, whites, light.screen, correction, collection, develop, rendition)
+    without = None
+    if light.facts is not None and light.facts.without is not None:
+        without, _ = array_signal(light.facts.without, light.sample_pitch_um, physics, light.array_um)
+    made_from = None if light.facts is None else (light, physics)
+    own = light.screen, correction, collection, develop, rendition, made_from, without
+    return ImagingChain(signal, read, exposure, whites, *own)
 
 
 def make_imaging_chain(
@@ -813,10 +934,13 @@ def make_imaging_chain(
     develop: Develop = DEVELOP,
     *,
     keep: bool = False,
+    judging: Judging = DELTA_E_ONLY,
+    without: SpectralImage | None = None,
 ) -> ImagingChain:
     """Return the imaging chain up to the noise.
 
     keep : whether the chain stays in memory, with the last few others, for the same light and settings
+    judging, without : as of `prepare_scene`
 
     Warns if the render used another camera, the scene's white is estimated (`white_header`), the display clips the scene, numbers
     of a data sheet contradict one another, or the model of the pixel's stack is doubtful.
@@ -832,9 +956,11 @@ def make_imaging_chain(
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
     if white := white_header([Seen(irradiance, camera, physics)], display):
         display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})
+    judging.check(Asked(physics.layout is not None, without is not None))
+    keep = keep and not judging.needs_light
     key = _key_of_chain(irradiance, camera, physics, (exposure, display, correction, develop), full) if keep else None
     if key is None or key not in _kept_chains:
-        light = prepare_scene(irradiance, camera, physics, display, full)
+        light = prepare_scene(irradiance, camera, physics, display, full, judging=judging, without=without)
         found = chain_at_pitch(light, physics, exposure, correction, develop), light.beyond_white
     else:
         found = _kept_chains.pop(key)
@@ -883,7 +1009,10 @@ def evaluate(
     develop: Develop | None = None,
     seed: Whole = 0,
     full: bool = False,
-) -> Score:
+    metrics: Sequence[str | Callable[[Score], float]] = ("delta_e",),
+    metric: MetricOptions | None = None,
+    without: SpectralImage | None = None,
+) -> FrameScore:
     """Simulate one frame of one sensor, show it on a display, and compare it with the ideal image by S-CIELAB.
 
     camera : the one that the irradiance was rendered with
@@ -892,6 +1021,9 @@ def evaluate(
     develop : of a frame of a colour sensor; None means the default
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
+    metrics : names of further metrics, or functions of a Score; their numbers are the score's `metrics`
+    metric : settings of the metrics; None means the defaults
+    without : irradiance of the scene without its target, for the metric detectability
 
     Where neither the display nor the scene states its white, it is estimated, with a warning, as in `pixsim run`. What the frames
     of one sensor and one light share is kept for the next calls.
@@ -908,12 +1040,25 @@ def evaluate(
     correction, develop = correction or NO_CORRECTION, develop or DEVELOP
     given = Configuration(derive(pixel), pixel, exposure, correction, develop, display, camera, light=irradiance)
     warn_of_unused_settings({"": [given]})
-    chain = make_imaging_chain(irradiance, camera, pixel, exposure, display, full, correction, develop, keep=True)
-    score = chain.simulate("evaluate", seed)
+    from pixsim.viewer.metric_registry import metrics_named
+
+    judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
+    own = irradiance, camera, pixel, exposure, display, full, correction, develop
+    chain = make_imaging_chain(*own, keep=True, judging=judging, without=without)
+    score = judged_score(chain, judging, ("evaluate", seed))
     time_s = score.frame.integration_s
     causes = causes_of(irradiance.header, score.physics, chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal))
     # The ideal picture is that of the chain, which stays.
-    return replace(score, ideal=score.ideal.copy(), light=LightError.of(irradiance.header, causes=causes))
+    return replace(score, ideal=score.ideal.copy(), light=LightError.of(irradiance.header, causes=causes), _scored=None)
+
+
+def judged_score(chain: ImagingChain, judging: Judging, key: tuple[object, ...]) -> FrameScore:
+    """Return the score of a new sensor and a new frame for a key, with the numbers of its metrics."""
+    judged = Judged(chain, chain.capture(*key), judging, stream=key)
+    numbers = {name: value for name, value in numbers_of(judging.metrics, judged).items() if name not in DELTA_E.columns}
+    score = judged.score
+    first = {metric.name: numbers.get(metric.columns[0], score.mean_delta_e) for metric in judging.metrics}
+    return replace(score, metrics=first, further=numbers)
 
 
 DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones

@@ -23,6 +23,7 @@ from pixsim.sensor.quantities import Seconds
 from pixsim.viewer.develop_options import Develop, check_develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merged
+from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricNames, MetricOptions
 
 Seed = Annotated[int, Field(ge=0, lt=2**63)]  # as TOML holds
 
@@ -83,6 +84,10 @@ class Setting(Effort):
     correction: Correction = Field(Correction(), description="correction of each frame by the camera")
     develop: Develop = Field(Develop(), description="how frames with colour filters become pictures")
     display: Display = Field(Display(), description="display, viewer and metric")
+    metrics: MetricNames = Field(
+        ("delta_e",), description="metrics that judge each frame; a study looks for the best pixel by each, and reports the first"
+    )
+    metric: MetricOptions = Field(METRIC_OPTIONS, description="settings of the metrics")
 
     @classmethod
     def _merged(cls, layers: Iterable[Layer]) -> dict[str, Any]:

@@ -1,0 +1,71 @@
+"""What judges a picture, and the numbers that the judges need."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from pixsim.base.records import NumberOrText, Record, UnitInterval
+
+Illuminance = Annotated[float, Field(ge=1e-9, le=1e9)]
+Length = Annotated[float, Field(ge=1e-6, le=1e9)]
+MetricNames = Annotated[tuple[Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$", max_length=60)], ...], Field(min_length=1)]
+
+
+class Detectability(Record):
+    """Settings of the metric detectability."""
+
+    without: str | dict[str, NumberOrText] = Field(
+        default_factory=dict[str, NumberOrText](contrast=0.0).copy,
+        description="the scene without the target: values of the scene's parameters, or another scene, a file or a packaged name",
+    )
+    registrations: Annotated[int, Field(ge=1, le=1000)] = Field(
+        16, description="least number of positions of the pixels under the target, over all frames of a pixel size"
+    )
+
+
+class Information(Record):
+    """Settings of the metric information."""
+
+    spectrum: Literal["natural", "scene"] = Field(
+        "natural",
+        description="'natural': power C/(f² + f₀²), of natural scenes; 'scene': that of the scene's own light, radially averaged",
+    )
+    contrast: Annotated[float, Field(ge=1e-6, le=10)] = Field(
+        0.15, description="of a natural spectrum: rms contrast in an octave of frequencies far above f₀"
+    )
+    corner_cy_per_mm: Annotated[float, Field(ge=1e-6, le=1e6)] | None = Field(
+        None, description="of a natural spectrum: f₀ on the sensor (absent: a cycle across the die)"
+    )
+
+
+class SnrIlluminance(Record):
+    """Settings of the metric snr10_lx."""
+
+    snr: Annotated[float, Field(ge=0.1, le=1e6)] = Field(10.0, description="signal to noise ratio of a dot of the display")
+    reflectance: UnitInterval = Field(0.18, description="of the wall")
+    integration_s: Annotated[float, Field(ge=1e-9, le=1e6)] = Field(1 / 30, description="integration time")
+
+
+class Niirs(Record):
+    """Settings of the metric niirs."""
+
+    ground_m: Length | None = Field(
+        None, description="distance of pixels on the ground (absent: of the pixels' images on the object plane)"
+    )
+    reflectances: tuple[UnitInterval, UnitInterval] = Field(
+        (0.07, 0.15), description="of two surfaces whose difference is the signal of SNR"
+    )
+
+
+class MetricOptions(Record):
+    """Settings of the metrics, each in a table of its name."""
+
+    detectability: Detectability = Field(Detectability(), description="settings of detectability")
+    information: Information = Field(Information(), description="settings of information")
+    snr10_lx: SnrIlluminance = Field(SnrIlluminance(), description="settings of snr10_lx")
+    niirs: Niirs = Field(Niirs(), description="settings of niirs")
+
+
+METRIC_OPTIONS = MetricOptions()

@@ -1,0 +1,74 @@
+"""Metrics of the shown picture beside ΔE."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pixsim.base.arrays import stream
+from pixsim.viewer.judges.sharpness import acutance
+from pixsim.viewer.judges.visible_noise import visual_noise
+from pixsim.viewer.metrics import Asked, Metric
+from pixsim.viewer.mtf import mtf_terms
+
+if TYPE_CHECKING:
+    from pixsim.viewer.judged import Judged
+
+GREY = 0.18  # of white: the patch of visual noise
+POINTS = 1025
+
+
+def _grey_and_filling(asked: Asked) -> str:
+    return "a pixel without colour filters (pixel.colour)" if asked.is_colour else ""
+
+
+def _acutance(judged: Judged) -> tuple[float]:
+    chain = judged.chain
+    display, facts = chain.screen.display, chain.facts
+    frequency = np.linspace(0.0, display.samples_per_deg / 2, POINTS)
+    on_sensor = frequency / judged.mm_per_deg
+    terms = mtf_terms(facts.mean, facts.camera, chain.physics, display, on_sensor, chain.screen.dot_um)
+    return (acutance(frequency, np.abs(np.prod(list(terms.values()), axis=0))),)
+
+
+ACUTANCE = Metric(
+    name="acutance",
+    title="acutance",
+    unit="",
+    better="more",
+    judges="shown picture",
+    source="CPIQ, IEEE 1858: ∫MTF·CSF/∫CSF, the numerator to the Nyquist frequency of the display",
+    unseen="noise, aliases and what is in the picture",
+    columns=("acutance",),
+    bounds=(0.0, 10.0),
+    compute=_acutance,
+    lacks=_grey_and_filling,
+    needs_light=True,
+)
+
+
+def _visual_noise(judged: Judged) -> tuple[float]:
+    """Show a frame of an even patch, of the same sensor settings and exposure, in a stream of its own."""
+    chain, time_s = judged.chain, judged.frame.integration_s
+    even = np.full(chain.signal_e_per_s.shape, GREY * chain.white_e_per_s)
+    patch = replace(chain, signal_e_per_s=even, exposure=chain.exposure.model_copy(update={"integration_s": time_s}))
+    key = (*judged.stream, judged.number, "visual noise")
+    frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
+    return (visual_noise(patch.light(frame), chain.screen.display.samples_per_deg),)
+
+
+VISUAL_NOISE = Metric(
+    name="visual_noise",
+    title="visual noise",
+    unit="",
+    better="less",
+    judges="shown picture",
+    source="ISO 15739:2013, annex B, of an even patch of 18 % of white",
+    unseen="sharpness, and noise of other levels",
+    columns=("visual_noise",),
+    bounds=(0.0, 1e4),
+    compute=_visual_noise,
+    lacks=_grey_and_filling,
+)
