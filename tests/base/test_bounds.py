@@ -37,7 +37,7 @@ from pixsim.viewer.setting import Run
 # tests/optics/test_lens_bounds.py tests.
 CHECKED_ELSEWHERE = {
     "sensitivities", "quantum_efficiencies", "transmittances", "quantum_efficiency", "chief_ray_angle",
-    "radius_mm", "object_distance_mm", "values", "parameters", "scene",
+    "radius_mm", "object_distance_mm", "values", "parameters", "scene", "without",
 }  # fmt: skip
 EXTREMES = (
     1e-320,

@@ -36,6 +36,8 @@ CHANGES: dict[str, tuple[Any, str]] = {
     "correction": ({"dark_frames": 4}, "light frame score"),
     "develop": ({"matrix": "noise_aware"}, "light score"),
     "display": ({"gamma": 1.8}, "light score"),
+    "metrics": (("delta_e", "acutance"), "score"),
+    "metric": ({"information": {"contrast": 0.3}}, ""),  # of a metric that nobody asks for
     "pixel": ({"prnu": 0.02}, "light frame score"),
     "process": ({"0.35um": {"dsnu": 0.6}}, "light frame score"),
     "technologies": (("0.35um", "0.25um"), "light"),
@@ -71,6 +73,20 @@ def test_setting_makes_its_stages_anew_and_no_others(name: str) -> None:
     after = Study.model_validate(before.model_dump(exclude_unset=True) | {name: value})
     assert getattr(after, name) != getattr(before, name)
     own, other = stages(before), stages(after)
+    assert {stage for stage in own if own[stage] != other[stage]} == set(anew.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "anew"),
+    [
+        ("information", {"contrast": 0.3}, "score"),
+        ("detectability", {"registrations": 32}, "score"),
+        ("detectability", {"without": "flat"}, "light score"),
+    ],
+)
+def test_settings_of_a_metric_count_where_it_is_asked_for(name: str, table: dict[str, object], anew: str) -> None:
+    asked = tiny().model_dump(exclude_unset=True) | {"metrics": ("delta_e", name)}
+    own, other = (stages(Study.model_validate(asked | more)) for more in ({}, {"metric": {name: table}}))
     assert {stage for stage in own if own[stage] != other[stage]} == set(anew.split())
 
 
