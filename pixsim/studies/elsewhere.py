@@ -12,6 +12,7 @@ from pixsim.studies.preparation import ALLOWED_DOTS
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.series import scenes_of, series_of
 from pixsim.studies.viewing import OF_VIEWING, SENSORS_VIEWED, OptimumViewed, ViewingRange
+from pixsim.viewer.metrics import DELTA_E
 
 DOTS_FACTOR = 2.0  # of the data sheet's dots to those of larger pixels, and of smaller ones to them
 
@@ -45,7 +46,9 @@ def curves_viewed(result: StudyResult, workers: Workers, progress: Progress | No
 
     Frames that the cache has are shown again. The others are simulated, with the same random numbers.
     """
-    study, viewing = result.study, viewing_of(result)
+    study, viewing = result.study.model_copy(update={"metrics": (DELTA_E.name,)}), viewing_of(result)
+    if not result.curves[0].judged_by_delta_e:
+        return result.curves
     if not (others := viewing.viewings[1:]):
         return result.curves
     first, *more = [each.display(study.display) for each in others]

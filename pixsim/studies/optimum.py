@@ -81,6 +81,8 @@ class Optimum:
     inside : whether the minimum lies between the smallest and the largest pitch tried, not at one of them
     within_1_percent_um, within_2_percent_um : range of pitches whose fitted mean ΔE is that close to the minimum; None for
         an end at the smallest or the largest pitch tried
+    is_of_reciprocal : whether what was fitted is the reciprocal of a metric of which more is better; then `value` is the
+        metric, and the fields in ΔE are that reciprocal
     """
 
     pitch_um: Pitch
@@ -90,6 +92,18 @@ class Optimum:
     inside: bool
     within_1_percent_um: tuple[float | None, float | None]
     within_2_percent_um: tuple[float | None, float | None]
+    is_of_reciprocal: bool = False
+
+    @property
+    def value(self) -> float:
+        """The metric at the optimum: the mean ΔE, or that of another metric."""
+        return 1 / self.mean_delta_e if self.is_of_reciprocal else self.mean_delta_e
+
+    @property
+    def value_interval(self) -> tuple[float, float]:
+        """95 % interval of the best expected value of the metric."""
+        low, high = self.mean_delta_e_interval
+        return (1 / high, 1 / low) if self.is_of_reciprocal else (low, high)
 
     @property
     def half_width_um(self) -> float:
@@ -99,7 +113,17 @@ class Optimum:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as in summary.json."""
-        return asdict(self)
+        return {name: value for name, value in asdict(self).items() if name != "is_of_reciprocal"}
+
+    def of_metric(self) -> dict[str, Any]:
+        """Return what summary.json has of the optimum by a metric."""
+        return {
+            "pitch_um": self.pitch_um,
+            "value": self.value,
+            "value_interval": list(self.value_interval),
+            "interval_um": list(self.interval_um),
+            "inside": self.inside,
+        }
 
 
 Widths = Callable[[Array], Array]

@@ -28,6 +28,7 @@ from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.labels import label_of, labels_of
 from pixsim.sensor.pixel import PixelPhysics, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
 from pixsim.studies.cases import BASE, Case, cases_of, with_range_ends
@@ -36,10 +37,12 @@ from pixsim.studies.pixels import physics_of, pixel_of, technology_of
 from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
 from pixsim.studies.results_file import COLUMNS
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
+from pixsim.studies.series import judging_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.unused import StudyConfiguration
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.metrics import Asked
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.unused import warn_of_unused_settings
 
@@ -387,9 +390,21 @@ def _chosen_view(study: Study, scene: Scene, camera: Camera) -> dict[str, Any]:
     return {} if study.own_um is None else choose_view(study.own_um, camera, study.display, scene)
 
 
+def check_metrics(settings: Setting, pixels: Sequence[PixelOptions], scene: Scene | None) -> None:
+    """Raise PixsimError for a metric that is unknown, or that means nothing for one of the pixels, or for the scene.
+
+    scene : None for a picture of another program
+    """
+    judging, stated = judging_of(settings), settings.metric.detectability.without
+    has_without = scene is not None and (isinstance(stated, str) or stated.keys() <= scene.names)
+    for pixel in pixels:
+        judging.check(Asked(pixel.colour is not None, has_without))
+
+
 def _checked(case: Case[Study], scene: Scene, camera: Camera) -> Prepared[Study]:
     """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not possible."""
     study = case.settings
+    check_metrics(study, [study.options_of(name) for name in study.technologies], scene)
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())

@@ -32,7 +32,7 @@ from pixsim.show.sentences import few, sentence, settings_line, span
 from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import Counts, blocks_of, frames_of, task_of
 from pixsim.studies.light_level import LightLevel
-from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, FittedCurve, Optimum, fit_curve, mean_and_ci95
+from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, FittedCurve, Optimum, Widths, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.pixels import photodiode_widths_um, physics_of, technology_of
 from pixsim.studies.rows import Row
@@ -44,7 +44,7 @@ from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
-from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics
 from pixsim.viewer.score import FrameScore, SceneCache, clip_words, clips_dark, dark_clip, shown
 
 if TYPE_CHECKING:
@@ -78,6 +78,8 @@ class Curve:
     viewed : optima under other viewings, of a data sheet's sensor whose display pixsim chose
     from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
     causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
+    metrics : that judge it; the first one is that of `fit`
+    fits : fitted curve of each further metric that tells a best size, by its name
     """
 
     technology: str
@@ -98,6 +100,8 @@ class Curve:
     viewed: tuple[OptimumViewed, ...] = field(default=(), repr=False)
     from_smallest: bool = False
     causes: tuple[Cause, ...] = field(default=(), repr=False)
+    metrics: tuple[Metric, ...] = field(default=(DELTA_E,), repr=False)
+    fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -125,23 +129,39 @@ class Curve:
 
     @property
     def optimum(self) -> Optimum:
-        """The pitch of minimum mean ΔE, with its interval."""
+        """The pitch of minimum mean ΔE, or of the best value of the first metric, with its interval."""
         return self.fit.optimum
 
     @property
+    def optima(self) -> dict[str, Optimum]:
+        """The optimum by each metric that tells a best size, by the metric's name."""
+        return {self.metrics[0].name: self.optimum} | {name: fit.optimum for name, fit in self.fits.items()}
+
+    @property
+    def judged_by_delta_e(self) -> bool:
+        """Whether ΔE is the first metric, which the curve is drawn of."""
+        return self.metrics[0] is DELTA_E
+
+    @property
     def delta_e(self) -> Array:
-        """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than others."""
-        return self.statistics["mean_delta_e"]
+        """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than others.
+
+        Of a study that judges by another metric first, that metric's `loss`.
+        """
+        return loss_of(self.metrics[0], self.statistics[self.metrics[0].columns[0]])
 
     @property
     def means(self) -> dict[str, Array]:
-        """Mean of each statistic of ΔE over the sensors of each pitch, (pitches,)."""
-        return {name: self.mean(name) for name in DELTA_E.columns}
+        """Mean of each statistic of the metrics over the sensors of each pitch, (pitches,)."""
+        return {name: self.mean(name) for name in columns_of_metrics(self.metrics)}
 
     @checks_arguments
-    def mean(self, statistic: str = "mean_delta_e") -> Array:
-        """Return the mean of a statistic of ΔE over the sensors of each pitch, (pitches,)."""
-        return np.asarray(np.nanmean(self.statistics[statistic], axis=1))
+    def mean(self, statistic: str | None = None) -> Array:
+        """Return the mean of a statistic over the sensors of each pitch, (pitches,).
+
+        statistic : its column in results.csv; None means `delta_e`
+        """
+        return np.asarray(np.nanmean(self.delta_e if statistic is None else self.statistics[statistic], axis=1))
 
     @cached_property
     def no_difference_um(self) -> tuple[float, float] | None:
@@ -150,6 +170,8 @@ class Curve:
         The difference of two pitches counts with the 95 % interval of a difference, √(ci² + ci²). The range is the widest of
         neighbouring pitches with the best of them; one of a ratio below `WIDE_RATIO` is narrow, as around any smooth minimum.
         """
+        if not self.judged_by_delta_e:
+            return None  # the threshold is one of ΔE
         mean, ci95 = mean_and_ci95(self.delta_e)
         apart = np.abs(mean[:, None] - mean) + np.hypot(ci95[:, None], ci95)
         best, widest = int(np.argmin(mean)), None
@@ -201,6 +223,13 @@ class Curve:
         """Fill factor at the optimum, interpolated linearly between pitches."""
         return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))
 
+    def _further_metrics(self) -> dict[str, Any]:
+        """Return what summary.json has of metrics beside ΔE alone."""
+        if self.metrics == (DELTA_E,):
+            return {}
+        optima = {name: optimum.of_metric() for name, optimum in self.optima.items()}
+        return {"optima": optima, "metrics": {name: mean.tolist() for name, mean in self.means.items()}}
+
     def as_dict(self) -> dict[str, Any]:
         """Return the curve as in summary.json."""
         mean, ci95 = mean_and_ci95(self.delta_e)
@@ -217,8 +246,8 @@ class Curve:
             "pitch_um": self.pitch_um.tolist(),
             "sensors": self.sensors.tolist(),
             "fill_factor": self.fill_factor.tolist(),
-            "mean_delta_e": mean.tolist(),
-            "ci95_delta_e": ci95.tolist(),
+            **({"mean_delta_e": mean.tolist(), "ci95_delta_e": ci95.tolist()} if self.judged_by_delta_e else {}),
+            **self._further_metrics(),
             **({"left_out": {f"{pitch_um:g}": reason for pitch_um, reason in self.left_out}} if self.left_out else {}),
             **({} if self.fresnel_number is None else {"fresnel_number": self.fresnel_number.tolist()}),
             **({"views": [each.as_dict() for each in self.viewed]} if self.viewed else {}),
@@ -241,6 +270,7 @@ class StudyResult:
     warned : warnings while it was computed
     uncertainty : for each curve a `pixsim.studies.uncertainty.UncertaintyResult`, if sensor types were asked for
     lights : behind the lens, where they are prepared already
+    without : irradiance of the scene without its target, if a metric asked for it
     """
 
     study: Study
@@ -254,6 +284,7 @@ class StudyResult:
     warned: tuple[str, ...] = ()
     uncertainty: tuple[Any, ...] = ()
     lights: SceneCache | None = field(default=None, repr=False, compare=False)
+    without: SpectralImage | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         technologies = list(dict.fromkeys(curve.technology for curve in self.curves))
@@ -308,7 +339,7 @@ class StudyResult:
         """The light behind the lens for each spectral response, stored for `scores`."""
         if self.lights is not None and self.lights.display == self.study.display:  # not that of a copy with another display
             return self.lights
-        return scenes_of(self.study, self.irradiance, self.camera)
+        return scenes_of(self.study, self.irradiance, self.camera, without=self.without)
 
     @cached_property
     def series(self) -> dict[str, Series]:
@@ -543,9 +574,33 @@ def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float]
     return causes_of(image.header, read, white_e, float(time_s), lightness)
 
 
-def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:
-    """Return the curve of one technology, with its optimum, from its rows."""
-    names = ("pitch_um", "repeat", "fill_factor", "integration_s", *DELTA_E.columns)
+def loss_of(metric: Metric, values: Array) -> Array:
+    """Return what is least at the best size: the values of a metric of which less is better, else their reciprocals."""
+    if metric.better == "less":
+        return values
+    return np.divide(1.0, values, out=np.full(values.shape, np.nan), where=values > 0)
+
+
+def fit_of_metric(metric: Metric, pitch_um: Array, values: Array, width_um: Widths) -> FittedCurve | None:
+    """Return the fitted curve of a metric's loss; None if it tells no best size, or not of these values.
+
+    values : (pitches, sensors)
+    """
+    loss = loss_of(metric, values)
+    if not metric.has_optimum or not np.array_equal(np.isfinite(loss), np.isfinite(values)) or not np.nanmin(loss) >= 0:
+        return None
+    fit = fit_curve(pitch_um, loss, width_um)
+    if metric.better == "less":
+        return fit
+    return replace(fit, optimum=replace(fit.optimum, is_of_reciprocal=True))
+
+
+def curve_of(study: Study, technology: str, rows: Sequence[Row], metrics: tuple[Metric, ...] = (DELTA_E,)) -> Curve:
+    """Return the curve of one technology, with its optima, from its rows.
+
+    Raises PixsimError if the first of the metrics tells no best size.
+    """
+    names = ("pitch_um", "repeat", "fill_factor", "integration_s", *columns_of_metrics(metrics))
     numbers_of = (float(row[name]) for row in rows for name in names)  # a million tables would not fit into memory
     pitch_um, repeat, fill, *values = np.fromiter(numbers_of, float).reshape(-1, len(names)).T
     pitches, place = np.unique(pitch_um, return_inverse=True)
@@ -555,7 +610,12 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:
         numbers[which] = of_rows
     fill_factor = np.zeros(pitches.size)
     fill_factor[place] = fill
-    fit = fit_curve(pitches, statistics["mean_delta_e"], partial(photodiode_widths_um, study, technology))
+    width_um = partial(photodiode_widths_um, study, technology)
+    found = {each.name: fit_of_metric(each, pitches, statistics[each.columns[0]], width_um) for each in metrics}
+    fit = found.pop(metrics[0].name)
+    if fit is None:
+        got = f"'{metrics[0].name}' first, which is 0 or below for some pixels of {label_of(technology)}"
+        raise invalid("metrics", got, "values above 0, of which a best size can be told", "Name another metric first.")
     process = technology_of(study, technology)
     return Curve(
         technology,
@@ -566,6 +626,8 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row]) -> Curve:
         fit,
         data_sheet=process.name == NO_TECHNOLOGY,
         from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
+        metrics=metrics,
+        fits={name: each for name, each in found.items() if each is not None},
     )
 
 

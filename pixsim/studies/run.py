@@ -37,15 +37,26 @@ from pixsim.studies.cases import Case
 from pixsim.studies.lights import demand_of
 from pixsim.studies.oversampling import Demand, Light, light_of
 from pixsim.studies.paired import mean_interval
-from pixsim.studies.preparation import choose_view, scene_with_view, with_view
+from pixsim.studies.preparation import check_metrics, choose_view, scene_with_view, with_view
 from pixsim.studies.prepared import Job, Prepared, loaded_scene
 from pixsim.studies.sentences import score_parts
+from pixsim.studies.series import judging_of
 from pixsim.studies.settings_text import scene_table
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError, cause_words
-from pixsim.viewer.score import FrameScore, ImagingChain, Seen, clip_words, clips_dark, dark_clip, make_imaging_chain, white_header
+from pixsim.viewer.score import (
+    FrameScore,
+    ImagingChain,
+    Seen,
+    clip_words,
+    clips_dark,
+    dark_clip,
+    judged_score,
+    make_imaging_chain,
+    white_header,
+)
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
@@ -149,6 +160,7 @@ def prepare(
             raise invalid(setting("units"), f"'{source}', a scene", allowed)
         scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
         whole = scene.camera(settings.camera, settings.lens)
+    check_metrics(settings, [settings.pixel], scene)
     warn_of_unused_settings({"": [given]})
     camera = whole.window(settings.window_mm)
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
@@ -452,14 +464,16 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
     with collected_notes() as notes:
         scored = stage("sense and score")
         of_sensor = settings.pixel, settings.exposure, settings.display, prepared.full, settings.correction, settings.develop
+        judging = judging_of(settings)
+        without = None if lit.rendered is None else lit.rendered.without
         with watched(share_of(scored, 0.0, BEFORE_FRAME)):
-            chain = make_imaging_chain(image, prepared.camera, *of_sensor)
+            chain = make_imaging_chain(image, prepared.camera, *of_sensor, judging=judging, without=without)
         scored(BEFORE_FRAME)
-        score = chain.simulate("evaluate", settings.seed)
+        score = judged_score(chain, judging, ("evaluate", settings.seed))
         statistics = [score.statistics()]
         sensors = max(prepared.repeats, prepared.settled.choice.sensors if prepared.settled else 1)
         for number in range(1, sensors):
-            statistics.append(chain.simulate("evaluate", settings.seed, number).statistics())
+            statistics.append(judged_score(chain, judging, ("evaluate", settings.seed, number)).statistics())
             scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
     warned = tuple(dict.fromkeys([*lit.warned, *notes]))
     of_light = prepared, image, lit.rendered, lit.plan, warned

@@ -40,6 +40,7 @@ from pixsim.studies.uncertainty import (
     unknowns_of_study,
 )
 from pixsim.viewer.merging import merge
+from pixsim.viewer.metrics import DELTA_E
 
 MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
 TYPES_FILE = "types.csv"
@@ -134,7 +135,11 @@ def draw_types(
     studies: list[Study] = []  # of each of the series
     for number, base in enumerate(bases):
         own = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick", "target_ci_um"})
-        scenes = scenes_of(base.study, base.irradiance, base.camera)
+        if not base.curves[0].judged_by_delta_e:
+            got = f"for the metric {base.curves[0].metrics[0].name}"
+            raise invalid("uncertainty", got, "metrics with delta_e first, of which sensor types are drawn")
+        own |= {"metrics": [DELTA_E.name]}
+        scenes = scenes_of(base.study.model_copy(update={"metrics": (DELTA_E.name,)}), base.irradiance, base.camera)
         table = merge(own, {"paper": False, "resolution": base.study.resolution})
         types = [Study.model_validate(merge(table, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
         ranges = [_common_range_um(types, curve) for curve in base.curves]

@@ -36,11 +36,12 @@ from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_cur
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sampling, Sizes, first_sampling, study_pitches_um
-from pixsim.studies.series import Series, most_channels, scenes_of, series_of
+from pixsim.studies.series import Series, judging_of, most_channels, scenes_of, series_of
 from pixsim.studies.settings_text import scene_table, settings_text
 from pixsim.studies.study_file import load_study, spreads_of_study, uncertainty_of
 from pixsim.studies.study_settings import Study
-from pixsim.viewer.score import SceneCache, warn_of_clipping
+from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.score import SceneCache, Score, warn_of_clipping
 
 if TYPE_CHECKING:
     from pixsim.studies.budget import Settled
@@ -130,8 +131,10 @@ def evaluate_cases(
         irradiance, camera = light.image, light.camera
         # The header states everything that a render depends on, so that cases of other pixels may have equal ones.
         of_light = [irradiance.header, irradiance.shape, irradiance.pitch_um, camera.model_dump()]
-        key = content_hash([*of_light, case.settings.display.content_hash])
-        scenes = caches.setdefault(key, scenes_of(case.settings, irradiance, camera))
+        judging = judging_of(case.settings, case.settings.repeats)
+        of_light.append(None if light.without is None else light.without.header)
+        key = content_hash([*of_light, case.settings.display.content_hash, judging.content])
+        scenes = caches.setdefault(key, scenes_of(case.settings, irradiance, camera, without=light.without))
         scenes.channels = max(scenes.channels, most_channels(case.settings))
         lit.append(scenes)
         of_case = series_of(case.settings, scenes, case.columns, case.words)
@@ -168,7 +171,9 @@ def evaluate_cases(
                         try:
                             samplings[number] = evaluations.possible(number, samplings[number])
                             if fitted[number] != samplings[number]:
-                                curves[number] = curve_of(cases[place].settings, series[number].name, rows[number])
+                                curves[number] = curve_of(
+                                    cases[place].settings, series[number].name, rows[number], series[number].imaging.judging.metrics
+                                )
                             fitted[number] = samplings[number]
                         except TooFewSizesError as error:
                             impossible[number] = str(error)
@@ -213,7 +218,8 @@ def evaluate_cases(
             )
             for number in numbers
         )
-        found.append(StudyResult(case.settings, complete, light.image, light.camera, light.film, view=dict(view), lights=scenes))
+        known = case.settings, complete, light.image, light.camera, light.film
+        found.append(StudyResult(*known, view=dict(view), lights=scenes, without=light.without))
     return found, evaluations.counts
 
 
@@ -267,6 +273,7 @@ def study(
     uncertainty: int | None = None,
     sobol: int | None = None,
     smaller_than_um: Sequence[float] = (),
+    metrics: Sequence[str | Callable[[Score], float]] = (),
     **settings: object,
 ) -> StudyResult:
     """Run a study, or resume an interrupted one, with its rows in `out`/results.csv.
@@ -289,6 +296,8 @@ def study(
         result's `uncertainty`; None means none
     sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor types
     smaller_than_um : sizes; the probability that the optimum is smaller is reported
+    metrics : names of metrics, as ["delta_e", "detectability"], or functions of a `Score`; the first is that of
+        `Curve.optimum`, and each has its own in `Curve.optima`
     settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
         pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0, axis=[{"name": "lens", "set":
         "camera.f_number", "values": [2.0, 4.0]}], condition=[…]
@@ -303,6 +312,8 @@ def study(
     >>> result.curves[0].delta_e.shape, bool(result.curves[0].delta_e.mean(axis=1).argmin() == 0)  # (pitches, sensors)
     ((5, 2), True)
     """
+    if metrics:
+        settings["metrics"] = tuple(metric.name for metric in metrics_named(metrics))
     given = {"config": config, "parameters": parameters, "pixel": pixel, "scene": scene} | settings
     if isinstance(plan, Study) and (names := [name for name, value in given.items() if value]):
         hint = "Set these values in the Study instead."
