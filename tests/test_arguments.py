@@ -146,7 +146,7 @@ OWN: dict[str, Any] = {
     "pixsim.viewer.judges.relative_edge_response.frequency_cy_per_px": np.array([0.0, 0.5, 1.0]),
     **dict.fromkeys((f"pixsim.viewer.judges.{name}.frequency_cy_per_mm" for name in (
         "information_bits_per_mm2", "folded_spectrum")), np.linspace(-50.0, 50.0, 5)),
-    "pixsim.viewer.judges.information_bits_per_mm2.signal": 1.0, "pixsim.viewer.judges.edge_mtf.picture": lambda: EDGE,
+    **dict.fromkeys((f"pixsim.viewer.judges.{name}.picture" for name in ("edge_mtf", "radial_spectrum")), EDGE),
     "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
 }  # fmt: skip
 # Optional arguments that every call has: without them it takes long, or means nothing.

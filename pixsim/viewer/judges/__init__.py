@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         information_bits_per_mm2 as information_bits_per_mm2,
         natural_spectrum as natural_spectrum,
         neq as neq,
+        radial_spectrum as radial_spectrum,
     )
     from pixsim.viewer.judges.interpretability import niirs as niirs, relative_edge_response as relative_edge_response
     from pixsim.viewer.judges.linear_observer import detectability as detectability
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from pixsim.viewer.judges.visible_noise import visual_noise as visual_noise
 
 _NAMES_OF = {
-    "information_density": "folded_spectrum information_bits_per_mm2 natural_spectrum neq",
+    "information_density": "folded_spectrum information_bits_per_mm2 natural_spectrum neq radial_spectrum",
     "interpretability": "niirs relative_edge_response",
     "linear_observer": "detectability",
     "non_prewhitening": "npwe npwe_template",
@@ -33,7 +34,7 @@ _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.s
 
 __all__ = [
     "acutance", "detectability", "edge_mtf", "folded_spectrum", "information_bits_per_mm2", "mtf50", "natural_spectrum", "neq",
-    "niirs", "npwe", "npwe_template", "relative_edge_response", "snr10_lx", "visual_noise",
+    "niirs", "npwe", "npwe_template", "radial_spectrum", "relative_edge_response", "snr10_lx", "visual_noise",
 ]  # fmt: skip
 
 

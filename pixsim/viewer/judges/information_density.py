@@ -1,8 +1,6 @@
 """Information per area of the sensor: what the spectra of a scene, of noise and of aliases leave of it.
 
-Frequencies of one axis serve both. A sorted axis runs from minus the Nyquist frequency to it, or from 0 (a quadrant, which stands
-for all four); its ends are half cells (trapezium). That of `np.fft.fftfreq`, in its order or shifted, has whole cells. Spectra are
-(n, n), [along y, along x], two-sided and per area: independent noise of variance σ² in each pixel has σ² pitch².
+Spectra are two-sided, in signal² mm²: independent noise of variance σ² in each pixel has σ² pitch².
 
 C. L. Fales & F. O. Huck, "An information theory of image gathering", Information Sciences 57 (1991) 245.
 """
@@ -23,11 +21,14 @@ from pixsim.base.errors import invalid
 UM_PER_MM = 1e3
 WITHIN = 1e-6  # of a cell: places of frequencies
 MAX_ORDERS = 64
+MIN_CELLS = 8
 Axis = Annotated[Array, FINITE, Axes(1)]
 
 
 def axis_weights(frequency: Array) -> Array:
-    """Return the width of the cell of each frequency of an axis (n,), as the head of this module says, in their unit.
+    """Return the width of the cell of each frequency of an axis (n,), as `information_bits_per_mm2` takes them, in their unit.
+
+    The ends of a sorted axis have half a cell (trapezium), those of `np.fft.fftfreq` a whole one.
 
     Raises PixsimError for another axis.
     """
@@ -58,8 +59,9 @@ def information_bits_per_mm2(
 
     Exact for constant spectra; Fales & Huck (1991). Per square degree of field it is (focal length in mm · π/180)² times that.
 
-    frequency_cy_per_mm : (n,) of either axis, as the head of the module says
-    signal : S |T|² of the scene's spectrum and the MTF T, (n, n) or a number, in signal² mm²
+    frequency_cy_per_mm : (n,) of either axis: rising from minus the Nyquist frequency 1/(2 pitch) to it, both included; or from 0
+        to it, a quadrant that stands for all four; or as `np.fft.fftfreq(n, pitch)` has them
+    signal : S |T|² of the scene's spectrum and the MTF T, (n, n) along y and x, or a number, in signal² mm²
     noise : of everything that is no signal, fixed pattern too, likewise
     folded : aliases of the scene, `folded_spectrum`, likewise
 
@@ -80,16 +82,50 @@ def information_bits_per_mm2(
 
 @checks_arguments
 def natural_spectrum(frequency_cy_per_mm: Finites, level: NotNegative, corner_cy_per_mm: Positive) -> Array:
-    """Return the spectrum C/(f² + f₀²) of natural scenes, (...) as the frequencies, in signal² mm² for C in signal².
+    """Return the spectrum C/(f² + f₀²) of natural scenes, (...) as the frequencies, in the unit of C times mm².
 
     D. J. Field, J. Opt. Soc. Am. A 4 (1987) 2379, found 1/f²; a corner, the reciprocal of the largest things, bounds it.
 
     frequency_cy_per_mm : |f|, `np.hypot` of both axes
-    level : C, in signal²; a band from f₀ to f has the variance π C ln((f² + f₀²)/(2 f₀²))
+    level : C, the signal in any unit, squared; frequencies up to f have the variance π C ln(1 + f²/f₀²)
     corner_cy_per_mm : f₀, on the sensor
     """
     with np.errstate(over="ignore"):
         return np.asarray(level / (np.asarray(frequency_cy_per_mm, float) ** 2 + corner_cy_per_mm**2))
+
+
+@checks_arguments
+def radial_spectrum(picture: Annotated[Array, FINITE, Axes(2)], pitch_um: Positive) -> tuple[Array, Array]:
+    """Return the spectrum of a picture over all directions: frequencies (n,) in cy/mm, and power (n,), its unit squared times mm².
+
+    A periodogram without the mean, behind Hann's window (P. D. Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70), averaged in
+    rings as wide as the window resolves: the logarithm of a raw one is biased. The blur of the cells, of which the samples are
+    means, is undone.
+
+    picture : (H, W) expected light, means over square cells
+    pitch_um : of the cells
+
+    Raises PixsimError for a picture of less than 8 cells along an axis.
+    """
+    if min(picture.shape) < MIN_CELLS:
+        raise invalid("picture", f"an array of shape {picture.shape}", f"{MIN_CELLS} cells or more along each axis")
+    pitch_mm, largest = pitch_um / UM_PER_MM, float(np.abs(picture).max()) or 1.0
+    windows = [np.hanning(count + 2)[1:-1] for count in picture.shape]
+    weight = windows[0][:, None] * windows[1]
+    values = np.asarray(picture, float) / largest
+    values = (values - float((values * weight).sum() / weight.sum())) * weight
+    along_y, along_x = np.fft.fftfreq(picture.shape[0]), np.fft.rfftfreq(picture.shape[1])
+    blur = np.sinc(along_y)[:, None] * np.sinc(along_x)
+    power = np.abs(np.fft.rfft2(values) / blur) ** 2 * (pitch_mm * largest) ** 2 / float((weight**2).sum())
+    twice = np.where((along_x == 0) | (along_x == 0.5), 1.0, 2.0)  # for the half of the plane that is left out
+    ring_px = 2 / min(picture.shape)
+    ring = (np.hypot(along_y[:, None], along_x) / ring_px + 0.5 + WITHIN).astype(
+        int
+    )  # half a ring, whatever its rounding, counts up
+    inside = (ring > 0) & (ring * ring_px <= 0.5 + WITHIN)
+    count = np.bincount(ring[inside], np.broadcast_to(twice, ring.shape)[inside])
+    total = np.bincount(ring[inside], (power * twice)[inside])
+    return np.arange(1, count.size) * ring_px / pitch_mm, total[1:] / count[1:]
 
 
 @checks_arguments
@@ -104,7 +140,7 @@ def folded_spectrum(
     They are noise to what is at f itself. Fales & Huck (1991).
 
     power : function of two arrays that broadcast, (n, 1) and (n,), frequencies along y and x in cy/mm: S |T|², also beyond Nyquist
-    frequency_cy_per_mm : (n,) of either axis
+    frequency_cy_per_mm : (n,) of either axis, in any order
     pitch_um : of the pixels
     orders : how many multiples of 1/pitch on either side of 0, in both axes
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pixsim.base.arguments import Bounds, Positive, checks_arguments
 from pixsim.base.arrays import NotNegativeArray
-from pixsim.viewer.judges.sharpness import Frequencies, check_curve
+from pixsim.viewer.judges.sharpness import Frequencies, curve_from_0
 
 M_PER_INCH = 0.0254
 MAX_RER = 10.0  # far above any: sharpened pictures of the fit reach 1.3
@@ -44,10 +44,10 @@ def relative_edge_response(frequency_cy_per_px: Frequencies, mtf: NotNegativeArr
 
     NGA (2015). The MTF is straight between the frequencies, and 0 beyond the last.
 
-    frequency_cy_per_px : (n,) rising from 0
+    frequency_cy_per_px : (n,) rising
     mtf : (n,) along the axis across the edge, 1 at frequency 0
 
-    Raises PixsimError if the frequencies do not rise from 0, or the shapes differ.
+    Raises PixsimError if the frequencies do not rise, or the shapes differ.
     """
-    check_curve("frequency_cy_per_px", frequency_cy_per_px, mtf)
-    return float(2 * np.trapezoid(mtf * np.sinc(frequency_cy_per_px), frequency_cy_per_px))
+    frequency, mtf = curve_from_0("frequency_cy_per_px", frequency_cy_per_px, mtf)
+    return float(2 * np.trapezoid(mtf * np.sinc(frequency), frequency))

@@ -20,12 +20,18 @@ STEEPEST_DEG = 45.0
 Frequencies = Annotated[Array, NOT_NEGATIVE, Axes(1)]
 
 
-def check_curve(name: str, frequency: Array, mtf: Array) -> None:
-    """Raise PixsimError if there is not one MTF for each frequency, or these do not rise from 0."""
+def curve_from_0(name: str, frequency: Array, mtf: Array) -> tuple[Array, Array]:
+    """Return an MTF (n,) and its frequencies from 0, where it is 1 if another one is first.
+
+    Raises PixsimError if there is not one MTF for each frequency, or these do not rise.
+    """
     if mtf.shape != frequency.shape:
         raise invalid(f"{name} and mtf", f"shapes {frequency.shape} and {mtf.shape}", "equal shapes")
-    if frequency[0] or frequency.size < 2 or np.diff(frequency).min() <= 0:
-        raise invalid(name, f"{frequency.size} numbers from {frequency[0]:g}", "two or more, which rise from 0")
+    if frequency[0]:
+        frequency, mtf = np.append(0.0, frequency), np.append(1.0, mtf)
+    if frequency.size < 2 or np.diff(frequency).min() <= 0:
+        raise invalid(name, f"{frequency.size} numbers from {frequency[0]:g}", "rising numbers, and one above 0")
+    return np.asarray(frequency, float), np.asarray(mtf, float)
 
 
 def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
@@ -42,13 +48,12 @@ def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
 def mtf50(frequency: Frequencies, mtf: NotNegativeArray) -> float | None:
     """Return the frequency at which an MTF first falls to one half, in its unit, linear between frequencies; None if it does not.
 
-    frequency : (n,) rising from 0, in any unit
-    mtf : (n,)
+    frequency : (n,) rising, in any unit
+    mtf : (n,) 1 at frequency 0
 
-    Raises PixsimError if the frequencies do not rise from 0, or the shapes differ.
+    Raises PixsimError if the frequencies do not rise, or the shapes differ.
     """
-    check_curve("frequency", frequency, mtf)
-    return first_crossing(frequency, mtf, 0.5)
+    return first_crossing(*curve_from_0("frequency", frequency, mtf), 0.5)
 
 
 def luminance_csf(frequency_cy_per_deg: Array) -> Array:
@@ -63,21 +68,20 @@ def acutance(frequency_cy_per_deg: Frequencies, mtf: NotNegativeArray) -> float:
     The CSF is 75 ν^0.8 e^(-0.2 ν)/34.05. The upper integral ends at the last frequency, which is to be the display's Nyquist
     frequency, the lower one is over all frequencies. Exact for an MTF that is straight between the frequencies.
 
-    frequency_cy_per_deg : (n,) rising from 0
+    frequency_cy_per_deg : (n,) rising
     mtf : (n,) of all from the scene to the display, 1 at frequency 0
 
-    Raises PixsimError if the frequencies do not rise from 0, or the shapes differ.
+    Raises PixsimError if the frequencies do not rise, or the shapes differ.
 
     >>> acutance(np.array([0.0, 1e3]), np.ones(2))
     1.0
     """
-    check_curve("frequency_cy_per_deg", frequency_cy_per_deg, mtf)
-    low, mtf = frequency_cy_per_deg[:-1], np.asarray(mtf, float)
+    frequency, mtf = curve_from_0("frequency_cy_per_deg", frequency_cy_per_deg, mtf)
     shape = CSF_POWER + 1
-    share = np.diff(gammainc(shape, CSF_DECAY * frequency_cy_per_deg))  # of the CSF in each interval, and its first moment
-    moment = np.diff(gammainc(shape + 1, CSF_DECAY * frequency_cy_per_deg)) * shape / CSF_DECAY
-    slope = np.diff(mtf) / np.diff(frequency_cy_per_deg)
-    return float((mtf[:-1] * share + slope * (moment - low * share)).sum())
+    share = np.diff(gammainc(shape, CSF_DECAY * frequency))  # of the CSF in each interval, and its first moment
+    moment = np.diff(gammainc(shape + 1, CSF_DECAY * frequency)) * shape / CSF_DECAY
+    slope = np.diff(mtf) / np.diff(frequency)
+    return float((mtf[:-1] * share + slope * (moment - frequency[:-1] * share)).sum())
 
 
 @checks_arguments
