@@ -53,7 +53,7 @@ def run_command(tokens: Sequence[str]) -> None:
     try:
         # Notes also of the settings, before a result collects its own.
         with command_line(), collected_notes(), told_of_finished_files(interruption.end_or_raise):
-            arguments = with_lens_file(with_each_format(arguments))
+            arguments = with_whole_options(with_each_format(arguments))
             if any(word in HELP for word in arguments) and HELP_ALL not in arguments:
                 from pixsim.cli.help import print_help
 
@@ -89,12 +89,16 @@ def with_each_format(arguments: Sequence[str]) -> list[str]:
     return written
 
 
-def with_lens_file(arguments: Sequence[str]) -> list[str]:
+WHOLE_OPTIONS = {"--lens": "--lens.file", "--metric": "--metrics"}
+
+
+def with_whole_options(arguments: Sequence[str]) -> list[str]:
     """Write `--lens phone` as `--lens.file phone`: cyclopts takes no `--lens.refocus` beside a value of `--lens`."""
-    name, file = "--lens", "--lens.file"
-    return [
-        file + argument[len(name) :] if argument == name or argument.startswith(f"{name}=") else argument for argument in arguments
-    ]
+    written = []
+    for argument in arguments:
+        name, equals, value = argument.partition("=")
+        written.append(f"{WHOLE_OPTIONS.get(name, name)}{equals}{value}" if argument.startswith("--") else argument)
+    return written
 
 
 def check_current_folder() -> None:

@@ -32,6 +32,7 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY, NUMBERS, Pixel
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 
@@ -181,6 +182,16 @@ Define = Annotated[
     list[str] | None,
     Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False, metavar="NAME=VALUE"),
 ]
+Metrics = Annotated[
+    list[str] | None,
+    Parameter(
+        name=("--metrics", "--metric"),
+        help="Judge by this metric: delta_e, detectability, information, acutance, visual_noise, mtf50, snr10_lx, niirs. "
+        "Repeatable; the first one is that of the headline [default: delta_e].",
+        consume_multiple=False,
+        metavar="NAME",
+    ),
+]
 Linear = Annotated[bool, Parameter(help="The picture of -D chart=FILE is linear in light, not sRGB (scene.chart_linear).")]
 Tolerance = Annotated[str | None, field_option(Run, "tolerance_e")]
 Full = Annotated[bool, Parameter(help="Render without simplifications.")]
@@ -212,7 +223,9 @@ def option_table(record: type[Record], name: str, inside: str = "") -> object:
     """
     fields: list[tuple[str, Any, Any]] = []
     for key, info in record.model_fields.items():
-        records = [kind for kind in get_args(info.annotation) if inspect.isclass(kind) and issubclass(kind, Record)]
+        records = [
+            kind for kind in (info.annotation, *get_args(info.annotation)) if inspect.isclass(kind) and issubclass(kind, Record)
+        ]
         if records:
             fields.append((key, option_table(records[0], key.replace("_", "-"), name), field(default=None)))
             continue
@@ -236,6 +249,7 @@ if TYPE_CHECKING:
     CorrectionTable: TypeAlias = object
     DevelopTable: TypeAlias = object
     DisplayTable: TypeAlias = object
+    MetricTable: TypeAlias = object
     PitchTable: TypeAlias = object
 else:
     CameraTable = option_table(CameraOptions, "camera")
@@ -245,6 +259,7 @@ else:
     CorrectionTable = option_table(Correction, "correction")
     DevelopTable = option_table(Develop, "develop")
     DisplayTable = option_table(Display, "display")
+    MetricTable = option_table(MetricOptions, "metric")
     PitchTable = option_table(PitchRange, "pitch")
 
 
@@ -262,6 +277,8 @@ class SceneOptions:
     exposure: ExposureTable = None
     correction: CorrectionTable = None
     develop: DevelopTable = None
+    metrics: Metrics = None
+    metric: MetricTable = None
 
     def settings(self, effort: Effort | None = None, **others: object) -> Run:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""

@@ -40,6 +40,7 @@ from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_fig
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Drawn, Figures, Plate, table_csv
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
+from pixsim.studies.agreement import agreement_of, judges_against_pitch
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.conditions import Compromise
 from pixsim.studies.engine import Workers, results_of
@@ -199,7 +200,8 @@ def draw_section(
         plates = [study_pictures(result, curve, scores[0], [score.delta_e for score in scores], f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
     elif section.kind == "more":
-        plates = [other_statistics(result, first), light_against_detail(result, first)]
+        plates = [other_statistics(result, first)] if first.judged_by_delta_e else []
+        plates.append(light_against_detail(result, first))
     elif section.kind == "paper's scene":
         plates = scene_plates(result)
     else:
@@ -210,6 +212,8 @@ def draw_section(
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
     plates = [delta_e_against_pitch(result, [first])]
+    if agreement_of(first) is not None:
+        plates.append(judges_against_pitch(first))
     if len(result.curves) > 1:
         plates += [delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all")]
         processes = not any(curve.data_sheet for curve in result.curves)
@@ -217,8 +221,13 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
             plates.append(optimum_against_technology(result))
     if not result.study.paper:
         return plates
-    captions = [f"Figure {FIGURE_NUMBERS[plate.name]}: {plate.caption}" for plate in plates]
-    return [replace(plate, name=curve_file(plate.name, True), caption=words) for plate, words in zip(plates, captions, strict=True)]
+    numbers = {plate.name: f"Figure {FIGURE_NUMBERS[plate.name]}: " for plate in plates if plate.name in FIGURE_NUMBERS}
+    return [
+        replace(plate, name=curve_file(plate.name, True), caption=numbers[plate.name] + plate.caption)
+        if plate.name in numbers
+        else plate
+        for plate in plates
+    ]
 
 
 def curve_file(name: str, paper: bool) -> str:
@@ -237,7 +246,7 @@ def report_files(study: Study) -> set[str]:
     """Return the names of all files that the report of a study may have."""
     labels = [file_label(label) for label in labels_of(study.technologies)]
     curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
-    plates = {*curves, "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
+    plates = {*curves, "judges", "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
     plates |= set(PAPER_PLATES) if study.paper else set()
     figures = {f"{name}.{suffix}" for name in plates for suffix in FIGURE_SUFFIXES}
     figures |= {f"contact_sheet_{label}.png" for label in labels}

@@ -152,8 +152,8 @@ class Curve:
 
     @property
     def means(self) -> dict[str, Array]:
-        """Mean of each statistic of the metrics over the sensors of each pitch, (pitches,)."""
-        return {name: self.mean(name) for name in columns_of_metrics(self.metrics)}
+        """Mean of each statistic of ΔE over the sensors of each pitch, (pitches,); none if ΔE was not asked for."""
+        return {name: self.mean(name) for name in DELTA_E.columns if name in self.statistics}
 
     @checks_arguments
     def mean(self, statistic: str | None = None) -> Array:
@@ -228,7 +228,8 @@ class Curve:
         if self.metrics == (DELTA_E,):
             return {}
         optima = {name: optimum.of_metric() for name, optimum in self.optima.items()}
-        return {"optima": optima, "metrics": {name: mean.tolist() for name, mean in self.means.items()}}
+        names = columns_of_metrics(self.metrics)
+        return {"optima": optima, "metrics": {name: self.mean(name).tolist() for name in names}}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the curve as in summary.json."""
@@ -294,7 +295,7 @@ class StudyResult:
     def _labelled(self, curve: Curve, label: str) -> Curve:
         """Return a curve with its label, the errors of its light, and the pitches that its film cannot tell apart."""
         part, words = self.part_of(curve), curve.words
-        alike_um = part.film.alike_um(curve.pitch_um, curve.mean()) if part.film else None
+        alike_um = part.film.alike_um(curve.pitch_um, curve.mean()) if part.film and curve.judged_by_delta_e else None
         light = LightError.of(part.irradiance.header, part.film_at_best(curve), curve.causes)
         fresnel = None
         if has_microlens(part.study.options_of(curve.technology), technology_of(part.study, curve.technology)):
@@ -635,29 +636,39 @@ ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.
 HEADROOM = 1.12  # of the axis over the highest point, for the legend
 LABEL_SPACE = 0.25  # of the axis height, for the labels below an optimum and at the bottom
 MARK_SPACING = 0.04  # of an axis, between fill-factor ticks
-OTHER_STATISTICS = DELTA_E.columns[1:]
 
 
 def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     """Draw the mean ΔE of each pitch, the fitted curve and the optimum, all with their 95 % intervals."""
-    colour = look.colour
-    mean, ci95 = mean_and_ci95(curve.delta_e)
-    best = curve.optimum
+    colour, best = look.colour, curve.optimum
+    mean, ci95 = shown_mean_and_ci95(curve)
+    low, high, fitted = (shown_values(curve, values) for values in (curve.fit.low, curve.fit.high, curve.fit.delta_e))
     name = literal(curve.label)
     label = f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})" if best.inside else name
     axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
     if curve.doubtful.any():
         axes.plot(curve.pitch_um[curve.doubtful], mean[curve.doubtful], look.marker, ms=4, mfc="white", mec=colour)
-    axes.fill_between(curve.fit.pitch_um, curve.fit.low, curve.fit.high, color=colour, alpha=0.15, lw=0)
-    axes.plot(curve.fit.pitch_um, curve.fit.delta_e, lw=1.5, **look.stroke)
+    axes.fill_between(curve.fit.pitch_um, low, high, color=colour, alpha=0.15, lw=0)
+    axes.plot(curve.fit.pitch_um, fitted, lw=1.5, **look.stroke)
     if best.inside:
         low_um, high_um = with_ends(best.interval_um, curve)
-        axes.plot([low_um, high_um], [best.mean_delta_e] * 2, "|-", color=colour, lw=2.5, ms=9, mew=1.5)
-        axes.plot(best.pitch_um, best.mean_delta_e, "v", ms=9, mfc="white", mec=colour, mew=1.5)
+        axes.plot([low_um, high_um], [best.value] * 2, "|-", color=colour, lw=2.5, ms=9, mew=1.5)
+        axes.plot(best.pitch_um, best.value, "v", ms=9, mfc="white", mec=colour, mew=1.5)
     axes.axvspan(*with_ends(best.within_1_percent_um, curve), color=colour, alpha=0.12, lw=0)
     for edge_um in best.within_1_percent_um:
         if edge_um is not None:
             axes.axvline(edge_um, lw=0.7, **look.stroke)
+
+
+def shown_values(curve: Curve, loss: Array) -> Array:
+    """Return values of the first metric from its loss."""
+    return loss if curve.metrics[0].better == "less" else 1 / loss
+
+
+def shown_mean_and_ci95(curve: Curve) -> tuple[Array, Array]:
+    """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 % interval."""
+    mean, ci95 = mean_and_ci95(curve.delta_e)
+    return shown_values(curve, mean), ci95 if curve.metrics[0].better == "less" else ci95 / mean**2
 
 
 def with_ends(range_um: tuple[float | None, float | None], curve: Curve) -> tuple[float, float]:
@@ -670,9 +681,9 @@ def annotate_curve(axes: Axes, curve: Curve) -> None:
     """Label the optimum of a single curve, the dominant error on either side, and the fill factors."""
     best = curve.optimum
     if best.inside:
-        at = (best.pitch_um, best.mean_delta_e)
+        at = (best.pitch_um, best.value)
         label = f"best: {best.pitch_um:.2f} µm"
-        below = best.mean_delta_e > LABEL_SPACE * axes.get_ylim()[1]  # else the label would overlap the axis
+        below = best.value > LABEL_SPACE * axes.get_ylim()[1]  # else the label would overlap the axis
         offset, side = ((0, -14), "top") if below else ((0, 14), "bottom")
         axes.annotate(label, at, offset, textcoords="offset points", ha="center", va=side, bbox=ON_WHITE)
         for across, side, words in ((0.02, "left", "← more noise"), (0.98, "right", "more blur →")):
@@ -696,22 +707,26 @@ def fill_factor_axis(axes: Axes, curve: Curve) -> None:
     top.set_xlabel("fill factor (%)")
 
 
+NAMES_OF_MEANS = {DELTA_E.name: "mean ΔE (S-CIELAB)"}
+
+
 @own_style()
 def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: str = "delta_e_against_pitch") -> Plate:
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
     for curve, look in zip(curves, cycle(LOOKS), strict=False):
         draw_curve(axes, curve, look)
-    axes.set(xlabel="pixel size (µm)", ylabel="mean ΔE, S-CIELAB")
+    axes.set(xlabel="pixel size (µm)", ylabel=curves[0].metrics[0].label)
     axes.set_ylim(0, axes.get_ylim()[1] * (HEADROOM if len(curves) == 1 else 1))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right")
     if len(curves) == 1:
         annotate_curve(axes, curves[0])
     counts = sorted({int(count) for curve in curves for count in curve.sensors})
-    sensors = span(counts[0], counts[-1], unit=" sensors")
+    sensors, metric = span(counts[0], counts[-1], unit=" sensors"), curves[0].metrics[0]
     caption = (
-        f"{sentence(optimum_words(curves))} Points: mean ΔE (S-CIELAB) of {sensors} with 95 % intervals; line: "
+        f"{sentence(optimum_words(curves))} Points: {NAMES_OF_MEANS.get(metric.name, metric.title)} of {sensors} with 95 % "
+        "intervals; line: "
         "the fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval; vertical "
         "band: sizes whose error is within 1 % of the minimum."
     )
@@ -737,7 +752,8 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
     for curve in curves:
         mean, ci95 = mean_and_ci95(curve.delta_e)
         columns = {"technology": np.array([curve.label] * mean.size), "pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor}
-        columns |= {"mean_delta_e": mean, "ci95_delta_e": ci95} | {name: curve.mean(name) for name in OTHER_STATISTICS}
+        columns |= {"mean_delta_e": mean, "ci95_delta_e": ci95} if curve.judged_by_delta_e else {}
+        columns |= {name: curve.mean(name) for name in columns_of_metrics(curve.metrics) if name != DELTA_E.columns[0]}
         if any(other.fresnel_number is not None for other in curves):
             columns["fresnel_number"] = np.full(mean.size, np.nan) if curve.fresnel_number is None else curve.fresnel_number
         for name, values in columns.items():

@@ -17,6 +17,7 @@ from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.show.document import Fact, Strong, Table, Text, has_room, headline, joined, plain_text
 from pixsim.show.sentences import few, interval, span, with_ends
+from pixsim.studies.agreement import agreement_words, value_words
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.viewer.display_options import Display
@@ -59,6 +60,13 @@ def optimum_words(curves: Sequence[Curve]) -> str:
 
 def _optimum_parts(curve: Curve) -> list[Text]:
     """Return `optimum_parts` on the chosen display, without the label."""
+    if not curve.judged_by_delta_e:
+        metric, best = curve.metrics[0], curve.optimum
+        value = f"{metric.title} {value_words(metric, best)}"
+        if best.inside:
+            return [("optimal pixel size ", Strong(f"{best.pitch_um:.2f} µm"), f" (95 %: {interval_words(curve)}), {value}")]
+        ends = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
+        return [ends, f"the best is {best.pitch_um:.2f} µm, the end of the range (95 %: {interval_words(curve)}), {value}"]
     if curve.alike_um:
         return [alike_words(curve), f"least mean ΔE {curve.light.shown(curve.mean().min())}"]
     best, interval = curve.optimum, f"95 %: {interval_words(curve)}"
@@ -84,6 +92,7 @@ def _optimum_parts(curve: Curve) -> list[Text]:
 def optima_table(curves: Sequence[Curve]) -> Table:
     """Return the optimum of each curve, as a page and a notebook list them."""
     rows, partly = [], any(map(is_partly_filled, curves))
+    by_delta_e = all(curve.judged_by_delta_e for curve in curves)
     for curve in curves:
         best = curve.optimum
         size = f"{best.pitch_um:.2f}" if best.inside else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
@@ -94,13 +103,20 @@ def optima_table(curves: Sequence[Curve]) -> Table:
                 curve.label,
                 alike_words(curve) if curve.alike_um else size,
                 interval_words(curve),
-                with_ends(best.mean_delta_e, best.mean_delta_e_interval, ".3f") if sure else curve.light.shown(best.mean_delta_e),
+                _least_words(curve, ".3f" if by_delta_e else ".4g", sure or not by_delta_e),
                 *within,
                 *([f"{100 * curve.optimum_fill_factor:.0f}"] * partly),
             )
         )
-    head = ("pixel", "optimum (µm)", "95 % interval", "mean ΔE (95 %)", "within 1 % of it", "within 2 %")
+    value = "mean ΔE" if by_delta_e else curves[0].metrics[0].label
+    head = ("pixel", "optimum (µm)", "95 % interval", f"{value} (95 %)", "within 1 % of it", "within 2 %")
     return Table("optima", (*head, *["fill factor (%)"] * partly), rows, words=None)
+
+
+def _least_words(curve: Curve, form: str, is_sure: bool) -> str:
+    """Return the best value of a curve, with its interval if the light is sure enough for one."""
+    best = curve.optimum
+    return with_ends(best.value, best.value_interval, form) if is_sure else curve.light.shown(best.mean_delta_e)
 
 
 def is_partly_filled(curve: Curve) -> bool:
@@ -367,5 +383,6 @@ def study_light_words(result: StudyResult) -> list[str]:
 
 def study_facts(result: StudyResult) -> list[Fact]:
     """Return what follows the optima of a study: causes, errors of its light, what it depends on, how its sensors are shown."""
-    words = [result.cause_notes, study_unconverged(result), study_light_words(result), study_view_words(result)]
+    judged = [text for curve in result.curves for text in agreement_words(curve)]
+    words = [judged, result.cause_notes, study_unconverged(result), study_light_words(result), study_view_words(result)]
     return [Fact(text) for each in words for text in each]

@@ -13,11 +13,14 @@ Length = Annotated[float, Field(ge=1e-6, le=1e9)]
 MetricNames = Annotated[tuple[Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$", max_length=60)], ...], Field(min_length=1)]
 
 
+NO_CONTRAST: dict[str, NumberOrText] = {"contrast": 0.0}
+
+
 class Detectability(Record):
     """Settings of the metric detectability."""
 
     without: str | dict[str, NumberOrText] = Field(
-        default_factory=dict[str, NumberOrText](contrast=0.0).copy,
+        NO_CONTRAST,
         description="the scene without the target: values of the scene's parameters, or another scene, a file or a packaged name",
     )
     registrations: Annotated[int, Field(ge=1, le=1000)] = Field(

@@ -66,6 +66,10 @@ class Metric:
         """Title and unit, for an axis of a figure."""
         return f"{self.title} ({self.unit})" if self.unit else self.title
 
+    def digest(self) -> str:
+        """Return what tells the metric from others, in a report's key; the code is pixsim's, or hashed."""
+        return f"{self.name} {self.columns} {self.code}"
+
     def values(self, judged: Judged) -> dict[str, float]:
         """Return its numbers by their columns. Raises PixsimError if a number is outside the bounds."""
         found = dict(zip(self.columns, map(float, self.compute(judged)), strict=True))

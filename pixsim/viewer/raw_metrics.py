@@ -12,7 +12,6 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.photodiode import saturation_level_e
-from pixsim.sensor.readout import frame_mean_dn
 from pixsim.viewer.display import white_cd_per_m2
 from pixsim.viewer.judges.information_density import folded_spectrum, information_bits_per_mm2, natural_spectrum
 from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
@@ -24,6 +23,7 @@ from pixsim.viewer.mtf import mtf_terms, of_sensor
 
 if TYPE_CHECKING:
     from pixsim.viewer.judged import Judged
+    from pixsim.viewer.metric_options import Information
     from pixsim.viewer.score import ImagingChain
 
 LEAST_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
@@ -31,7 +31,8 @@ POINTS = 65  # frequencies on an axis of the Nyquist square
 ORDERS = 2  # of aliases
 LENSES = ("lens", "real lens")
 RADIAL = (*LENSES, "diffusion")  # terms of the MTF; the others are products of both axes
-TABLE_POINTS = 2049
+TABLE_POINTS = 1025
+HIGHEST_CY_PER_PX = 4.0  # of the table of the MTF: the corner of the second aliases is at 3.5
 
 
 def variance_of_pixels_e2(chain: ImagingChain, signal_e: Array | float, time_s: float) -> Array:
@@ -45,24 +46,33 @@ def variance_of_pixels_e2(chain: ImagingChain, signal_e: Array | float, time_s: 
 def clips(chain: ImagingChain, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
     """Return which pixels of an expected signal are at an end of the well or of the codes."""
     p = chain.physics
-    mean_dn = frame_mean_dn(signal_e, time_s, p)
-    full = signal_e + p.dark_current_e_per_s * time_s >= saturation_level_e(time_s, p)
-    return np.any([full, mean_dn >= 2**p.pixel.bits - 1, mean_dn <= 0], axis=0)
+    dark_e = p.dark_current_e_per_s * time_s
+    top_e = (2**p.pixel.bits - 1 - p.pixel.black_level_dn) / p.dn_per_e - dark_e  # `frame_mean_dn` is linear
+    full_e = min(saturation_level_e(time_s, p) - dark_e, top_e)
+    at_zero = signal_e <= -p.pixel.black_level_dn / p.dn_per_e - dark_e
+    return np.logical_or(signal_e >= full_e, at_zero)
 
 
 def _d_prime(chain: ImagingChain, time_s: float) -> float:
     """Return d′ of the ideal linear observer in the frames of a chain."""
     assert chain.without_e_per_s is not None
-    p, levels = chain.physics, (chain.signal_e_per_s * time_s, chain.without_e_per_s * time_s)
-    variance = (variance_of_pixels_e2(chain, levels[0], time_s) + variance_of_pixels_e2(chain, levels[1], time_s)) / 2
+    p, with_e, without_e = chain.physics, chain.signal_e_per_s * time_s, chain.without_e_per_s * time_s
+    difference = with_e - without_e
+    # The mean variance of both: that of the mean signal, and of what grows with the square of it half of the difference squared.
+    spread = float(np.mean(variance_e2(p, light_e=1.0, along="pixel"))) - float(np.mean(variance_e2(p, along="pixel")))
+    variance = variance_of_pixels_e2(chain, (with_e + without_e) / 2, time_s)
+    variance += spread / 4 * difference**2
     sigma_dn = p.dn_per_e * math.sqrt(float(variance.min()))
     if sigma_dn < LEAST_SIGMA_DN:
         got = f"noise of {sigma_dn:.2g} DN, which the ADC rounds away"
         hint = "Take more bits (pixel.bits), or fewer electrons per code."
         raise invalid("the metric detectability", got, f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise", hint)
-    variance[clips(chain, levels[0], time_s) | clips(chain, levels[1], time_s)] = np.inf
+    for signal_e in (with_e, without_e):
+        ends = np.array([signal_e.min(), signal_e.max()])
+        if clips(chain, ends, time_s).any():
+            variance[clips(chain, signal_e, time_s)] = np.inf
     of_lines = [float(np.mean(variance_e2(p, along=along))) for along in ("column", "row")]
-    return detectability(levels[0] - levels[1], variance, column_variance=of_lines[0], row_variance=of_lines[1])
+    return detectability(difference, variance, column_variance=of_lines[0], row_variance=of_lines[1])
 
 
 def _detectability(judged: Judged) -> tuple[float, float]:
@@ -95,6 +105,17 @@ def _grey(asked: Asked) -> str:
     return "a pixel without colour filters (pixel.colour)" if asked.is_colour else ""
 
 
+def sensor_terms(chain: ImagingChain) -> tuple[Array, dict[str, Array]]:
+    """Return frequencies in cycles/mm on the sensor, and the MTF of each term up to it along an axis; the same for all frames."""
+
+    def compute() -> tuple[Array, dict[str, Array]]:
+        facts, physics = chain.facts, chain.physics
+        along = np.linspace(0.0, HIGHEST_CY_PER_PX * 1e3 / physics.read_pitch_um, TABLE_POINTS)
+        return along, of_sensor(mtf_terms(facts.mean, facts.camera, physics, chain.screen.display, along))
+
+    return chain.facts.kept(("terms", *chain.pixel_key), compute)
+
+
 def sensor_mtf(chain: ImagingChain, across: Array, down: Array, *, with_lens: bool = True) -> Array:
     """Return the MTF from scene to sensor at frequencies along x and y, which broadcast, in cycles/mm on the sensor.
 
@@ -102,41 +123,48 @@ def sensor_mtf(chain: ImagingChain, across: Array, down: Array, *, with_lens: bo
 
     with_lens : whether the lens counts, and not the pixel alone
     """
-    facts, physics = chain.facts, chain.physics
-    highest = math.sqrt(2) * float(max(np.abs(across).max(), np.abs(down).max()))
-    along = np.linspace(0.0, highest, TABLE_POINTS)
-    terms = of_sensor(mtf_terms(facts.mean, facts.camera, physics, chain.screen.display, along))
+    along, terms = sensor_terms(chain)
     found: Array = np.ones(np.broadcast_shapes(across.shape, down.shape))
     for name, values in terms.items():
         if not with_lens and name in LENSES:
             continue
         at = (np.hypot(across, down),) if name in RADIAL else (np.abs(across), np.abs(down))
         for frequency in at:
-            found = found * np.interp(frequency, along, values)
+            found = found * np.interp(frequency, along, values, right=0.0)
     return found
 
 
+def scene_power(chain: ImagingChain, options: Information) -> tuple[Array, Array, Array]:
+    """Return frequencies of an axis (n,), and what pixels see of the scene's spectrum and of its aliases, (n, n), in mm².
+
+    Over the squared mean signal: the same for all frames.
+    """
+
+    def compute() -> tuple[Array, Array, Array]:
+        pitch_um = chain.physics.read_pitch_um
+        axis = np.linspace(-500.0 / pitch_um, 500.0 / pitch_um, POINTS)
+        corner = options.corner_cy_per_mm or 1 / chain.facts.camera.die_mm
+        level = options.contrast**2 / (2 * math.pi * math.log(2))  # of an octave: 2π C ln 2
+        of_scene = options.spectrum == "scene"
+
+        def power(down: Array, across: Array) -> Array:
+            radius = np.hypot(down, across)
+            # The scene's own picture is one behind the lens.
+            own = np.interp(radius, *chain.facts.spectrum, right=0.0) if of_scene else natural_spectrum(radius, level, corner)
+            return np.asarray(own * sensor_mtf(chain, across, down, with_lens=not of_scene) ** 2)
+
+        return axis, power(axis[:, None], axis), folded_spectrum(power, axis, pitch_um, ORDERS)
+
+    return chain.facts.kept(("power", options.content_hash, *chain.pixel_key), compute)
+
+
 def _information(judged: Judged) -> tuple[float, float]:
-    chain, options, time_s = judged.chain, judged.options.information, judged.frame.integration_s
-    pitch_um = chain.physics.read_pitch_um
+    chain, time_s = judged.chain, judged.frame.integration_s
+    axis, power, folded = scene_power(chain, judged.options.information)
     mean_e = float(chain.signal_e_per_s.mean()) * time_s
-    noise = float(variance_of_pixels_e2(chain, mean_e, time_s)) * (1e-3 * pitch_um) ** 2
-    axis = np.linspace(-500.0 / pitch_um, 500.0 / pitch_um, POINTS)
-    corner = options.corner_cy_per_mm or 1 / chain.facts.camera.die_mm
-    level = (options.contrast * mean_e) ** 2 / (2 * math.pi * math.log(2))  # of an octave: 2π C ln 2
-
-    of_scene = options.spectrum == "scene"
-    facts = chain.facts
-
-    def power(down: Array, across: Array) -> Array:
-        radius = np.hypot(down, across)
-        # The scene's own picture is one behind the lens.
-        own = mean_e**2 * np.interp(radius, *facts.spectrum, right=0.0) if of_scene else natural_spectrum(radius, level, corner)
-        return np.asarray(own * sensor_mtf(chain, across, down, with_lens=not of_scene) ** 2)
-
-    folded = folded_spectrum(power, axis, pitch_um, ORDERS)
-    bits = information_bits_per_mm2(axis, power(axis[:, None], axis), noise, folded)
-    return bits, bits * (facts.camera.image_distance_mm * math.radians(1.0)) ** 2
+    noise = float(variance_of_pixels_e2(chain, mean_e, time_s)) * (1e-3 * chain.physics.read_pitch_um) ** 2
+    bits = information_bits_per_mm2(axis, mean_e**2 * power, noise, mean_e**2 * folded)
+    return bits, bits * (chain.facts.camera.image_distance_mm * math.radians(1.0)) ** 2
 
 
 INFORMATION = Metric(
@@ -155,15 +183,16 @@ INFORMATION = Metric(
 )
 
 
-def _mtf_along(chain: ImagingChain, frequency: Array) -> Array:
-    return sensor_mtf(chain, frequency, np.zeros(1))
+def _mtf_along(chain: ImagingChain) -> tuple[Array, Array]:
+    """Return frequencies in cycles/mm, and the MTF from scene to sensor along an axis."""
+    along, _ = sensor_terms(chain)
+    return along, np.abs(sensor_mtf(chain, along, np.zeros(1)))
 
 
 def _mtf50(judged: Judged) -> tuple[float]:
-    highest = 2e3 / judged.chain.physics.aperture_side_um  # beyond the aperture's second zero
-    frequency = np.linspace(0.0, highest, TABLE_POINTS)
-    found = mtf50(frequency, np.abs(_mtf_along(judged.chain, frequency)))
-    return (highest if found is None else found,)
+    along, mtf = _mtf_along(judged.chain)
+    found = mtf50(along, mtf)
+    return (float(along[-1]) if found is None else found,)
 
 
 MTF50 = Metric(
@@ -225,8 +254,8 @@ SNR10_LX = Metric(
 def _niirs(judged: Judged) -> tuple[float]:
     chain, options, time_s = judged.chain, judged.options.niirs, judged.frame.integration_s
     physics, camera = chain.physics, chain.facts.camera
-    frequency = np.linspace(0.0, 4e3 / physics.read_pitch_um, TABLE_POINTS)
-    rer = relative_edge_response(frequency * 1e-3 * physics.read_pitch_um, np.abs(_mtf_along(chain, frequency)))
+    along, mtf = _mtf_along(chain)
+    rer = relative_edge_response(along * 1e-3 * physics.read_pitch_um, mtf)
     darker_e, brighter_e = (chain.white_e_per_s * time_s * reflectance for reflectance in sorted(options.reflectances))
     noise_e2 = float(variance_of_pixels_e2(chain, brighter_e, time_s))
     noise_e2 += sum(float(np.mean(variance_e2(physics, along=along))) for along in ("column", "row"))

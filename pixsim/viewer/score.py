@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
@@ -60,6 +60,7 @@ from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_r
 from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.judged import DELTA_E_ONLY, Judged, Judging, frame_statistics, numbers_of
+from pixsim.viewer.judges.information_density import radial_spectrum
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metrics import DELTA_E, Asked, delta_e_statistics, percentiles
@@ -78,6 +79,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+T = TypeVar("T")
 CLIPPED_WARNING = 0.01
 ROUNDING = 1e-6  # of white, in the luminance of a dot
 PANEL_IN = 3.1  # width of each picture of a figure
@@ -210,6 +212,16 @@ class LightFacts:
     camera: Camera
     picture: Array = field(repr=False)
     without: tuple[ChannelLight, ...] | None = None
+    _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def kept(self, key: Hashable, compute: Callable[[], T]) -> T:
+        """Return what the frames of a pixel share, from before or computed; it is dropped where others took its place."""
+        if key not in self._kept:
+            while len(self._kept) >= KEPT_OF_PIXELS:
+                self._kept.pop(next(iter(self._kept)), None)
+            self._kept[key] = compute()
+        found: T = self._kept[key]
+        return found
 
     @classmethod
     def of(
@@ -228,24 +240,9 @@ class LightFacts:
 
     @cached_property
     def spectrum(self) -> tuple[Array, Array]:
-        """Power spectrum of the picture over its squared mean, in mm², averaged over directions, at frequencies in cycles/mm.
-
-        Behind a window of Hann, whose light outside the picture would fold. A periodogram scatters by as much as it is; the
-        logarithm of its mean over a ring does not.
-        """
-        mean = float(self.picture.mean(dtype=float))
-        shape, pitch_mm = self.picture.shape, 1e-3 * self.mean.pitch_um
-        window = np.hanning(shape[0])[:, None] * np.hanning(shape[1])
-        deviation = (self.picture / mean - 1.0) * window
-        deviation -= window * (deviation.sum() / window.sum())
-        power = np.abs(np.fft.rfft2(deviation)) ** 2 * pitch_mm**2 / (window**2).sum()
-        down, across = np.fft.fftfreq(shape[0], pitch_mm), np.fft.rfftfreq(shape[1], pitch_mm)
-        radius, step = np.hypot(down[:, None], across), max(across[1], down[1])
-        ring = np.minimum((radius / step + 0.5).astype(int), int(across[-1] / step))
-        twice = np.where((across > 0) & (across < across[-1]), 2.0, 1.0) * np.ones(shape[0])[:, None]  # of a half plane
-        count = np.bincount(ring.ravel(), twice.ravel())
-        found = np.bincount(ring.ravel(), (twice * power).ravel()) / np.maximum(count, 1.0)
-        return np.arange(found.size) * step, found
+        """Power spectrum of the picture over its squared mean, as of `radial_spectrum`: cycles/mm, and mm²."""
+        frequency, power = radial_spectrum(self.picture / float(self.picture.mean(dtype=float)), self.mean.pitch_um)
+        return frequency, power
 
 
 def allows_single(tolerance_delta_e: float | None) -> bool:
@@ -351,6 +348,12 @@ class ImagingChain:
         assert self.made_from is not None
         assert self.made_from[0].facts is not None
         return self.made_from[0].facts
+
+    @property
+    def pixel_key(self) -> tuple[str, ...]:
+        """What tells the pixels of the chain from others in the same light, wherever the array lies."""
+        pixel = self.physics.pixel.model_copy(update={"registration": None})
+        return pixel.content_hash, content_hash(self.physics.technology.content)
 
     def registered(self, number: int) -> ImagingChain:
         """Return the chain of the same pixels at another registration, of `PixelPhysics.registered`."""
@@ -568,7 +571,8 @@ class PreparedScene:
 
     def store_integrals(self) -> None:
         """Compute what all pitches share, for workers that would each compute it."""
-        for light in self.lights:
+        without = self.facts.without if self.facts is not None and self.facts.without is not None else ()
+        for light in (*self.lights, *without):
             light.running_integral  # noqa: B018 – it stays in the light
 
 
@@ -970,6 +974,7 @@ def make_imaging_chain(
     return found[0]
 
 
+KEPT_OF_PIXELS = 32  # tables, of some pixel sizes
 KEPT_CHAINS, MOST_KEPT_BYTES = 8, 1 << 27
 MOST_DIGESTED_BYTES = 1 << 27  # of light; a tenth of a second
 _kept_chains: dict[str, tuple[ImagingChain, float]] = {}  # the last one last; with `PreparedScene.beyond_white`

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pixsim.viewer.judged import Judged
 
 GREY = 0.18  # of white: the patch of visual noise
-POINTS = 1025
+POINTS = 257
 
 
 def _grey_and_filling(asked: Asked) -> str:
@@ -29,8 +29,12 @@ def _acutance(judged: Judged) -> tuple[float]:
     display, facts = chain.screen.display, chain.facts
     frequency = np.linspace(0.0, display.samples_per_deg / 2, POINTS)
     on_sensor = frequency / judged.mm_per_deg
-    terms = mtf_terms(facts.mean, facts.camera, chain.physics, display, on_sensor, chain.screen.dot_um)
-    return (acutance(frequency, np.abs(np.prod(list(terms.values()), axis=0))),)
+
+    def compute() -> float:
+        terms = mtf_terms(facts.mean, facts.camera, chain.physics, display, on_sensor, chain.screen.dot_um)
+        return acutance(frequency, np.abs(np.prod(list(terms.values()), axis=0)))
+
+    return (facts.kept(("acutance", display.content_hash, *chain.pixel_key), compute),)
 
 
 ACUTANCE = Metric(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,8 @@ from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, NO_TECHNOLOGY, SCALED_W
 from pixsim.sensor.stack_options import StackOptions
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.setting import Effort, Run
+from pixsim.viewer.metric_options import METRIC_OPTIONS
+from pixsim.viewer.setting import Effort, Run, Setting
 
 WITHIN = 1e-6  # relative, of lengths and temperatures that are equal but for rounding
 NO_LENS = LensOptions()
@@ -228,6 +230,16 @@ def of_calibration(c: Configuration) -> str:
     return "a calibration chooses it for tolerance_delta_e" if chosen else ""
 
 
+def of_metric(c: Configuration, name: str) -> str:
+    """Of the settings of a metric, by its name."""
+    return "" if isinstance(c.command, Setting) and name in c.command.metrics else f"{name} is not among the metrics"
+
+
+def of_natural_spectrum(c: Configuration) -> str:
+    known = isinstance(c.command, Setting) and c.command.metric.information.spectrum == "natural"
+    return of_metric(c, "information") or ("" if known else "the spectrum is that of the scene (metric.information.spectrum)")
+
+
 def fields_of(table: str, record: type[Record], *but: str) -> tuple[str, ...]:
     """Return the dotted names of a record's fields, but some."""
     return tuple(f"{table}.{name}" for name in record.model_fields if name not in but)
@@ -279,6 +291,8 @@ RULES = (
         lambda c: "" if c.light is None else "the light of a picture is not rendered",
     ),
     Rule(("tolerance_e", "render_noise", "repeats"), of_calibration),
+    Rule(("metric.information.contrast", "metric.information.corner_cy_per_mm"), of_natural_spectrum),
+    *(Rule(fields_of(f"metric.{name}", type(options)), partial(of_metric, name=name)) for name, options in METRIC_OPTIONS),
 )
 
 

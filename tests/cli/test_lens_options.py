@@ -12,7 +12,7 @@ from helpers.commands import command
 from pixsim import load_lens, load_scene
 from pixsim.base.errors import PixsimError
 from pixsim.base.toml import packaged
-from pixsim.cli.commands import with_lens_file
+from pixsim.cli.commands import with_whole_options
 from pixsim.optics.camera import CameraOptions
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.plan import make_render_plan
@@ -197,8 +197,8 @@ def test_rays_that_a_lens_has_not_are_refused_on_the_command_line(folder: Path, 
 
 def test_a_lens_may_be_named_shortly_beside_its_other_options() -> None:
     wanted = ["plan", "csf", "--lens.file", "phone", "--lens.focal-length-mm", "3"]
-    assert with_lens_file(["plan", "csf", "--lens", "phone", "--lens.focal-length-mm", "3"]) == wanted
-    assert with_lens_file(["--lens=phone", "lens", "phone"]) == ["--lens.file=phone", "lens", "phone"]
+    assert with_whole_options(["plan", "csf", "--lens", "phone", "--lens.focal-length-mm", "3"]) == wanted
+    assert with_whole_options(["--lens=phone", "lens", "phone"]) == ["--lens.file=phone", "lens", "phone"]
     code, _, err = command("plan csf --lens phone --lens.refocus field --camera.f-number 1")
     assert code == 2
     assert "the widest of 'phone'" in err

@@ -1,0 +1,137 @@
+"""Whether the metrics that judge a pixel agree on its best size, and what each loses at the best size of another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.show.figures import LOOKS, new_figure, own_style
+from pixsim.show.pages import Column, Plate
+from pixsim.show.sentences import interval
+from pixsim.studies.optimum import FittedCurve, Optimum
+from pixsim.viewer.metrics import Metric
+
+if TYPE_CHECKING:
+    from pixsim.studies.result import Curve
+
+COUNTS = ("no", "one", "both", "all three", "all four", "all five", "all six", "all seven", "all eight")
+WORTH_SAYING = 0.005  # of the best value, that is lost elsewhere
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What several metrics say of the pixels of one curve.
+
+    optima : of each metric, by its name
+    together : whether the 95 % intervals of all of them overlap, an open end without limit
+    between_um : smallest and largest of their best sizes
+    kept : for each metric, and each metric's best size, the share of its best value that is left there
+    """
+
+    optima: Mapping[str, Optimum]
+    together: bool
+    between_um: tuple[float, float]
+    kept: Mapping[str, Mapping[str, float]]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the agreement as in summary.json."""
+        return {
+            "agree": self.together,
+            "between_um": list(self.between_um),
+            "share_of_best_at": {name: dict(shares) for name, shares in self.kept.items()},
+        }
+
+
+def fits_of(curve: Curve) -> dict[str, FittedCurve]:
+    """Return the fitted curve of each metric that tells a best size, by its name."""
+    return {curve.metrics[0].name: curve.fit} | curve.fits
+
+
+def share_of_best(fit: FittedCurve) -> Array:
+    """Return a metric over its best value along its fitted curve, at most 1; the best over the value where less is better."""
+    return np.asarray(fit.delta_e.min() / fit.delta_e) if fit.delta_e.min() > 0 else np.ones(fit.delta_e.size)
+
+
+def agreement_of(curve: Curve) -> Agreement | None:
+    """Return what the metrics of a curve say together; None if fewer than two of them tell a best size."""
+    fits, optima = fits_of(curve), curve.optima
+    if len(fits) < 2:
+        return None
+    lows = [-np.inf if each.interval_um[0] is None else each.interval_um[0] for each in optima.values()]
+    highs = [np.inf if each.interval_um[1] is None else each.interval_um[1] for each in optima.values()]
+    sizes = [each.pitch_um for each in optima.values()]
+    kept = {
+        name: {
+            other: float(np.interp(optimum.pitch_um, fit.pitch_um, share_of_best(fit)))
+            for other, optimum in optima.items()
+            if other != name
+        }
+        for name, fit in fits.items()
+    }
+    return Agreement(optima, max(lows) <= min(highs), (min(sizes), max(sizes)), kept)
+
+
+def value_words(metric: Metric, optimum: Optimum) -> str:
+    """Return the value of a metric at its best size, with its unit."""
+    return f"{optimum.value:.4g} {metric.unit}".rstrip()
+
+
+def place_words(optimum: Optimum) -> str:
+    """Return the best size by a metric with its interval, as text."""
+    end = "" if optimum.inside else ", the end of the sizes"
+    return f"{optimum.pitch_um:.2f} µm{end} (95 %: {interval(optimum.interval_um)})"
+
+
+def agreement_words(curve: Curve) -> list[str]:
+    """Return whether the metrics agree, and what each of them asks for and loses elsewhere; nothing of a single one."""
+    found = agreement_of(curve)
+    if found is None:
+        return []
+    names = list(found.optima)
+    low, high = found.between_um
+    titles = {metric.name: metric.title for metric in curve.metrics}
+    sizes = f"{low:.2f} µm" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f} µm"
+    if found.together:
+        many = COUNTS[len(names)] if len(names) < len(COUNTS) else f"all {len(names)}"
+        said = [f"{curve.label}: the judges agree, {many} within {sizes} (their 95 % intervals overlap)"]
+    else:
+        said = [f"{curve.label}: the judges disagree, from {sizes}"]
+    for metric in curve.metrics:
+        if metric.name not in found.optima:
+            continue
+        optimum = found.optima[metric.name]
+        lost = {other: 1 - share for other, share in found.kept[metric.name].items() if 1 - share >= WORTH_SAYING}
+        losses = ", ".join(f"{100 * share:.2g} % at that of {titles[other]}" for other, share in lost.items())
+        words = f"{metric.title}: best at {place_words(optimum)}, {value_words(metric, optimum)}"
+        said.append(words + (f"; it loses {losses}" if losses else ""))
+    return said
+
+
+@own_style()
+def judges_against_pitch(curve: Curve) -> Plate:
+    """Draw each metric over its best value against pixel size, from its fitted curve."""
+    figure = new_figure(6.4, 3.8)
+    axes = figure.subplots()
+    fits = fits_of(curve)
+    table: dict[str, Column] = {"pitch_um": curve.pitch_um.tolist()}
+    for metric, look in zip([metric for metric in curve.metrics if metric.name in fits], cycle(LOOKS), strict=False):
+        fit = fits[metric.name]
+        share, best = share_of_best(fit), fit.optimum
+        axes.plot(fit.pitch_um, share, lw=1.5, label=f"{metric.title}: {best.pitch_um:.2f} µm", **look.stroke)
+        axes.plot(best.pitch_um, 1.0, look.marker, ms=6, mfc="white", mec=look.colour)
+        table[metric.columns[0]] = curve.mean(metric.columns[0]).tolist()
+        table[f"{metric.name}_over_best"] = np.interp(curve.pitch_um, fit.pitch_um, share).tolist()
+    axes.set(xlabel="pixel size (µm)", ylabel="share of the best value", ylim=(0, 1.05))
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, fontsize=8)
+    told = agreement_words(curve)
+    caption = (
+        f"{told[0]}. Each line is a judge's fitted curve over its best value (the best over the value where less is better), "
+        "so that 1 is the best pixel by this judge; marks are their best sizes."
+    )
+    return Plate("judges", caption, figure, table)
