@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import math
+import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -22,6 +23,14 @@ if TYPE_CHECKING:
 HISTOGRAM_BINS = 1 << 14
 COUNTED = 1 << 18  # values at a time, many more than bins
 ROUNDING = 1e-5  # relative, of means in single precision
+
+
+def _lacks_nothing(asked: Asked) -> str:
+    return ""
+
+
+def _any_values(values: tuple[float, ...]) -> bool:
+    return True
 
 
 @dataclass(frozen=True)
@@ -55,8 +64,8 @@ class Metric:
     columns: tuple[str, ...]
     bounds: tuple[float, float]
     compute: Callable[[Judged], tuple[float, ...]] = field(repr=False)
-    lacks: Callable[[Asked], str] = field(default=lambda asked: "", repr=False)
-    is_possible: Callable[[tuple[float, ...]], bool] = field(default=lambda values: True, repr=False)
+    lacks: Callable[[Asked], str] = field(default=_lacks_nothing, repr=False)
+    is_possible: Callable[[tuple[float, ...]], bool] = field(default=_any_values, repr=False)
     has_optimum: bool = True
     needs_light: bool = False
     code: str = ""
@@ -98,12 +107,22 @@ class OwnFunction:
 
     function: Callable[[Score], float]
 
+    def __reduce__(self) -> tuple[Callable[[bytes], OwnFunction], tuple[bytes]]:
+        """By value: the workers of a study do not have the script or the notebook of the function."""
+        from joblib.externals import cloudpickle
+
+        return _own_function, (cloudpickle.dumps(self.function),)
+
     def __call__(self, judged: Judged) -> tuple[float]:
         value = self.function(judged.score)
         if not isinstance(value, int | float | np.number) or isinstance(value, bool) or not math.isfinite(value):
             got = f"{value!r:.80} of {self.function.__name__}"
             raise invalid("metrics", got, "a function that returns one finite number of a Score")
         return (float(value),)
+
+
+def _own_function(pickled: bytes) -> OwnFunction:
+    return OwnFunction(pickle.loads(pickled))
 
 
 def own_metric(function: Callable[[Score], float]) -> Metric:
@@ -181,6 +200,10 @@ def _rise(values: tuple[float, ...]) -> bool:
     return mean <= largest and all(one <= other * (1 + ROUNDING) for one, other in pairwise(rising))
 
 
+def _delta_e(judged: Judged) -> tuple[float, ...]:
+    return delta_e_statistics(judged.score.delta_e)
+
+
 DELTA_E = Metric(
     name="delta_e",
     title="mean ΔE, S-CIELAB",
@@ -191,6 +214,6 @@ DELTA_E = Metric(
     unseen="what nobody sees at the display's distance: detail for machine vision, and light outside 360-830 nm",
     columns=("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e"),
     bounds=(0.0, 1e3),  # of any two colours: black and white differ by 100, the most saturated ones by 260
-    compute=lambda judged: delta_e_statistics(judged.score.delta_e),
+    compute=_delta_e,
     is_possible=_rise,
 )
