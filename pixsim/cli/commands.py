@@ -850,7 +850,6 @@ def chart(
     the scene.
     """
     from pixsim.scene import charts, colour_chart, own_chart
-    from pixsim.scene.target import Target
     from pixsim.show.document import Document
 
     of_target = {"shape": shape, "size_um": size_um, "contrast": contrast, "direction": direction}
@@ -877,8 +876,7 @@ def chart(
     elif linear or aspect is not None:
         raise invalid("--linear, --aspect", f"with the chart {kind}", "a picture")
     else:
-        shown = Target.of_parameters(of_target, {"size_um": charts.TARGET_UM}) if of_target else None
-        texels = charts.make_chart(kind, width, height, die_mm, shown)
+        texels = charts.make_chart(kind, width, height, die_mm, **of_target)
     charts.write_chart(output, texels)
     result = {"file": str(output), "kind": Path(kind).name, "width": texels.shape[1], "height": texels.shape[0], "border": share}
     border = f", {100 * share:.3g} % of them a grey border that keeps the picture's aspect" if share else ""

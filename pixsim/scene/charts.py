@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base import cache
-from pixsim.base.arguments import Axes, Bounds, Positive, brief, checks_arguments
+from pixsim.base.arguments import Axes, Bounds, brief, checks_arguments
 from pixsim.base.arrays import Array, UnitIntervals
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.locks import temporary_folder_of_process
@@ -43,7 +43,6 @@ MIN_CSF_RANGE = 1.1  # of the highest to the lowest frequency
 SLANT_DEG = 5.0  # ISO 12233
 STAR_CYCLES = 72
 TARGET_UM = 77.5  # 20 mm at 1 m, through the lens of the packaged scenes
-TARGET = Target(size_um=TARGET_UM)
 POINTS_PER_TEXEL = 8  # along each side, for the area coverage
 
 
@@ -161,17 +160,18 @@ def flat(width: Side = 4, height: Side = 4) -> NDArray[np.float32]:
 
 
 @checks_arguments
-def target(width: Side = 1024, height: Side = 1024, die_mm: DieWidth = DIE_MM, target: Target = TARGET) -> NDArray[np.float32]:
-    """Return a target on an even field of relative luminance 1, (height, width): exact means over the texels.
+def target(width: Side = 1024, height: Side = 1024, die_mm: DieWidth = DIE_MM, **fields: object) -> NDArray[np.float32]:
+    """Return a target on an even field of relative luminance 1, (height, width): the exact share of each texel that it covers.
 
     die_mm : side of the square die that the field fills
-    target : with its size on the sensor, `size_um`
+    fields : of `scene.target.Target`: its `shape`, size on the sensor (`size_um`), `contrast` and `direction`
 
     Raises PixsimError for a size in another unit, which needs a camera, and as `Target.texels` does.
     """
-    if target.shape != "edge" and target.size_um is None:
-        raise invalid("target", repr(target), "a size on the sensor, size_um", "The scene 'target' takes the others.")
-    return target.texels((height, width), (die_mm, die_mm), (target.size_um or 0.0) / 1e3)
+    shown = Target.of_parameters(fields, {"size_um": TARGET_UM})
+    if shown.shape != "edge" and shown.size_um is None:
+        raise invalid("target", repr(shown), "a size on the sensor, size_um", "The scene 'target' takes the others.")
+    return shown.texels((height, width), (die_mm, die_mm), (shown.size_um or 0.0) / 1e3)
 
 
 CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
@@ -182,14 +182,14 @@ OF_A_DIE = (csf.__name__, target.__name__)
 
 @checks_arguments
 def make_chart(
-    kind: str, width: Side | None = None, height: Side | None = None, die_mm: DieWidth | None = None, target: Target | None = None
+    kind: str, width: Side | None = None, height: Side | None = None, die_mm: DieWidth | None = None, **target: object
 ) -> NDArray[np.float32]:
     """Return a chart by name, (H, W) float32 relative luminance; the default size is that of the packaged textures.
 
     kind : csf, slanted_edge, siemens_star, flat or target
     width, height : in texels
     die_mm : width of the chart on the sensor, for csf and target only
-    target : what the chart `target` shows, with its size as `size_um`
+    target : of the chart target: `shape`, `size_um`, `contrast`, `direction` (`scene.charts.target`)
 
     Raises PixsimError for another kind, a size outside 2 to 32768 texels, or options of another chart.
 
@@ -203,10 +203,9 @@ def make_chart(
         raise invalid("chart size", size, "2 to 32768 texels per side")
     if die_mm is not None and (kind not in OF_A_DIE or not 0 < die_mm < 1000):
         raise invalid("chart die_mm", f"{die_mm:g} for {kind}", f"0 to 1000 mm, for {' and '.join(OF_A_DIE)} only")
-    if target is not None and kind != "target":
-        raise invalid("chart target", f"{target!r} for {kind}", "a Target for the chart target only")
-    options = {"die_mm": die_mm, "target": target}
-    return CHARTS[kind](**size, **{name: value for name, value in options.items() if value is not None})
+    if target and kind != "target":
+        raise invalid(f"chart {', '.join(target)}", f"a value for {kind}", "a value for target only")
+    return CHARTS[kind](**size, **({} if die_mm is None else {"die_mm": die_mm}), **target)
 
 
 @checks_arguments
@@ -267,11 +266,3 @@ def csf_file(highest_lp_per_mm: HighestFrequency, die_mm: DieWidth) -> Path:
     cycles = highest_lp_per_mm * die_mm
     width = int(min(max(TEXELS_PER_CYCLE * cycles, CSF_WIDTHS[0]), CSF_WIDTHS[1]))
     return texture_file(["csf", width, cycles], partial(csf, width, highest_lp_per_mm=cycles / DIE_MM))
-
-
-@checks_arguments
-def target_file(target: Target, shape: tuple[Side, Side], sides_mm: tuple[Positive, Positive], size_mm: float) -> Path:
-    """Return the file of a target with the texels of `Target.texels`."""
-    relative = [size_mm / side for side in sides_mm]
-    content = ["target", target.shape, target.direction, target.contrast, list(shape), relative]
-    return texture_file(content, partial(target.texels, shape, sides_mm, size_mm))

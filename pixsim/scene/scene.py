@@ -6,7 +6,7 @@ import difflib
 import math
 import os
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import resources
 from itertools import chain
 from pathlib import Path
@@ -153,15 +153,23 @@ class Scene:
                 width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
             named[CHART] = str(charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm))
         if self.shows_target:
-            fitting, sides_mm, texels = chart_parameters(shown), list[float](), list[int]()
-            for count, name in ((height, CHART_HALF_HEIGHT), (width, CHART_HALF_WIDTH)):
-                check_resolution(count)
-                half_m = float(self.parameters.get(name, fitting[name]))
-                sides_mm.append(2e3 * half_m)
-                texels.append(min(max(1, round(count * half_m / fitting[name])), ALLOWED_RESOLUTION[1]))  # cells of the film
-            size_mm = self.target.size_in_scene_mm(camera)
-            named[CHART] = str(charts.target_file(self.target, (texels[0], texels[1]), (sides_mm[0], sides_mm[1]), size_mm))
+            named[CHART] = str(self._target_file(camera, chart_parameters(shown), (height, width)))
         return self.text(**named)
+
+    def _target_file(self, camera: Camera, fitting: dict[str, float], film: tuple[int, int]) -> Path:
+        """Return the texture of its target, whose texels are the cells of a film (H, W).
+
+        fitting : parameters of a chart that fills the film; a larger one has more texels
+        """
+        half_m = {name: float(self.parameters.get(name, fitting[name])) for name in (CHART_HALF_HEIGHT, CHART_HALF_WIDTH)}
+        for side in film:
+            check_resolution(side)
+        counts = (round(count * half_m[name] / fitting[name]) for count, name in zip(film, half_m, strict=True))
+        height, width = (min(max(count, 1), ALLOWED_RESOLUTION[1]) for count in counts)
+        down_mm, across_mm = (2e3 * each for each in half_m.values())
+        target, size_mm = self.target, self.target.size_in_scene_mm(camera)
+        content = ["target", target.shape, target.direction, target.contrast, size_mm, down_mm, across_mm, height, width]
+        return charts.texture_file(content, partial(target.texels, (height, width), (down_mm, across_mm), size_mm))
 
     @property
     def target(self) -> Target:
@@ -267,7 +275,8 @@ def load_scene(
     parameters : values of the scene's <default> parameters; in a scene with a parameter `emitter_scale`, `luminance_cd_per_m2`
         sets the luminance of texel value 1, and `lux` the illuminance in which a white diffuser has it, π times as much; in a
         scene with a <default> `lux`, which only pixsim reads, `lux` scales all lamps and the luminance of white by one factor;
-        `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart; `chart` may name a picture
+        `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart, and the fields of `scene.target.Target` set
+        what the scene target shows, on a background of `luminance_cd_per_m2`; `chart` may name a picture
         (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there is no sensor or more than
