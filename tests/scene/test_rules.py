@@ -399,14 +399,10 @@ def chart_of(texels: np.ndarray, film: int) -> rules.Chart:
 
 
 def test_chart_picture_is_cell_means():
-    """Means of the interpolation, bilinear or of the nearest texel, by the midpoint rule; the chart covers 12 of 24 rows, and cells cut texels."""
+    """Means of the interpolation, linear (1) or of nearest texels (0), by the midpoint rule; the chart covers 12 of 24 rows."""
     texels, points = np.random.default_rng(0).uniform(0, 1, (24, 36)), 4096
-    for beyond, mode, order in (
-        ("edge", "nearest", 1),
-        ("wrap", "grid-wrap", 1),
-        ("symmetric", "reflect", 1),
-        ("edge", "nearest", 0),
-    ):
+    modes = (("edge", "nearest", 1), ("wrap", "grid-wrap", 1), ("symmetric", "reflect", 1), ("edge", "nearest", 0))
+    for beyond, mode, order in modes:
         for covered, shape in (((24, 36), (6, 9)), ((24, 36), (5, 7)), ((12, 18), (6, 9)), ((24, 36), (40, 50))):
             per_sample = covered[0] / shape[0], covered[1] / shape[1]
             picture = rules.Chart(texels, per_sample, shape, beyond, nearest=order == 0).picture()
@@ -415,18 +411,11 @@ def test_chart_picture_is_cell_means():
                 for place, n, cover, size in zip((row, column), texels.shape, covered, per_sample, strict=True):
                     at.append((n - cover) / 2 + size * (place + (np.arange(points) + 0.5) / points) - 0.5)
                 # Along one axis at a time: interpolation and mean separate.
-                rows = map_coordinates(texels, np.meshgrid(at[0], np.arange(36), indexing="ij"), order=order, mode=mode).mean(
-                    axis=0
-                )
+                places = np.meshgrid(at[0], np.arange(36), indexing="ij")
+                rows = map_coordinates(texels, places, order=order, mode=mode).mean(axis=0)
                 truth = map_coordinates(rows, [at[1]], order=order, mode=mode).mean()
-                # A step between the points of a mean: 1/4096 of it at most.
-                assert picture[row, column] == pytest.approx(truth, rel=1e-6 if order else 2e-3), (
-                    beyond,
-                    covered,
-                    shape,
-                    row,
-                    column,
-                )
+                error = 1e-6 if order else 2e-3  # of a step between two of 4096 points
+                assert picture[row, column] == pytest.approx(truth, rel=error), (beyond, covered, shape, row, column)
 
 
 # 1024 stratified samples leave a noise of 1e-4, and three times as much in the worst of 1160 cells; of steps of 0.9 next to 0.1,
