@@ -56,7 +56,7 @@ class Scene:
 
     path : of the XML
     parameters : given values of <default> parameters
-    names : of all parameters in the XML
+    names : of all parameters in the XML, and of those of a target
     sensor_id : id of the sensor; None if there is only one
     choice : Mitsuba variant, and why it was chosen
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
@@ -404,7 +404,7 @@ def _with_target(scene: Scene) -> Scene:
     if absent := {CHART_HALF_WIDTH, CHART_HALF_HEIGHT} - scene.names:
         got = f"'{scene.path.name}' without the parameter {min(absent)}"
         raise invalid("target", got, f"a chart plane scaled by ${CHART_HALF_WIDTH} and ${CHART_HALF_HEIGHT}, whose size is known")
-    shown = replace(scene, shows_target=True)
+    shown = replace(scene, shows_target=True, names=scene.names.union(Target.model_fields))
     _ = shown.target  # raises for wrong parameters
     return shown
 

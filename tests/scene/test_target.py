@@ -157,6 +157,7 @@ def test_target_of_edited_xml_is_drawn(tmp_path: Path) -> None:
     np.testing.assert_array_equal(light(own), light(same))
     assert own.target == Target(contrast=0.4, size_um=60)
     assert own.content_hash != target().content_hash, "the light depends on them"
+    assert {"shape", "contrast", "size_mm", "size_um"} <= own.names, "they are parameters of the scene as others are"
     assert load(path, size_mm=3).target == Target(contrast=0.4, size_mm=3), "a given size takes the place of the file's"
 
 
