@@ -31,7 +31,9 @@ from pixsim.viewer.setting import Run
 
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
-SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
+SCENE_HELP = (
+    "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target, macbeth, line_lamp, still_life."
+)
 
 
 def run_command(tokens: Sequence[str]) -> None:
@@ -798,12 +800,26 @@ def corners(region: str | None) -> tuple[int, int, int, int] | None:
 
 @app.command
 def chart(
-    kind: Annotated[str, Parameter(help="csf, flat, siemens_star, slanted_edge; or a picture: PNG, JPEG, TIFF, HDR, EXR.")],
+    kind: Annotated[str, Parameter(help="csf, flat, siemens_star, slanted_edge, target; or a picture: PNG, JPEG, TIFF, HDR, EXR.")],
     *,
     output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR; row 0 is the top.")],
     width: Annotated[int | None, Parameter(help="Width in texels.")] = None,
     height: Annotated[int | None, Parameter(help="Height in texels.")] = None,
-    die_mm: Annotated[float | None, Parameter(help="Width of the die that the chart fills (csf) [default: 2.7136].")] = None,
+    die_mm: Annotated[
+        float | None, Parameter(help="Width of the die that the chart fills (csf, target) [default: 2.7136].")
+    ] = None,
+    shape: Annotated[
+        Literal["disc", "bar", "edge"] | None, Parameter(help="Of a target: disc, bar (5 times as long as wide), or edge.")
+    ] = None,
+    size_um: Annotated[
+        float | None, Parameter(help="Diameter or width of a target on the sensor; the die is square [default: 77.5].")
+    ] = None,
+    contrast: Annotated[
+        float | None, Parameter(help="Luminance of a target over that of its background, minus 1 [default: -0.1].")
+    ] = None,
+    direction: Annotated[
+        Literal["vertical", "horizontal"] | None, Parameter(help="Of a target that is a bar or an edge [default: vertical].")
+    ] = None,
     colour_axis: Annotated[
         Literal["red-green", "blue-yellow"] | None,
         Parameter(help="Write a scene, .xml, whose chart (csf) changes in colour at constant luminance, with its three slides."),
@@ -818,6 +834,8 @@ def chart(
 
     Example: pixsim chart siemens_star -o star.exr
 
+    Example: pixsim chart target --shape bar --size-um 40 --contrast 0.2 -o bar.exr
+
     Example: pixsim chart picture.png -o picture.exr
 
     Example: pixsim chart csf --colour-axis red-green -o red_green.xml
@@ -825,12 +843,19 @@ def chart(
     A picture becomes its luminance, linear in light: 0.2126 R + 0.7152 G + 0.0722 B of decoded sRGB. -D chart=picture.png does
     the same.
 
+    A target stands in the middle of an even background of 1. `pixsim run target -D shape=bar -D size_um=40` needs no file, and
+    draws it on the cells of the film.
+
     With --colour-axis, one opponent channel of S-CIELAB changes, and the other two are constant. `pixsim run red_green.xml` renders
     the scene.
     """
     from pixsim.scene import charts, colour_chart, own_chart
     from pixsim.show.document import Document
 
+    of_target = {"shape": shape, "size_um": size_um, "contrast": contrast, "direction": direction}
+    of_target = {name: value for name, value in of_target.items() if value is not None}
+    if of_target and kind != "target":
+        raise invalid("--" + ", --".join(of_target).replace("_", "-"), f"with {kind}", "the chart target")
     if colour_axis is not None:
         if kind != "csf" or linear or aspect is not None:
             raise invalid("--colour-axis", f"with {kind}{', --linear or --aspect' if kind == 'csf' else ''}", "the chart csf")
@@ -851,7 +876,7 @@ def chart(
     elif linear or aspect is not None:
         raise invalid("--linear, --aspect", f"with the chart {kind}", "a picture")
     else:
-        texels = charts.make_chart(kind, width, height, die_mm)
+        texels = charts.make_chart(kind, width, height, die_mm, **of_target)
     charts.write_chart(output, texels)
     result = {"file": str(output), "kind": Path(kind).name, "width": texels.shape[1], "height": texels.shape[0], "border": share}
     border = f", {100 * share:.3g} % of them a grey border that keeps the picture's aspect" if share else ""

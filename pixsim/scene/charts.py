@@ -23,6 +23,7 @@ from pixsim.base.locks import temporary_folder_of_process
 from pixsim.base.records import UnitInterval, content_hash
 from pixsim.light.exr import fill_channels, write_channels, writing
 from pixsim.optics.quantities import DieWidth
+from pixsim.scene.target import Target
 
 Side = Annotated[int, Bounds(1, 32768)]  # texels
 HighestFrequency = Annotated[float, Bounds(0, 1e6, open_low=True)]
@@ -41,6 +42,7 @@ MAX_LP_PER_MM = "max_lp_per_mm"  # scene parameter of the CSF chart: its highest
 MIN_CSF_RANGE = 1.1  # of the highest to the lowest frequency
 SLANT_DEG = 5.0  # ISO 12233
 STAR_CYCLES = 72
+TARGET_UM = 77.5  # 20 mm at 1 m, through the lens of the packaged scenes
 POINTS_PER_TEXEL = 8  # along each side, for the area coverage
 
 
@@ -157,20 +159,39 @@ def flat(width: Side = 4, height: Side = 4) -> NDArray[np.float32]:
     return np.ones((height, width), np.float32)
 
 
-CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {chart.__name__: chart for chart in (csf, flat, siemens_star, slanted_edge)}
+@checks_arguments
+def target(width: Side = 1024, height: Side = 1024, die_mm: DieWidth = DIE_MM, **fields: object) -> NDArray[np.float32]:
+    """Return a target on an even field of relative luminance 1, (height, width): the exact share of each texel that it covers.
+
+    die_mm : side of the square die that the field fills
+    fields : of `scene.target.Target`: its `shape`, size on the sensor (`size_um`), `contrast` and `direction`
+
+    Raises PixsimError for a size in another unit, which needs a camera, and as `Target.texels` does.
+    """
+    shown = Target.of_parameters(fields, {"size_um": TARGET_UM})
+    if shown.shape != "edge" and shown.size_um is None:
+        raise invalid("target", repr(shown), "a size on the sensor, size_um", "The scene 'target' takes the others.")
+    return shown.texels((height, width), (die_mm, die_mm), (shown.size_um or 0.0) / 1e3)
+
+
+CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
+    chart.__name__: chart for chart in (csf, flat, siemens_star, slanted_edge, target)
+}
+OF_A_DIE = (csf.__name__, target.__name__)
 
 
 @checks_arguments
 def make_chart(
-    kind: str, width: Side | None = None, height: Side | None = None, die_mm: DieWidth | None = None
+    kind: str, width: Side | None = None, height: Side | None = None, die_mm: DieWidth | None = None, **target: object
 ) -> NDArray[np.float32]:
     """Return a chart by name, (H, W) float32 relative luminance; the default size is that of the packaged textures.
 
-    kind : csf, slanted_edge, siemens_star or flat
+    kind : csf, slanted_edge, siemens_star, flat or target
     width, height : in texels
-    die_mm : width of the chart on the sensor, for csf only
+    die_mm : width of the chart on the sensor, for csf and target only
+    target : of the chart target: `shape`, `size_um`, `contrast`, `direction` (`scene.charts.target`)
 
-    Raises PixsimError for another kind, a size outside 2 to 32768 texels, or a die width for another chart than csf.
+    Raises PixsimError for another kind, a size outside 2 to 32768 texels, or options of another chart.
 
     >>> make_chart("flat", width=3, height=2).tolist()
     [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
@@ -180,11 +201,11 @@ def make_chart(
     size = {key: value for key, value in (("width", width), ("height", height)) if value is not None}
     if any(not 2 <= value <= 32768 for value in size.values()):
         raise invalid("chart size", size, "2 to 32768 texels per side")
-    if die_mm is None:
-        return CHARTS[kind](**size)
-    if kind != "csf" or not 0 < die_mm < 1000:
-        raise invalid("chart die_mm", f"{die_mm:g} for {kind}", "0 to 1000 mm, for csf only")
-    return csf(**size, die_mm=die_mm)
+    if die_mm is not None and (kind not in OF_A_DIE or not 0 < die_mm < 1000):
+        raise invalid("chart die_mm", f"{die_mm:g} for {kind}", f"0 to 1000 mm, for {' and '.join(OF_A_DIE)} only")
+    if target and kind != "target":
+        raise invalid(f"chart {', '.join(target)}", f"a value for {kind}", "a value for target only")
+    return CHARTS[kind](**size, **({} if die_mm is None else {"die_mm": die_mm}), **target)
 
 
 @checks_arguments

@@ -588,8 +588,9 @@ class EmittedPicture:
 
     texels : (rows, columns), as in the file
     along_u, along_v : 1, or -1 if columns or rows run against the shape's u or v
-    beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if they are not interpolated linearly
+    beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if it is not known how they are interpolated
     source : hash of its file
+    nearest : whether each texel is even, not interpolated linearly
     """
 
     texels: Array = field(repr=False)
@@ -597,6 +598,7 @@ class EmittedPicture:
     along_v: float = 1.0
     beyond: Literal["edge", "wrap", "symmetric"] | None = "edge"
     source: str = ""
+    nearest: bool = False
 
 
 def emitted_picture(state: Tree, emitter: Node) -> EmittedPicture | None:
@@ -621,8 +623,8 @@ def emitted_picture(state: Tree, emitter: Node) -> EmittedPicture | None:
     whole = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2)) and np.allclose(to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5)
     if path.suffix.lower() != ".exr" or not whole:
         return None
-    linear = node.get("filter_type", "bilinear") == "bilinear" and set(node) <= KNOWN_OF_BITMAPS
-    beyond = BEYOND.get(str(node.get("wrap_mode", "repeat"))) if linear else None
+    nearest = node.get("filter_type", "bilinear") == "nearest"
+    beyond = BEYOND.get(str(node.get("wrap_mode", "repeat"))) if set(node) <= KNOWN_OF_BITMAPS else None
     source = digest_of(path)
     texels = next(iter(_channels_of(path, source).values())).astype(float)
-    return EmittedPicture(texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond, source)
+    return EmittedPicture(texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond, source, nearest)

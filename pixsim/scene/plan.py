@@ -370,7 +370,8 @@ def _without_samples(plan: Plan) -> Plan:
     straight = plan.integrator is not None and plan.integrator.get("max_depth") == 1
     if plan.chart is None or plan.chart.beyond is None or not straight or plan.given_spp:
         return plan
-    reason = "none: each film cell is the exact mean of the chart, which is linear between its texels"
+    between = "even over each of its texels" if plan.chart.nearest else "linear between its texels"
+    reason = f"none: each film cell is the exact mean of the chart, which is {between}"
     exact = Decision("texture samples", False, reason, f"all {plan.full_spp} samples, and their noise")
     return replace(plan, spp=0, exact=True, decisions=tuple(exact if d.subject == exact.subject else d for d in plan.decisions))
 

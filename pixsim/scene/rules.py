@@ -44,13 +44,14 @@ DARKEST = 0.01  # of the brightest cell; errors of darker cells are relative to 
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart that fills the film, interpolated linearly between the centres of its texels, as Mitsuba does.
+    """A chart that fills the film, linear between the centres of its texels or even over each of them, as Mitsuba takes it.
 
     texels : (rows, columns), as the film shows them: from the top left
     texels_per_sample : (vertical, horizontal) texels per sample of the film
     shape : (H, W) of the film
-    beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if Mitsuba does not interpolate them linearly
+    beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if it is not known how Mitsuba takes them
     source : what tells its texels from those of other charts, if that is known, such as a hash of their file
+    nearest : whether each texel is even
     """
 
     texels: Array = field(repr=False)
@@ -58,6 +59,7 @@ class Chart:
     shape: tuple[int, int]
     beyond: Literal["edge", "wrap", "symmetric"] | None = "edge"
     source: str = ""
+    nearest: bool = False
 
     def picture(self, part: tuple[slice, slice] = (WHOLE, WHOLE)) -> Array:
         """Return the exact mean of each film cell, (H, W), or of a part of the film.
@@ -65,7 +67,7 @@ class Chart:
         It shows the middle of a larger chart; beyond the end of a smaller one is nothing.
         """
         (down, rows), (across, columns) = (
-            self._shown(_cell_weights(count, n, per_sample, which), n)
+            self._shown(_cell_weights(count, n, per_sample, which, self.nearest), n)
             for count, n, per_sample, which in zip(self.shape, self.texels.shape, self.texels_per_sample, part, strict=True)
         )
         texels = self.texels[np.ix_(rows, columns)]
@@ -90,15 +92,18 @@ class Chart:
     @cached_property
     def digest(self) -> bytes:
         """Hash of its content."""
-        geometry = repr((self.texels.shape, self.texels_per_sample, self.shape, self.beyond)).encode()
+        geometry = repr((self.texels.shape, self.texels_per_sample, self.shape, self.beyond, self.nearest)).encode()
         if self.source:  # texels of 32 MB take 40 ms, in each plan of a study with many lights
             return self.source.encode() + geometry
         return hashlib.blake2b(np.ascontiguousarray(self.texels).data, digest_size=16).digest() + geometry
 
     @property
     def details(self) -> float:
-        """Half periods of the chart's finest detail across the film: frequencies up to it have `RESOLVED` of the variance."""
-        return finest_detail(self)
+        """Half periods of the chart's finest detail across the film: frequencies up to it have `RESOLVED` of the variance.
+
+        The steps between even texels have all frequencies.
+        """
+        return math.inf if self.nearest and not self.uniform else finest_detail(self)
 
     @property
     def uniform(self) -> bool:
@@ -154,10 +159,11 @@ def finest_detail(chart: Chart) -> float:
     return max(found, default=1.0)
 
 
-def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice) -> csr_array:
+def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice, nearest: bool = False) -> csr_array:
     """Return the weights of texels in the means of film cells along one axis, a sparse matrix (cells, n + 2).
 
     Between the centres of texels, the chart is linear: a texel's value is weighted with the integral of a tent of unit area.
+    Of an even one it is that of a box.
 
     count, n : of cells and texels; column 0 and the last are the texels beyond the sides
     which : cells to return
@@ -174,7 +180,9 @@ def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice) ->
     touched = np.floor(low).astype(int) + np.arange(math.ceil(covered / count) + 2)
 
     def below(edge: Array) -> Array:
-        """Area of each tent below an edge."""
+        """Area of each tent or box below an edge."""
+        if nearest:
+            return np.clip(edge - touched, -0.5, 0.5)
         side = np.clip(edge - touched, -1.0, 1.0)
         return np.where(side < 0, (1 + side) ** 2, 2 - (1 - side) ** 2) / 2
 
@@ -217,7 +225,7 @@ def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
 
     places = zip(corner, (v, u), chart.texels_per_sample, strict=True)
     at = [first[:, None] + fraction * size - 0.5 for first, fraction, size in places]
-    return np.asarray(map_coordinates(chart.texels, at, order=1, mode="nearest").mean(axis=1))
+    return np.asarray(map_coordinates(chart.texels, at, order=0 if chart.nearest else 1, mode="nearest").mean(axis=1))
 
 
 @by_content
@@ -388,7 +396,7 @@ def lone_chart(state: Tree, camera: Camera, bodies: list[Body], shape: tuple[int
     seen = body.normal[2] < 0 and not any(n.get("hide_emitters", False) for _, n in nodes_of(state, "Integrator"))
     source = f"{picture.source} {turns}" if picture.source else ""
     beyond = picture.beyond if seen else None
-    return Chart(np.ascontiguousarray(texels), (per_sample[0], per_sample[1]), shape, beyond, source)
+    return Chart(np.ascontiguousarray(texels), (per_sample[0], per_sample[1]), shape, beyond, source, picture.nearest)
 
 
 def _facing_half(state: Tree, body: Body) -> tuple[float, float] | None:

@@ -6,8 +6,9 @@ import difflib
 import math
 import os
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -31,11 +32,14 @@ from pixsim.scene.guard.inspector import SceneText, open_scene
 from pixsim.scene.guard.plugins import REASONS
 from pixsim.scene.illuminance import ILLUMINANCE, strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
+from pixsim.scene.target import Target
 from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, parse_tree, plain
 from pixsim.viewer.display_options import Luminance
 from pixsim.viewer.setting import Run
 
-CHART, CHART_LINEAR = "chart", "chart_linear"
+CHART, CHART_LINEAR, TARGET_FILE = "chart", "chart_linear", "target.exr"
+# Parameters that only pixsim reads, of the packaged charts that have some.
+PARAMETERS_OF_CHARTS = {"csf.exr": (charts.MAX_LP_PER_MM,), TARGET_FILE: tuple(Target.model_fields)}
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
 ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
@@ -52,12 +56,13 @@ class Scene:
 
     path : of the XML
     parameters : given values of <default> parameters
-    names : of all parameters in the XML
+    names : of all parameters in the XML, and of those of a target
     sensor_id : id of the sensor; None if there is only one
     choice : Mitsuba variant, and why it was chosen
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
     white_lamps : ids of the emitters whose light together is that of white, if the file names them in its <default> white_lamps
     shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter `max_lp_per_mm` sets
+    shows_target : whether its chart is a target, which parameters set and `for_camera` draws on the cells of the film
     strength : factor on all lamps that the parameter `lux` asks for
     own_chart : a picture that takes the place of the parameter `chart`, which names it
     resolution : film samples across the die, in place of the film's width in the XML
@@ -74,6 +79,7 @@ class Scene:
     own_chart: OwnChart | None = None
     resolution: FilmSamples | None = None
     shows_csf: bool = False
+    shows_target: bool = False
     strength: float | None = None
     _texts: dict[str, SceneText] = field(default_factory=dict, repr=False, compare=False)
 
@@ -81,7 +87,8 @@ class Scene:
     def text(self, **more: object) -> SceneText:
         """Return the inspected text of the scene, with `more` parameters unless the user set them."""
         given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
-        given.pop(charts.MAX_LP_PER_MM, None)  # of pixsim: `for_camera` makes the chart
+        for name in chain.from_iterable(PARAMETERS_OF_CHARTS.values()):  # of pixsim: `for_camera` makes the chart
+            given.pop(name, None)
         if self.strength is not None:
             given.pop(ILLUMINANCE, None)
         if self.own_chart:
@@ -131,8 +138,9 @@ class Scene:
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
         named = {name: repr(value) for name, value in lens.items() if name in self.names}
         shown = camera
-        if camera.die_height_mm is not None:  # whole cells of the film may end a little beyond the die
+        if camera.die_height_mm is not None or self.shows_target:
             height, width = self.film_shape(camera, self.parse(**named))
+        if camera.die_height_mm is not None:  # whole cells of the film may end a little beyond the die
             shown = camera.model_copy(update={"die_height_mm": camera.die_mm * height / max(width, 1)})
         named |= {name: repr(value) for name, value in chart_parameters(shown).items() if name in self.names}
         if self.own_chart:
@@ -144,7 +152,31 @@ class Scene:
             if CHART_HALF_WIDTH in self.parameters:
                 width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
             named[CHART] = str(charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm))
+        if self.shows_target:
+            named[CHART] = str(self._target_file(camera, chart_parameters(shown), (height, width)))
         return self.text(**named)
+
+    def _target_file(self, camera: Camera, fitting: dict[str, float], film: tuple[int, int]) -> Path:
+        """Return the texture of its target, whose texels are the cells of a film (H, W).
+
+        fitting : parameters of a chart that fills the film; a larger one has more texels
+        """
+        half_m = {name: float(self.parameters.get(name, fitting[name])) for name in (CHART_HALF_HEIGHT, CHART_HALF_WIDTH)}
+        for side in film:
+            check_resolution(side)
+        counts = (round(count * half_m[name] / fitting[name]) for count, name in zip(film, half_m, strict=True))
+        height, width = (min(max(count, 1), ALLOWED_RESOLUTION[1]) for count in counts)
+        down_mm, across_mm = (2e3 * each for each in half_m.values())
+        target, size_mm = self.target, self.target.size_in_scene_mm(camera)
+        content = ["target", target.shape, target.direction, target.contrast, size_mm, down_mm, across_mm, height, width]
+        return charts.texture_file(content, partial(target.texels, (height, width), (down_mm, across_mm), size_mm))
+
+    @property
+    def target(self) -> Target:
+        """The target that its chart shows. Raises PixsimError for parameters that are none, and for another chart."""
+        if not self.shows_target:
+            raise invalid("target", f"the chart of '{self.path.name}', which is another", f"a scene whose chart is {TARGET_FILE}")
+        return Target.of_parameters(self.parameters, self.text().defaults)
 
     @checks_arguments
     def film_shape(self, camera: Camera, state: Tree) -> tuple[int, int]:
@@ -186,7 +218,8 @@ class Scene:
     @property
     def content_hash(self) -> str:
         """Hash of the parsed tree and the bytes of its textures."""
-        return hash_of_tree(self.parse())
+        tree = hash_of_tree(self.parse())
+        return content_hash([tree, self.target.content_hash]) if self.shows_target else tree
 
     def __repr__(self) -> str:
         given = "".join(f", {k}={v}" for k, v in self.parameters.items())
@@ -242,7 +275,8 @@ def load_scene(
     parameters : values of the scene's <default> parameters; in a scene with a parameter `emitter_scale`, `luminance_cd_per_m2`
         sets the luminance of texel value 1, and `lux` the illuminance in which a white diffuser has it, π times as much; in a
         scene with a <default> `lux`, which only pixsim reads, `lux` scales all lamps and the luminance of white by one factor;
-        `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart; `chart` may name a picture
+        `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart, and the fields of `scene.target.Target` set
+        what the scene target shows, on a background of `luminance_cd_per_m2`; `chart` may name a picture
         (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there is no sensor or more than
@@ -285,8 +319,8 @@ def load_scene(
         (CHART_LINEAR, CHART),
     )
     settable = {name for name, needed in also if needed in names | text.defaults.keys()}
-    shows_csf = CHART in names and CHART not in given and Path(text.defaults.get(CHART, "")).name == "csf.exr"
-    settable |= {charts.MAX_LP_PER_MM} if shows_csf else set()
+    own_chart = Path(text.defaults.get(CHART, "")).name if CHART in names and CHART not in given else ""
+    settable |= set(PARAMETERS_OF_CHARTS.get(own_chart, ()))
     allowed = names | settable
     if wrong := [name for name in given if name not in allowed]:
         similar = difflib.get_close_matches(wrong[0], allowed, 1)
@@ -302,7 +336,7 @@ def load_scene(
     if lamps is not None and file_lamps is None:
         got = f"'{lamps}', but '{path.name}' has no such <default>"
         raise invalid(WHITE_LAMPS, got, f'a scene with <default name="{WHITE_LAMPS}" value="…"/>, ids of its emitters')
-    if highest is not None and not shows_csf:
+    if highest is not None and own_chart != "csf.exr":
         got = f"'{highest}', but the chart of '{path.name}' is another{' (-D chart)' if CHART in given else ''}"
         raise invalid(charts.MAX_LP_PER_MM, got, "the scene csf with its own chart")
     display_white = file_white if white is None else white
@@ -310,7 +344,8 @@ def load_scene(
     shown_white = None if display_white is None else _positive(WHITE, display_white)
     # The text is that of the resolved file, unless a link's folder has the files that it names.
     texts = {_key_of_text(given, None): text} if picture is None and path == path.resolve() else {}
-    loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=shows_csf, _texts=texts)
+    loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=own_chart == "csf.exr", _texts=texts)
+    loaded = _with_target(loaded) if own_chart == TARGET_FILE else loaded
     loaded = _with_own_chart(loaded, text, picture, linear)
     state = loaded.parse()
     white_lamps = tuple(dict.fromkeys(str((file_lamps if lamps is None else lamps) or "").replace(",", " ").split()))
@@ -325,7 +360,7 @@ def load_scene(
     check_transforms(state)
     check_textures(state)
     if luminance is not None:
-        loaded = _with_luminance(loaded, luminance)
+        loaded = _with_luminance(loaded, text, luminance, keeps_white=white is not None)
     if lux is not None:
         loaded = _with_illuminance(loaded, text, lux, keeps_white=white is not None)
     if highest is not None:
@@ -364,6 +399,16 @@ def _with_own_chart(scene: Scene, text: SceneText, picture: Path | None, linear:
     return replace(scene, own_chart=OwnChart(picture, linear)) if own and picture else scene
 
 
+def _with_target(scene: Scene) -> Scene:
+    """Return the scene with the target of its parameters as its chart."""
+    if absent := {CHART_HALF_WIDTH, CHART_HALF_HEIGHT} - scene.names:
+        got = f"'{scene.path.name}' without the parameter {min(absent)}"
+        raise invalid("target", got, f"a chart plane scaled by ${CHART_HALF_WIDTH} and ${CHART_HALF_HEIGHT}, whose size is known")
+    shown = replace(scene, shows_target=True, names=scene.names.union(Target.model_fields))
+    _ = shown.target  # raises for wrong parameters
+    return shown
+
+
 def _flag(name: str, value: object) -> bool:
     words = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}  # TOML's true may come as 1.0
     if str(value).lower() not in words:
@@ -371,7 +416,8 @@ def _flag(name: str, value: object) -> bool:
     return words[str(value).lower()]
 
 
-def _with_luminance(scene: Scene, luminance: object) -> Scene:
+def _with_luminance(scene: Scene, text: SceneText, luminance: object, keeps_white: bool) -> Scene:
+    """Return the scene with the luminance of texel value 1, which a white of its file follows."""
     value = _positive(LUMINANCE, luminance)
     if EMITTER_SCALE not in scene.names:
         got = f"{value:g}, but '{scene.path.name}' has no parameter {EMITTER_SCALE}"
@@ -380,8 +426,10 @@ def _with_luminance(scene: Scene, luminance: object) -> Scene:
     lamp = find_lamp(unit, scene.choice.reading)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
         raise invalid(LUMINANCE, f"{value:g}, but the luminance of the emitters is unknown", "emitters of one spectrum, above 0")
-    scale = repr(value / lamp.luminance_cd_per_m2)
-    return replace(scene, parameters={**scene.parameters, EMITTER_SCALE: scale})
+    scale, white = value / lamp.luminance_cd_per_m2, scene.white_cd_per_m2
+    if white is not None and not keeps_white and EMITTER_SCALE in text.defaults:
+        white *= scale / _positive(EMITTER_SCALE, text.defaults[EMITTER_SCALE])
+    return replace(scene, white_cd_per_m2=white, parameters={**scene.parameters, EMITTER_SCALE: repr(scale)})
 
 
 def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: bool) -> Scene:

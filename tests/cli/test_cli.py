@@ -368,12 +368,21 @@ def test_run_config_precedence(desk: Path) -> None:
     assert {path.name for path in (desk / "pixsim-out/flat").iterdir()} == RUN_FILES  # the default folder
 
 
-@pytest.mark.parametrize("kind", ["csf", "flat", "siemens_star", "slanted_edge"])
+@pytest.mark.parametrize("kind", ["csf", "flat", "siemens_star", "slanted_edge", "target"])
 def test_chart_writes_make_chart(kind: str, desk: Path) -> None:
     assert command(f"chart {kind} -o x.exr --width 96 --height 64")[0] == 0
     channels, _ = read_channels("x.exr")
     assert list(channels) == ["Y"]
     np.testing.assert_array_equal(channels["Y"], pixsim.make_chart(kind, 96, 64))
+
+
+def test_chart_draws_target_of_its_options(desk: Path) -> None:
+    assert command("chart target --shape bar --size-um 40 --contrast 0.2 --direction horizontal --die-mm 2 -o x.exr")[0] == 0
+    wanted = {"shape": "bar", "size_um": 40, "contrast": 0.2, "direction": "horizontal"}
+    np.testing.assert_array_equal(read_channels("x.exr")[0]["Y"], pixsim.make_chart("target", die_mm=2.0, **wanted))
+    assert command("chart target --shape edge -o edge.exr")[0] == 0, "it needs no size"
+    code, _, err = command("chart flat --contrast 0.2 --size-um 3 -o y.exr")
+    assert (code, "--size-um, --contrast: got with flat; allowed: the chart target" in err) == (2, True)
 
 
 @pytest.mark.parametrize(("axis", "first"), [("red-green", "red"), ("blue-yellow", "blue")])

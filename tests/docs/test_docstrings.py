@@ -64,6 +64,7 @@ EXCEPTIONS = {
     ("source", "pixsim.make_chart"): "the charts name theirs",
     ("source", "pixsim.scene.charts.siemens_star"): "sectors",
     ("source", "pixsim.scene.charts.flat"): "ones",
+    ("source", "pixsim.scene.charts.target"): "areas",
     ("errors", "pixsim.sensor.photodiode.default_diode"): "it has no arguments that could be invalid",
 }
 

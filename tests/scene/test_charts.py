@@ -133,6 +133,13 @@ def test_make_chart_texels_are_valid(kind):
     assert np.all((texels >= (1 if kind == "flat" else 0.0249)) & (texels <= 1))
 
 
+def test_make_chart_target_has_its_size_on_the_die():
+    texels = charts.make_chart("target", 400, 400, 4.0, shape="bar", size_um=100, contrast=0.5, direction="horizontal")
+    expected = np.ones((400, 400), np.float32)
+    expected[195:205, 175:225] = 1.5  # 0.1 × 0.5 mm in texels of 10 µm
+    np.testing.assert_allclose(texels, expected, atol=1e-7)
+
+
 def test_make_chart_other_die_keeps_frequencies():
     # The first half of the phase of a die twice as wide runs at twice the cycles per width.
     narrow, wide = (charts.make_chart("csf", 4096, 4, die_mm)[3].astype(float) for die_mm in (2.0, 4.0))
@@ -143,11 +150,14 @@ def test_make_chart_other_die_keeps_frequencies():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"kind": "nope"}, r"chart: got 'nope'; allowed: csf, flat, siemens_star, slanted_edge"),
+        ({"kind": "nope"}, r"chart: got 'nope'; allowed: csf, flat, siemens_star, slanted_edge, target"),
         ({"kind": "csf", "width": 1}, r"chart size: got .*1.*2 to 32768"),
         ({"kind": "flat", "height": 40_000}, r"height: got 40000; allowed: a whole number from 1 to 32768"),
         ({"kind": "csf", "die_mm": 0.0}, r"die_mm: got 0.0; allowed: a number from 1e-05 to 1000"),
-        ({"kind": "flat", "die_mm": 2.0}, r"die_mm: got 2 for flat.*for csf only"),
+        ({"kind": "flat", "die_mm": 2.0}, r"die_mm: got 2 for flat.*for csf and target only"),
+        ({"kind": "flat", "contrast": 0.1}, r"chart contrast: got a value for flat; allowed: a value for target only"),
+        ({"kind": "target", "size_mm": 3}, r"target: got Target\(.*; allowed: a size on the sensor, size_um"),
+        ({"kind": "target", "size_um": 3000}, r"size of the target: got 3 × 3 mm .* in a field of 2\.714 × 2\.714 mm"),
     ],
 )
 def test_make_chart_invalid_arguments_raise(arguments, message):

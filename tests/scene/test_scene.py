@@ -23,7 +23,7 @@ from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.scene import packaged_scenes
 
 CHARTS = ["csf", "flat", "siemens_star", "slanted_edge"]
-SHIPPED = sorted([*CHARTS, "line_lamp", "macbeth", "still_life"])
+SHIPPED = sorted([*CHARTS, "line_lamp", "macbeth", "still_life", "target"])
 LENS = '<float name="aperture_radius" value="0.0005"/><float name="focus_distance" value="0.8"/>'
 FOV = '<float name="fov" value="40"/>'
 RAW = '<boolean name="raw" value="true"/>'
