@@ -94,20 +94,20 @@ def agreement_words(curve: Curve) -> list[str]:
         return []
     names = list(found.optima)
     low, high = found.between_um
-    titles = {metric.name: metric.title for metric in curve.metrics}
+    titles = {metric.name: metric.words for metric in curve.metrics}
     sizes = f"{low:.2f} µm" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f} µm"
     if found.together:
         many = COUNTS[len(names)] if len(names) < len(COUNTS) else f"all {len(names)}"
         said = [f"{curve.label}: the judges agree, {many} within {sizes} (their 95 % intervals overlap)"]
     else:
-        said = [f"{curve.label}: the judges disagree, from {sizes}"]
+        said = [f"{curve.label}: the judges disagree; their best sizes are {sizes}"]
     for metric in curve.metrics:
         if metric.name not in found.optima:
             continue
         optimum = found.optima[metric.name]
         lost = {other: 1 - share for other, share in found.kept[metric.name].items() if 1 - share >= WORTH_SAYING}
         losses = ", ".join(f"{100 * share:.2g} % at that of {titles[other]}" for other, share in lost.items())
-        words = f"{metric.title}: best at {place_words(optimum)}, {value_words(metric, optimum)}"
+        words = f"{metric.words}: best at {place_words(optimum)}, {value_words(metric, optimum)}"
         said.append(words + (f"; it loses {losses}" if losses else ""))
     return said
 
@@ -122,7 +122,7 @@ def judges_against_pitch(curve: Curve) -> Plate:
     for metric, look in zip([metric for metric in curve.metrics if metric.name in fits], cycle(LOOKS), strict=False):
         fit = fits[metric.name]
         share, best = share_of_best(fit), fit.optimum
-        axes.plot(fit.pitch_um, share, lw=1.5, label=f"{metric.title}: {best.pitch_um:.2f} µm", **look.stroke)
+        axes.plot(fit.pitch_um, share, lw=1.5, label=f"{metric.words}: {best.pitch_um:.2f} µm", **look.stroke)
         axes.plot(best.pitch_um, 1.0, look.marker, ms=6, mfc="white", mec=look.colour)
         table[metric.columns[0]] = curve.mean(metric.columns[0]).tolist()
         table[f"{metric.name}_over_best"] = np.interp(curve.pitch_um, fit.pitch_um, share).tolist()

@@ -71,6 +71,11 @@ class Metric:
     code: str = ""
 
     @property
+    def words(self) -> str:
+        """The title without what follows a comma, for sentences."""
+        return self.title.partition(",")[0]
+
+    @property
     def label(self) -> str:
         """Title and unit, for an axis of a figure."""
         return f"{self.title} ({self.unit})" if self.unit else self.title

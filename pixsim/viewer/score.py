@@ -112,7 +112,10 @@ class Score:
     def __post_init__(self) -> None:
         if self._scored is None:
             object.__setattr__(self, "_scored", (self.ideal, self.image))
-        elif any(own is not old and not np.array_equal(own, old) for own, old in zip((self.ideal, self.image), self._scored)):
+        elif any(
+            own is not old and not np.array_equal(own, old)  # equal after a journey to a worker
+            for own, old in zip((self.ideal, self.image), self._scored, strict=True)
+        ):
             hint = "Score it: pixsim.score_pictures(score.ideal, image, score.display)."
             raise invalid("image", "another picture in a Score, whose ΔE would be that of the old one", "the picture scored", hint)
 
