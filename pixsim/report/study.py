@@ -46,7 +46,15 @@ from pixsim.studies.conditions import Compromise
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.studies.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
-from pixsim.studies.result import Curve, StudyResult, curve_table, delta_e_against_pitch, interval_columns, with_ends
+from pixsim.studies.result import (
+    Curve,
+    StudyResult,
+    curve_table,
+    delta_e_against_pitch,
+    interval_columns,
+    shown_mean_and_ci95,
+    with_ends,
+)
 from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
 from pixsim.studies.study_settings import Study
 
@@ -323,7 +331,8 @@ def study_page(
     figures : "pdf" draws a PDF beside each SVG
     """
     study = result.study
-    kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
+    pictures = [("pictures", curve.technology) for curve in result.curves if curve.has_delta_e]
+    kinds = [("curves", ""), *pictures, ("more", "")]
     kinds += [("paper's scene", ""), ("paper's maps", "")] if study.paper else []
     longest_first = reversed([Group(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
 
@@ -424,8 +433,9 @@ def _limits(result: StudyResult) -> Iterator[Block]:
 
 def _maps(result: StudyResult, plots: Sequence[Plot]) -> list[Block]:
     """Return whole pictures and maps, if there are any."""
-    words = f"All maps of this report have the same {scale(map_end(result)).name}; larger errors have its last colour."
-    return [words, *plots] if plots else []
+    if not plots:
+        return []
+    return [f"All maps of this report have the same {scale(map_end(result)).name}; larger errors have its last colour.", *plots]
 
 
 def _paper(result: StudyResult, rows: Sequence[Finding]) -> list[Block]:
@@ -442,15 +452,26 @@ def agrees(whether: bool) -> tuple[Verdict]:
     return (Verdict("yes" if whether else "does not agree", whether),)
 
 
+def _metric_columns(curve: Curve) -> Iterator[tuple[str, list[str]]]:
+    """Yield a column for each metric: of the first one the mean with its interval, of ΔE to four digits."""
+    first, *others = curve.metrics
+    form = ".4f" if curve.judged_by_delta_e else ".4g"
+    mean, ci95 = shown_mean_and_ci95(curve)
+    yield first.words, [f"{value:{form}}" for value in mean]
+    yield "± 95 %", [f"{value:{form}}" for value in ci95]
+    for metric in others:
+        title = f"{metric.words} ({metric.unit})" if metric.unit else metric.words
+        yield title, [f"{each:.4g}" for each in curve.mean(metric.columns[0])]
+
+
 def numbers_table(curve: Curve) -> Table:
-    """Return mean ΔE of each pixel size."""
+    """Return the mean of each metric for each pixel size."""
     data, partly = curve.as_dict(), is_partly_filled(curve)
     columns = {
         "pixel size (µm)": [f"{value:.3f}" for value in data["pitch_um"]],
         **({"fill factor (%)": [f"{100 * value:.1f}" for value in data["fill_factor"]]} if partly else {}),
         "sensors": [str(value) for value in data["sensors"]],
-        "mean ΔE": [f"{value:.4f}" for value in data["mean_delta_e"]],
-        "± 95 %": [f"{value:.4f}" for value in data["ci95_delta_e"]],
+        **dict(_metric_columns(curve)),
     }
     return Table(f"numbers of {curve.label}", columns, zip(*columns.values(), strict=True))
 

@@ -181,7 +181,7 @@ def study_views(result: StudyResult, curve: Curve, best: FrameScore) -> Views:
 
 def labels(curve: Curve, place: int) -> tuple[str, str]:
     """Return the pixel size, and the mean ΔE over the whole picture and all sensors, as text."""
-    return f"{curve.pitch_um[place]:.2f} µm", f"mean ΔE {curve.mean()[place]:.3f}"
+    return f"{curve.pitch_um[place]:.2f} µm", f"mean ΔE {curve.mean('mean_delta_e')[place]:.3f}"
 
 
 def rank(curve: Curve, place: int) -> str:

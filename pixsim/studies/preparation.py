@@ -42,7 +42,7 @@ from pixsim.studies.study_settings import Study
 from pixsim.studies.unused import StudyConfiguration
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.metrics import Asked
+from pixsim.viewer.metrics import DELTA_E, Asked
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.unused import warn_of_unused_settings
 
@@ -332,6 +332,9 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
         whole = _checked(Case(with_view(fitted, view)), scene_with_view(scene, view), camera)
         warn_of_unused([(study, whole.settings)])
         return StudyJob(asked=asked, study=whole.settings, scene=whole.scene, view=view, cases=(whole,), variant=variant)
+    if study.metrics[0] != DELTA_E.name:
+        hint = "Further metrics have an optimum of their own in each case."
+        raise invalid("metrics", f"'{study.metrics[0]}' first in a study with axes or conditions", "delta_e first", hint)
     # Display and chart are those of the study itself, so that all of its cases are comparable.
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."

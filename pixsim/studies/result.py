@@ -143,6 +143,11 @@ class Curve:
         return self.metrics[0] is DELTA_E
 
     @property
+    def has_delta_e(self) -> bool:
+        """Whether ΔE is among the metrics."""
+        return DELTA_E in self.metrics
+
+    @property
     def delta_e(self) -> Array:
         """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than others.
 

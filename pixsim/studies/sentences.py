@@ -22,6 +22,7 @@ from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
+from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import rounded_up
 
 if TYPE_CHECKING:
@@ -249,7 +250,9 @@ def study_unconverged(result: StudyResult) -> list[str]:
     lines = []
     for curve in result.curves:
         part = result.part_of(curve)
-        least = float(curve.mean().min())
+        if not curve.has_delta_e:
+            continue
+        least = float(curve.mean(DELTA_E.columns[0]).min())
         lines.append(unconverged(part.irradiance.header, part.film_at_best(curve), part.budget, least))
     return few(lines)
 

@@ -64,8 +64,8 @@ def _d_prime(chain: ImagingChain, time_s: float) -> float:
     variance += spread / 4 * difference**2
     sigma_dn = p.dn_per_e * math.sqrt(float(variance.min()))
     if sigma_dn < LEAST_SIGMA_DN:
-        got = f"noise of {sigma_dn:.2g} DN, which the ADC rounds away"
-        hint = "Take more bits (pixel.bits), or fewer electrons per code."
+        got = f"noise of {sigma_dn:.2g} DN in pixels of {p.pitch_um:g} µm, which the ADC rounds away"
+        hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
         raise invalid("the metric detectability", got, f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise", hint)
     for signal_e in (with_e, without_e):
         ends = np.array([signal_e.min(), signal_e.max()])
