@@ -14,7 +14,6 @@ from pixsim.report.study import (
     PARTS_FILE,
     agrees,
     document_of,
-    made_tables,
     parts_files,
     parts_section,
     plot_of,
@@ -22,8 +21,8 @@ from pixsim.report.study import (
     study_page,
     with_files_of_study,
 )
-from pixsim.report.wording import DELTA_E, compromise_answer
-from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, joined, plain_text
+from pixsim.report.wording import DELTA_E, compromise_answer, rendered_words
+from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, joined, made_with, pairs, plain_text
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
 from pixsim.show.sentences import sentence
@@ -223,8 +222,7 @@ def axes_page(
     figures = [Plot(partial(conditions_plate, found, number)) for number, found in enumerate(compromises[:SHOWN_COMPROMISES], 1)]
     table, header = parts_table(result), result.irradiance.header
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
-    rendered = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}"
-    made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered}."
+    made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."
     listed = [
         (Link(case.words or "the study's own settings", f"{case.folder}/report.html"), f": {optimum_line(part.curves[0])}")
         for case, part in parts
@@ -242,7 +240,7 @@ def axes_page(
             Section("optima", "Optima", [optima_table(result.curves), best]),
             parts_section(table),
             Section("cases", "Cases with pictures", [Listed(listed)]),
-            Section("made", "Reproducibility", [made, made_tables(seconds)]),
+            Section("made", "Reproducibility", [made, made_with(pairs("seconds", seconds, ".2f"))]),
         ),
         files={
             "optima.csv": table_csv(optima_columns(result)),

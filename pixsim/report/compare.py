@@ -254,14 +254,15 @@ def comparison_page(result: Comparison, folder: str | os.PathLike[str]) -> Docum
 
     folder : that will be written, which may hold `ROWS_FILES`
     """
-    end, pictures = map_end(result), dict[str, bytes]()
+    end = scale_end(max(compared.score.statistics()["p99_delta_e"] for compared in result.sensors))
+    pictures = dict[str, bytes]()
     for each in result.sensors:
         score, where = each.score, picture_axes(each.irradiance, each.score.border_um)
         pictures[f"pictures/image_{each.name}.png"] = light_png(score.image)
         pictures[f"pictures/ideal_{each.name}.png"] = light_png(score.ideal)
         pictures[f"pictures/delta_e_{each.name}.png"] = delta_e_png(score.delta_e, where, end)
     rows_files = [name for name in ROWS_FILES if Path(folder, name).is_file()]
-    sections = _sections(result, pictures, rows_files)
+    sections = _sections(result, pictures, end, rows_files)
     return replace(comparison_document(result), sections=sections, files={**pictures, **settings_files(result.prepared)})
 
 
@@ -285,17 +286,18 @@ CASES = (
 )
 
 
-def _sections(result: Comparison, pngs: Mapping[str, bytes], rows_files: Sequence[str]) -> Iterator[Section]:
+def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_files: Sequence[str]) -> Iterator[Section]:
     """Yield the sections of the page.
 
     pngs : name -> picture
+    end : of the colour scale of the ΔE maps
     rows_files : of `ROWS_FILES`, those that are there
     """
     prepared, shown, names = result.prepared, result.shown, result.names
     lineup, first, in_shown = shown.lineup, shown.sensors[0], Averaged(((1.0, shown),))
     where = f" in {lineup.condition}" if result.conditions else ""
     maps = [compared.score.delta_e for compared in result.sensors]
-    window, end = worst_window([np.abs(other - maps[0]) for other in maps[1:]]), map_end(result)
+    window = worst_window([np.abs(other - maps[0]) for other in maps[1:]])
     better = f"probability that {names[0]} is better"
     pair_head = ("difference of mean ΔE", "mean", "95 % interval", better, "film's error, at most")
     others, of = names[1:], "the detail with the largest differences"
@@ -385,7 +387,7 @@ def cases_document(result: ComparedCases) -> Document:
         kind="comparison of sensors",
         title=" against ".join(result.names),
         data=result.as_dict(),
-        answers=[Answer((Strong(result.headline(other)),)) for other in result.names[1:]],
+        answers=[Answer((Strong(line),), named=line.startswith(result.names)) for line in map(result.headline, result.names[1:])],
         about=(CASES,),
         sections=(Section("cases", "Cases", (table,), brief=True),),
         data_file=JSON_FILE,
@@ -394,11 +396,6 @@ def cases_document(result: ComparedCases) -> Document:
 
 def _picture(luminance: Array, name: str) -> Picture:
     return Picture(display_codes(reduced(luminance)), name)
-
-
-def map_end(result: Comparison) -> float:
-    """Return the end of the colour scale of the ΔE maps."""
-    return scale_end(max(compared.score.statistics()["p99_delta_e"] for compared in result.sensors))
 
 
 def _map(compared: Compared, pngs: Mapping[str, bytes], end: float) -> Map:
@@ -475,8 +472,7 @@ def _settings(result: Comparison) -> Iterator[Table]:
     prepared, lineup, first = result.prepared, result.shown.lineup, result.shown.sensors[0]
     display, coloured = lineup.settings.display, any(compared.sensor.settings.pixel.colour for compared in result.sensors)
     light = LightLevel.of(first.irradiance, display, [compared.score.frame.integration_s for compared in result.sensors])
-    parameters = first.irradiance.header.get("parameters")
-    yield settings_table("scene", scene_rows(first.irradiance, parameters if isinstance(parameters, dict) else {}, light))
+    yield settings_table("scene", scene_rows(first.irradiance, first.sensor.settings.scene, light))
     yield settings_table("display", record_rows("display", display, False, coloured=coloured))
     if coloured:
         yield settings_table("develop", record_rows("develop", lineup.settings.develop, False))

@@ -11,9 +11,8 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import one_line
-from pixsim.base.files import versions
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
-from pixsim.show.document import Answer, Beside, Document, Listed, Note, Plot, Section, Table, pairs
+from pixsim.show.document import Answer, Document, Listed, Note, Plot, Section, Table, made_with
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure, own_style
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Plate, coarse_table
 from pixsim.show.sentences import UNKNOWN, number, smallest_and_largest
@@ -343,13 +342,12 @@ def lens_document(data: LensData) -> Document:
         *(f"glass {glass.name}: {glass.source}" for glass in prescription.glasses),
         f"{reflected}; camera.transmittance is what counts",
     )
-    made = Beside((pairs("versions", versions()),))
     return Document(
         command="lens",
         kind="lens",
         title=prescription.name,
         data=data.as_dict(),
-        answers=(Answer(title_of(data), (prescription.title,)),),
+        answers=(Answer(title_of(data), (prescription.title,), named=True),),
         lead=map(Note, data.notes),
         sections=(
             Section("drawing", "Layout", (drawing,)),
@@ -357,7 +355,7 @@ def lens_document(data: LensData) -> Document:
             Section("fields", "Fields", (fields, f"{traced} The rms wavefront is without tilt."), brief=True),
             Section("glasses", "Glasses", (Listed(glasses),), brief=True),
             Section("figures", "Figures", others),
-            Section("prescription", "Prescription", (surface_table(data), source, made)),
+            Section("prescription", "Prescription", (surface_table(data), source, made_with())),
         ),
     )
 

@@ -26,7 +26,7 @@ from pixsim.show.sentences import Along, Seen, capital, extremes_of, of_lines, s
 from pixsim.studies.axis import Axis
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
-from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, fresnel_column, interval_columns, with_ends
+from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, closed_range, fresnel_column, interval_columns
 from pixsim.studies.sampling import CUTOFF_NM, cutoff_pitch_um
 from pixsim.studies.study_settings import Study
 from pixsim.studies.varied import setting_path
@@ -409,7 +409,7 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
         aside = ScaledTranslation(apart_pt * (number - (len(lines) - 1) / 2) / PT_PER_IN, 0, figure.dpi_scale_trans)
         draw_optima(axes, scale, line, look, axes.transData + aside)
     curves = [curve for line in lines for curve in line.curves]
-    shown_um = [size for curve in curves for size in (*with_ends(curve.optimum.interval_um, curve), curve.optimum.pitch_um)]
+    shown_um = [size for curve in curves for size in (*closed_range(curve.optimum.interval_um, curve), curve.optimum.pitch_um)]
     margin_um = MARGIN * max(max(shown_um) - min(shown_um), MARGIN * max(shown_um))
     axes.set(ylabel="optimal pixel size (µm)", ylim=(min(shown_um) - margin_um, max(shown_um) + margin_um))
     axes.grid(alpha=0.25)
@@ -439,7 +439,7 @@ def draw_optima(axes: Axes, scale: Scale, line: Line, look: Look, place: Transfo
     from matplotlib.transforms import ScaledTranslation
 
     sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
-    ends_um = np.array([with_ends(curve.optimum.interval_um, curve) for curve in line.curves])
+    ends_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in line.curves])
     is_open = np.array([[end is None for end in curve.optimum.interval_um] for curve in line.curves])
     found = np.array([is_found(curve) for curve in line.curves])
     if scale.numeric:
@@ -559,7 +559,7 @@ def haloed(colour: str) -> dict[str, Any]:
 
 def draw_ridge(axes: Axes, scale: Scale, line: Line) -> None:
     """Draw the optimum, the 1 % valley and the limits over a map: lines along numbers, a step for each category."""
-    within_um = np.array([with_ends(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
+    within_um = np.array([closed_range(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
     sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
     (_, ridge, halo), (_, valley, valley_halo), (_, limit, limit_halo), (_, doubt, doubt_halo) = RIDGE
     line_only = {key: value for key, value in ridge.items() if not key.startswith("m")}
@@ -662,7 +662,7 @@ def panel_grid(number: int, height_in: float) -> tuple[Figure, list[Axes]]:
 
 def valley_words(line: Line, scale: Scale) -> str:
     """Return the sizes that are nearly as good as the best for every value of an axis."""
-    ends_um = np.array([with_ends(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
+    ends_um = np.array([closed_range(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
     low_um, high_um = ends_um[:, 0].max(), ends_um[:, 1].min()
     where = f"at every value of {scale.name}" if len(line.curves) > 1 else f"with {scale.named(scale.values[0])}"
     if low_um > high_um:
@@ -851,7 +851,7 @@ def alone_plate(result: CasesResult) -> Plate | None:
                 draw_moves(axes, row, group, name, seen)
         for axes, seen in ((left, seen_optimum), (right, seen_delta_e)):
             base = seen(group.base)
-            low, high = with_ends(group.base.optimum.interval_um, group.base) if axes is left else (base.low, base.high)
+            low, high = closed_range(group.base.optimum.interval_um, group.base) if axes is left else (base.low, base.high)
             axes.axvspan(low, high, color="0.5", alpha=0.15, lw=0)
             axes.axvline(base.value, color="0.2", lw=1)
             axes.grid(axis="x", alpha=0.25)

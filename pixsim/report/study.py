@@ -9,17 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pixsim.base.files import versions
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
 from pixsim.report.pictures import size_words
 from pixsim.report.settings import record_rows, scene_rows, settings_table, settings_tables
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import DELTA_E, blur_words, budget_section, compromise_answer
+from pixsim.report.wording import DELTA_E, blur_words, budget_section, compromise_answer, rendered_words
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
-    Beside,
     Block,
     Document,
     Fact,
@@ -34,6 +32,7 @@ from pixsim.show.document import (
     Tiles,
     Verdict,
     headline,
+    made_with,
     pairs,
 )
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
@@ -46,7 +45,7 @@ from pixsim.studies.conditions import Compromise
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.studies.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
-from pixsim.studies.result import Curve, StudyResult, curve_table, delta_e_against_pitch, interval_columns, with_ends
+from pixsim.studies.result import Curve, StudyResult, closed_range, curve_table, delta_e_against_pitch, interval_columns
 from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
 from pixsim.studies.study_settings import Study
 
@@ -89,7 +88,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     curves = sorted(result.curves, key=lambda curve: curve.feature_size_um)
     feature_um = np.array([curve.feature_size_um for curve in curves])
     size_um = np.array([curve.optimum.pitch_um for curve in curves])
-    low_um, high_um = np.array([with_ends(curve.optimum.interval_um, curve) for curve in curves]).T
+    low_um, high_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in curves]).T
     figure = new_figure(5.4, 4.0)
     axes = figure.subplots()
     bars = np.maximum([size_um - low_um, high_um - size_um], 0.0)
@@ -353,7 +352,7 @@ def study_page(
             Section("optima", "Optima", [optima_table(result.curves)]),
             Section("numbers", "Numbers", [Section("", curve.label, [numbers_table(curve)]) for curve in result.curves]),
             Section("assumed", "Assumptions", _assumptions(result)),
-            Section("made", "Reproducibility", [_rendered(result), made_tables(seconds)]),
+            Section("made", "Reproducibility", [_rendered(result), made_with(pairs("seconds", seconds, ".2f"))]),
         ),
         files={**{f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views}, **parts_files(parts)},
     )
@@ -476,14 +475,8 @@ def _rendered(result: StudyResult) -> str:
     """Return what the light of a study was made from."""
     header = result.irradiance.header
     return (
-        f"Irradiance: {header['scene']} (hash {header['scene_hash']}), {header['spp']} samples per pixel, seed {header['seed']}, "
-        f"{header['variant']}; {'; '.join(header['plan'])}. Study seed {result.study.seed}."
+        f"Irradiance: {rendered_words(header)}, seed {header['seed']}; {'; '.join(header['plan'])}. Study seed {result.study.seed}."
     )
-
-
-def made_tables(seconds: dict[str, float]) -> Beside:
-    """Return the versions and the wall times."""
-    return Beside((pairs("versions", versions()), pairs("seconds", seconds, ".2f")))
 
 
 def settings(result: StudyResult) -> list[Table]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 UNKNOWN = "–"
 STOPS = (".", "?", "!", ":")  # ends of a sentence
+IDENTIFIER = re.compile(r"\S*[\d_]|\S*\w\.\w")  # at the beginning
 MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
 
 
@@ -30,6 +32,15 @@ def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
     if value is None or not math.isfinite(value):
         return UNKNOWN
     return "0" if abs(value) < least else rounded(value, digits)
+
+
+def exponent(value: float) -> str:
+    """Return a small value in two digits, with an exponent.
+
+    >>> exponent(0.00123), exponent(0.0)
+    ('1.2e-03', '0')
+    """
+    return f"{value:.1e}" if value else "0"
 
 
 def duration(seconds: float) -> str:
@@ -95,8 +106,12 @@ def few(notes: Sequence[Sequence[str]]) -> list[str]:
 
 
 def capital(words: str) -> str:
-    """Return words with a capital letter first."""
-    return words[:1].upper() + words[1:]
+    """Return words with a capital letter first, but for a name as files and settings have it.
+
+    >>> capital("mean ΔE"), capital("my_sensor is better"), capital("pixel.prnu alone"), capital("f/4")
+    ('Mean ΔE', 'my_sensor is better', 'pixel.prnu alone', 'f/4')
+    """
+    return words if IDENTIFIER.match(words) else words[:1].upper() + words[1:]
 
 
 def sentence(words: str) -> str:

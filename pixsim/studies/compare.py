@@ -35,7 +35,7 @@ from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
 from pixsim.studies.lineup import ComparisonJob, Lineup, prepare
 from pixsim.studies.matched_cameras import Match
-from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, light_of
+from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, rendered_light
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
 from pixsim.studies.prepared import Prepared, named
 from pixsim.studies.results_file import ResultsFile
@@ -290,7 +290,7 @@ def lights_on_one_film(lineup: Lineup, stage: Stage) -> tuple[list[Light], list[
         plans: list[Plan] = []
         for sensor in lineup.cases:
             with named(sensor.name):
-                light, plan = light_of(lineup.demand(sensor, width), stage(f"render {sensor.name}"))
+                light, plan = rendered_light(lineup.demand(sensor, width), stage(f"render {sensor.name}"))
             if light.image.shape[1] > width:  # its film had to be finer: the others take that one too
                 width = light.image.shape[1]
                 break

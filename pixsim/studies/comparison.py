@@ -14,7 +14,7 @@ from pixsim.show.render import cell_of
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.lineup import ComparisonJob, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
-from pixsim.studies.verdicts import answers, facts, headline
+from pixsim.studies.verdicts import answers, facts, whole_verdict
 from pixsim.viewer.display import white_light
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Comparison(Averaged):
             more["uncertainty"] = {found.names[1]: found.as_dict() for found in self.uncertainty}
         return more | {
             "names": list(self.names),
-            "verdicts": {other: headline(self, other) for other in self.names[1:]},
+            "verdicts": {other: whole_verdict(self, other) for other in self.names[1:]},
             **self.answers(),
             "match": prepared.match,
             "repeats": prepared.repeats,

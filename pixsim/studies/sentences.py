@@ -72,7 +72,7 @@ def _optimum_parts(curve: Curve) -> list[Text]:
     best, interval = curve.optimum, f"95 %: {interval_words(curve)}"
     within = f"within 1 % of it: {within_words(best.within_1_percent_um, curve)}"
     if words := no_difference_words(curve):
-        if outside := outside_words(curve):
+        if outside := fit_outside_words(curve):
             return [(Strong(words),), *outside]
         size = "" if best.inside else ", the end of the range"
         least = f"least {curve.light.number(best.mean_delta_e)} at {best.pitch_um:.2f} µm{size} ({interval})"
@@ -140,7 +140,7 @@ def no_difference_words(curve: Curve) -> str:
     return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to {high:.3g} µm{whole}"
 
 
-def outside_words(curve: Curve) -> list[str]:
+def fit_outside_words(curve: Curve) -> list[str]:
     """Return where the fitted curve is least, in parts, if that is outside the sizes that look alike; empty otherwise.
 
     The best size tried is among those.

@@ -12,7 +12,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -749,19 +749,21 @@ def draw_distribution(axes: Axes, distribution: ResultDistribution, name: str) -
     axes.locator_params(axis="y", integer=True)  # counts
 
 
+def quantile_words(distribution: ResultDistribution, form: str, unit: str, *names: str) -> str:
+    """Return a quantile of a distribution, or two of them, as text."""
+    ends = (distribution.quantiles[name] for name in names)
+    words = list(dict.fromkeys("beyond the sizes tried" if end is None else f"{end:{form}}{unit}" for end in ends))
+    return words[0] if len(words) == 1 else f"from {' to '.join(words)}"
+
+
 def distribution_words(distribution: ResultDistribution, what: str, unit: str) -> str:
     """Return what is seen of a distribution: median, middle half, nine tenths, and censored shares."""
     known = [end for end in distribution.quantiles.values() if end is not None]
     apart = max(known, default=0.0) - min(known, default=0.0)
     decimals = min(max(1 - math.floor(math.log10(apart / 2)), 0), 6) if apart else 3  # a twentieth of the distance, or finer
-    text = {
-        name: "beyond the pixel sizes tried" if end is None else f"{end:.{decimals}f}"
-        for name, end in distribution.quantiles.items()
-    }
-    words = (
-        f"Median of the {what}: {text['p50']}{unit}; middle half from {text['p25']} to {text['p75']}{unit}, "
-        f"nine tenths from {text['p05']} to {text['p95']}{unit}."
-    )
+    quantiles = partial(quantile_words, distribution, f".{decimals}f", unit)
+    half, most = quantiles("p25", "p75"), quantiles("p05", "p95")
+    words = f"Median of the {what}: {quantiles('p50')}; middle half {half}, nine tenths {most}."
     for share, end in ((distribution.censored_low, "smallest"), (distribution.censored_high, "largest")):
         words += f" Hatched: {share:.1%} at or beyond the {end} pixel size tried." if share else ""
     return words
@@ -823,9 +825,12 @@ WORTH_NAMING = 0.05  # share of the variance
 def indices_words(own: FirstOrder, output: str, labels: Mapping[str, str]) -> str:
     """Return what is seen of the indices of an output: the largest, and their sum; or why they are withheld."""
     if own.withheld:
-        return f"Those of the {output} are withheld: {own.withheld}."
+        return f"The shares of the {output} are withheld: {own.withheld}."
     largest = sorted(own.indices.items(), key=lambda item: -item[1].share)
     named = [(labels[name], index.share) for name, index in largest if index.share >= WORTH_NAMING or name == largest[0][0]]
     together = sum(index.share for index in own.indices.values())
     words = ", ".join(f"{name} {share:.0%}" for name, share in named)
-    return f"The {output}: {words}; all inputs, each alone, {together:.0%}, the rest together ({own.surrogate}, Q² = {own.q2:.2f})."
+    return (
+        f"Shares of the variance of the {output}: {words}; all inputs, each alone, {together:.0%}, the rest together "
+        f"({own.surrogate}, Q² = {own.q2:.2f})."
+    )

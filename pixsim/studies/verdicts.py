@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
-from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline as answer_of
+from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline
 from pixsim.studies.averages import Averaged, shown_delta_e
 from pixsim.studies.extent import stated_end_lp_per_mm
 from pixsim.studies.lineup import ComparisonJob, Lineup, pixels_of
@@ -120,7 +121,7 @@ def conditions_disagree(result: Averaged, other: str) -> bool:
     return len({_winner(part, other) for part in (pair, *(part for _, part in pair.counted))} - {None}) > 1
 
 
-def headline(result: Averaged, other: str) -> str:
+def whole_verdict(result: Averaged, other: str) -> str:
     """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree."""
     pair = result.pair(other)
     if not conditions_disagree(pair, other):
@@ -134,7 +135,7 @@ def _answers_of_conditions(pair: Averaged, other: str) -> list[str]:
 
 
 def answer(result: Averaged, other: str) -> Answer:
-    """Return `headline` as an answer: first who is better, on the weighted mean, then the largest cause of that."""
+    """Return `whole_verdict` as an answer: first who is better, on the weighted mean, then the largest cause of that."""
     pair = result.pair(other)
     first, *others = verdict_parts(pair, other)
     found = pair.unconverged.split("; ") if pair.unconverged else []
@@ -144,13 +145,14 @@ def answer(result: Averaged, other: str) -> Answer:
         begin, others = ["the conditions disagree", f"weighted mean: {first}"], [*others, *_answers_of_conditions(pair, other)]
     first, *more = begin
     unsure = next((words for words in found if words.startswith(NOT_CONVERGED)), "")
-    return answer_of([(Strong(first),), *more, *causes, *others], unsure)
+    found_words = headline([(Strong(first),), *more, *causes, *others], unsure)
+    return replace(found_words, named=first.startswith(result.names))
 
 
 def answers(result: Averaged) -> list[Answer]:
     """Return the answer for each later sensor, and the order of three and more."""
     found = [answer(result, other) for other in result.names[1:]]
-    return found + ([answer_of(ranking_words(result).split("; "))] if len(result.names) > 2 else [])
+    return found + ([headline(ranking_words(result).split("; "))] if len(result.names) > 2 else [])
 
 
 # --- what the answers belong to ---------------------------------------------------------------------------------------------------

@@ -11,26 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.files import versions
-from pixsim.show.document import (
-    Answer,
-    Beside,
-    Block,
-    Document,
-    Fact,
-    Listed,
-    Note,
-    Plot,
-    Section,
-    Strong,
-    Table,
-    Text,
-    Verdict,
-    pairs,
-)
+from pixsim.show.document import Answer, Block, Document, Fact, Listed, Note, Plot, Section, Strong, Table, Text, Verdict, made_with
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Plate, plain, rows_csv
-from pixsim.show.sentences import UNKNOWN, number
+from pixsim.show.sentences import UNKNOWN, exponent, number
 from pixsim.verification.ladders import METRICS, Metric, Rung
 from pixsim.verification.orders import Order, pareto
 from pixsim.verification.solvers import response_plate
@@ -60,7 +44,7 @@ def answer(accuracy: Accuracy) -> Answer:
     )
 
 
-def verdict(accuracy: Accuracy, metric: Metric) -> str:
+def front_words(accuracy: Accuracy, metric: Metric) -> str:
     """Whether the default settings are on the Pareto front, within the scatter; otherwise the setting that dominates them."""
     rival = accuracy.beaten(metric)
     if rival is None:
@@ -278,7 +262,7 @@ FILES = (
 
 def accuracy_document(accuracy: Accuracy) -> Document:
     """Return the answer of `pixsim accuracy`."""
-    settings, solvers = settings_table(accuracy), solver_table(accuracy)
+    settings, solvers = rungs_table(accuracy), solver_table(accuracy)
     plots = plots_of(accuracy)
     header = accuracy.header
     made = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}, in {accuracy.seconds:.0f} s."
@@ -303,7 +287,7 @@ def accuracy_document(accuracy: Accuracy) -> Document:
             ),
             Section("solvers", "Solvers of the photodiode", (SOLVERS, solvers) if solvers.rows else ()),
             Section("all", "All settings", (settings, "* default settings.")),
-            Section("made", "Reproducibility", (made, Beside((pairs("versions", versions()),)))),
+            Section("made", "Reproducibility", (made, made_with())),
         ),
         files={
             "ladders.csv": accuracy.to_csv(),
@@ -317,7 +301,7 @@ def facts(accuracy: Accuracy) -> Iterator[Block]:
     """Yield what follows the errors of the default settings: what they are worth, how long it takes, and what went wrong."""
     yield Fact(f"reference: {accuracy.reference}")
     yield Listed(
-        (f"{METRICS[metric]}: the default settings are ", Verdict(verdict(accuracy, metric), accuracy.beaten(metric) is None))
+        (f"{METRICS[metric]}: the default settings are ", Verdict(front_words(accuracy, metric), accuracy.beaten(metric) is None))
         for metric in METRICS
         if accuracy.rivals(metric)
     )
@@ -327,7 +311,8 @@ def facts(accuracy: Accuracy) -> Iterator[Block]:
     yield Fact(f"stability: {stability_words(accuracy)}")
     if failed := [case for case in accuracy.cases if not case.passed]:
         yield Listed(f"{case.room}, {case.name}: error {case.error:.1e}, limit {case.allowed:.1e}" for case in failed)
-    yield from (Fact(f"skipped: {rung.ladder}, {rung.setting} ({rung.left_out})") for rung in accuracy.rungs if rung.left_out)
+    if skipped := [f"{rung.ladder}, {rung.setting} ({rung.left_out})" for rung in accuracy.rungs if rung.left_out]:
+        yield Fact(f"skipped: {'; '.join(skipped)}")
     yield from map(Note, accuracy.notes)
     yield from map(Fact, filter(None, (accuracy.settings.pixel.assumption,)))
 
@@ -369,7 +354,7 @@ def case_table(accuracy: Accuracy) -> Table:
     for room, cases in groupby(accuracy.cases, attrgetter("room")):
         rows += [(room,)] if room else []
         for case in cases:
-            values = f"{case.expected:.6g}", f"{case.got:.6g}", f"{case.error:.1e}", f"{case.allowed:.1e}"
+            values = f"{case.expected:.6g}", f"{case.got:.6g}", *map(exponent, (case.error, case.allowed))
             met = Verdict("met" if case.passed else f"NOT met {case.warned}", case.passed)
             rows.append((case.name, *values, (met,), case.source))
     head = ("case", "expected", "got", "error", "limit", "verdict", "source")
@@ -388,7 +373,7 @@ def solver_table(accuracy: Accuracy) -> Table:
     rows = tuple(
         (
             row.light, f"{row.integration_s:g}", row.name,
-            *((UNKNOWN, UNKNOWN) if row.failure else (f"{row.charge_e:.9g}", f"{row.relative_error:.1e}")),
+            *((UNKNOWN, UNKNOWN) if row.failure else (f"{row.charge_e:.9g}", exponent(row.relative_error))),
             str(row.evaluations), f"{row.seconds:.2g}", (Verdict(row.failure or "done", not row.failure),),
         )
         for row in accuracy.solvers
@@ -397,7 +382,7 @@ def solver_table(accuracy: Accuracy) -> Table:
     return Table("solvers", head, rows, words=(2, 7))
 
 
-def settings_table(accuracy: Accuracy) -> Table:
+def rungs_table(accuracy: Accuracy) -> Table:
     """Return the time and the errors of each setting."""
     fields = "seconds", *METRICS
     rows = tuple(
