@@ -17,7 +17,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.show.document import Answer, Document, Note, Plot, Section, Table, headline, made_with, pairs
 from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
-from pixsim.show.pages import FIGURE_SUFFIXES, Plate
+from pixsim.show.pages import Plate, figure_files
 from pixsim.show.sentences import number, setting_value
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ BINS = 101
 
 FIGURES = ("photon_transfer", "responsivity", "snr", "linearity", "dark_current", "histograms", "spectrograms", "profiles")
 FILES = (
-    "report.html", "summary.json", "datasheet.csv", *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in FIGURE_SUFFIXES),
+    "report.html", "summary.json", "datasheet.csv", *figure_files(FIGURES),
 )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from pixsim.report.study import (
 from pixsim.report.wording import DELTA_E, compromise_answer, rendered_words
 from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, joined, made_with, pairs, plain_text
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
+from pixsim.show.pages import Column, Figures, Plate, columns_of, figure_files, table_csv
 from pixsim.show.sentences import sentence
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
@@ -94,14 +94,14 @@ def conditions_caption(found: Compromise) -> str:
 
 def conditions_table(found: Sequence[Compromise]) -> dict[str, Column]:
     """Return a table with a row for each condition and each compromise of all combinations."""
-    table: dict[str, list[float | str]] = {}
+    rows: list[dict[str, float | str | None]] = []
 
     def add(pixel: str, of: str, weight: float | str, size: Optimum | Regret, delta_e: float | str, regret: float | str) -> None:
-        low, high = ("" if end is None else end for end in size.interval_um)
-        row: dict[str, float | str] = {"pixel": pixel, "pixel_of": of, "weight": weight, "pitch_um": size.pitch_um}
-        row |= {"interval_low_um": low, "interval_high_um": high, "mean_delta_e": delta_e, "worst_regret_delta_e": regret}
-        for name, value in row.items():
-            table.setdefault(name, []).append(value)
+        low, high = size.interval_um
+        rows.append(
+            {"pixel": pixel, "pixel_of": of, "weight": weight, "pitch_um": size.pitch_um, "interval_low_um": low}
+            | {"interval_high_um": high, "mean_delta_e": delta_e, "worst_regret_delta_e": regret}
+        )
 
     for each in found:
         for curve, weight in zip(each.curves, each.weights, strict=True):
@@ -111,22 +111,20 @@ def conditions_table(found: Sequence[Compromise]) -> dict[str, Column]:
             add(each.label, "least weighted mean ΔE", "", each.best, each.best.mean_delta_e, worst)
         if each.regret is not None:
             add(each.label, "least worst regret", "", each.regret, "", each.regret.delta_e)
-    return dict(table)
+    return columns_of(rows)
 
 
 def optima_columns(result: CasesResult) -> dict[str, Column]:
     """Return a table with the optimum of each technology, combination and condition."""
-    table: dict[str, list[float | str]] = {}
+    rows: list[dict[str, Any]] = []
     for curve in result.curves:
-        best = curve.optimum
-        row: dict[str, Any] = (
-            {"technology": curve.technology} | curve.at | ({"condition": curve.condition} if curve.condition else {})
+        best, condition = curve.optimum, {"condition": curve.condition} if curve.condition else {}
+        rows.append(
+            {"technology": curve.technology, **curve.at, **condition, "optimum_um": best.pitch_um}
+            | {"interval_low_um": best.interval_um[0], "interval_high_um": best.interval_um[1]}
+            | {"inside": str(best.inside), "mean_delta_e": best.mean_delta_e}
         )
-        row |= {"optimum_um": best.pitch_um, "interval_low_um": best.interval_um[0], "interval_high_um": best.interval_um[1]}
-        row |= {"inside": str(best.inside), "mean_delta_e": best.mean_delta_e}
-        for name, value in row.items():
-            table.setdefault(name, []).append("" if value is None else value)
-    return dict(table) | fresnel_column(result.curves, [curve.optimum.pitch_um for curve in result.curves])
+    return columns_of(rows) | fresnel_column(result.curves, [curve.optimum.pitch_um for curve in result.curves])
 
 
 def axes_document(result: CasesResult, compromises: Sequence[Compromise], warned: Collection[str] = ()) -> Document:
@@ -177,9 +175,8 @@ def axes_files(study: Study) -> set[str]:
     """Return the names of all files that the report may have."""
     cases = cases_of(study)
     plates = [*plate_names(study), *(f"conditions_{number + 1}" for number in range(SHOWN_COMPROMISES))]
-    files = {f"figures/{name}.{suffix}" for name in plates for suffix in FIGURE_SUFFIXES}
     own = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.settings)}
-    return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", PARTS_FILE, *files, *own}
+    return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", PARTS_FILE, *figure_files(plates), *own}
 
 
 def study_report(

@@ -76,12 +76,7 @@ def comparison_outline(prepared: ComparisonJob) -> dict[str, Any]:
     costs = [_cost_of(each, repeats) for each in lineups]
     cost = Cost(PAGE_S + START_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
     scene = first.scene.with_resolution(lineup.film_width)
-    more: dict[str, Any] = {}
-    if prepared.study is not None:
-        more["study"] = {"name": prepared.study.name, "not_used": list(prepared.not_used)}
-    if prepared.conditions:
-        more["shown_condition"] = lineup.condition
-        more["conditions"] = {part.condition: {"weight": part.weight} for part in prepared.conditions}
+    more = prepared.of_study
     if prepared.types is not None:
         more["uncertainty"] = {"draws": len(prepared.types.sample.quantiles), "inputs": list(prepared.types.sample.inputs)}
     return more | {
@@ -418,7 +413,7 @@ def _row(compared: Compared, mean: str) -> tuple[str, ...]:
         f"{statistics['p99_delta_e']:.3g}",
         f"{columns} × {rows}",
         f"{pixel.pitch_um:g}",
-        f"{compared.sensor.camera.focal_length_mm:.4g} mm f/{compared.sensor.camera.f_number:.3g}",
+        compared.sensor.camera.lens_words,
         f"{1e3 * statistics['integration_s']:.3g}",
         rounded(statistics["mean_electrons_e"], 4),
         rounded(statistics["full_well_e"], 4),

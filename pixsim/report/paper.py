@@ -74,11 +74,9 @@ def figure_2a(result: StudyResult) -> Plate:
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     (dr, dr_end), (snr, snr_end) = ((column[0], column[-1]) for column in (table["dr_paper_db"], table["snr_paper_db"]))
     caption = (
-        f"Figure 2a: from {pitch_um[0]:g} to {pitch_um[-1]:g} µm, the dynamic range goes from {dr:.1f} to {dr_end:.1f} dB, and "
-        "the SNR "
-        f"at 20 % of the well from {snr:.1f} to {snr_end:.1f} dB. Equations (1) and (2), 0.35 µm, 30 ms; the numbers are those of "
-        "the "
-        "paper's capacitance."
+        f"Figure 2a: from {pitch_um[0]:g} to {pitch_um[-1]:g} µm, the dynamic range goes from {dr:.1f} to {dr_end:.1f} dB, and the "
+        f"SNR at 20 % of the well from {snr:.1f} to {snr_end:.1f} dB. Equations (1) and (2), 0.35 µm, 30 ms; the numbers are those "
+        "of the paper's capacitance."
     )
     return Plate("figure_2a_dr_snr", caption, figure, table)
 
@@ -261,7 +259,6 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     row, column = np.unravel_index(int(values.argmax()), values.shape)
     caption = (
         f"{FIGURE_5_PITCH_UM:g} µm pixels err most, by a mean ΔE of {values[row, column]:.3g}, at {frequency[column]:.2g} lp/mm "
-        "and a "
-        f"contrast of {contrast[row]:.2g}. Mean ΔE by spatial frequency and contrast."
+        f"and a contrast of {contrast[row]:.2g}. Mean ΔE by spatial frequency and contrast."
     )
     return Plate("delta_e_by_frequency_and_contrast", caption, figure, table)

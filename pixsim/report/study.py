@@ -36,7 +36,7 @@ from pixsim.show.document import (
     pairs,
 )
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Drawn, Figures, Plate, table_csv
+from pixsim.show.pages import Column, Drawn, Figures, Plate, figure_files, table_csv
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
 from pixsim.studies.agreement import agreement_of, judges_against_pitch
@@ -110,11 +110,9 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     first, last = -1, 0
     features = size_um / feature_um
     caption = (
-        f"From {feature_um[first]:g} to {feature_um[last]:g} µm, the optimum goes from {size_um[first]:.2f} to "
-        f"{size_um[last]:.2f} µm, "
-        f"which is {features[first]:.3g} to {features[last]:.3g} feature sizes. The line goes through the largest process, as if "
-        "the "
-        "optimum were proportional to the feature size."
+        f"From {feature_um[first]:g} to {feature_um[last]:g} µm, the optimum goes from {size_um[first]:.2f} to {size_um[last]:.2f} "
+        f"µm, which is {features[first]:.3g} to {features[last]:.3g} feature sizes. The line goes through the largest process, as "
+        "if the optimum were proportional to the feature size."
     )
     return Plate("optimum_against_technology", caption, figure, table)
 
@@ -154,11 +152,10 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     ends = [f"{mpe:.3g} lx·s" if np.isfinite(mpe) else "none below saturation" for mpe in (mpe30[0], mpe30[-1])]
     caption = (
         f"From {curve.pitch_um[0]:.3g} to {curve.pitch_um[-1]:.3g} µm, MTF50 on the sensor goes from {mtf50[0]:.3g} to "
-        f"{mtf50[-1]:.3g} "
-        f"lp/mm, and the exposure for 30 dB from {ends[0]} to {ends[1]}. "
-        f"Both sides of the trade-off ({curve.label}). Above: MTF50, the frequency at which the MTF is one half, on the sensor and "
-        "on the display (higher is better), and the minimum exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms; lower "
-        f"is better). Below: MTF of each term at {frequency:.3g} lp/mm, {name}, and their product."
+        f"{mtf50[-1]:.3g} lp/mm, and the exposure for 30 dB from {ends[0]} to {ends[1]}. Both sides of the trade-off "
+        f"({curve.label}). Above: MTF50, the frequency at which the MTF is one half, on the sensor and on the display (higher is "
+        "better), and the minimum exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms; lower is better). Below: MTF of "
+        f"each term at {frequency:.3g} lp/mm, {name}, and their product."
     )
     return Plate("light_against_detail", caption, figure, table)
 
@@ -247,9 +244,8 @@ def report_files(study: Study) -> set[str]:
     curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
     plates = {*curves, "judges", "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
     plates |= set(PAPER_PLATES) if study.paper else set()
-    figures = {f"{name}.{suffix}" for name in plates for suffix in FIGURE_SUFFIXES}
-    figures |= {f"contact_sheet_{label}.png" for label in labels}
-    return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *(f"figures/{name}" for name in figures)}
+    sheets = (f"figures/contact_sheet_{label}.png" for label in labels)
+    return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *figure_files(plates), *sheets}
 
 
 def study_document(result: StudyResult, warned: Collection[str] = ()) -> Document:

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from pixsim.show.document import Answer, Block, Document, Fact, Link, Listed, Plot, Section, Table, headline
-from pixsim.show.pages import FIGURE_SUFFIXES, Plate
+from pixsim.show.pages import Plate, figure_files
 from pixsim.show.sentences import with_ends
 from pixsim.studies.claims import SCALING
 from pixsim.studies.result import StudyResult
@@ -26,8 +26,7 @@ DRAWN = (
 def uncertainty_files() -> set[str]:
     """Return the names of all files of `uncertainty_document`."""
     kinds = [f"uncertainty_{kind}_{number}" for number in range(1, MOST_RESULTS + 1) for kind in ("distribution", "indices")]
-    figures = {f"figures/{kind}.{suffix}" for kind in kinds for suffix in FIGURE_SUFFIXES}
-    return {PAGE, DATA, *figures, *(f"sensor_types_{number}.csv" for number in range(1, MOST_RESULTS + 1))}
+    return {PAGE, DATA, *figure_files(kinds), *(f"sensor_types_{number}.csv" for number in range(1, MOST_RESULTS + 1))}
 
 
 def uncertainty_document(result: StudyResult) -> Document:

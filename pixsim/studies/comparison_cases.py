@@ -18,6 +18,7 @@ from pixsim.studies.averages import Averaged
 from pixsim.studies.axis import Axis
 from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, values_at, with_range_ends
 from pixsim.studies.comparison import FIGURE_BORDER_IN, FIGURE_WIDTH_IN, ROW_IN, Comparison
+from pixsim.studies.lineup import ComparisonJob, prepare
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.varied import MAX_CASE_NAME
@@ -45,7 +46,7 @@ def cases_of_comparison(study: StatedStudy) -> tuple[tuple[Axis, ...], list[Case
     if not (plan := with_range_ends(study_of(study)[1])).axis:
         return (), []
     cases_of(plan)  # that its values are allowed
-    own = plan.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
+    own = plan.stated
     cases = []
     for chosen, alone in combinations(plan.axis):
         table: dict[str, Any] = {}
@@ -60,9 +61,18 @@ def cases_of_comparison(study: StatedStudy) -> tuple[tuple[Axis, ...], list[Case
     return plan.axis, cases
 
 
-def studies_of(study: StatedStudy, cases: Sequence[Case[Study]]) -> list[StatedStudy]:
-    """Return the study of each comparison: that of each case, or of the only one."""
-    return [case.settings for case in cases] or [study]
+def prepare_cases(
+    files: Sequence[str | os.PathLike[str]], scene: str | os.PathLike[str] | None, study: StatedStudy, **asked: Any
+) -> tuple[tuple[Axis, ...], list[Case[Study]], list[ComparisonJob]]:
+    """Return `cases_of_comparison`, and a comparison that is prepared for each case, or the only one.
+
+    asked : further arguments of `prepare`
+
+    Raises PixsimError for invalid input.
+    """
+    axes, cases = cases_of_comparison(study)
+    studies: list[StatedStudy] = [case.settings for case in cases]
+    return axes, cases, [prepare(files, scene, study=own, **asked) for own in studies or [study]]
 
 
 def folders_of(out: str | os.PathLike[str] | None, cases: Sequence[Case[Study]]) -> list[Path | None]:

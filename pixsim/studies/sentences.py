@@ -316,7 +316,7 @@ def lens_words(camera: Camera) -> str:
 
 def thin_lens_words(camera: Camera) -> str:
     """Return the lens of a camera without a real one, and its field."""
-    return f"lens of {camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}, a field of {camera.field_words}"
+    return f"lens of {camera.lens_words}, a field of {camera.field_words}"
 
 
 def film_words(film: dict[str, Any]) -> str:

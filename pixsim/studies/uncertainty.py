@@ -324,6 +324,11 @@ class Sample:
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     @property
+    def stated(self) -> dict[str, list[dict[str, Any]]]:
+        """The inputs as in summary.json."""
+        return {name: [unknown.as_dict() for unknown in members] for name, members in self.inputs.items()}
+
+    @property
     def marginals(self) -> dict[str, Marginal]:
         """Distributions of the inputs."""
         return {name: unknowns[0].marginal for name, unknowns in self.inputs.items()}
@@ -622,7 +627,7 @@ class UncertaintyResult:
             "draws": len(self.outcomes),
             "asked": self.asked,
             "seed": self.seed,
-            "inputs": {name: [unknown.as_dict() for unknown in members] for name, members in self.sample.inputs.items()},
+            "inputs": self.sample.stated,
             "optimum_um": self.optimum.as_dict(),
             "mean_delta_e": self.least_delta_e.as_dict(),
             "verdicts": {name: asdict(probability) for name, probability in self.verdicts.items()},
@@ -789,8 +794,7 @@ def indices_plate(result: UncertaintyResult) -> Plate:
     figure.axes[0].invert_yaxis()
     caption = (
         f"{' '.join(seen)} First-order indices: the share of the variance that each input alone explains, with 95 % bootstrap "
-        "intervals, for the "
-        "optimal pixel size (left) and the least mean ΔE (right)."
+        "intervals, for the optimal pixel size (left) and the least mean ΔE (right)."
     )
     return Plate("uncertainty_indices", caption, figure, table)
 

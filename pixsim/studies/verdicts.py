@@ -162,8 +162,7 @@ def sensor_words(sensor: Prepared[Run]) -> str:
     """Return a sensor's pixels and lens in words."""
     rows, columns = pixels_of(sensor)
     technology = "" if sensor.settings.pixel.technology == NO_TECHNOLOGY else f" ({label_of(sensor.settings.pixel.technology)})"
-    lens = f"{sensor.camera.focal_length_mm:.4g} mm f/{sensor.camera.f_number:.3g}"
-    return f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind {lens}"
+    return f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind {sensor.camera.lens_words}"
 
 
 def exposure_words(lineup: Lineup) -> str:
@@ -206,7 +205,7 @@ def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
     first, field = lineup.cases[0].name, f"the same field of {camera.field_words}"
     lens = {
         "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
-        "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
+        "lens": f"one lens, that of {first} ({camera.lens_words}), and {field}, which all have",
         "own": f"each file's own lens, and {field}, which all have",
     }[prepared.match]
     highest = stated_end_lp_per_mm({"parameters": lineup.cases[0].scene.parameters})

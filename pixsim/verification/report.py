@@ -13,7 +13,7 @@ import numpy as np
 
 from pixsim.show.document import Answer, Block, Document, Fact, Listed, Note, Plot, Section, Strong, Table, Text, Verdict, made_with
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Plate, plain, rows_csv
+from pixsim.show.pages import Column, Plate, figure_files, plain, rows_csv
 from pixsim.show.sentences import UNKNOWN, exponent, number
 from pixsim.verification.ladders import METRICS, Metric, Rung
 from pixsim.verification.orders import Order, pareto
@@ -108,10 +108,9 @@ def work_precision(accuracy: Accuracy) -> Plate:
     figure.legend(handles, labels, loc="outside lower center", ncols=LEGEND_COLUMNS * len(metrics), fontsize=8, frameon=False)
     caption = (
         f"The default settings err by {error_words(accuracy)}, in {accuracy.shipped.seconds:.2g} s. Error against run time; down "
-        "and left is better. Each series varies one setting from the defaults (star). "
-        "Grey: the Pareto front, the smallest error for each run time. The star counts as on it unless another setting is faster "
-        "by more than the scatter of times, a tenth, and more accurate by more than the mean over eight sensors resolves. "
-        f"Reference: {accuracy.reference}."
+        "and left is better. Each series varies one setting from the defaults (star). Grey: the Pareto front, the smallest error "
+        "for each run time. The star counts as on it unless another setting is faster by more than the scatter of times, a tenth, "
+        f"and more accurate by more than the mean over eight sensors resolves. Reference: {accuracy.reference}."
     )
     return Plate("work_precision", caption, figure, table(accuracy, [name for name in RENDERED if name in accuracy.names]))
 
@@ -165,9 +164,8 @@ def convergence(accuracy: Accuracy) -> Plate:
     )
     caption = (
         f"The error {words}. Error against each setting. Lines: fitted power laws, error ∝ setting^-order, with the 95 % interval "
-        "of the order. "
-        "Points at the floor set by other errors are not fitted. Circled: default settings. Errors of electrons are relative, "
-        "those of the optimum in µm. The reference is other sensors for seeds, and the finest display for raster."
+        "of the order. Points at the floor set by other errors are not fitted. Circled: default settings. Errors of electrons are "
+        "relative, those of the optimum in µm. The reference is other sensors for seeds, and the finest display for raster."
     )
     return Plate("convergence", caption, figure, table(accuracy, names))
 
@@ -239,8 +237,7 @@ def budget(accuracy: Accuracy) -> Plate:
     words = f"The largest part is {largest}, {number(known[largest])} of mean ΔE." if largest else "No part is known."
     caption = (
         f"{words} Error budget of one result with the default settings. Render noise and seeds: 95 % intervals over renders and "
-        "over "
-        "sensors. Display raster: the change with twice the dots. Display interpolation: the change with the next finer "
+        "over sensors. Display raster: the change with twice the dots. Display interpolation: the change with the next finer "
         "interpolation: linear for nearest, cubic for linear, quintic for cubic."
     )
     effects: dict[str, Column] = {key: [getattr(effect, key) for effect in accuracy.budget.values()] for key in columns}
@@ -256,7 +253,7 @@ def table(accuracy: Accuracy, names: list[str]) -> dict[str, Column]:
 FIGURES = ("work_precision", "convergence", "viewing", "stages", "budget", "dn_against_light")
 FILES = (
     "report.html", "summary.json", "ladders.csv", "stability.csv", "solvers.csv",
-    *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in FIGURE_SUFFIXES),
+    *figure_files(FIGURES),
 )  # fmt: skip
 
 
