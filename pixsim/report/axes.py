@@ -9,7 +9,7 @@ from itertools import cycle
 from typing import Any
 
 from pixsim.base.toml import SETTINGS_FILE
-from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
+from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
 from pixsim.report.study import (
     PARTS_FILE,
     agrees,
@@ -33,7 +33,7 @@ from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.parts import parts_table
-from pixsim.studies.result import CasesResult, StudyResult, fresnel_column
+from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.sentences import film_words, optima_table, optimum_line
 from pixsim.studies.study_settings import Study
 
@@ -97,11 +97,9 @@ def conditions_table(found: Sequence[Compromise]) -> dict[str, Column]:
     rows: list[dict[str, float | str | None]] = []
 
     def add(pixel: str, of: str, weight: float | str, size: Optimum | Regret, delta_e: float | str, regret: float | str) -> None:
-        low, high = size.interval_um
-        rows.append(
-            {"pixel": pixel, "pixel_of": of, "weight": weight, "pitch_um": size.pitch_um, "interval_low_um": low}
-            | {"interval_high_um": high, "mean_delta_e": delta_e, "worst_regret_delta_e": regret}
-        )
+        names = "pixel", "pixel_of", "weight", "pitch_um", "interval_low_um", "interval_high_um", "mean_delta_e"
+        values = pixel, of, weight, size.pitch_um, *size.interval_um, delta_e, regret
+        rows.append(dict(zip((*names, "worst_regret_delta_e"), values, strict=True)))
 
     for each in found:
         for curve, weight in zip(each.curves, each.weights, strict=True):
@@ -116,15 +114,7 @@ def conditions_table(found: Sequence[Compromise]) -> dict[str, Column]:
 
 def optima_columns(result: CasesResult) -> dict[str, Column]:
     """Return a table with the optimum of each technology, combination and condition."""
-    rows: list[dict[str, Any]] = []
-    for curve in result.curves:
-        best, condition = curve.optimum, {"condition": curve.condition} if curve.condition else {}
-        rows.append(
-            {"technology": curve.technology, **curve.at, **condition, "optimum_um": best.pitch_um}
-            | {"interval_low_um": best.interval_um[0], "interval_high_um": best.interval_um[1]}
-            | {"inside": str(best.inside), "mean_delta_e": best.mean_delta_e}
-        )
-    return columns_of(rows) | fresnel_column(result.curves, [curve.optimum.pitch_um for curve in result.curves])
+    return case_columns(result, result.curves, list(result.curves[0].at)) | optimum_columns(result.curves)
 
 
 def axes_document(result: CasesResult, compromises: Sequence[Compromise], warned: Collection[str] = ()) -> Document:

@@ -26,7 +26,7 @@ from pixsim.show.sentences import Along, Seen, capital, extremes_of, of_lines, s
 from pixsim.studies.axis import Axis
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
-from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, closed_range, fresnel_column, interval_columns
+from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, closed_range, fresnel_column, range_columns
 from pixsim.studies.sampling import CUTOFF_NM, cutoff_pitch_um
 from pixsim.studies.study_settings import Study
 from pixsim.studies.varied import setting_path
@@ -327,7 +327,7 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
     best = [curve.optimum for curve in curves]
     return {
         "optimum_um": [each.pitch_um for each in best],
-        **interval_columns(curves),
+        **range_columns("interval", curves),
         "inside": [str(each.inside) for each in best],
         "alike": [str(curve.alike_um is not None) for curve in curves],
         "mean_delta_e": [each.mean_delta_e for each in best],
@@ -691,16 +691,13 @@ def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
             pitch_um += own_um
             delta_e += curve.fit.delta_e[::MAP_STEP].tolist()
             cutoffs_um += [cutoff_um] * len(own_um)
-    ends = ([curve.optimum.within_1_percent_um[end] for curve in curves] for end in (0, 1))
-    low_um, high_um = (["" if end is None else end for end in column] for column in ends)
     more: dict[str, Column] = {
         "pitch_um": pitch_um,
         "mean_delta_e": delta_e,
         "optimum_um": [curve.optimum.pitch_um for curve in curves],
         "inside": [str(curve.optimum.inside) for curve in curves],
         "alike": [str(curve.alike_um is not None) for curve in curves],
-        "within_1_percent_low_um": low_um,
-        "within_1_percent_high_um": high_um,
+        **range_columns("within_1_percent", curves),
         "cutoff_pitch_um": cutoffs_um,
         **fresnel_column(curves, pitch_um),
     }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.sensor.labels import label_of
 from pixsim.show.document import Block, Document, Table
-from pixsim.show.sentences import duration, exponent, rounded
+from pixsim.show.sentences import duration, rounded
 from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost
 from pixsim.studies.extent import columns_on
 from pixsim.studies.outline import planned_run, planned_study
@@ -144,7 +144,7 @@ def plan_document(plan: Plan, scene: str, assumption: str) -> Document:
     """
     rows = []
     for each in plan.decisions:
-        bound = "" if each.kept and not each.bound_e else exponent(each.bound_e)
+        bound = f"{each.bound_e:.1e}" if each.bound_e else "" if each.kept else "0"
         bound = bound if each.bounded else "unknown"
         rows.append((each.subject, "kept" if each.kept else "left out", each.reason, each.saved, bound))
     passes = "no samples" if plan.exact else f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples"

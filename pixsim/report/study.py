@@ -45,7 +45,7 @@ from pixsim.studies.conditions import Compromise
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.studies.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
-from pixsim.studies.result import Curve, StudyResult, closed_range, curve_table, delta_e_against_pitch, interval_columns
+from pixsim.studies.result import Curve, StudyResult, closed_range, curve_table, delta_e_against_pitch, range_columns
 from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
 from pixsim.studies.study_settings import Study
 
@@ -102,7 +102,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
         "technology": [curve.label for curve in curves],
         "feature_size_um": feature_um.tolist(),
         "optimum_um": size_um.tolist(),
-        **interval_columns(curves),
+        **range_columns("interval", curves),
         "optimum_features": (size_um / feature_um).tolist(),
         "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
         "proportional_um": proportional.tolist(),

@@ -34,15 +34,6 @@ def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
     return "0" if abs(value) < least else rounded(value, digits)
 
 
-def exponent(value: float) -> str:
-    """Return a small value in two digits, with an exponent.
-
-    >>> exponent(0.00123), exponent(0.0)
-    ('1.2e-03', '0')
-    """
-    return f"{value:.1e}" if value else "0"
-
-
 def duration(seconds: float) -> str:
     """Return a duration to two digits.
 

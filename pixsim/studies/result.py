@@ -761,11 +761,11 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
     return dict(table)
 
 
-def interval_columns(curves: Sequence[Curve]) -> dict[str, Column]:
-    """Return columns with the ends of the optima's 95 % intervals; empty for an open end."""
-    ends = ([curve.optimum.interval_um[end] for curve in curves] for end in (0, 1))
+def range_columns(name: str, curves: Sequence[Curve]) -> dict[str, Column]:
+    """Return columns with the ends of a range of each optimum, as `interval` or `within_1_percent`; empty for an open end."""
+    ends = zip(*(getattr(curve.optimum, f"{name}_um") for curve in curves), strict=True)
     low, high = (["" if end is None else end for end in column] for column in ends)
-    return {"interval_low_um": low, "interval_high_um": high}
+    return {f"{name}_low_um": low, f"{name}_high_um": high}
 
 
 def target_notes(result: StudyResult) -> list[str]:

@@ -130,8 +130,12 @@ def whole_verdict(result: Averaged, other: str) -> str:
     return "; ".join(filter(None, (*words, pair.unconverged)))
 
 
+def _in_condition(part: Averaged, other: str) -> str:
+    return f"{part.shown.lineup.condition} (weight {part.shown.lineup.weight:.3g}): {verdict(part, other)}"
+
+
 def _answers_of_conditions(pair: Averaged, other: str) -> list[str]:
-    return [f"{part.shown.lineup.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in pair.counted]
+    return [_in_condition(part, other) for _, part in pair.counted]
 
 
 def answer(result: Averaged, other: str) -> Answer:
@@ -236,9 +240,7 @@ def facts(result: Comparison) -> Iterator[Block]:
     yield Table("sensors", (), rows, words=None)
     agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
     conditions = [
-        f"{part.condition} (weight {part.weight:.3g}): {verdict(result.pair(other).conditions[number], other)}"
-        for number, part in enumerate(result.prepared.conditions)
-        for other in agreed
+        _in_condition(result.pair(other).conditions[number], other) for number in range(len(result.conditions)) for other in agreed
     ]
     if items := (*conditions, *(found.words for found in result.uncertainty)):
         yield Listed(items)

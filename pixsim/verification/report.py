@@ -14,7 +14,7 @@ import numpy as np
 from pixsim.show.document import Answer, Block, Document, Fact, Listed, Note, Plot, Section, Strong, Table, Text, Verdict, made_with
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
 from pixsim.show.pages import Column, Plate, figure_files, plain, rows_csv
-from pixsim.show.sentences import UNKNOWN, exponent, number
+from pixsim.show.sentences import UNKNOWN, number
 from pixsim.verification.ladders import METRICS, Metric, Rung
 from pixsim.verification.orders import Order, pareto
 from pixsim.verification.solvers import response_plate
@@ -351,7 +351,7 @@ def case_table(accuracy: Accuracy) -> Table:
     for room, cases in groupby(accuracy.cases, attrgetter("room")):
         rows += [(room,)] if room else []
         for case in cases:
-            values = f"{case.expected:.6g}", f"{case.got:.6g}", *map(exponent, (case.error, case.allowed))
+            values = f"{case.expected:.6g}", f"{case.got:.6g}", number(case.error), number(case.allowed)
             met = Verdict("met" if case.passed else f"NOT met {case.warned}", case.passed)
             rows.append((case.name, *values, (met,), case.source))
     head = ("case", "expected", "got", "error", "limit", "verdict", "source")
@@ -370,7 +370,7 @@ def solver_table(accuracy: Accuracy) -> Table:
     rows = tuple(
         (
             row.light, f"{row.integration_s:g}", row.name,
-            *((UNKNOWN, UNKNOWN) if row.failure else (f"{row.charge_e:.9g}", exponent(row.relative_error))),
+            *((UNKNOWN, UNKNOWN) if row.failure else (f"{row.charge_e:.9g}", number(row.relative_error))),
             str(row.evaluations), f"{row.seconds:.2g}", (Verdict(row.failure or "done", not row.failure),),
         )
         for row in accuracy.solvers
