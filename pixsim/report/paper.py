@@ -46,6 +46,11 @@ FIGURE_6_HEADROOM = 0.08  # of the height of the curves, above them
 SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
 
 
+def numbered(plate: Plate, number: int, name: str) -> Plate:
+    """Return a figure under another name, with its number in the paper."""
+    return replace(plate, name=name, caption=f"Figure {number}: {plate.caption[0].lower()}{plate.caption[1:]}")
+
+
 def scene_plates(result: StudyResult) -> list[Plate]:
     """Return the paper's Figures 2 to 4: pixels, die and scene."""
     return [figure_2a(result), figure_2b(result), figure_3(result), figure_4(result)]
@@ -177,8 +182,8 @@ def figure_5(evidence: Evidence) -> Plate:
     """Show the ideal image, output, ΔE map and curves of equal ΔE at 8 µm."""
     result, curve = evidence.result, evidence.curves[REFERENCE_TECHNOLOGY]
     (score,) = result.shown_scores(curve.technology, FIGURE_5_PITCH_UM, 1)
-    plate = study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM], "figure_5_pictures_8um")
-    return replace(plate, caption="Figure 5: " + plate.caption)
+    name = "figure_5_pictures_8um"
+    return numbered(study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM], name), 5, name)
 
 
 @own_style()

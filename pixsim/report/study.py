@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pixsim.base.toml import SETTINGS_FILE
-from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
+from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
 from pixsim.report.pictures import size_words
 from pixsim.report.settings import record_rows, scene_rows, settings_table, settings_tables
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
@@ -39,6 +39,7 @@ from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_fig
 from pixsim.show.pages import Column, Drawn, Figures, Plate, figure_files, table_csv
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
+from pixsim.show.sentences import capital
 from pixsim.studies.agreement import agreement_of, judges_against_pitch
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.conditions import Compromise
@@ -217,13 +218,8 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
             plates.append(optimum_against_technology(result))
     if not result.study.paper:
         return plates
-    numbers = {plate.name: f"Figure {FIGURE_NUMBERS[plate.name]}: " for plate in plates if plate.name in FIGURE_NUMBERS}
-    return [
-        replace(plate, name=curve_file(plate.name, True), caption=numbers[plate.name] + plate.caption)
-        if plate.name in numbers
-        else plate
-        for plate in plates
-    ]
+    numbers = FIGURE_NUMBERS
+    return [numbered(plate, numbers[plate.name], curve_file(plate.name, True)) if plate.name in numbers else plate for plate in plates]
 
 
 def curve_file(name: str, paper: bool) -> str:
@@ -346,7 +342,7 @@ def study_page(
             Section("figures", "The paper's other figures", [NO_COUNTERPART, *plots["paper"]] if plots["paper"] else ()),
             budget_section(result.budget),
             Section("optima", "Optima", [optima_table(result.curves)]),
-            Section("numbers", "Numbers", [Section("", curve.label, [numbers_table(curve)]) for curve in result.curves]),
+            Section("numbers", "Numbers", [Section("", capital(curve.label), [numbers_table(curve)]) for curve in result.curves]),
             Section("assumed", "Assumptions", _assumptions(result)),
             Section("made", "Reproducibility", [_rendered(result), made_with(pairs("seconds", seconds, ".2f"))]),
         ),
@@ -382,7 +378,7 @@ def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
         across, down = (f"{100 * share:.0f} %" for share in view.place)
         chosen = "The detail chosen in the study" if study.detail else detail
         place = f"{chosen}. Its centre is at {across} of the picture's width and {down} of its height, from the upper left."
-        of, label = f"detail in {view.label}", view.label
+        of, label = f"detail in {view.label}", capital(view.label)
         yield Section("", f"{label}: the same detail for every pixel size", [place, Tiles(view.tiles, of)])
         errors = Pictures(view.crops, of), Scale(scale(map_end(result)))
         yield Section("", f"{label}: errors in that detail", errors, together=True)

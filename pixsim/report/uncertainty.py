@@ -9,7 +9,7 @@ from typing import Any
 
 from pixsim.show.document import Answer, Block, Document, Fact, Link, Listed, Plot, Section, Table, headline
 from pixsim.show.pages import Plate, figure_files
-from pixsim.show.sentences import with_ends
+from pixsim.show.sentences import capital, with_ends
 from pixsim.studies.claims import SCALING
 from pixsim.studies.result import StudyResult
 from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distribution_plate, indices_plate, quantile_words
@@ -41,7 +41,9 @@ def uncertainty_document(result: StudyResult) -> Document:
         answers=[block for block in shown if isinstance(block, Answer)],
         lead=[block for block in shown if not isinstance(block, Answer)],
         about=((DRAWN, Link("The study itself", "report.html"), "."),),
-        sections=tuple(Section(f"pixel-{number}", each.label or "Optimum", tuple(_blocks(each, number))) for number, each in found),
+        sections=tuple(
+            Section(f"pixel-{number}", capital(each.label) or "Optimum", tuple(_blocks(each, number))) for number, each in found
+        ),
         files={f"sensor_types_{number}.csv": each.to_csv() for number, each in found},
         data_file=DATA,
         page=PAGE,
