@@ -259,7 +259,7 @@ FILES = (
 
 def accuracy_document(accuracy: Accuracy) -> Document:
     """Return the answer of `pixsim accuracy`."""
-    settings, solvers = rungs_table(accuracy), solver_table(accuracy)
+    settings, solvers, orders = rungs_table(accuracy), solver_table(accuracy), order_table(accuracy)
     plots = plots_of(accuracy)
     header = accuracy.header
     made = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}, in {accuracy.seconds:.0f} s."
@@ -272,7 +272,7 @@ def accuracy_document(accuracy: Accuracy) -> Document:
         lead=facts(accuracy),
         sections=(
             Section("errors", "Error against run time", plots),
-            Section("orders", "Orders of convergence", (order_table(accuracy),), brief=True),
+            Section("orders", "Orders of convergence", (orders,) if orders.rows else (), brief=True),
             Section("budget", "Error budget", (budget_table(accuracy),), brief=True),
             Section(
                 *("extremes", "Extreme cases with known answers"),
