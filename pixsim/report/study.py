@@ -219,7 +219,9 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
     if not result.study.paper:
         return plates
     numbers = FIGURE_NUMBERS
-    return [numbered(plate, numbers[plate.name], curve_file(plate.name, True)) if plate.name in numbers else plate for plate in plates]
+    return [
+        numbered(plate, numbers[plate.name], curve_file(plate.name, True)) if plate.name in numbers else plate for plate in plates
+    ]
 
 
 def curve_file(name: str, paper: bool) -> str:
