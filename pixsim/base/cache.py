@@ -119,7 +119,7 @@ def value_of(kind: str, key: str, read: Callable[[Json], Result]) -> Result | No
 
 def store_value(kind: str, key: str, value: Json) -> None:
     """Store the JSON entry of a key. Warns if the folder cannot be written."""
-    text = json.dumps({ENTRY: label_of(kind, key), VALUE: value}, sort_keys=True)
+    text = json.dumps({ENTRY: entry_label(kind, key), VALUE: value}, sort_keys=True)
     _store(folder() / kind / f"{key}.json", lambda partial: partial.write_text(text, encoding="utf-8"), len(text))
 
 
@@ -139,7 +139,7 @@ def arrays(kind: str, key: str) -> Arrays | None:
 
 def store_arrays(kind: str, key: str, content: Arrays) -> None:
     """Store the arrays of a key unless they are too large for one entry. Warns if the folder cannot be written."""
-    label = np.array(label_of(kind, key).encode())  # the first array, so that the file begins with it
+    label = np.array(entry_label(kind, key).encode())  # the first array, so that the file begins with it
     named: dict[str, Any] = {ENTRY: label, **content, NAMES: np.array(sorted([ENTRY, *content, NAMES]))}
 
     def write(partial: Path) -> None:
@@ -160,14 +160,14 @@ def has_room(size_bytes: int) -> bool:
     return size_bytes <= MAX_SHARE * limit_bytes()
 
 
-def label_of(kind: str, key: str) -> str:
+def entry_label(kind: str, key: str) -> str:
     """The label with which an entry begins: it states what the entry is."""
     return f"pixsim cache {kind}/{key}"
 
 
 def _check(path: Path, label: str) -> None:
     """Raise ValueError if the label of an entry is not that of its path."""
-    if label != label_of(path.parent.name, path.stem):
+    if label != entry_label(path.parent.name, path.stem):
         raise ValueError("another entry")
 
 
@@ -191,7 +191,7 @@ def _is_entry(descriptor: int, kind: str, name: str) -> bool:
         head = os.read(file, HEAD_BYTES) if stat.S_ISREG(os.fstat(file).st_mode) else b""
     finally:
         os.close(file)
-    return head.startswith(STARTS[suffix]) and label_of(kind, stem).encode() in head
+    return head.startswith(STARTS[suffix]) and entry_label(kind, stem).encode() in head
 
 
 def can_hold(kind: str) -> bool:

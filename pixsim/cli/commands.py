@@ -484,28 +484,23 @@ def compare(
     )
     from pixsim.show.render import write
     from pixsim.studies.compare import run_prepared
-    from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, studies_of
-    from pixsim.studies.lineup import prepare
+    from pixsim.studies.comparison_cases import ComparedCases, prepare_cases
 
     shared: dict[str, Any] = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
-    axes, cases = cases_of_comparison(study)
     with collected_notes() as notes:
-        prepared = [
-            prepare(
-                sensors,
-                scene,
-                study=own,
-                match=match,
-                repeats=repeats,
-                config=options.config or [],
-                options=tables,
-                sensor=sensor,
-                variant=variant,
-                uncertainty=uncertainty,
-            )
-            for own in studies_of(study, cases)
-        ]
+        axes, cases, prepared = prepare_cases(
+            sensors,
+            scene,
+            study,
+            match=match,
+            repeats=repeats,
+            config=options.config or [],
+            options=tables,
+            sensor=sensor,
+            variant=variant,
+            uncertainty=uncertainty,
+        )
         folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.cases)
         places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))
         if dry_run:

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.files import versions
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import BLACK_SIGMAS
-from pixsim.show.document import Answer, Beside, Document, Note, Plot, Section, Table, headline, pairs
+from pixsim.show.document import Answer, Document, Note, Plot, Section, Table, headline, made_with, pairs
 from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
-from pixsim.show.pages import FIGURE_SUFFIXES, Plate
+from pixsim.show.pages import Plate, figure_files
 from pixsim.show.sentences import number, setting_value
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ BINS = 101
 
 FIGURES = ("photon_transfer", "responsivity", "snr", "linearity", "dark_current", "histograms", "spectrograms", "profiles")
 FILES = (
-    "report.html", "summary.json", "datasheet.csv", *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in FIGURE_SUFFIXES),
+    "report.html", "summary.json", "datasheet.csv", *figure_files(FIGURES),
 )  # fmt: skip
 
 
@@ -282,7 +281,7 @@ def sheet_name(pixel: Pixel) -> str:
 
 def off(entry: Entry) -> str:
     """Return measured/true - 1 in per cent; empty if undefined or 1000 % and more."""
-    return f"{100 * entry.off:+.2f} %" if math.isfinite(entry.off) and abs(entry.off) < 10 else ""
+    return f"{100 * entry.off:+z.2f} %" if math.isfinite(entry.off) and abs(entry.off) < 10 else ""
 
 
 def described(sheet: DataSheet) -> Answer:
@@ -341,7 +340,7 @@ def datasheet_document(sheet: DataSheet) -> Document:
         sections=(
             Section("values", "Measured and true values", (values,), brief=True),
             Section("figures", "Figures", plots),
-            Section("made", "How it was made", (Beside((pairs("pixel", stated), pairs("versions", versions()))),)),
+            Section("made", "How it was made", (made_with(pairs("pixel", stated)),)),
         ),
         files={"datasheet.csv": sheet.to_csv()},
     )

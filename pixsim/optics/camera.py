@@ -185,6 +185,11 @@ class Camera(Record):
         return math.degrees(2 * math.atan(self.die_mm / (2 * self.image_distance_mm)))
 
     @property
+    def lens_words(self) -> str:
+        """Focal length and f-number, as text."""
+        return f"{self.focal_length_mm:.4g} mm f/{self.f_number:.3g}"
+
+    @property
     def field_words(self) -> str:
         """Full angles that it sees, across and down, as text.
 

@@ -9,12 +9,11 @@ from itertools import cycle
 from typing import Any
 
 from pixsim.base.toml import SETTINGS_FILE
-from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
+from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
 from pixsim.report.study import (
     PARTS_FILE,
     agrees,
     document_of,
-    made_tables,
     parts_files,
     parts_section,
     plot_of,
@@ -22,10 +21,10 @@ from pixsim.report.study import (
     study_page,
     with_files_of_study,
 )
-from pixsim.report.wording import DELTA_E, compromise_answer
-from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, joined, plain_text
+from pixsim.report.wording import DELTA_E, compromise_answer, rendered_words
+from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, joined, made_with, pairs, plain_text
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
+from pixsim.show.pages import Column, Figures, Plate, columns_of, figure_files, table_csv
 from pixsim.show.sentences import sentence
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
@@ -34,7 +33,7 @@ from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
 from pixsim.studies.parts import parts_table
-from pixsim.studies.result import CasesResult, StudyResult, fresnel_column
+from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.sentences import film_words, optima_table, optimum_line
 from pixsim.studies.study_settings import Study
 
@@ -95,14 +94,12 @@ def conditions_caption(found: Compromise) -> str:
 
 def conditions_table(found: Sequence[Compromise]) -> dict[str, Column]:
     """Return a table with a row for each condition and each compromise of all combinations."""
-    table: dict[str, list[float | str]] = {}
+    rows: list[dict[str, float | str | None]] = []
 
     def add(pixel: str, of: str, weight: float | str, size: Optimum | Regret, delta_e: float | str, regret: float | str) -> None:
-        low, high = ("" if end is None else end for end in size.interval_um)
-        row: dict[str, float | str] = {"pixel": pixel, "pixel_of": of, "weight": weight, "pitch_um": size.pitch_um}
-        row |= {"interval_low_um": low, "interval_high_um": high, "mean_delta_e": delta_e, "worst_regret_delta_e": regret}
-        for name, value in row.items():
-            table.setdefault(name, []).append(value)
+        names = "pixel", "pixel_of", "weight", "pitch_um", "interval_low_um", "interval_high_um", "mean_delta_e"
+        values = pixel, of, weight, size.pitch_um, *size.interval_um, delta_e, regret
+        rows.append(dict(zip((*names, "worst_regret_delta_e"), values, strict=True)))
 
     for each in found:
         for curve, weight in zip(each.curves, each.weights, strict=True):
@@ -112,22 +109,12 @@ def conditions_table(found: Sequence[Compromise]) -> dict[str, Column]:
             add(each.label, "least weighted mean ΔE", "", each.best, each.best.mean_delta_e, worst)
         if each.regret is not None:
             add(each.label, "least worst regret", "", each.regret, "", each.regret.delta_e)
-    return dict(table)
+    return columns_of(rows)
 
 
 def optima_columns(result: CasesResult) -> dict[str, Column]:
     """Return a table with the optimum of each technology, combination and condition."""
-    table: dict[str, list[float | str]] = {}
-    for curve in result.curves:
-        best = curve.optimum
-        row: dict[str, Any] = (
-            {"technology": curve.technology} | curve.at | ({"condition": curve.condition} if curve.condition else {})
-        )
-        row |= {"optimum_um": best.pitch_um, "interval_low_um": best.interval_um[0], "interval_high_um": best.interval_um[1]}
-        row |= {"inside": str(best.inside), "mean_delta_e": best.mean_delta_e}
-        for name, value in row.items():
-            table.setdefault(name, []).append("" if value is None else value)
-    return dict(table) | fresnel_column(result.curves, [curve.optimum.pitch_um for curve in result.curves])
+    return case_columns(result, result.curves, list(result.curves[0].at)) | optimum_columns(result.curves)
 
 
 def axes_document(result: CasesResult, compromises: Sequence[Compromise], warned: Collection[str] = ()) -> Document:
@@ -178,9 +165,8 @@ def axes_files(study: Study) -> set[str]:
     """Return the names of all files that the report may have."""
     cases = cases_of(study)
     plates = [*plate_names(study), *(f"conditions_{number + 1}" for number in range(SHOWN_COMPROMISES))]
-    files = {f"figures/{name}.{suffix}" for name in plates for suffix in FIGURE_SUFFIXES}
     own = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.settings)}
-    return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", PARTS_FILE, *files, *own}
+    return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", PARTS_FILE, *figure_files(plates), *own}
 
 
 def study_report(
@@ -223,8 +209,7 @@ def axes_page(
     figures = [Plot(partial(conditions_plate, found, number)) for number, found in enumerate(compromises[:SHOWN_COMPROMISES], 1)]
     table, header = parts_table(result), result.irradiance.header
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
-    rendered = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}"
-    made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered}."
+    made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."
     listed = [
         (Link(case.words or "the study's own settings", f"{case.folder}/report.html"), f": {optimum_line(part.curves[0])}")
         for case, part in parts
@@ -242,7 +227,7 @@ def axes_page(
             Section("optima", "Optima", [optima_table(result.curves), best]),
             parts_section(table),
             Section("cases", "Cases with pictures", [Listed(listed)]),
-            Section("made", "Reproducibility", [made, made_tables(seconds)]),
+            Section("made", "Reproducibility", [made, made_with(pairs("seconds", seconds, ".2f"))]),
         ),
         files={
             "optima.csv": table_csv(optima_columns(result)),

@@ -76,12 +76,7 @@ def comparison_outline(prepared: ComparisonJob) -> dict[str, Any]:
     costs = [_cost_of(each, repeats) for each in lineups]
     cost = Cost(PAGE_S + START_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
     scene = first.scene.with_resolution(lineup.film_width)
-    more: dict[str, Any] = {}
-    if prepared.study is not None:
-        more["study"] = {"name": prepared.study.name, "not_used": list(prepared.not_used)}
-    if prepared.conditions:
-        more["shown_condition"] = lineup.condition
-        more["conditions"] = {part.condition: {"weight": part.weight} for part in prepared.conditions}
+    more = prepared.of_study
     if prepared.types is not None:
         more["uncertainty"] = {"draws": len(prepared.types.sample.quantiles), "inputs": list(prepared.types.sample.inputs)}
     return more | {
@@ -254,14 +249,15 @@ def comparison_page(result: Comparison, folder: str | os.PathLike[str]) -> Docum
 
     folder : that will be written, which may hold `ROWS_FILES`
     """
-    end, pictures = map_end(result), dict[str, bytes]()
+    end = scale_end(max(compared.score.statistics()["p99_delta_e"] for compared in result.sensors))
+    pictures = dict[str, bytes]()
     for each in result.sensors:
         score, where = each.score, picture_axes(each.irradiance, each.score.border_um)
         pictures[f"pictures/image_{each.name}.png"] = light_png(score.image)
         pictures[f"pictures/ideal_{each.name}.png"] = light_png(score.ideal)
         pictures[f"pictures/delta_e_{each.name}.png"] = delta_e_png(score.delta_e, where, end)
     rows_files = [name for name in ROWS_FILES if Path(folder, name).is_file()]
-    sections = _sections(result, pictures, rows_files)
+    sections = _sections(result, pictures, end, rows_files)
     return replace(comparison_document(result), sections=sections, files={**pictures, **settings_files(result.prepared)})
 
 
@@ -285,17 +281,18 @@ CASES = (
 )
 
 
-def _sections(result: Comparison, pngs: Mapping[str, bytes], rows_files: Sequence[str]) -> Iterator[Section]:
+def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_files: Sequence[str]) -> Iterator[Section]:
     """Yield the sections of the page.
 
     pngs : name -> picture
+    end : of the colour scale of the ΔE maps
     rows_files : of `ROWS_FILES`, those that are there
     """
     prepared, shown, names = result.prepared, result.shown, result.names
     lineup, first, in_shown = shown.lineup, shown.sensors[0], Averaged(((1.0, shown),))
     where = f" in {lineup.condition}" if result.conditions else ""
     maps = [compared.score.delta_e for compared in result.sensors]
-    window, end = worst_window([np.abs(other - maps[0]) for other in maps[1:]]), map_end(result)
+    window = worst_window([np.abs(other - maps[0]) for other in maps[1:]])
     better = f"probability that {names[0]} is better"
     pair_head = ("difference of mean ΔE", "mean", "95 % interval", better, "film's error, at most")
     others, of = names[1:], "the detail with the largest differences"
@@ -385,7 +382,7 @@ def cases_document(result: ComparedCases) -> Document:
         kind="comparison of sensors",
         title=" against ".join(result.names),
         data=result.as_dict(),
-        answers=[Answer((Strong(result.headline(other)),)) for other in result.names[1:]],
+        answers=[Answer((Strong(line),), named=line.startswith(result.names)) for line in map(result.headline, result.names[1:])],
         about=(CASES,),
         sections=(Section("cases", "Cases", (table,), brief=True),),
         data_file=JSON_FILE,
@@ -394,11 +391,6 @@ def cases_document(result: ComparedCases) -> Document:
 
 def _picture(luminance: Array, name: str) -> Picture:
     return Picture(display_codes(reduced(luminance)), name)
-
-
-def map_end(result: Comparison) -> float:
-    """Return the end of the colour scale of the ΔE maps."""
-    return scale_end(max(compared.score.statistics()["p99_delta_e"] for compared in result.sensors))
 
 
 def _map(compared: Compared, pngs: Mapping[str, bytes], end: float) -> Map:
@@ -421,7 +413,7 @@ def _row(compared: Compared, mean: str) -> tuple[str, ...]:
         f"{statistics['p99_delta_e']:.3g}",
         f"{columns} × {rows}",
         f"{pixel.pitch_um:g}",
-        f"{compared.sensor.camera.focal_length_mm:.4g} mm f/{compared.sensor.camera.f_number:.3g}",
+        compared.sensor.camera.lens_words,
         f"{1e3 * statistics['integration_s']:.3g}",
         rounded(statistics["mean_electrons_e"], 4),
         rounded(statistics["full_well_e"], 4),
@@ -475,8 +467,7 @@ def _settings(result: Comparison) -> Iterator[Table]:
     prepared, lineup, first = result.prepared, result.shown.lineup, result.shown.sensors[0]
     display, coloured = lineup.settings.display, any(compared.sensor.settings.pixel.colour for compared in result.sensors)
     light = LightLevel.of(first.irradiance, display, [compared.score.frame.integration_s for compared in result.sensors])
-    parameters = first.irradiance.header.get("parameters")
-    yield settings_table("scene", scene_rows(first.irradiance, parameters if isinstance(parameters, dict) else {}, light))
+    yield settings_table("scene", scene_rows(first.irradiance, first.sensor.settings.scene, light))
     yield settings_table("display", record_rows("display", display, False, coloured=coloured))
     if coloured:
         yield settings_table("develop", record_rows("develop", lineup.settings.develop, False))

@@ -11,11 +11,10 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import one_line
-from pixsim.base.files import versions
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
-from pixsim.show.document import Answer, Beside, Document, Listed, Note, Plot, Section, Table, pairs
+from pixsim.show.document import Answer, Document, Listed, Note, Plot, Section, Table, made_with
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Plate, coarse_table
+from pixsim.show.pages import Column, Plate, coarse_table, figure_files
 from pixsim.show.sentences import UNKNOWN, number, smallest_and_largest
 
 if TYPE_CHECKING:
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 SHOWN = (0, 3, 6, 8)  # of the fields, in figures of single fields
 SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
 FIGURES = ("layout", "spots", "psf", "mtf", "mtf_over_field", "field_curvature", "illumination", "colour")
-FILES = ("report.html", "summary.json", *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in FIGURE_SUFFIXES))
+FILES = ("report.html", "summary.json", *figure_files(FIGURES))
 
 
 WIDTH_IN = 8.6
@@ -91,9 +90,8 @@ def layout(data: LensData) -> Plate:
     below(figure, axes, len(cut.rays) + 1)
     caption = (
         f"The lens is {cut.length_mm:.4g} mm long, from its first surface to the image plane, and takes in fields to "
-        f"{lens.max_field_deg:.3g}°. "
-        f"Layout with rays at {lens.primary_nm:.5g} nm, for each field through the centre of the stop, its edges and halfway "
-        "between, but for those that a clear aperture stops. Light travels to the right, to the image plane."
+        f"{lens.max_field_deg:.3g}°. Layout with rays at {lens.primary_nm:.5g} nm, for each field through the centre of the stop, "
+        "its edges and halfway between, but for those that a clear aperture stops. Light travels to the right, to the image plane."
     )
     return Plate("layout", caption, figure, dict(table))
 
@@ -294,8 +292,7 @@ def illumination_plate(data: LensData) -> Plate:
     caption = (
         f"At an image height of {c['image_height_mm'][-1]:.3g} mm, the light is {corner:.0f} % of that on the axis and arrives at "
         f"{angle:.3g}°. Relative illumination and chief ray angle in image space at {data.lens.primary_nm:.5g} nm. The "
-        "illumination is the "
-        "area of the directions at the image point whose rays pass the stop and the clear apertures."
+        "illumination is the area of the directions at the image point whose rays pass the stop and the clear apertures."
     )
     traced = {name: c[name] for name in ("image_height_mm", "relative_illumination", "chief_ray_angle_deg")}
     table = {"field_deg": data.curve_deg, **traced, "cos4": fourth}
@@ -343,13 +340,12 @@ def lens_document(data: LensData) -> Document:
         *(f"glass {glass.name}: {glass.source}" for glass in prescription.glasses),
         f"{reflected}; camera.transmittance is what counts",
     )
-    made = Beside((pairs("versions", versions()),))
     return Document(
         command="lens",
         kind="lens",
         title=prescription.name,
         data=data.as_dict(),
-        answers=(Answer(title_of(data), (prescription.title,)),),
+        answers=(Answer(title_of(data), (prescription.title,), named=True),),
         lead=map(Note, data.notes),
         sections=(
             Section("drawing", "Layout", (drawing,)),
@@ -357,7 +353,7 @@ def lens_document(data: LensData) -> Document:
             Section("fields", "Fields", (fields, f"{traced} The rms wavefront is without tilt."), brief=True),
             Section("glasses", "Glasses", (Listed(glasses),), brief=True),
             Section("figures", "Figures", others),
-            Section("prescription", "Prescription", (surface_table(data), source, made)),
+            Section("prescription", "Prescription", (surface_table(data), source, made_with())),
         ),
     )
 

@@ -26,7 +26,7 @@ from pixsim.show.sentences import Along, Seen, capital, extremes_of, of_lines, s
 from pixsim.studies.axis import Axis
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
-from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, fresnel_column, interval_columns, with_ends
+from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, closed_range, fresnel_column, range_columns
 from pixsim.studies.sampling import CUTOFF_NM, cutoff_pitch_um
 from pixsim.studies.study_settings import Study
 from pixsim.studies.varied import setting_path
@@ -327,7 +327,7 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
     best = [curve.optimum for curve in curves]
     return {
         "optimum_um": [each.pitch_um for each in best],
-        **interval_columns(curves),
+        **range_columns("interval", curves),
         "inside": [str(each.inside) for each in best],
         "alike": [str(curve.alike_um is not None) for curve in curves],
         "mean_delta_e": [each.mean_delta_e for each in best],
@@ -409,7 +409,7 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
         aside = ScaledTranslation(apart_pt * (number - (len(lines) - 1) / 2) / PT_PER_IN, 0, figure.dpi_scale_trans)
         draw_optima(axes, scale, line, look, axes.transData + aside)
     curves = [curve for line in lines for curve in line.curves]
-    shown_um = [size for curve in curves for size in (*with_ends(curve.optimum.interval_um, curve), curve.optimum.pitch_um)]
+    shown_um = [size for curve in curves for size in (*closed_range(curve.optimum.interval_um, curve), curve.optimum.pitch_um)]
     margin_um = MARGIN * max(max(shown_um) - min(shown_um), MARGIN * max(shown_um))
     axes.set(ylabel="optimal pixel size (µm)", ylim=(min(shown_um) - margin_um, max(shown_um) + margin_um))
     axes.grid(alpha=0.25)
@@ -439,7 +439,7 @@ def draw_optima(axes: Axes, scale: Scale, line: Line, look: Look, place: Transfo
     from matplotlib.transforms import ScaledTranslation
 
     sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
-    ends_um = np.array([with_ends(curve.optimum.interval_um, curve) for curve in line.curves])
+    ends_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in line.curves])
     is_open = np.array([[end is None for end in curve.optimum.interval_um] for curve in line.curves])
     found = np.array([is_found(curve) for curve in line.curves])
     if scale.numeric:
@@ -559,7 +559,7 @@ def haloed(colour: str) -> dict[str, Any]:
 
 def draw_ridge(axes: Axes, scale: Scale, line: Line) -> None:
     """Draw the optimum, the 1 % valley and the limits over a map: lines along numbers, a step for each category."""
-    within_um = np.array([with_ends(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
+    within_um = np.array([closed_range(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
     sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
     (_, ridge, halo), (_, valley, valley_halo), (_, limit, limit_halo), (_, doubt, doubt_halo) = RIDGE
     line_only = {key: value for key, value in ridge.items() if not key.startswith("m")}
@@ -662,7 +662,7 @@ def panel_grid(number: int, height_in: float) -> tuple[Figure, list[Axes]]:
 
 def valley_words(line: Line, scale: Scale) -> str:
     """Return the sizes that are nearly as good as the best for every value of an axis."""
-    ends_um = np.array([with_ends(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
+    ends_um = np.array([closed_range(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
     low_um, high_um = ends_um[:, 0].max(), ends_um[:, 1].min()
     where = f"at every value of {scale.name}" if len(line.curves) > 1 else f"with {scale.named(scale.values[0])}"
     if low_um > high_um:
@@ -691,16 +691,13 @@ def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
             pitch_um += own_um
             delta_e += curve.fit.delta_e[::MAP_STEP].tolist()
             cutoffs_um += [cutoff_um] * len(own_um)
-    ends = ([curve.optimum.within_1_percent_um[end] for curve in curves] for end in (0, 1))
-    low_um, high_um = (["" if end is None else end for end in column] for column in ends)
     more: dict[str, Column] = {
         "pitch_um": pitch_um,
         "mean_delta_e": delta_e,
         "optimum_um": [curve.optimum.pitch_um for curve in curves],
         "inside": [str(curve.optimum.inside) for curve in curves],
         "alike": [str(curve.alike_um is not None) for curve in curves],
-        "within_1_percent_low_um": low_um,
-        "within_1_percent_high_um": high_um,
+        **range_columns("within_1_percent", curves),
         "cutoff_pitch_um": cutoffs_um,
         **fresnel_column(curves, pitch_um),
     }
@@ -851,7 +848,7 @@ def alone_plate(result: CasesResult) -> Plate | None:
                 draw_moves(axes, row, group, name, seen)
         for axes, seen in ((left, seen_optimum), (right, seen_delta_e)):
             base = seen(group.base)
-            low, high = with_ends(group.base.optimum.interval_um, group.base) if axes is left else (base.low, base.high)
+            low, high = closed_range(group.base.optimum.interval_um, group.base) if axes is left else (base.low, base.high)
             axes.axvspan(low, high, color="0.5", alpha=0.15, lw=0)
             axes.axvline(base.value, color="0.2", lw=1)
             axes.grid(axis="x", alpha=0.25)

@@ -46,6 +46,11 @@ FIGURE_6_HEADROOM = 0.08  # of the height of the curves, above them
 SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
 
 
+def numbered(plate: Plate, number: int, name: str) -> Plate:
+    """Return a figure under another name, with its number in the paper."""
+    return replace(plate, name=name, caption=f"Figure {number}: {plate.caption[0].lower()}{plate.caption[1:]}")
+
+
 def scene_plates(result: StudyResult) -> list[Plate]:
     """Return the paper's Figures 2 to 4: pixels, die and scene."""
     return [figure_2a(result), figure_2b(result), figure_3(result), figure_4(result)]
@@ -74,11 +79,9 @@ def figure_2a(result: StudyResult) -> Plate:
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     (dr, dr_end), (snr, snr_end) = ((column[0], column[-1]) for column in (table["dr_paper_db"], table["snr_paper_db"]))
     caption = (
-        f"Figure 2a: from {pitch_um[0]:g} to {pitch_um[-1]:g} µm, the dynamic range goes from {dr:.1f} to {dr_end:.1f} dB, and "
-        "the SNR "
-        f"at 20 % of the well from {snr:.1f} to {snr_end:.1f} dB. Equations (1) and (2), 0.35 µm, 30 ms; the numbers are those of "
-        "the "
-        "paper's capacitance."
+        f"Figure 2a: from {pitch_um[0]:g} to {pitch_um[-1]:g} µm, the dynamic range goes from {dr:.1f} to {dr_end:.1f} dB, and the "
+        f"SNR at 20 % of the well from {snr:.1f} to {snr_end:.1f} dB. Equations (1) and (2), 0.35 µm, 30 ms; the numbers are those "
+        "of the paper's capacitance."
     )
     return Plate("figure_2a_dr_snr", caption, figure, table)
 
@@ -179,8 +182,8 @@ def figure_5(evidence: Evidence) -> Plate:
     """Show the ideal image, output, ΔE map and curves of equal ΔE at 8 µm."""
     result, curve = evidence.result, evidence.curves[REFERENCE_TECHNOLOGY]
     (score,) = result.shown_scores(curve.technology, FIGURE_5_PITCH_UM, 1)
-    plate = study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM], "figure_5_pictures_8um")
-    return replace(plate, caption="Figure 5: " + plate.caption)
+    name = "figure_5_pictures_8um"
+    return numbered(study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM], name), 5, name)
 
 
 @own_style()
@@ -261,7 +264,6 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     row, column = np.unravel_index(int(values.argmax()), values.shape)
     caption = (
         f"{FIGURE_5_PITCH_UM:g} µm pixels err most, by a mean ΔE of {values[row, column]:.3g}, at {frequency[column]:.2g} lp/mm "
-        "and a "
-        f"contrast of {contrast[row]:.2g}. Mean ΔE by spatial frequency and contrast."
+        f"and a contrast of {contrast[row]:.2g}. Mean ΔE by spatial frequency and contrast."
     )
     return Plate("delta_e_by_frequency_and_contrast", caption, figure, table)

@@ -16,7 +16,7 @@ from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.kept import digest_of_content
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.settings import scene_rows, settings_tables
-from pixsim.report.wording import DELTA_E, blur_words, budget_section, map_words
+from pixsim.report.wording import DELTA_E, blur_words, budget_section, map_words, rendered_words
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.show.document import (
@@ -246,10 +246,7 @@ def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles)
         if sheet
         else "All other parameters come from the technology."
     )
-    if "scene_hash" in header:
-        source = f"{header['scene']} (hash {header['scene_hash']}), {header['spp']} samples per pixel, {header['variant']}"
-    else:
-        source = f"read from {header.get('source', 'a file')}"
+    source = rendered_words(header) if "scene_hash" in header else f"read from {header.get('source', 'a file')}"
     slider = Slider(
         *("slider", "The whole picture and the ideal image"),
         shown_picture(pictures["ideal.png"], score.ideal, "ideal image"),
@@ -301,9 +298,8 @@ def _settings(result: RunResult, sheet: bool) -> list[Table]:
     sheet : whether they are those of a data sheet
     """
     settings, irradiance = result.settings, result.irradiance
-    parameters = irradiance.header.get("parameters")  # may be anything in a file of another program
     light = LightLevel.of(irradiance, settings.display, [result.score.frame.integration_s])
-    scene = scene_rows(irradiance, parameters if isinstance(parameters, dict) else {}, light)
+    scene = scene_rows(irradiance, settings.scene, light)
     return settings_tables(scene, settings, result.camera, result.score.physics.pixel, result.colour is not None, sheet)
 
 

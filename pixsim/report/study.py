@@ -9,17 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pixsim.base.files import versions
 from pixsim.base.toml import SETTINGS_FILE
-from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
+from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
 from pixsim.report.pictures import size_words
 from pixsim.report.settings import record_rows, scene_rows, settings_table, settings_tables
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import DELTA_E, blur_words, budget_section, compromise_answer
+from pixsim.report.wording import DELTA_E, blur_words, budget_section, compromise_answer, rendered_words
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
-    Beside,
     Block,
     Document,
     Fact,
@@ -34,12 +32,14 @@ from pixsim.show.document import (
     Tiles,
     Verdict,
     headline,
+    made_with,
     pairs,
 )
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Drawn, Figures, Plate, table_csv
+from pixsim.show.pages import Column, Drawn, Figures, Plate, figure_files, table_csv
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
+from pixsim.show.sentences import capital
 from pixsim.studies.agreement import agreement_of, judges_against_pitch
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.conditions import Compromise
@@ -49,11 +49,11 @@ from pixsim.studies.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_c
 from pixsim.studies.result import (
     Curve,
     StudyResult,
+    closed_range,
     curve_table,
     delta_e_against_pitch,
-    interval_columns,
+    range_columns,
     shown_mean_and_ci95,
-    with_ends,
 )
 from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
 from pixsim.studies.study_settings import Study
@@ -97,7 +97,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     curves = sorted(result.curves, key=lambda curve: curve.feature_size_um)
     feature_um = np.array([curve.feature_size_um for curve in curves])
     size_um = np.array([curve.optimum.pitch_um for curve in curves])
-    low_um, high_um = np.array([with_ends(curve.optimum.interval_um, curve) for curve in curves]).T
+    low_um, high_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in curves]).T
     figure = new_figure(5.4, 4.0)
     axes = figure.subplots()
     bars = np.maximum([size_um - low_um, high_um - size_um], 0.0)
@@ -111,7 +111,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
         "technology": [curve.label for curve in curves],
         "feature_size_um": feature_um.tolist(),
         "optimum_um": size_um.tolist(),
-        **interval_columns(curves),
+        **range_columns("interval", curves),
         "optimum_features": (size_um / feature_um).tolist(),
         "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
         "proportional_um": proportional.tolist(),
@@ -119,11 +119,9 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     first, last = -1, 0
     features = size_um / feature_um
     caption = (
-        f"From {feature_um[first]:g} to {feature_um[last]:g} µm, the optimum goes from {size_um[first]:.2f} to "
-        f"{size_um[last]:.2f} µm, "
-        f"which is {features[first]:.3g} to {features[last]:.3g} feature sizes. The line goes through the largest process, as if "
-        "the "
-        "optimum were proportional to the feature size."
+        f"From {feature_um[first]:g} to {feature_um[last]:g} µm, the optimum goes from {size_um[first]:.2f} to {size_um[last]:.2f} "
+        f"µm, which is {features[first]:.3g} to {features[last]:.3g} feature sizes. The line goes through the largest process, as "
+        "if the optimum were proportional to the feature size."
     )
     return Plate("optimum_against_technology", caption, figure, table)
 
@@ -163,11 +161,10 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     ends = [f"{mpe:.3g} lx·s" if np.isfinite(mpe) else "none below saturation" for mpe in (mpe30[0], mpe30[-1])]
     caption = (
         f"From {curve.pitch_um[0]:.3g} to {curve.pitch_um[-1]:.3g} µm, MTF50 on the sensor goes from {mtf50[0]:.3g} to "
-        f"{mtf50[-1]:.3g} "
-        f"lp/mm, and the exposure for 30 dB from {ends[0]} to {ends[1]}. "
-        f"Both sides of the trade-off ({curve.label}). Above: MTF50, the frequency at which the MTF is one half, on the sensor and "
-        "on the display (higher is better), and the minimum exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms; lower "
-        f"is better). Below: MTF of each term at {frequency:.3g} lp/mm, {name}, and their product."
+        f"{mtf50[-1]:.3g} lp/mm, and the exposure for 30 dB from {ends[0]} to {ends[1]}. Both sides of the trade-off "
+        f"({curve.label}). Above: MTF50, the frequency at which the MTF is one half, on the sensor and on the display (higher is "
+        "better), and the minimum exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms; lower is better). Below: MTF of "
+        f"each term at {frequency:.3g} lp/mm, {name}, and their product."
     )
     return Plate("light_against_detail", caption, figure, table)
 
@@ -229,12 +226,9 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
             plates.append(optimum_against_technology(result))
     if not result.study.paper:
         return plates
-    numbers = {plate.name: f"Figure {FIGURE_NUMBERS[plate.name]}: " for plate in plates if plate.name in FIGURE_NUMBERS}
+    numbers = FIGURE_NUMBERS
     return [
-        replace(plate, name=curve_file(plate.name, True), caption=numbers[plate.name] + plate.caption)
-        if plate.name in numbers
-        else plate
-        for plate in plates
+        numbered(plate, numbers[plate.name], curve_file(plate.name, True)) if plate.name in numbers else plate for plate in plates
     ]
 
 
@@ -256,9 +250,8 @@ def report_files(study: Study) -> set[str]:
     curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
     plates = {*curves, "judges", "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
     plates |= set(PAPER_PLATES) if study.paper else set()
-    figures = {f"{name}.{suffix}" for name in plates for suffix in FIGURE_SUFFIXES}
-    figures |= {f"contact_sheet_{label}.png" for label in labels}
-    return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *(f"figures/{name}" for name in figures)}
+    sheets = (f"figures/contact_sheet_{label}.png" for label in labels)
+    return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *figure_files(plates), *sheets}
 
 
 def study_document(result: StudyResult, warned: Collection[str] = ()) -> Document:
@@ -360,9 +353,9 @@ def study_page(
             Section("figures", "The paper's other figures", [NO_COUNTERPART, *plots["paper"]] if plots["paper"] else ()),
             budget_section(result.budget),
             Section("optima", "Optima", [optima_table(result.curves)]),
-            Section("numbers", "Numbers", [Section("", curve.label, [numbers_table(curve)]) for curve in result.curves]),
+            Section("numbers", "Numbers", [Section("", capital(curve.label), [numbers_table(curve)]) for curve in result.curves]),
             Section("assumed", "Assumptions", _assumptions(result)),
-            Section("made", "Reproducibility", [_rendered(result), made_tables(seconds)]),
+            Section("made", "Reproducibility", [_rendered(result), made_with(pairs("seconds", seconds, ".2f"))]),
         ),
         files={**{f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views}, **parts_files(parts)},
     )
@@ -396,7 +389,7 @@ def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
         across, down = (f"{100 * share:.0f} %" for share in view.place)
         chosen = "The detail chosen in the study" if study.detail else detail
         place = f"{chosen}. Its centre is at {across} of the picture's width and {down} of its height, from the upper left."
-        of, label = f"detail in {view.label}", view.label
+        of, label = f"detail in {view.label}", capital(view.label)
         yield Section("", f"{label}: the same detail for every pixel size", [place, Tiles(view.tiles, of)])
         errors = Pictures(view.crops, of), Scale(scale(map_end(result)))
         yield Section("", f"{label}: errors in that detail", errors, together=True)
@@ -497,14 +490,8 @@ def _rendered(result: StudyResult) -> str:
     """Return what the light of a study was made from."""
     header = result.irradiance.header
     return (
-        f"Irradiance: {header['scene']} (hash {header['scene_hash']}), {header['spp']} samples per pixel, seed {header['seed']}, "
-        f"{header['variant']}; {'; '.join(header['plan'])}. Study seed {result.study.seed}."
+        f"Irradiance: {rendered_words(header)}, seed {header['seed']}; {'; '.join(header['plan'])}. Study seed {result.study.seed}."
     )
-
-
-def made_tables(seconds: dict[str, float]) -> Beside:
-    """Return the versions and the wall times."""
-    return Beside((pairs("versions", versions()), pairs("seconds", seconds, ".2f")))
 
 
 def settings(result: StudyResult) -> list[Table]:

@@ -7,11 +7,12 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, headline
-from pixsim.show.pages import FIGURE_SUFFIXES, Plate
-from pixsim.show.sentences import with_ends
+from pixsim.show.document import Answer, Block, Document, Fact, Link, Listed, Plot, Section, Table, headline
+from pixsim.show.pages import Plate, figure_files
+from pixsim.show.sentences import capital, with_ends
+from pixsim.studies.claims import SCALING
 from pixsim.studies.result import StudyResult
-from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distribution_plate, indices_plate
+from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distribution_plate, indices_plate, quantile_words
 
 PAGE, DATA = "uncertainty.html", "uncertainty.json"
 MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
@@ -25,21 +26,24 @@ DRAWN = (
 def uncertainty_files() -> set[str]:
     """Return the names of all files of `uncertainty_document`."""
     kinds = [f"uncertainty_{kind}_{number}" for number in range(1, MOST_RESULTS + 1) for kind in ("distribution", "indices")]
-    figures = {f"figures/{kind}.{suffix}" for kind in kinds for suffix in FIGURE_SUFFIXES}
-    return {PAGE, DATA, *figures, *(f"sensor_types_{number}.csv" for number in range(1, MOST_RESULTS + 1))}
+    return {PAGE, DATA, *figure_files(kinds), *(f"sensor_types_{number}.csv" for number in range(1, MOST_RESULTS + 1))}
 
 
 def uncertainty_document(result: StudyResult) -> Document:
     """Return what the study of sensor types finds, with a table of the types and the figures of each optimum."""
     study, found = result.study, list(enumerate(result.uncertainty[:MOST_RESULTS], 1))
+    shown = uncertainty_blocks(result.uncertainty)
     return Document(
         command="study",
         kind="study with unknown inputs",
         title=f"What is not known: {study.title or study.name}",
         data={"study": study.name, "results": [_data(each) for _, each in found]},
-        lead=uncertainty_blocks(result.uncertainty),
+        answers=[block for block in shown if isinstance(block, Answer)],
+        lead=[block for block in shown if not isinstance(block, Answer)],
         about=((DRAWN, Link("The study itself", "report.html"), "."),),
-        sections=tuple(Section(f"pixel-{number}", each.label or "Optimum", tuple(_blocks(each, number))) for number, each in found),
+        sections=tuple(
+            Section(f"pixel-{number}", capital(each.label) or "Optimum", tuple(_blocks(each, number))) for number, each in found
+        ),
         files={f"sensor_types_{number}.csv": each.to_csv() for number, each in found},
         data_file=DATA,
         page=PAGE,
@@ -88,11 +92,12 @@ def uncertainty_blocks(found: Sequence[UncertaintyResult]) -> tuple[Block, ...]:
     """Return the distributions and the probabilities of all verdicts."""
     blocks: list[Block] = []
     for each in found:
-        ends = [each.optimum.quantiles[name] for name in ("p05", "p50", "p95")]
-        low, middle, high = ("beyond the sizes tried" if end is None else f"{end:.2f} µm" for end in ends)
+        median, most = (quantile_words(each.optimum, ".2f", " µm", *names) for names in (("p50",), ("p05", "p95")))
         name = f"{each.label}: " if each.label else ""
         types = f"{len(each.outcomes)} sensor types"
         own = f"each is known to ±{NORMAL_95 * each.optimum.own_sd:.2g} µm by its own 95 % interval" if each.optimum.own_sd else ""
-        blocks.append(headline([f"{name}optimum of {types}: median {middle}, nine tenths from {low} to {high}", own]))
-        blocks += [Fact(f"{name}probability that {statement}: {words}") for statement, words in each.verdicts.items()]
-    return tuple(blocks)
+        blocks.append(headline([f"{name}optimum of {types}: median {median}, nine tenths {most}", own]))
+        own_verdicts = {statement: words for statement, words in each.verdicts.items() if statement not in SCALING}
+        blocks += [Fact(f"{name}probability that {statement}: {words}") for statement, words in own_verdicts.items()]
+    of_all = {statement: words for each in found for statement, words in each.verdicts.items() if statement in SCALING}
+    return (*blocks, *(Fact(f'probability of "{statement}": {words}') for statement, words in of_all.items()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from pixsim.optics.camera import Camera
@@ -28,6 +29,12 @@ def map_words(start: str, mean: float, p99: float, end: float) -> str:
         f"{start}{'the' if start else 'The'} mean ΔE is {mean:.3f}, and one dot in a hundred has more than {p99:.3g}."
         f" The colours go from 0 to {end:g}; larger errors have the last one. Compare maps of the same scale."
     )
+
+
+def rendered_words(header: Mapping[str, Any]) -> str:
+    """Return the scene that light was rendered from, and how."""
+    rays = f"{header['spp']} rays for each sample of the film" if header["spp"] else "computed from the chart"
+    return f"{header['scene']} (hash {header['scene_hash']}), {rays}, {header['variant']}"
 
 
 def compromise_answer(found: Compromise) -> Answer:

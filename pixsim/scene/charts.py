@@ -238,7 +238,7 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
         key = content_hash([content, cache.version_fingerprint()])
     except (TypeError, ValueError):
         raise invalid("content", brief(content), "texts, finite numbers, lists and tables") from None
-    path, label = cache.folder() / KIND / f"{key}.exr", {cache.ENTRY: cache.label_of(KIND, key)}
+    path, label = cache.folder() / KIND / f"{key}.exr", {cache.ENTRY: cache.entry_label(KIND, key)}
     if not (cache.is_entry(path) or cache.can_hold(KIND)):
         path = temporary_folder_of_process() / path.name
     if cache.is_entry(path) or (path.parent.name != KIND and path.is_file()):

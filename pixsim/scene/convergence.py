@@ -206,12 +206,12 @@ def more_samples(fraction: float, render_noise: float) -> str:
     """Return what a render noise above its target does to the picture, and what reaches the target.
 
     >>> more_samples(1.6, 0.2)[:118]
-    'The picture has 1.9 times the noise of the sensor alone. About 64 times as many samples reach the target: --max-second'
+    'The picture has 1.89 times the noise of the sensor alone. About 64 times as many samples reach the target: --max-secon'
     """
     times, seconds = what_reaches(fraction, render_noise)
     noisier = math.hypot(1.0, fraction)
     return (
-        f"The picture has {noisier:.2g} times the noise of the sensor alone. About {times:.15g} times as many samples reach the "
+        f"The picture has {noisier:.3g} times the noise of the sensor alone. About {times:.15g} times as many samples reach the "
         f"target: --max-seconds {seconds:.15g} has time for them on two cores, and ends there. A part of the die (--window) has "
         f"more samples a pixel. Or accept this with --render-noise {math.ceil(100 * fraction) / 100:g}"
     )

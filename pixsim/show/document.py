@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from pixsim.base.files import versions
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
 from pixsim.show.pages import Drawn, Figures, Plate
 from pixsim.show.pictures import Picture
@@ -55,10 +56,14 @@ class Record:
 
 @dataclass(frozen=True)
 class Answer(Record):
-    """A headline, and facts that belong to it, in smaller letters."""
+    """A headline, and facts that belong to it, in smaller letters.
+
+    named : whether the headline begins with a name of the user's, whose first letter a page leaves small
+    """
 
     head: Text
     below: Iterable[Text] = ()
+    named: bool = False
 
 
 @dataclass(frozen=True)
@@ -268,6 +273,11 @@ def pairs(caption: str, values: Mapping[str, Any], form: str = "") -> Table:
     return Table(caption, (), tuple((name, format(value, form)) for name, value in values.items()), caption)
 
 
+def made_with(*others: Table) -> Beside:
+    """Return the versions of the packages that made a result, beside other small tables."""
+    return Beside((*others, pairs("versions", versions())))
+
+
 def plain_text(text: Text) -> str:
     """Return words without their marks."""
     return text if isinstance(text, str) else "".join(part if isinstance(part, str) else part.text for part in text)
@@ -287,8 +297,8 @@ def headline(parts: Iterable[Text], unsure: str = "") -> Answer:
     parts : of the answer, what matters most first; empty ones do not count
     unsure : "not converged: …", of which the headline keeps the first two words where it has no room for all
 
-    >>> headline(["a is better than b", "in the whole range"])
-    Answer(head='a is better than b; in the whole range', below=())
+    >>> headline(["a is better than b", "in the whole range"]).head
+    'a is better than b; in the whole range'
     >>> headline(["a is better than b", 26 * "very " + "often"], "not converged: noise").head
     'a is better than b; not converged'
     """

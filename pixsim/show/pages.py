@@ -33,6 +33,11 @@ FIGURE_SUFFIXES = ("svg", "csv", "pdf")  # that a plate may have
 COARSE = 64  # samples along each side of a picture's table
 
 
+def figure_files(names: Iterable[str]) -> list[str]:
+    """Return the names of all files that the figures of a page may have."""
+    return [f"figures/{name}.{suffix}" for name in names for suffix in FIGURE_SUFFIXES]
+
+
 @dataclass(frozen=True)
 class Plate:
     """A figure for figures/`name`.svg and its data for figures/`name`.csv."""
@@ -86,6 +91,11 @@ def coarse_table(values: Array, name: str) -> dict[str, Column]:
     coarse = np.stack([by_row[:, block].mean(axis=1) for block in columns], axis=1)
     table: dict[str, Column] = {"row": list(range(len(rows)))}
     return table | {f"{name}_column_{index}": coarse[:, index].tolist() for index in range(len(columns))}
+
+
+def columns_of(rows: Sequence[Mapping[str, float | str | None]]) -> dict[str, Column]:
+    """Return rows with the same names as a table, with empty cells for None."""
+    return {name: [cell if (cell := row[name]) is not None else "" for row in rows] for name in (rows[0] if rows else ())}
 
 
 def table_csv(table: dict[str, Column], path: str | os.PathLike[str] | None = None) -> str:

@@ -6,6 +6,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cache
 from importlib import resources
 from itertools import zip_longest
@@ -30,10 +31,11 @@ from pixsim.show.document import (
     Table,
     Text,
     Verdict,
+    joined,
     plain_text,
 )
 from pixsim.show.pages import Figures, Plate, data_uri
-from pixsim.show.sentences import STOPS, capital, sentence
+from pixsim.show.sentences import STOPS, capital
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -140,6 +142,7 @@ def _environment() -> Environment:
         "svg": lambda text: data_uri("image/svg+xml", text.encode()),
         "marked": _marked,
         "plain": plain_text,
+        "capital": _capital,
         "sentence": _sentence,
         "answer": lambda caption: answer_and_rest(caption)[0].replace("`", ""),
         "captioned": _captioned,
@@ -170,13 +173,17 @@ def _marked(text: Text) -> Markup:
     return Markup().join(html_of(part) for part in ((text,) if isinstance(text, str) else text))
 
 
+def _capital(text: Text) -> Text:
+    """Return words with a capital letter first."""
+    if isinstance(text, str):
+        return capital(text)
+    first, *others = text
+    return (capital(first) if isinstance(first, str) else replace(first, text=capital(first.text)), *others)
+
+
 def _sentence(text: Text) -> Text:
     """Return words as a sentence."""
-    if isinstance(text, str):
-        return sentence(text)
-    first, *others = text
-    start = capital(first) if isinstance(first, str) else first
-    return (start, *others) if plain_text(text).endswith(STOPS) else (start, *others, ".")
+    return joined([_capital(text), *["."] * (not plain_text(text).endswith(STOPS))], "")
 
 
 def answer_and_rest(caption: str) -> tuple[str, str]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 UNKNOWN = "–"
 STOPS = (".", "?", "!", ":")  # ends of a sentence
+IDENTIFIER = re.compile(r"\S*[\d_]|\S*\w\.\w")  # at the beginning
 MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
 
 
@@ -95,8 +97,12 @@ def few(notes: Sequence[Sequence[str]]) -> list[str]:
 
 
 def capital(words: str) -> str:
-    """Return words with a capital letter first."""
-    return words[:1].upper() + words[1:]
+    """Return words with a capital letter first, but for a name as files and settings have it.
+
+    >>> capital("mean ΔE"), capital("my_sensor is better"), capital("pixel.prnu alone"), capital("f/4")
+    ('Mean ΔE', 'my_sensor is better', 'pixel.prnu alone', 'f/4')
+    """
+    return words if IDENTIFIER.match(words) else words[:1].upper() + words[1:]
 
 
 def sentence(words: str) -> str:

@@ -91,7 +91,7 @@ def cases_of(study: Study) -> tuple[Case[Study], ...]:
         return (Case(study),)
     if (number := number_of_cases(study)) > MAX_CASES:
         raise invalid("axis", f"{number} cases, all values of all axes", f"at most {MAX_CASES}", "Give fewer values.")
-    base = study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
+    base = study.stated
     cases = []
     for chosen, alone in combinations(study.axis):
         table = base

@@ -414,6 +414,14 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
     yield depending("Largest errors (8 µm)", "at high frequency and high contrast", result, corner)
 
 
+# Statements of section 5 on all processes together.
+SCALING = (
+    "The optimum shrinks with technology",
+    "… but slower than the technology",
+    "The best mean ΔE gets worse as technology shrinks",
+)
+
+
 def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
     """Return the rows of section 5, from the largest to the smallest process, by `rise`; none for a single process."""
     curves = sorted((curve for curve in curves if not curve.data_sheet), key=lambda curve: -curve.feature_size_um)
@@ -440,10 +448,11 @@ def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
         return Finding(statement, given, result, agrees, why)
 
     shrinks = rise(size_um[::-1], size_intervals[::-1], names[::-1])
+    optimum, slower, worse = SCALING
     return [
-        row("The optimum shrinks with technology", "yes", size_um, 2, shrinks),
-        row("… but slower than the technology", "optimum/F rises", ratio, 1, rise(ratio, ratio_intervals, names)),
-        row("The best mean ΔE gets worse as technology shrinks", "rises", least, 3, rise(least, least_intervals, names)),
+        row(optimum, "yes", size_um, 2, shrinks),
+        row(slower, "optimum/F rises", ratio, 1, rise(ratio, ratio_intervals, names)),
+        row(worse, "rises", least, 3, rise(least, least_intervals, names)),
     ]
 
 

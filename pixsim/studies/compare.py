@@ -29,13 +29,13 @@ from pixsim.sensor.pixel_options import REGISTERED_BORDER
 from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.comparison import Comparison
-from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, folders_of, studies_of
+from pixsim.studies.comparison_cases import ComparedCases, folders_of, prepare_cases
 from pixsim.studies.cost import Cost, frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, workers_for, workers_here
 from pixsim.studies.evaluations import Evaluations
-from pixsim.studies.lineup import ComparisonJob, Lineup, prepare
+from pixsim.studies.lineup import ComparisonJob, Lineup
 from pixsim.studies.matched_cameras import Match
-from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, light_of
+from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, rendered_light
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
 from pixsim.studies.prepared import Prepared, named
 from pixsim.studies.results_file import ResultsFile
@@ -117,22 +117,18 @@ def compare(
     options = plain_tables(settings)
     options |= {"scene": dict(parameters)} if parameters else {}
     with collected_notes():  # also of what is found before the comparison begins
-        axes, cases = cases_of_comparison(study)
-        prepared = [
-            prepare(
-                files,
-                scene,
-                study=own,
-                match=match,
-                repeats=repeats,
-                config=[Path(path) for path in listed(config)],
-                options=options,
-                sensor=sensor,
-                variant=variant,
-                uncertainty=uncertainty,
-            )
-            for own in studies_of(study, cases)
-        ]
+        axes, cases, prepared = prepare_cases(
+            files,
+            scene,
+            study,
+            match=match,
+            repeats=repeats,
+            config=[Path(path) for path in listed(config)],
+            options=options,
+            sensor=sensor,
+            variant=variant,
+            uncertainty=uncertainty,
+        )
         folders = folders_of(out, cases)
         results = [
             run_prepared(each, jobs=jobs, scheduler=scheduler, progress=progress, out=folder)
@@ -290,7 +286,7 @@ def lights_on_one_film(lineup: Lineup, stage: Stage) -> tuple[list[Light], list[
         plans: list[Plan] = []
         for sensor in lineup.cases:
             with named(sensor.name):
-                light, plan = light_of(lineup.demand(sensor, width), stage(f"render {sensor.name}"))
+                light, plan = rendered_light(lineup.demand(sensor, width), stage(f"render {sensor.name}"))
             if light.image.shape[1] > width:  # its film had to be finer: the others take that one too
                 width = light.image.shape[1]
                 break

@@ -14,7 +14,7 @@ from pixsim.show.render import cell_of
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.lineup import ComparisonJob, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
-from pixsim.studies.verdicts import answers, facts, headline
+from pixsim.studies.verdicts import answers, facts, whole_verdict
 from pixsim.viewer.display import white_light
 
 if TYPE_CHECKING:
@@ -54,17 +54,10 @@ class Comparison(Averaged):
     def as_dict(self) -> dict[str, Any]:
         """Return compare.json. With conditions the answers are those of the weighted mean, and the rest is `shown`."""
         prepared, first, lineup = self.prepared, self.sensors[0], self.shown.lineup
-        more: dict[str, Any] = {}
-        if prepared.study is not None:
-            more["study"] = {"name": prepared.study.name, "not_used": list(prepared.not_used)}
-        if self.conditions:
-            more["shown_condition"] = lineup.condition
-            more["conditions"] = {
-                own.condition: {"weight": own.weight}
-                | part.answers()
-                | {"delta_e": {name: values.tolist() for name, values in part.delta_e.items()}}
-                for own, part in zip(prepared.conditions, self.conditions, strict=True)
-            }
+        more = prepared.of_study
+        for condition, part in zip(prepared.conditions, self.conditions, strict=True):
+            delta_e = {name: values.tolist() for name, values in part.delta_e.items()}
+            more["conditions"][condition.condition] |= part.answers() | {"delta_e": delta_e}
         if len(self.pairs) > 1:
             more["ranking"] = [list(group) for group in self.ranking]
             more["pairs"] = {other: _pair_as_dict(self.pair(other)) for other in self.names[1:]}
@@ -72,7 +65,7 @@ class Comparison(Averaged):
             more["uncertainty"] = {found.names[1]: found.as_dict() for found in self.uncertainty}
         return more | {
             "names": list(self.names),
-            "verdicts": {other: headline(self, other) for other in self.names[1:]},
+            "verdicts": {other: whole_verdict(self, other) for other in self.names[1:]},
             **self.answers(),
             "match": prepared.match,
             "repeats": prepared.repeats,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +18,12 @@ from pixsim.studies.averages import Averaged
 from pixsim.studies.axis import Axis
 from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, values_at, with_range_ends
 from pixsim.studies.comparison import FIGURE_BORDER_IN, FIGURE_WIDTH_IN, ROW_IN, Comparison
+from pixsim.studies.lineup import ComparisonJob, prepare
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.varied import MAX_CASE_NAME
-from pixsim.studies.verdicts import headline
+from pixsim.studies.verdicts import whole_verdict
+from pixsim.studies.viewing import where_along
 from pixsim.viewer.merging import merge
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def cases_of_comparison(study: StatedStudy) -> tuple[tuple[Axis, ...], list[Case
     if not (plan := with_range_ends(study_of(study)[1])).axis:
         return (), []
     cases_of(plan)  # that its values are allowed
-    own = plan.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
+    own = plan.stated
     cases = []
     for chosen, alone in combinations(plan.axis):
         table: dict[str, Any] = {}
@@ -60,9 +61,18 @@ def cases_of_comparison(study: StatedStudy) -> tuple[tuple[Axis, ...], list[Case
     return plan.axis, cases
 
 
-def studies_of(study: StatedStudy, cases: Sequence[Case[Study]]) -> list[StatedStudy]:
-    """Return the study of each comparison: that of each case, or of the only one."""
-    return [case.settings for case in cases] or [study]
+def prepare_cases(
+    files: Sequence[str | os.PathLike[str]], scene: str | os.PathLike[str] | None, study: StatedStudy, **asked: Any
+) -> tuple[tuple[Axis, ...], list[Case[Study]], list[ComparisonJob]]:
+    """Return `cases_of_comparison`, and a comparison that is prepared for each case, or the only one.
+
+    asked : further arguments of `prepare`
+
+    Raises PixsimError for invalid input.
+    """
+    axes, cases = cases_of_comparison(study)
+    studies: list[StatedStudy] = [case.settings for case in cases]
+    return axes, cases, [prepare(files, scene, study=own, **asked) for own in studies or [study]]
 
 
 def folders_of(out: str | os.PathLike[str] | None, cases: Sequence[Case[Study]]) -> list[Path | None]:
@@ -102,8 +112,10 @@ class ComparedCases:
             better, worse = (self.names[0], other) if found == {1} else (other, self.names[0])
             return f"{better} is better than {worse} in all {len(signs)} cases"
         if len(self.axes) == 1 and all(not isinstance(case.at[self.axes[0].name], str) for case, _ in signs):
-            along = [(float(case.at[self.axes[0].name]), sign) for case, sign in signs]
-            return where_along(along, names, self.axes[0].name, unit_along(self.axes[0]))
+            along, unit = sorted((float(case.at[self.axes[0].name]), sign) for case, sign in signs), unit_along(self.axes[0])
+            unit = f" {unit}" if unit else ""
+            words = where_along([(f"{value:.4g}", sign) for value, sign in along], names, unit, unit, " is better")
+            return f"{words} ({self.axes[0].name})"
         parts: list[str] = []
         for sign, name in names.items():
             if where := [case.words or BASE for case, own in signs if own == sign]:
@@ -113,7 +125,7 @@ class ComparedCases:
     @property
     def answers(self) -> list[tuple[Case[Study], list[str]]]:
         """Each case with its answer for each later sensor."""
-        return [(case, [headline(own, other) for other in self.names[1:]]) for case, own in self.results]
+        return [(case, [whole_verdict(own, other) for other in self.names[1:]]) for case, own in self.results]
 
     def as_dict(self) -> dict[str, Any]:
         """Return compare.json."""
@@ -122,7 +134,7 @@ class ComparedCases:
             "verdicts": {other: self.headline(other) for other in self.names[1:]},
             "cases": [
                 {"at": case.at, "folder": case.folder}
-                | {"verdicts": {other: headline(result, other) for other in self.names[1:]}}
+                | {"verdicts": {other: whole_verdict(result, other) for other in self.names[1:]}}
                 | result.answers()
                 for case, result in self.results
             ],
@@ -167,29 +179,3 @@ def unit_along(axis: Axis) -> str:
     """Return the unit of an axis; empty if its settings state none, or several."""
     units = {unit_of(dotted.rpartition(".")[2]) for dotted in axis.set}
     return units.pop() if len(units) == 1 else ""
-
-
-def where_along(along: Sequence[tuple[float, int]], names: dict[int, str], axis: str, unit: str) -> str:
-    """Return which of two sensors is better where along the numbers of an axis.
-
-    along : (value, sign) as of `sign_of`
-    names : of each sign
-
-    >>> names = {1: "a", -1: "b", 0: "neither"}
-    >>> where_along([(100.0, 1), (1.0, -1), (10.0, 1), (3.0, 0)], names, "light", "cd/m²")
-    'a is better from 10 cd/m² on, neither at 3 cd/m², b up to 1 cd/m² (light)'
-    """
-    runs = [(sign, [value for value, _ in own]) for sign, own in groupby(sorted(along), key=lambda one: one[1])]
-
-    def shown(value: float) -> str:
-        return f"{value:.4g} {unit}".strip()
-
-    words = []
-    for number, (sign, values) in enumerate(reversed(runs)):
-        if number == 0:
-            words.append(f"{names[sign]}{' is better' if sign else ''} from {shown(values[0])} on")
-        elif number == len(runs) - 1:
-            words.append(f"{names[sign]} up to {shown(values[-1])}")
-        else:
-            words.append(f"{names[sign]} at {' to '.join(dict.fromkeys(map(shown, (values[0], values[-1]))))}")
-    return f"{', '.join(words)} ({axis})"

@@ -15,7 +15,7 @@ from pixsim.sensor.labels import label_in
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.keys import light_hash
-from pixsim.studies.oversampling import Demand, Light, light_of
+from pixsim.studies.oversampling import Demand, Light, rendered_light
 from pixsim.studies.pixels import imaging_of, physics_of
 from pixsim.studies.preparation import first_film, plan_of, scene_for, smallest_pixels, study_plan
 from pixsim.studies.prepared import Prepared
@@ -62,7 +62,7 @@ def render_for(
     """
     demand, first = demand_of(Prepared(Case(study), *scene_for(study, variant)), settled), study.technologies[0]
     try:
-        light, _ = light_of(demand, progress)
+        light, _ = rendered_light(demand, progress)
     except AlikeChannelsError as error:
         raise AlikeChannelsError(f"{label_in(first, words)}: none of its pixel sizes is possible. {error}") from None
     light.image.header.update(white_header(seen_by_all(study, light.image, light.camera), study.display))

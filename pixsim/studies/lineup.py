@@ -176,6 +176,13 @@ class ComparisonJob:
         """The lineups that are conditions of a study."""
         return tuple(lineup for lineup in self.lineups if lineup.condition)
 
+    @property
+    def of_study(self) -> dict[str, Any]:
+        """The study and its conditions as in compare.json; empty without one."""
+        study = {} if self.study is None else {"study": {"name": self.study.name, "not_used": list(self.not_used)}}
+        weights = {part.condition: {"weight": part.weight} for part in self.conditions}
+        return study | ({"shown_condition": self.shown.condition, "conditions": weights} if weights else {})
+
 
 def sensor_layer(file: str) -> Layer:
     """Return the table of a sensor: a TOML file with [pixel], such as a data sheet; or a technology, by its file or name."""

@@ -584,7 +584,7 @@ class Demand:
         )
 
 
-def light_of(demand: Demand, progress: Progress | None = None) -> tuple[Light, Plan]:
+def rendered_light(demand: Demand, progress: Progress | None = None) -> tuple[Light, Plan]:
     """Return the light that pixels ask for, within the limits of a command, by `render_on_film`; and the plan of its film.
 
     Warns of what the plan warns of. Raises AlikeChannelsError if the colours of none of the pixels can be told apart.

@@ -149,8 +149,7 @@ class PairUncertainty:
         low, middle, high = (f"{ends[name]:+.2g}" for name in ("p05", "p50", "p95"))
         return (
             f"over {found.draws} sensor types {first} is better than {other} with the probability {found}; difference {middle} ΔE "
-            f"in the median, nine tenths from {low} to {high}; "
-            f"{self.matters}"
+            f"in the median, nine tenths from {low} to {high}; {self.matters}"
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -160,6 +159,6 @@ class PairUncertainty:
             "asked": self.types.asked,
             "probability_a_better": asdict(self.probability_a_better),
             "difference": self.difference.as_dict(),
-            "inputs": {name: [unknown.as_dict() for unknown in members] for name, members in self.sample.inputs.items()},
+            "inputs": self.sample.stated,
             "first_order": self.first_order.as_dict(),
         }

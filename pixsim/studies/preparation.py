@@ -382,7 +382,7 @@ def _same_chart(first: Study, second: Study) -> bool:
 
 def _without_axes(study: Study) -> Study:
     """Return the study with its own settings alone; an axis over technologies leaves the first of them."""
-    table = study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
+    table = study.stated
     for axis in study.axis:
         if "technologies" in axis.points[0].table:
             table |= axis.points[0].table

@@ -656,10 +656,10 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     axes.fill_between(curve.fit.pitch_um, low, high, color=colour, alpha=0.15, lw=0)
     axes.plot(curve.fit.pitch_um, fitted, lw=1.5, **look.stroke)
     if best.inside:
-        low_um, high_um = with_ends(best.interval_um, curve)
+        low_um, high_um = closed_range(best.interval_um, curve)
         axes.plot([low_um, high_um], [best.value] * 2, "|-", color=colour, lw=2.5, ms=9, mew=1.5)
         axes.plot(best.pitch_um, best.value, "v", ms=9, mfc="white", mec=colour, mew=1.5)
-    axes.axvspan(*with_ends(best.within_1_percent_um, curve), color=colour, alpha=0.12, lw=0)
+    axes.axvspan(*closed_range(best.within_1_percent_um, curve), color=colour, alpha=0.12, lw=0)
     for edge_um in best.within_1_percent_um:
         if edge_um is not None:
             axes.axvline(edge_um, lw=0.7, **look.stroke)
@@ -676,7 +676,7 @@ def shown_mean_and_ci95(curve: Curve) -> tuple[Array, Array]:
     return shown_values(curve, mean), ci95 if curve.metrics[0].better == "less" else ci95 / mean**2
 
 
-def with_ends(range_um: tuple[float | None, float | None], curve: Curve) -> tuple[float, float]:
+def closed_range(range_um: tuple[float | None, float | None], curve: Curve) -> tuple[float, float]:
     """Return a range of pitches with open ends replaced by the smallest and the largest pitch tried."""
     low, high = range_um
     return float(curve.pitch_um[0]) if low is None else low, float(curve.pitch_um[-1]) if high is None else high
@@ -766,11 +766,11 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
     return dict(table)
 
 
-def interval_columns(curves: Sequence[Curve]) -> dict[str, Column]:
-    """Return columns with the ends of the optima's 95 % intervals; empty for an open end."""
-    ends = ([curve.optimum.interval_um[end] for curve in curves] for end in (0, 1))
+def range_columns(name: str, curves: Sequence[Curve]) -> dict[str, Column]:
+    """Return columns with the ends of a range of each optimum, as `interval` or `within_1_percent`; empty for an open end."""
+    ends = zip(*(getattr(curve.optimum, f"{name}_um") for curve in curves), strict=True)
     low, high = (["" if end is None else end for end in column] for column in ends)
-    return {"interval_low_um": low, "interval_high_um": high}
+    return {f"{name}_low_um": low, f"{name}_high_um": high}
 
 
 def target_notes(result: StudyResult) -> list[str]:

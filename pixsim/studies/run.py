@@ -35,7 +35,7 @@ from pixsim.show.render import cell_of
 from pixsim.studies.budget import ProbeDesign, Settled, settle
 from pixsim.studies.cases import Case
 from pixsim.studies.lights import demand_of
-from pixsim.studies.oversampling import Demand, Light, light_of
+from pixsim.studies.oversampling import Demand, Light, rendered_light
 from pixsim.studies.paired import mean_interval
 from pixsim.studies.preparation import check_metrics, choose_view, scene_with_view, with_view
 from pixsim.studies.prepared import Job, Prepared, loaded_scene
@@ -451,7 +451,7 @@ def light_run(prepared: RunJob, stage: Stage) -> LitRun:
         image, rendered, plan = prepared.cases[0].picture, None, None
         if image is None:
             prepared = with_tolerance(prepared, stage)
-            rendered, plan = light_of(prepared.demand, stage("render"))
+            rendered, plan = rendered_light(prepared.demand, stage("render"))
             image = rendered.image
         seen = Seen(image, prepared.camera, derive(prepared.settings.pixel))
         image.header |= white_header([seen], prepared.settings.display)

@@ -73,7 +73,7 @@ def _optimum_parts(curve: Curve) -> list[Text]:
     best, interval = curve.optimum, f"95 %: {interval_words(curve)}"
     within = f"within 1 % of it: {within_words(best.within_1_percent_um, curve)}"
     if words := no_difference_words(curve):
-        if outside := outside_words(curve):
+        if outside := fit_outside_words(curve):
             return [(Strong(words),), *outside]
         size = "" if best.inside else ", the end of the range"
         least = f"least {curve.light.number(best.mean_delta_e)} at {best.pitch_um:.2f} µm{size} ({interval})"
@@ -141,7 +141,7 @@ def no_difference_words(curve: Curve) -> str:
     return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to {high:.3g} µm{whole}"
 
 
-def outside_words(curve: Curve) -> list[str]:
+def fit_outside_words(curve: Curve) -> list[str]:
     """Return where the fitted curve is least, in parts, if that is outside the sizes that look alike; empty otherwise.
 
     The best size tried is among those.
@@ -319,7 +319,7 @@ def lens_words(camera: Camera) -> str:
 
 def thin_lens_words(camera: Camera) -> str:
     """Return the lens of a camera without a real one, and its field."""
-    return f"lens of {camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}, a field of {camera.field_words}"
+    return f"lens of {camera.lens_words}, a field of {camera.field_words}"
 
 
 def film_words(film: dict[str, Any]) -> str:

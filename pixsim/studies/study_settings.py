@@ -199,6 +199,11 @@ class Study(Setting):
         return bool(self.axis or self.condition)
 
     @property
+    def stated(self) -> dict[str, Any]:
+        """What is set, as TOML has it, without axes, conditions and [quick]."""
+        return self.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
+
+    @property
     def own_um(self) -> float | None:
         """The smallest of `own_pitches_um`; None for a study of technologies."""
         return min(self.own_pitches_um, default=None)

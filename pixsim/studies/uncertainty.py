@@ -12,7 +12,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -324,6 +324,11 @@ class Sample:
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     @property
+    def stated(self) -> dict[str, list[dict[str, Any]]]:
+        """The inputs as in summary.json."""
+        return {name: [unknown.as_dict() for unknown in members] for name, members in self.inputs.items()}
+
+    @property
     def marginals(self) -> dict[str, Marginal]:
         """Distributions of the inputs."""
         return {name: unknowns[0].marginal for name, unknowns in self.inputs.items()}
@@ -622,7 +627,7 @@ class UncertaintyResult:
             "draws": len(self.outcomes),
             "asked": self.asked,
             "seed": self.seed,
-            "inputs": {name: [unknown.as_dict() for unknown in members] for name, members in self.sample.inputs.items()},
+            "inputs": self.sample.stated,
             "optimum_um": self.optimum.as_dict(),
             "mean_delta_e": self.least_delta_e.as_dict(),
             "verdicts": {name: asdict(probability) for name, probability in self.verdicts.items()},
@@ -749,19 +754,21 @@ def draw_distribution(axes: Axes, distribution: ResultDistribution, name: str) -
     axes.locator_params(axis="y", integer=True)  # counts
 
 
+def quantile_words(distribution: ResultDistribution, form: str, unit: str, *names: str) -> str:
+    """Return a quantile of a distribution, or two of them, as text."""
+    ends = (distribution.quantiles[name] for name in names)
+    words = list(dict.fromkeys("beyond the sizes tried" if end is None else f"{end:{form}}{unit}" for end in ends))
+    return words[0] if len(words) == 1 else f"from {' to '.join(words)}"
+
+
 def distribution_words(distribution: ResultDistribution, what: str, unit: str) -> str:
     """Return what is seen of a distribution: median, middle half, nine tenths, and censored shares."""
     known = [end for end in distribution.quantiles.values() if end is not None]
     apart = max(known, default=0.0) - min(known, default=0.0)
     decimals = min(max(1 - math.floor(math.log10(apart / 2)), 0), 6) if apart else 3  # a twentieth of the distance, or finer
-    text = {
-        name: "beyond the pixel sizes tried" if end is None else f"{end:.{decimals}f}"
-        for name, end in distribution.quantiles.items()
-    }
-    words = (
-        f"Median of the {what}: {text['p50']}{unit}; middle half from {text['p25']} to {text['p75']}{unit}, "
-        f"nine tenths from {text['p05']} to {text['p95']}{unit}."
-    )
+    quantiles = partial(quantile_words, distribution, f".{decimals}f", unit)
+    half, most = quantiles("p25", "p75"), quantiles("p05", "p95")
+    words = f"Median of the {what}: {quantiles('p50')}; middle half {half}, nine tenths {most}."
     for share, end in ((distribution.censored_low, "smallest"), (distribution.censored_high, "largest")):
         words += f" Hatched: {share:.1%} at or beyond the {end} pixel size tried." if share else ""
     return words
@@ -787,8 +794,7 @@ def indices_plate(result: UncertaintyResult) -> Plate:
     figure.axes[0].invert_yaxis()
     caption = (
         f"{' '.join(seen)} First-order indices: the share of the variance that each input alone explains, with 95 % bootstrap "
-        "intervals, for the "
-        "optimal pixel size (left) and the least mean ΔE (right)."
+        "intervals, for the optimal pixel size (left) and the least mean ΔE (right)."
     )
     return Plate("uncertainty_indices", caption, figure, table)
 
@@ -823,9 +829,12 @@ WORTH_NAMING = 0.05  # share of the variance
 def indices_words(own: FirstOrder, output: str, labels: Mapping[str, str]) -> str:
     """Return what is seen of the indices of an output: the largest, and their sum; or why they are withheld."""
     if own.withheld:
-        return f"Those of the {output} are withheld: {own.withheld}."
+        return f"The shares of the {output} are withheld: {own.withheld}."
     largest = sorted(own.indices.items(), key=lambda item: -item[1].share)
     named = [(labels[name], index.share) for name, index in largest if index.share >= WORTH_NAMING or name == largest[0][0]]
     together = sum(index.share for index in own.indices.values())
     words = ", ".join(f"{name} {share:.0%}" for name, share in named)
-    return f"The {output}: {words}; all inputs, each alone, {together:.0%}, the rest together ({own.surrogate}, Q² = {own.q2:.2f})."
+    return (
+        f"Shares of the variance of the {output}: {words}; all inputs, each alone, {together:.0%}, the rest together "
+        f"({own.surrogate}, Q² = {own.q2:.2f})."
+    )

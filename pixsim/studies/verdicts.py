@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
-from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline as answer_of
+from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline
 from pixsim.studies.averages import Averaged, shown_delta_e
 from pixsim.studies.extent import stated_end_lp_per_mm
 from pixsim.studies.lineup import ComparisonJob, Lineup, pixels_of
@@ -120,7 +121,7 @@ def conditions_disagree(result: Averaged, other: str) -> bool:
     return len({_winner(part, other) for part in (pair, *(part for _, part in pair.counted))} - {None}) > 1
 
 
-def headline(result: Averaged, other: str) -> str:
+def whole_verdict(result: Averaged, other: str) -> str:
     """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree."""
     pair = result.pair(other)
     if not conditions_disagree(pair, other):
@@ -129,12 +130,16 @@ def headline(result: Averaged, other: str) -> str:
     return "; ".join(filter(None, (*words, pair.unconverged)))
 
 
+def _in_condition(part: Averaged, other: str) -> str:
+    return f"{part.shown.lineup.condition} (weight {part.shown.lineup.weight:.3g}): {verdict(part, other)}"
+
+
 def _answers_of_conditions(pair: Averaged, other: str) -> list[str]:
-    return [f"{part.shown.lineup.condition} (weight {weight:.3g}): {verdict(part, other)}" for weight, part in pair.counted]
+    return [_in_condition(part, other) for _, part in pair.counted]
 
 
 def answer(result: Averaged, other: str) -> Answer:
-    """Return `headline` as an answer: first who is better, on the weighted mean, then the largest cause of that."""
+    """Return `whole_verdict` as an answer: first who is better, on the weighted mean, then the largest cause of that."""
     pair = result.pair(other)
     first, *others = verdict_parts(pair, other)
     found = pair.unconverged.split("; ") if pair.unconverged else []
@@ -144,13 +149,14 @@ def answer(result: Averaged, other: str) -> Answer:
         begin, others = ["the conditions disagree", f"weighted mean: {first}"], [*others, *_answers_of_conditions(pair, other)]
     first, *more = begin
     unsure = next((words for words in found if words.startswith(NOT_CONVERGED)), "")
-    return answer_of([(Strong(first),), *more, *causes, *others], unsure)
+    found_words = headline([(Strong(first),), *more, *causes, *others], unsure)
+    return replace(found_words, named=first.startswith(result.names))
 
 
 def answers(result: Averaged) -> list[Answer]:
     """Return the answer for each later sensor, and the order of three and more."""
     found = [answer(result, other) for other in result.names[1:]]
-    return found + ([answer_of(ranking_words(result).split("; "))] if len(result.names) > 2 else [])
+    return found + ([headline(ranking_words(result).split("; "))] if len(result.names) > 2 else [])
 
 
 # --- what the answers belong to ---------------------------------------------------------------------------------------------------
@@ -160,8 +166,7 @@ def sensor_words(sensor: Prepared[Run]) -> str:
     """Return a sensor's pixels and lens in words."""
     rows, columns = pixels_of(sensor)
     technology = "" if sensor.settings.pixel.technology == NO_TECHNOLOGY else f" ({label_of(sensor.settings.pixel.technology)})"
-    lens = f"{sensor.camera.focal_length_mm:.4g} mm f/{sensor.camera.f_number:.3g}"
-    return f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind {lens}"
+    return f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind {sensor.camera.lens_words}"
 
 
 def exposure_words(lineup: Lineup) -> str:
@@ -204,7 +209,7 @@ def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
     first, field = lineup.cases[0].name, f"the same field of {camera.field_words}"
     lens = {
         "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
-        "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
+        "lens": f"one lens, that of {first} ({camera.lens_words}), and {field}, which all have",
         "own": f"each file's own lens, and {field}, which all have",
     }[prepared.match]
     highest = stated_end_lp_per_mm({"parameters": lineup.cases[0].scene.parameters})
@@ -235,9 +240,7 @@ def facts(result: Comparison) -> Iterator[Block]:
     yield Table("sensors", (), rows, words=None)
     agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
     conditions = [
-        f"{part.condition} (weight {part.weight:.3g}): {verdict(result.pair(other).conditions[number], other)}"
-        for number, part in enumerate(result.prepared.conditions)
-        for other in agreed
+        _in_condition(result.pair(other).conditions[number], other) for number in range(len(result.conditions)) for other in agreed
     ]
     if items := (*conditions, *(found.words for found in result.uncertainty)):
         yield Listed(items)

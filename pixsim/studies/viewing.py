@@ -7,11 +7,12 @@ are scored on displays with the dots of the finest and of the coarsest sensor, a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import Any, NamedTuple
 
+from pixsim.show.sentences import span
 from pixsim.studies.optimum import Optimum
 from pixsim.viewer.display_options import Display
 
@@ -99,8 +100,7 @@ class ViewingRange:
 
 def range_words(viewings: Sequence[Viewing]) -> str:
     """Return numbers of dots and dots per degree in words."""
-    ends = [(f"{min(values):g}", f"{max(values):g}") for values in zip(*viewings, strict=True)]
-    dots, degrees = (low if low == high else f"{low} to {high}" for low, high in ends)
+    dots, degrees = (span(min(values), max(values), "g") for values in zip(*viewings, strict=True))
     return f"{dots} dots, {degrees} per degree"
 
 
@@ -180,20 +180,35 @@ def _row_words(row: Sequence[Viewed], names: tuple[str, str]) -> str:
     """Return who is better along the dots of one number of dots per degree."""
     name = {1: names[0], -1: names[1], 0: "neither"}
     runs = [(sign, list(views)) for sign, views in groupby(row, key=lambda view: view.sign)]
-    if len(runs) == 1:
-        return name[runs[0][0]]
     (first, low), (last, high) = runs[0], runs[-1]
+    if len(runs) == 1:
+        return name[first]
     if len(runs) == 2 and first and last:
         return f"{name[last]} above about {_crossing_dots(low[-1], high[0])} dots, {name[first]} below"
-    between = [f"{name[sign]} at {range_of(views)}" for sign, views in runs[1:-1]]
-    words = [f"{name[last]} from {high[0].viewing.dots} dots on", *between[::-1], f"{name[first]} up to {low[-1].viewing.dots}"]
-    return ", ".join(words)
+    return where_along([(str(view.viewing.dots), view.sign) for view in row], name, first_unit=" dots")
 
 
-def range_of(views: Sequence[Viewed]) -> str:
-    """Return the dots of some viewings in words."""
-    low, high = views[0].viewing.dots, views[-1].viewing.dots
-    return f"{low}" if low == high else f"{low} to {high}"
+def where_along(
+    along: Iterable[tuple[str, int]], names: Mapping[int, str], unit: str = "", first_unit: str = "", is_better: str = ""
+) -> str:
+    """Return which of two sensors is better where along numbers, from the largest down.
+
+    along : increasing numbers in words, with a sign as of `Viewed`; at least two signs
+    names : of each sign
+    unit, first_unit : behind the numbers, and behind the first
+    is_better : behind the first sensor
+
+    >>> names = {1: "a", -1: "b", 0: "neither"}
+    >>> where_along([("1", -1), ("3", 0), ("10", 1), ("100", 1)], names, first_unit=" dots")
+    'a from 10 dots on, neither at 3, b up to 1'
+    """
+    runs = [(sign, [number for number, _ in own]) for sign, own in groupby(along, key=lambda one: one[1])]
+    (first, low), *between, (last, high) = runs
+    return ", ".join([
+        f"{names[last]}{is_better if last else ''} from {high[0]}{first_unit} on",
+        *(f"{names[sign]} at {span(own[0] + unit, own[-1] + unit)}" for sign, own in between[::-1]),
+        f"{names[first]} up to {low[-1]}{unit}",
+    ])  # fmt: skip
 
 
 def _crossing_dots(low: Viewed, high: Viewed) -> str:

@@ -11,25 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.files import versions
-from pixsim.show.document import (
-    Answer,
-    Beside,
-    Block,
-    Document,
-    Fact,
-    Listed,
-    Note,
-    Plot,
-    Section,
-    Strong,
-    Table,
-    Text,
-    Verdict,
-    pairs,
-)
+from pixsim.show.document import Answer, Block, Document, Fact, Listed, Note, Plot, Section, Strong, Table, Text, Verdict, made_with
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Plate, plain, rows_csv
+from pixsim.show.pages import Column, Plate, figure_files, plain, rows_csv
 from pixsim.show.sentences import UNKNOWN, number
 from pixsim.verification.ladders import METRICS, Metric, Rung
 from pixsim.verification.orders import Order, pareto
@@ -60,7 +44,7 @@ def answer(accuracy: Accuracy) -> Answer:
     )
 
 
-def verdict(accuracy: Accuracy, metric: Metric) -> str:
+def front_words(accuracy: Accuracy, metric: Metric) -> str:
     """Whether the default settings are on the Pareto front, within the scatter; otherwise the setting that dominates them."""
     rival = accuracy.beaten(metric)
     if rival is None:
@@ -124,10 +108,9 @@ def work_precision(accuracy: Accuracy) -> Plate:
     figure.legend(handles, labels, loc="outside lower center", ncols=LEGEND_COLUMNS * len(metrics), fontsize=8, frameon=False)
     caption = (
         f"The default settings err by {error_words(accuracy)}, in {accuracy.shipped.seconds:.2g} s. Error against run time; down "
-        "and left is better. Each series varies one setting from the defaults (star). "
-        "Grey: the Pareto front, the smallest error for each run time. The star counts as on it unless another setting is faster "
-        "by more than the scatter of times, a tenth, and more accurate by more than the mean over eight sensors resolves. "
-        f"Reference: {accuracy.reference}."
+        "and left is better. Each series varies one setting from the defaults (star). Grey: the Pareto front, the smallest error "
+        "for each run time. The star counts as on it unless another setting is faster by more than the scatter of times, a tenth, "
+        f"and more accurate by more than the mean over eight sensors resolves. Reference: {accuracy.reference}."
     )
     return Plate("work_precision", caption, figure, table(accuracy, [name for name in RENDERED if name in accuracy.names]))
 
@@ -181,9 +164,8 @@ def convergence(accuracy: Accuracy) -> Plate:
     )
     caption = (
         f"The error {words}. Error against each setting. Lines: fitted power laws, error ∝ setting^-order, with the 95 % interval "
-        "of the order. "
-        "Points at the floor set by other errors are not fitted. Circled: default settings. Errors of electrons are relative, "
-        "those of the optimum in µm. The reference is other sensors for seeds, and the finest display for raster."
+        "of the order. Points at the floor set by other errors are not fitted. Circled: default settings. Errors of electrons are "
+        "relative, those of the optimum in µm. The reference is other sensors for seeds, and the finest display for raster."
     )
     return Plate("convergence", caption, figure, table(accuracy, names))
 
@@ -255,8 +237,7 @@ def budget(accuracy: Accuracy) -> Plate:
     words = f"The largest part is {largest}, {number(known[largest])} of mean ΔE." if largest else "No part is known."
     caption = (
         f"{words} Error budget of one result with the default settings. Render noise and seeds: 95 % intervals over renders and "
-        "over "
-        "sensors. Display raster: the change with twice the dots. Display interpolation: the change with the next finer "
+        "over sensors. Display raster: the change with twice the dots. Display interpolation: the change with the next finer "
         "interpolation: linear for nearest, cubic for linear, quintic for cubic."
     )
     effects: dict[str, Column] = {key: [getattr(effect, key) for effect in accuracy.budget.values()] for key in columns}
@@ -272,13 +253,13 @@ def table(accuracy: Accuracy, names: list[str]) -> dict[str, Column]:
 FIGURES = ("work_precision", "convergence", "viewing", "stages", "budget", "dn_against_light")
 FILES = (
     "report.html", "summary.json", "ladders.csv", "stability.csv", "solvers.csv",
-    *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in FIGURE_SUFFIXES),
+    *figure_files(FIGURES),
 )  # fmt: skip
 
 
 def accuracy_document(accuracy: Accuracy) -> Document:
     """Return the answer of `pixsim accuracy`."""
-    settings, solvers = settings_table(accuracy), solver_table(accuracy)
+    settings, solvers, orders = rungs_table(accuracy), solver_table(accuracy), order_table(accuracy)
     plots = plots_of(accuracy)
     header = accuracy.header
     made = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}, in {accuracy.seconds:.0f} s."
@@ -291,7 +272,7 @@ def accuracy_document(accuracy: Accuracy) -> Document:
         lead=facts(accuracy),
         sections=(
             Section("errors", "Error against run time", plots),
-            Section("orders", "Orders of convergence", (order_table(accuracy),), brief=True),
+            Section("orders", "Orders of convergence", (orders,) if orders.rows else (), brief=True),
             Section("budget", "Error budget", (budget_table(accuracy),), brief=True),
             Section(
                 *("extremes", "Extreme cases with known answers"),
@@ -303,7 +284,7 @@ def accuracy_document(accuracy: Accuracy) -> Document:
             ),
             Section("solvers", "Solvers of the photodiode", (SOLVERS, solvers) if solvers.rows else ()),
             Section("all", "All settings", (settings, "* default settings.")),
-            Section("made", "Reproducibility", (made, Beside((pairs("versions", versions()),)))),
+            Section("made", "Reproducibility", (made, made_with())),
         ),
         files={
             "ladders.csv": accuracy.to_csv(),
@@ -317,7 +298,7 @@ def facts(accuracy: Accuracy) -> Iterator[Block]:
     """Yield what follows the errors of the default settings: what they are worth, how long it takes, and what went wrong."""
     yield Fact(f"reference: {accuracy.reference}")
     yield Listed(
-        (f"{METRICS[metric]}: the default settings are ", Verdict(verdict(accuracy, metric), accuracy.beaten(metric) is None))
+        (f"{METRICS[metric]}: the default settings are ", Verdict(front_words(accuracy, metric), accuracy.beaten(metric) is None))
         for metric in METRICS
         if accuracy.rivals(metric)
     )
@@ -327,7 +308,8 @@ def facts(accuracy: Accuracy) -> Iterator[Block]:
     yield Fact(f"stability: {stability_words(accuracy)}")
     if failed := [case for case in accuracy.cases if not case.passed]:
         yield Listed(f"{case.room}, {case.name}: error {case.error:.1e}, limit {case.allowed:.1e}" for case in failed)
-    yield from (Fact(f"skipped: {rung.ladder}, {rung.setting} ({rung.left_out})") for rung in accuracy.rungs if rung.left_out)
+    if skipped := [f"{rung.ladder}, {rung.setting} ({rung.left_out})" for rung in accuracy.rungs if rung.left_out]:
+        yield Fact(f"skipped: {'; '.join(skipped)}")
     yield from map(Note, accuracy.notes)
     yield from map(Fact, filter(None, (accuracy.settings.pixel.assumption,)))
 
@@ -369,7 +351,7 @@ def case_table(accuracy: Accuracy) -> Table:
     for room, cases in groupby(accuracy.cases, attrgetter("room")):
         rows += [(room,)] if room else []
         for case in cases:
-            values = f"{case.expected:.6g}", f"{case.got:.6g}", f"{case.error:.1e}", f"{case.allowed:.1e}"
+            values = f"{case.expected:.6g}", f"{case.got:.6g}", number(case.error), number(case.allowed)
             met = Verdict("met" if case.passed else f"NOT met {case.warned}", case.passed)
             rows.append((case.name, *values, (met,), case.source))
     head = ("case", "expected", "got", "error", "limit", "verdict", "source")
@@ -388,7 +370,7 @@ def solver_table(accuracy: Accuracy) -> Table:
     rows = tuple(
         (
             row.light, f"{row.integration_s:g}", row.name,
-            *((UNKNOWN, UNKNOWN) if row.failure else (f"{row.charge_e:.9g}", f"{row.relative_error:.1e}")),
+            *((UNKNOWN, UNKNOWN) if row.failure else (f"{row.charge_e:.9g}", number(row.relative_error))),
             str(row.evaluations), f"{row.seconds:.2g}", (Verdict(row.failure or "done", not row.failure),),
         )
         for row in accuracy.solvers
@@ -397,7 +379,7 @@ def solver_table(accuracy: Accuracy) -> Table:
     return Table("solvers", head, rows, words=(2, 7))
 
 
-def settings_table(accuracy: Accuracy) -> Table:
+def rungs_table(accuracy: Accuracy) -> Table:
     """Return the time and the errors of each setting."""
     fields = "seconds", *METRICS
     rows = tuple(

@@ -158,7 +158,7 @@ def response_plate(pixel: Pixel, integration_s: float = 0.03) -> Plate:
     corner.set_xlim(0.93 * well_ke, 1.05 * well_ke)
     corner.set_ylim(0.93 * top, 1.01 * top)
     corner.tick_params(labelsize=7)
-    corner.set_title("corner of the diode limit; thin: straight line", fontsize=7)
+    corner.set_title("corner of the diode limit;\nthin: straight line", fontsize=7, backgroundcolor="white")
     left.set_ylim(0, 1.05 * 2**pixel.bits)
     figure.legend(
         *left.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=8, handlelength=LEGEND_LINE

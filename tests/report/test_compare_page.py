@@ -19,8 +19,9 @@ from helpers.looks import assert_short_headlines, text_of
 
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
 from pixsim.show.document import plain_text
+from pixsim.show.sentences import capital
 from pixsim.studies.averages import Averaged, Observed, shown_delta_e
-from pixsim.studies.verdicts import answer, elsewhere_note, headline, verdict, verdict_parts
+from pixsim.studies.verdicts import answer, elsewhere_note, verdict, verdict_parts, whole_verdict
 from pixsim.studies.viewing import Viewing, ViewingRange
 
 SMALL = "--display.dots 120 --resolution 256 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
@@ -389,7 +390,7 @@ def test_headline_names_the_conditions_that_disagree(night: list[float], disagre
     """The weighted mean alone would say that one sensor is better, and that nobody sees it."""
     day, night_part = ([1.0, 1.01], [1.2, 1.21]), ([1.2, 1.21], night)
     both = Averaged(tuple((0.5, observed({CHOSEN: own}, condition=name)) for name, own in (("day", day), ("night", night_part))))
-    words = headline(both, "b")
+    words = whole_verdict(both, "b")
     assert (words != verdict(both, "b")) == disagree
     if disagree:
         named = [f"{name} (weight 0.5): {verdict(part, 'b')}" for part, name in zip(both.conditions, ("day", "night"), strict=True)]
@@ -412,7 +413,7 @@ def test_headlines_are_short_whatever_the_result_is() -> None:
         assert ("not converged" in head) == (noisy in unsure)
         fits = len(f"{verdict_parts(given, 'b')[0]} {cause} {NOT_CONVERGED}".split()) <= MOST_WORDS
         assert (cause in head) == (cause in unsure) or not fits
-        assert all(part in "; ".join([head, *rest]) for part in headline(given, "b").split("; "))
+        assert all(part in "; ".join([head, *rest]) for part in whole_verdict(given, "b").split("; "))
 
 
 def test_headline_says_that_a_render_is_too_noisy() -> None:
@@ -423,8 +424,8 @@ def test_headline_says_that_a_render_is_too_noisy() -> None:
         return Averaged(((1.0, observed({CHOSEN: pair}, noises=noises)),))
 
     worst = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"
-    assert headline(of(0.3, 2.4), "b") == f"{verdict(of(0.3, 2.4), 'b')}; {worst}"
-    assert headline(of(0.1, 0.1), "b") == verdict(of(0.1, 0.1), "b")
+    assert whole_verdict(of(0.3, 2.4), "b") == f"{verdict(of(0.3, 2.4), 'b')}; {worst}"
+    assert whole_verdict(of(0.1, 0.1), "b") == verdict(of(0.1, 0.1), "b")
 
 
 def test_shown_delta_e_has_no_more_digits_than_it_is_sure_of() -> None:
@@ -476,7 +477,7 @@ def test_compare_of_three_ranks_them(compared: tuple[Path, str, str], tmp_path: 
     assert found["ranking"] == [["quiet"], ["noisy_one"], ["worst"]]
     assert list(found["pairs"]) == list(found["verdicts"]) == ["noisy_one", "worst"]
     page = " ".join(text_of(tmp_path / "out").split())
-    assert lines[2] in page
+    assert capital(lines[2]) in page
     for name in ("noisy_one", "worst"):
         rows = page.partition(f"<caption>{name} − quiet</caption>")[2].partition("</table>")[0]
         assert rows.count("<tr>") == 1 + len(found["views"][name])

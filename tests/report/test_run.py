@@ -530,7 +530,7 @@ def test_run_page_prints(ran: Path, tmp_path: Path) -> None:
     headings = re.findall(r"<h2[^>]*>(.*?)</h2>", text_of(ran))
     assert len(headings) == 6
     score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
-    message = [f"mean ΔE {coarse_mean(score)}", "score.json", "10.6 µm pixels"]
+    message = [f"Mean ΔE {coarse_mean(score)}", "score.json", "10.6 µm pixels"]
     assert_prints(ran / "report.html", tmp_path, range(3, 7), message, headings, headings[:3])
 
 

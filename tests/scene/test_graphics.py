@@ -23,7 +23,7 @@ from helpers.processes import HANG_S
 from helpers.tiny import tiny
 
 import pixsim
-from pixsim.base.cache import ENTRY, VALUE, label_of
+from pixsim.base.cache import ENTRY, VALUE, entry_label
 from pixsim.base.errors import PixsimError
 from pixsim.scene.convergence import render_until
 from pixsim.scene.guard import checks, child, graphics, variant
@@ -301,7 +301,7 @@ def test_damaged_verdict_is_tried_again(machine: Machine, tmp_path: Path):
         graphics.verdict()
     (entry,) = (tmp_path / "cache" / graphics.KIND).iterdir()
     for damage in ("{", "[]", '{"fault": 3}', '{"fault": null, "card": 3}', '{"fault": null, "tried_s": "soon"}'):
-        entry.write_text(f'{{"{ENTRY}": "{label_of(graphics.KIND, entry.stem)}", "{VALUE}": {damage}}}')
+        entry.write_text(f'{{"{ENTRY}": "{entry_label(graphics.KIND, entry.stem)}", "{VALUE}": {damage}}}')
         with pytest.warns(UserWarning, match="is damaged|passed"):
             assert graphics.verdict().fault is None
     assert json.loads(entry.read_text())[VALUE]["fault"] is None

@@ -235,7 +235,7 @@ def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:
 def test_compare_invalid_study_raises(
     table: dict[str, Any], texts: list[str], files: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pixsim.studies.compare.light_of", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.setattr("pixsim.studies.compare.rendered_light", lambda *_, **__: pytest.fail("rendered"))
     with pytest.raises(PixsimError) as error:
         pixsim.compare(files, study=plan(**table))
     assert not [text for text in texts if text not in str(error.value)], str(error.value)

@@ -461,7 +461,7 @@ def test_compare_invalid_raises(
 ) -> None:
     """Before anything is rendered."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("pixsim.studies.compare.light_of", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.setattr("pixsim.studies.compare.rendered_light", lambda *_, **__: pytest.fail("rendered"))
     sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml"), sheet(tmp_path / "tiny.toml", pitch_um=0.5, pixels="[30, 30]")
     (tmp_path / "scene.toml").write_text("[scene]\nspp = 4\n", encoding="utf-8")
     (tmp_path / "wrong.toml").write_text("[pixel]\nfull_wel_e = 4\n", encoding="utf-8")

@@ -221,7 +221,7 @@ def test_propagate_all_optima_censored() -> None:
     }  # fmt: skip
     json.dumps(result.as_dict(), allow_nan=False)
     assert "100% of the optima" in indices_plate(result).caption
-    assert "beyond the pixel sizes tried" in distribution_plate(result).caption
+    assert "beyond the sizes tried" in distribution_plate(result).caption
 
 
 @pytest.mark.parametrize("noise_um", [0.2, 0.5])

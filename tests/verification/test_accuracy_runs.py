@@ -116,7 +116,8 @@ def check(accuracy: Accuracy, folder: Path) -> dict:
     lines = text_of_document(accuracy_document(accuracy)).splitlines()
     assert lines[:2] == [repr(accuracy).partition(": ")[2][:-1], f"reference: {accuracy.reference}"]
     assert f"stability: {sum(case.passed for case in accuracy.cases)} of {len(accuracy.cases)} " in "\n".join(lines)
-    assert sum(line.startswith("skipped: ") for line in lines) == sum(bool(rung.left_out) for rung in accuracy.rungs)
+    skipped = [f"{rung.ladder}, {rung.setting} ({rung.left_out})" for rung in accuracy.rungs if rung.left_out]
+    assert [line for line in lines if line.startswith("skipped: ")] == [f"skipped: {'; '.join(skipped)}"] * bool(skipped)
     assert [line for line in lines if line.startswith("note: ")] == [f"note: {note}" for note in accuracy.notes]
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     json.dumps(summary, allow_nan=False)
