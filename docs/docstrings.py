@@ -123,7 +123,8 @@ def fields_of(thing: Any) -> list[str]:
         return []
     if issubclass(thing, Record):
         return list(thing.model_fields)
-    return [each.name for each in dataclasses.fields(thing)] if dataclasses.is_dataclass(thing) else []
+    named = dataclasses.fields(thing) if dataclasses.is_dataclass(thing) else ()
+    return [each.name for each in named if not each.name.startswith("_")]
 
 
 def heir_of(thing: Any) -> str | None:

@@ -155,7 +155,8 @@ ALWAYS = {"pixsim.SpectralImage": ("data",)} | dict.fromkeys(
 )
 INSTANCES: dict[str, Callable[[], Any]] = {
     "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
-    "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "EdgeResponse": edge, "Score": score, "Scene": scene,
+    "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "EdgeResponse": edge, "Scene": scene,
+    **dict.fromkeys(("Score", "FrameScore"), score),
     "Plan": plan, "Frame": lambda: FRAME, "Sensor": lambda: SENSOR, "RawFrame": lambda: pixsim.read_frame,
     "Lens": lambda: pixsim.load_lens("cooke_triplet"),
 }  # fmt: skip

@@ -56,12 +56,13 @@ def test_changes_give_a_noise_an_axis_and_a_metric(tmp_path: Path) -> None:
         "pytest", "-q", "-p", "no:cacheprovider", "--basetemp", "runs", "-k", TESTS, *(f"tests/{name}" for name in FILES)
     )
     small = ["--resolution", "64", "--display.dots", "32", "--pixel.pitch-um", "21.2"]
+    judged = ["--metric", "delta_e", "--metric", "rms_luminance"]
     quiet, noisy = (
-        json.loads(run("pixsim", "run", "csf", *small, "--json", "--out", name, *more))
+        json.loads(run("pixsim", "run", "csf", *small, *judged, "--json", "--out", name, *more))
         for name, more in (("a", ()), ("b", ("--pixel.flicker-noise-e", "60000")))
     )
     assert 0 < quiet["rms_of_white"] < noisy["rms_of_white"]
     assert quiet["mean_delta_e"] < noisy["mean_delta_e"]
     sizes = ["--pitch.values-um", "15,20,25,30,40", "--jobs", "1", "--out", "c"]
-    run("pixsim", "study", "pixel-size", "--quick", *small[:4], *sizes, "--axis", "pixel.flicker_noise_e=0,300")
+    run("pixsim", "study", "pixel-size", "--quick", *small[:4], *judged, *sizes, "--axis", "pixel.flicker_noise_e=0,300")
     assert ",rms_of_white," in (tmp_path / "c/results.csv").read_text(encoding="utf-8").splitlines()[0]

@@ -53,7 +53,8 @@ def fields(owner: type) -> dict[str, Any]:
     """Fields of a record or a dataclass."""
     if hasattr(owner, "model_fields"):
         return dict(owner.model_fields)
-    return {field.name: field for field in dataclasses.fields(owner)} if dataclasses.is_dataclass(owner) else {}
+    named = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
+    return {field.name: field for field in named if not field.name.startswith("_")}
 
 
 def public() -> dict[str, Any]:
