@@ -42,7 +42,7 @@ from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.run import LitRun, RunJob, RunResult
 from pixsim.studies.run_arrays import Irradiance, write_irradiance, write_numbers
-from pixsim.studies.sentences import FILLED, lens_words, score_parts, thin_lens_words, unsure_words
+from pixsim.studies.sentences import FILLED, judged_lines, lens_words, score_parts, thin_lens_words, unsure_words
 from pixsim.studies.settings_text import settings_text
 
 if TYPE_CHECKING:
@@ -197,6 +197,7 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
 def several_facts(result: RunResult) -> Iterator[Fact]:
     """Yield what is known of the sensors of a run of several, but for those of an error budget, and of several frames."""
     frames, repeats = result.prepared.frames, result.prepared.repeats
+    yield from map(Fact, judged_lines(result))
     if repeats > 1 and result.interval_delta_e is not None:
         each = span(result.delta_e.min(), result.delta_e.max(), ".4f")
         words = f"{repeats} sensors: ΔE of {each}, 95 % interval of their mean {span(*result.interval_delta_e, '.4f')}"

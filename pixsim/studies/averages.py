@@ -44,6 +44,7 @@ class Compared:
     white_e : mean electrons of the scene's white on axis in its first frame
     steps : on this film and on coarser ones, for the film's error of a difference
     colour : channels, matrix and noise gains, as in score.json; None for a monochrome sensor
+    judged : (repeats,) of each further metric, by its name, on the chosen display
     """
 
     sensor: Prepared[Run]
@@ -56,6 +57,7 @@ class Compared:
     white_e: float
     steps: FilmSteps = field(repr=False)
     colour: dict[str, Any] | None = field(default=None, repr=False)
+    judged: dict[str, Array] = field(default_factory=dict, repr=False)
 
     @property
     def name(self) -> str:
@@ -150,6 +152,19 @@ class Averaged:
         """
         weighted = [(weight, {each.name: each.viewed for each in part.sensors}) for weight, part in self.parts if weight]
         return {name: np.sum([weight * own[name] for weight, own in weighted], axis=0) for name in self.names}
+
+    @property
+    def judged(self) -> dict[str, dict[str, Array]]:
+        """Further metrics by their names: of each frame of each sensor on the chosen display, (repeats,).
+
+        With conditions, the weighted mean, as of `viewed`.
+        """
+        weighted = [(weight, {each.name: each.judged for each in part.sensors}) for weight, part in self.parts if weight]
+        metrics = self.sensors[0].judged
+        return {
+            metric: {name: np.sum([weight * own[name][metric] for weight, own in weighted], axis=0) for name in self.names}
+            for metric in metrics
+        }
 
     @property
     def delta_e(self) -> dict[str, Array]:

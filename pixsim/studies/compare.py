@@ -7,7 +7,7 @@ one were there, under a range of viewing (`pixsim.studies.viewing`). Both frames
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,7 +21,6 @@ from pixsim.base.files import output_folder
 from pixsim.base.layers import listed, plain_tables
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Progress, Stage, no_stage
-from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
@@ -39,19 +38,22 @@ from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, rendered_l
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
 from pixsim.studies.prepared import Prepared, named
 from pixsim.studies.results_file import ResultsFile
-from pixsim.studies.rows import NO_ROWS
+from pixsim.studies.rows import NO_ROWS, Row, StoredRows
 from pixsim.studies.sampling import Sizes
 from pixsim.studies.sensor_types import TYPES_FILE, sample_of
-from pixsim.studies.series import Series
+from pixsim.studies.series import Series, judging_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import elsewhere_note
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import (
     ImagingChain,
     PreparedScene,
     SceneCache,
+    Score,
     Seen,
     check_one_ideal,
     dark_clip,
@@ -80,6 +82,7 @@ def compare(
     progress: Stage | None = None,
     out: str | os.PathLike[str] | None = None,
     uncertainty: int | None = None,
+    metrics: Sequence[str | Callable[[Score], float]] = (),
     **settings: object,
 ) -> Comparison | ComparedCases:
     """Compare two or more sensors in one scene, by the mean ΔE of their pictures on one display.
@@ -104,6 +107,7 @@ def compare(
         in it for each value. None keeps nothing
     uncertainty : sensor types to draw from the ranges of technologies and [pixel.uncertainty] of data sheets, for the result's
         `uncertainty`; rounded up to a power of two. None means none
+    metrics : names of further metrics, or functions of a `Score`, each a number in its own unit; the verdict is that of ΔE
     settings : tables and fields of `Run` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3. They take
         precedence over the study, but not over its conditions
 
@@ -114,6 +118,8 @@ def compare(
     >>> sorted(result.scores), result.difference["4t-bsi"] < 0  # a quieter pixel
     (['0.35um', '4t-bsi'], True)
     """
+    if metrics:
+        settings["metrics"] = tuple(metric.name for metric in metrics_named(metrics))
     options = plain_tables(settings)
     options |= {"scene": dict(parameters)} if parameters else {}
     with collected_notes():  # also of what is found before the comparison begins
@@ -156,8 +162,8 @@ def run_prepared(
             workers: Workers | None = stack.enter_context(workers_for(jobs, scheduler))
         else:
             workers = None
-        whole = [lit_lineup(lineup, stage) for lineup in prepared.lineups]
-        pairs = [lit_pair(pair, whole, stage) for pair in prepared.pairs]
+        whole = [lit_lineup(lineup, stage, prepared.repeats) for lineup in prepared.lineups]
+        pairs = [lit_pair(pair, whole, stage, prepared.repeats) for pair in prepared.pairs]
         lit = list(dict.fromkeys(each for parts in (whole, *pairs) for each in parts))
         evaluate_all(lit, prepared.repeats, files["results.csv"], workers, stage("sense and score"))
         parts = weighted_parts(prepared.lineups, whole)
@@ -178,6 +184,7 @@ class Lit:
 
     made, plans, series : of each sensor
     viewed : (viewings, repeats) mean ΔE of each sensor, by its name
+    judged : (repeats,) of further metrics of each sensor, by its name, on the chosen display
     """
 
     lineup: Lineup
@@ -185,6 +192,7 @@ class Lit:
     plans: list[Plan]
     series: list[Series]
     viewed: dict[str, Array] = field(default_factory=dict)
+    judged: dict[str, dict[str, Array]] = field(default_factory=dict)
 
     def sizes(self, repeats: int) -> list[Sizes]:
         """Return the pixel size of each sensor, and its frames."""
@@ -210,6 +218,7 @@ class Lit:
                 white_e,
                 steps_of(self.lineup, sensor, light, plan),
                 None if chain.rendition is None else chain.colour_facts(time_s),
+                self.judged[sensor.name],
             )
         return found
 
@@ -228,9 +237,10 @@ def first_chain(series: Series) -> ImagingChain:
     return series.imaging.chain(series.light(), series.imaging.registered(0))
 
 
-def lit_lineup(lineup: Lineup, stage: Stage, pair: str = "") -> Lit:
+def lit_lineup(lineup: Lineup, stage: Stage, repeats: int, pair: str = "") -> Lit:
     """Return a lineup with the light of its sensors.
 
+    repeats : frames of each sensor
     pair : names of its sensors, if they are compared as if there were no others
     """
 
@@ -240,14 +250,14 @@ def lit_lineup(lineup: Lineup, stage: Stage, pair: str = "") -> Lit:
     with named(lineup.words):
         made, plans = lights_on_one_film(lineup, part)
         lights = zip(lineup.cases, made, strict=True)
-        series = [series_of_sensor(lineup, sensor, light.image, pair) for sensor, light in lights]
+        series = [series_of_sensor(lineup, sensor, light, repeats, pair) for sensor, light in lights]
         chains = {each.name: first_chain(each) for each in series}
         grey = [name for name, chain in chains.items() if chain.rendition is None]
         check_one_ideal(grey, {name: chain.screen.ideal for name, chain in chains.items() if chain.rendition is not None})
     return Lit(lineup, made, plans, series)
 
 
-def lit_pair(lineups: Sequence[Lineup], whole: Sequence[Lit], stage: Stage) -> list[Lit]:
+def lit_pair(lineups: Sequence[Lineup], whole: Sequence[Lit], stage: Stage, repeats: int) -> list[Lit]:
     """Return two of the sensors alone under each condition, with their light: that of all of them, if it is the same."""
     found = []
     for lineup, of_all in zip(lineups, whole, strict=True):
@@ -256,7 +266,7 @@ def lit_pair(lineups: Sequence[Lineup], whole: Sequence[Lit], stage: Stage) -> l
             continue
         pair = " and ".join(sensor.name for sensor in lineup.cases)
         with without_warnings(), named(f"{pair} alone"):
-            found.append(lit_lineup(lineup, stage, pair))
+            found.append(lit_lineup(lineup, stage, repeats, pair))
     return found
 
 
@@ -301,26 +311,37 @@ def lights_on_one_film(lineup: Lineup, stage: Stage) -> tuple[list[Light], list[
             return made, plans
 
 
-def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], image: SpectralImage, pair: str = "") -> Series:
+def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], light: Light, repeats: int, pair: str = "") -> Series:
     """Return the series of a sensor, which show and score the same part of the scene as those of the others.
 
     Its random streams do not name the sensor, so that equal sensors give equal frames.
 
-    pair : of `lit_lineup`
+    repeats, pair : of `lit_lineup`
     """
     with named(sensor.name):
         border_um, pixel = lineup.border_um(sensor.camera), sensor.settings.pixel
-        imaging = replace(Imaging.of(sensor.settings, sensor.camera), border_um=border_um, single=True)
+        asked = lineup.settings.model_copy(update={"metrics": tuple(dict.fromkeys((DELTA_E.name, *lineup.settings.metrics)))})
+        judging = judging_of(asked, repeats)
+        imaging = replace(Imaging.of(sensor.settings, sensor.camera), border_um=border_um, single=True, judging=judging)
         for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
             warn(f"{sensor.name}: {text}")
         first, *others = lineup.displays.values()
-        scenes = SceneCache(image, sensor.camera, first, len(imaging.physics.channels), single=True, others=others)
+        scenes = SceneCache(
+            light.image,
+            sensor.camera,
+            first,
+            len(imaging.physics.channels),
+            single=True,
+            others=others,
+            judging=judging,
+            without=light.without,
+        )
         columns = {"pair": pair, "condition": lineup.condition}
         series = Series(sensor.name, imaging, scenes, ("compare", sensor.settings.seed), False, columns, lineup.condition, False)
-        light = series.light()
-        assert isinstance(light, PreparedScene)
-        warn_of_clipping(light.beyond_white)
-        warn_of_stack_limits(imaging.physics, sensor.camera, image.wavelength_nm)
+        prepared = series.light()
+        assert isinstance(prepared, PreparedScene)
+        warn_of_clipping(prepared.beyond_white)
+        warn_of_stack_limits(imaging.physics, sensor.camera, light.image.wavelength_nm)
         return series
 
 
@@ -339,22 +360,30 @@ def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, worke
     """
     series, sizes = [each for part in parts for each in part.series], [each for part in parts for each in part.sizes(repeats)]
     costs = [part.lineup.cost_of_frame(sensor) for part in parts for sensor in part.lineup.cases]
-    left = iter(delta_e_of(series, sizes, costs, results, workers, progress))
+    left = iter(rows_of(series, sizes, costs, results, workers, progress))
     for part in parts:
         places = [list(part.lineup.displays).index(viewing) for viewing in part.lineup.viewing.viewings]
         for each in part.series:
-            part.viewed[each.name] = next(left).reshape(repeats, -1).T[places]
+            rows, metrics = next(left), each.imaging.judging.metrics
+            values = {metric.name: numbers_in(rows, metric.columns[0]).reshape(repeats, -1).T[places] for metric in metrics}
+            part.viewed[each.name] = values.pop(DELTA_E.name)
+            part.judged[each.name] = {name: on_displays[0] for name, on_displays in values.items()}
 
 
-def delta_e_of(
+def numbers_in(rows: Sequence[Row], column: str) -> Array:
+    """Return the numbers of a column of rows, (rows,)."""
+    return np.array([float(row[column]) for row in rows])
+
+
+def rows_of(
     series: Sequence[Series],
     sizes: Sequence[Sizes],
     costs: Sequence[Cost],
     results: Path | None,
     workers: Workers | None,
     progress: Progress,
-) -> list[Array]:
-    """Return the mean ΔE of all evaluations of each series, (repeats × displays,).
+) -> list[StoredRows]:
+    """Return the rows of all evaluations of each series, repeats × displays.
 
     costs : of a frame of each; the other arguments are those of `evaluate_all`
     """
@@ -371,7 +400,7 @@ def delta_e_of(
             for reason in evaluations.left_out(number, sizes[number]).values():
                 raise AlikeChannelsError(f"{series[number].label}: {reason}")
         evaluations.finish(rows)
-    return [np.array([float(row["mean_delta_e"]) for row in own]) for own in rows]
+    return rows
 
 
 def differences_of_types(
@@ -399,7 +428,8 @@ def differences_of_types(
     count = len(types.sample.quantiles)
     flat = [each for of_sensor in series for each in of_sensor]
     sizes: list[Sizes] = [{each.imaging.pixel.pitch_um: FEW_SENSORS} for each in flat]
-    values = np.array(delta_e_of(flat, sizes, [cost for cost in costs for _ in range(count)], file, workers, progress))
+    rows = rows_of(flat, sizes, [cost for cost in costs for _ in range(count)], file, workers, progress)
+    values = np.array([numbers_in(own, DELTA_E.columns[0]) for own in rows])
     of_types = dict(zip(wanted, values.reshape(len(wanted), count, FEW_SENSORS).mean(axis=2), strict=True))
     found = []
     for pair, lit in unsure:

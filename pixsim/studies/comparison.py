@@ -14,7 +14,8 @@ from pixsim.show.render import cell_of
 from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.lineup import ComparisonJob, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
-from pixsim.studies.verdicts import answers, facts, whole_verdict
+from pixsim.studies.paired import mean_interval
+from pixsim.studies.verdicts import answers, facts, probability_first_is_better, whole_verdict
 from pixsim.viewer.display import white_light
 
 if TYPE_CHECKING:
@@ -61,6 +62,14 @@ class Comparison(Averaged):
         if len(self.pairs) > 1:
             more["ranking"] = [list(group) for group in self.ranking]
             more["pairs"] = {other: _pair_as_dict(self.pair(other)) for other in self.names[1:]}
+        if self.judged:
+            more["metrics"] = {
+                name: {
+                    "scores": {sensor: list(mean_interval(each)) for sensor, each in values.items()},
+                    "probability_a_better": {other: probability_first_is_better(name, values, other) for other in self.names[1:]},
+                }
+                for name, values in self.judged.items()
+            }
         if self.uncertainty:
             more["uncertainty"] = {found.names[1]: found.as_dict() for found in self.uncertainty}
         return more | {

@@ -40,7 +40,7 @@ from pixsim.studies.matched_cameras import Match, matched_cameras
 from pixsim.studies.oversampling import Demand
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
-from pixsim.studies.preparation import ALLOWED_DOTS, choose_view, with_view
+from pixsim.studies.preparation import ALLOWED_DOTS, check_metrics, choose_view, with_view
 from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study, owner_of
@@ -433,6 +433,9 @@ def lineup_of(
     if Path(scene).suffix.lower() in (".exr", ".npz", ".hdr"):
         raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
     loaded = loaded_scene(scene, settings.scene, settings.resolution, variant=variant, sensor=sensor)
+    for name, run in zip(names, runs, strict=True):
+        with named(name):
+            check_metrics(settings, [run.pixel], loaded)
     whole = _whole_cameras(names, loaded, runs)
     if settings.window_mm is not None:
         whole[0].window(settings.window_mm)

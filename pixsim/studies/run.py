@@ -46,6 +46,8 @@ from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError, cause_words
+from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import (
     FrameScore,
     ImagingChain,
@@ -247,6 +249,12 @@ class RunResult(LitRun):
             return None
         return mean_interval(self.delta_e)[::2]
 
+    @property
+    def judged(self) -> dict[str, Array]:
+        """Metrics beside ΔE by their names, of each sensor, (sensors,)."""
+        others = [metric for metric in metrics_named(self.settings.metrics) if metric is not DELTA_E]
+        return {metric.name: np.array([each[metric.columns[0]] for each in self.statistics]) for metric in others}
+
     @cached_property
     def white_e(self) -> float:
         """Mean electrons of the scene's white on axis in the first frame, of a pixel without a stack."""
@@ -345,6 +353,8 @@ class RunResult(LitRun):
         if prepared.repeats > 1 and self.interval_delta_e is not None:
             more |= {"repeats": len(self.statistics), "delta_e": self.delta_e.tolist(), "sensors_mean_delta_e": self.mean_delta_e}
             more |= {"interval_delta_e": list(self.interval_delta_e)}
+        if self.judged:
+            more["metrics"] = {name: float(values.mean()) for name, values in self.judged.items()}
         if (colour := self.colour) is not None:
             more |= {"develop": settings.develop.model_dump(), "colour": colour}
         more |= {"frames": prepared.frames} if prepared.frames > 1 else {}

@@ -16,12 +16,14 @@ from pixsim.base.notes import told_apart
 from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.show.document import Fact, Strong, Table, Text, has_room, headline, joined, plain_text
-from pixsim.show.sentences import few, interval, span, with_ends
+from pixsim.show.sentences import few, interval, span, with_ends, with_error
 from pixsim.studies.agreement import agreement_words, value_words
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
+from pixsim.studies.paired import mean_interval
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
+from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import rounded_up
 
@@ -255,6 +257,17 @@ def study_unconverged(result: StudyResult) -> list[str]:
         least = float(curve.mean(DELTA_E.columns[0]).min())
         lines.append(unconverged(part.irradiance.header, part.film_at_best(curve), part.budget, least))
     return few(lines)
+
+
+def judged_lines(result: RunResult) -> list[str]:
+    """Return what metrics beside ΔE say of a run, with the 95 % interval of several sensors; of whom nobody asks, nothing."""
+    lines = []
+    for name, values in result.judged.items():
+        metric, mean = metric_known(name), float(values.mean())
+        low, high = mean_interval(values)[::2] if values.size > 1 else (mean, mean)
+        value = with_error(mean, (high - low) / 2) if high > low else f"{mean:.4g}"
+        lines.append(f"{metric.words} {value} {metric.unit}".rstrip() + f", of the {metric.judges}")
+    return lines
 
 
 def unsure_words(result: RunResult) -> list[str]:

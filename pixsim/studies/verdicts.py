@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from pixsim.base.arrays import Array
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline
+from pixsim.show.sentences import with_error
 from pixsim.studies.averages import Averaged, shown_delta_e
 from pixsim.studies.extent import stated_end_lp_per_mm
 from pixsim.studies.lineup import ComparisonJob, Lineup, pixels_of
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
+from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.prepared import Prepared
 from pixsim.studies.viewing import Viewed, range_words, where_words
+from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.setting import Run
 
 if TYPE_CHECKING:
@@ -229,6 +233,30 @@ def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
     return [lens, chart, shown, light, exposure_words(lineup), f"{prepared.repeats} pairs of frames with the same seeds"]
 
 
+def probability_first_is_better(metric: str, values: Mapping[str, Array], other: str) -> float:
+    """Return the probability that the first sensor is better than another one by a metric, from their pairs of frames."""
+    first = next(iter(values))
+    sign = 1.0 if metric_known(metric).better == "less" else -1.0
+    return probability_above_zero(sign * (values[other] - values[first]))
+
+
+def judged_words(name: str, values: Mapping[str, Array]) -> str:
+    """Return what a further metric says of the sensors: their means with 95 % intervals, and who is better."""
+    metric, first = metric_known(name), next(iter(values))
+    unit = f" {metric.unit}" if metric.unit else ""
+    means = []
+    for sensor, each in values.items():
+        low, mean, high = mean_interval(each)
+        means.append(f"{sensor} {with_error(mean, (high - low) / 2) if high > low else f'{mean:.4g}'}{unit}")
+    better = []
+    for other in list(values)[1:]:
+        chance = probability_first_is_better(name, values, other)
+        winner, of_winner = (first, chance) if chance >= 0.5 else (other, 1 - chance)
+        loser = other if winner == first else first
+        better.append(f"{winner} is better than {loser} (probability {shown_probability(of_winner)})")
+    return f"{metric.words}: {', '.join(means)}; {', '.join(better)}"
+
+
 def facts(result: Comparison) -> Iterator[Block]:
     """Yield a row for each sensor, the answers of conditions and sensor types, and what all have in common."""
     where = f" in {result.shown.lineup.condition}" if result.conditions else ""
@@ -244,4 +272,5 @@ def facts(result: Comparison) -> Iterator[Block]:
     ]
     if items := (*conditions, *(found.words for found in result.uncertainty)):
         yield Listed(items)
+    yield from (Fact(judged_words(name, values)) for name, values in result.judged.items())
     yield Fact(conditions_line(result.prepared))

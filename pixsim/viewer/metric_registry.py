@@ -56,3 +56,8 @@ def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
     if not found:
         raise invalid("metrics", "none", f"at least one of {', '.join(METRICS)}")
     return tuple(found.values())
+
+
+def metric_known(name: str) -> Metric:
+    """Return a metric by its name."""
+    return metrics_named((name,))[0]
