@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import math
-import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -112,11 +111,11 @@ class OwnFunction:
 
     function: Callable[[Score], float]
 
-    def __reduce__(self) -> tuple[Callable[[bytes], OwnFunction], tuple[bytes]]:
+    def __reduce__(self) -> tuple[type[OwnFunction], tuple[object]]:
         """By value: the workers of a study do not have the script or the notebook of the function."""
-        from joblib.externals import cloudpickle
+        from joblib import wrap_non_picklable_objects
 
-        return _own_function, (cloudpickle.dumps(self.function),)
+        return OwnFunction, (wrap_non_picklable_objects(self.function, keep_wrapper=False),)
 
     def __call__(self, judged: Judged) -> tuple[float]:
         value = self.function(judged.score)
@@ -124,10 +123,6 @@ class OwnFunction:
             got = f"{value!r:.80} of {self.function.__name__}"
             raise invalid("metrics", got, "a function that returns one finite number of a Score")
         return (float(value),)
-
-
-def _own_function(pickled: bytes) -> OwnFunction:
-    return OwnFunction(pickle.loads(pickled))
 
 
 def own_metric(function: Callable[[Score], float]) -> Metric:

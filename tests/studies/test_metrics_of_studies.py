@@ -1,0 +1,207 @@
+"""Studies, runs and comparisons that judge by several metrics: columns, optima, what they agree on, and resuming."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from helpers.tiny import rows, tiny
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.studies.agreement import agreement_of, agreement_words
+from pixsim.studies.optimum import fit_curve
+from pixsim.studies.result import Curve, StudyResult, fit_of_metric, loss_of
+from pixsim.viewer.metric_registry import METRICS, metrics_named
+from pixsim.viewer.metrics import DELTA_E
+
+PITCH_UM = np.array([2.0, 2.4, 2.9, 3.5, 4.2, 5.0, 6.0])
+NAMES = ["delta_e", "information", "mtf50"]
+
+
+def parabola(least_um: float, bend: float = 1.0) -> np.ndarray:
+    """Loss of four sensors, of one per cent of scatter, with its least value 1 at a size."""
+    mean = 1.0 + bend * np.log(PITCH_UM / least_um) ** 2
+    return np.asarray(mean[:, None] * (1 + 0.01 * np.random.default_rng(1).normal(size=(PITCH_UM.size, 4))))
+
+
+def curve(delta_e: np.ndarray, information: np.ndarray) -> Curve:
+    metrics = metrics_named(["delta_e", "information"])
+    statistics = {"mean_delta_e": delta_e, "information": information}
+    fit = fit_of_metric(metrics[1], PITCH_UM, information, np.asarray)
+    assert fit is not None
+    return Curve(
+        "one",
+        0.35,
+        PITCH_UM,
+        np.ones(PITCH_UM.size),
+        statistics,
+        fit_curve(PITCH_UM, delta_e),
+        metrics=metrics,
+        fits={"information": fit},
+    )
+
+
+def test_optimum_of_more_is_that_of_the_reciprocal() -> None:
+    loss = parabola(3.0)
+    fit = fit_of_metric(METRICS["information"], PITCH_UM, 50.0 / loss, np.asarray)
+    assert fit is not None
+    of_loss = fit_curve(PITCH_UM, loss / 50.0).optimum
+    assert fit.optimum.pitch_um == pytest.approx(of_loss.pitch_um, rel=1e-9)
+    assert fit.optimum.interval_um == pytest.approx(of_loss.interval_um, rel=1e-9)
+    assert fit.optimum.value == pytest.approx(50.0, rel=0.01)  # the scatter of 28 sensors of 1 %
+    low, high = fit.optimum.value_interval
+    assert low < fit.optimum.value < high
+    np.testing.assert_array_equal(loss_of(DELTA_E, loss), loss)
+
+
+@pytest.mark.parametrize(("name", "values"), [("information", [[1.0, 0.0]] * 7), ("mtf50", [[1.0, 1.1]] * 7)])
+def test_metric_without_an_optimum_has_none(name: str, values: list[list[float]]) -> None:
+    assert fit_of_metric(METRICS[name], PITCH_UM, np.array(values), np.asarray) is None
+
+
+def test_judges_agree_where_their_intervals_overlap() -> None:
+    found = agreement_of(curve(parabola(3.0), 50.0 / parabola(3.02)))
+    assert found is not None
+    assert found.together
+    words = agreement_words(curve(parabola(3.0), 50.0 / parabola(3.02)))
+    assert "the judges agree, both within " in words[0]
+
+
+def test_judges_disagree_and_say_what_each_loses() -> None:
+    """At a factor of 4.2/2.4 of the best size a parabola of bend 1 has lost 1 - 1/(1 + ln²): 24 %, within its scatter."""
+    own = curve(parabola(2.4), 50.0 / parabola(4.2))
+    found = agreement_of(own)
+    assert found is not None
+    assert not found.together
+    wanted = 1 / (1 + np.log(4.2 / 2.4) ** 2)
+    assert found.kept["delta_e"]["information"] == pytest.approx(wanted, abs=0.03)
+    assert found.kept["information"]["delta_e"] == pytest.approx(wanted, abs=0.03)
+    first, *others = agreement_words(own)
+    assert "the judges disagree; their best sizes are 2." in first
+    assert [words.split(":")[0] for words in others] == ["mean ΔE", "information"]
+    assert "it loses 2" in others[0]
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
+    folder = tmp_path_factory.mktemp("judged")
+    return pixsim.study(tiny(metrics=NAMES), folder, jobs=1), folder
+
+
+def test_study_has_columns_and_optima_of_each_metric(judged: tuple[StudyResult, Path]) -> None:
+    result, folder = judged
+    found = rows(folder)
+    assert list(found[0])[-4:] == ["information", "information_bits_per_deg2", "mtf50_cy_per_mm", "schema"]
+    own = result.curves[0]
+    assert list(own.optima) == ["delta_e", "information"], "an MTF50 tells no best size"
+    assert own.optimum is own.optima["delta_e"]
+    summary = result.as_dict()["curves"][0]
+    assert summary["optima"]["information"]["value"] == own.optima["information"].value
+    assert summary["metrics"]["mtf50_cy_per_mm"] == own.mean("mtf50_cy_per_mm").tolist()
+
+
+def test_delta_e_of_a_study_does_not_depend_on_other_metrics(judged: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    alone = pixsim.study(tiny(), tmp_path, jobs=1)
+    np.testing.assert_array_equal(alone.curves[0].delta_e, judged[0].curves[0].delta_e)
+    assert "optima" not in alone.as_dict()["curves"][0]
+
+
+def test_study_resumes_rows_of_the_same_metrics_only(judged: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    whole = (judged[1] / "results.csv").read_text()
+    lines = whole.splitlines(keepends=True)
+    (tmp_path / "results.csv").write_text("".join(lines[:6]))
+    pixsim.study(tiny(metrics=NAMES), tmp_path, jobs=1)
+    assert (tmp_path / "results.csv").read_text() == whole
+    more = tiny(metrics=[*NAMES, "niirs"])
+    pixsim.study(more, tmp_path, jobs=1)
+    found = rows(tmp_path)
+    assert {row["key"] for row in found}.isdisjoint(line.split(",")[0] for line in lines[1:])
+    assert all(float(row["niirs"]) for row in found)
+
+
+def test_study_may_judge_by_another_metric_first(tmp_path: Path) -> None:
+    result = pixsim.study(tiny(metrics=["information", "acutance"]), tmp_path, jobs=1)
+    own = result.curves[0]
+    assert not own.has_delta_e
+    assert own.optimum.value == pytest.approx(own.mean("information").max(), rel=0.05)
+    pixsim.write_report(result, tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "information" in page
+    assert "figures/judges.svg" in page or "judges" in page
+
+
+def brightest(score: Any) -> float:
+    return float(score.image.max())
+
+
+def test_function_of_a_user_is_a_metric_in_workers(tmp_path: Path) -> None:
+    def darkest(score: Any) -> float:
+        return 1.0 + float(score.image.min())
+
+    result = pixsim.study("pixel-size", tmp_path, quick=True, metrics=["delta_e", darkest], repeats=2, jobs=2, resolution=48,
+                          pitch={"values_um": [2.0, 2.5, 3.0, 3.5, 4.0]}, display={"dots": 32})  # fmt: skip
+    assert list(result.curves[0].optima) == ["delta_e", "darkest"]
+    assert all(float(row["darkest"]) >= 1.0 for row in rows(tmp_path))
+
+
+def test_detectability_takes_the_light_without_the_target(tmp_path: Path) -> None:
+    """The same target of twice the contrast is detected twice as well: a faint one changes the noise by its contrast."""
+    found = []
+    for contrast in (0.01, 0.02):
+        scene = {"file": "target", "parameters": {"size_um": 40.0, "contrast": contrast, "luminance_cd_per_m2": 100.0}}
+        study = tiny(metrics=["detectability"], scene=scene, exposure={"integration_s": 0.01})
+        result = pixsim.study(study, tmp_path / str(contrast), jobs=1)
+        found.append(result.curves[0].mean("detectability"))
+    np.testing.assert_allclose(found[1] / found[0], 2.0, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("over", "message"),
+    [
+        ({"metrics": ["detectability"]}, r"'detectability'; allowed: light of the scene without its target"),
+        ({"metrics": ["nothing"]}, r"metrics: got 'nothing'"),
+        (
+            {"metrics": ["information"], "axis": [{"name": "f", "set": "camera.f_number", "values": [2.0, 4.0]}]},
+            r"'information' first in a study with axes or conditions; allowed: delta_e first",
+        ),
+    ],
+)
+def test_metrics_are_checked_before_a_render(over: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(PixsimError, match=message):
+        pixsim.study(tiny(**over), tmp_path)
+    assert not (tmp_path / "results.csv").exists()
+
+
+def test_run_says_what_each_metric_finds(tmp_path: Path) -> None:
+    words = f"run flat -D resolution=48 --display.dots 32 --metric delta_e --metric information --repeats 3 --out {tmp_path}"
+    code, out, err = command(words)
+    assert code == 0, err
+    (line,) = (each for each in out.splitlines() if each.strip().startswith("information "))
+    assert line.strip().endswith("bit/mm², of the raw frame")
+    score = json.loads((tmp_path / "score.json").read_text())
+    assert score["metrics"] == {"information": pytest.approx(score["information"], rel=0.01)}
+    assert 'metrics = [\n    "delta_e",' in (tmp_path / "settings.toml").read_text()
+
+
+def test_setting_of_a_metric_that_nobody_asks_for_says_so(tmp_path: Path) -> None:
+    code, _, err = command(f"run flat -D resolution=48 --display.dots 32 --metric.information.contrast 0.3 --out {tmp_path}")
+    assert code == 0
+    assert "metric.information.contrast is not used: information is not among the metrics" in err
+
+
+def test_comparison_has_scores_and_probabilities_of_each_metric() -> None:
+    small: dict[str, Any] = {"display": {"dots": 32}, "resolution": 64, "pixel": {"pitch_um": 60.0}, "camera": {"die_mm": 2.7}}
+    result = pixsim.compare(["0.35um", "4t-bsi"], repeats=3, jobs=1, metrics=["visual_noise"], **small)
+    assert isinstance(result, pixsim.studies.comparison.Comparison)
+    of_metric = result.as_dict()["metrics"]["visual_noise"]
+    low, mean, high = of_metric["scores"]["0.35um"]
+    assert low < mean < high
+    assert mean == pytest.approx(result.judged["visual_noise"]["0.35um"].mean())
+    assert 0 <= of_metric["probability_a_better"]["4t-bsi"] < 0.5, "a quieter pixel"
+    alone = pixsim.compare(["0.35um", "4t-bsi"], repeats=3, jobs=1, **small)
+    assert alone.difference == result.difference

@@ -1,0 +1,264 @@
+"""Metrics of a frame against closed forms, and what is asked of a configuration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
+from pixsim.sensor.colour_options import ColourOptions
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.judged import Judged, Judging
+from pixsim.viewer.judges.sharpness import edge_mtf
+from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
+from pixsim.viewer.metric_registry import METRICS, metrics_named
+from pixsim.viewer.metrics import own_metric
+from pixsim.viewer.raw_metrics import sensor_mtf
+from pixsim.viewer.score import ImagingChain, make_imaging_chain
+
+CELL_UM, WHITE = 2.0, 100.0
+CAMERA = Camera(die_mm=0.4, f_number=2.8)
+PIXEL = Pixel(
+    technology="none",
+    pitch_um=4.0,
+    full_well_e=20_000,
+    read_noise_e=4.0,
+    dark_current_e_per_s=0.0,
+    quantum_efficiency=0.6,
+    bits=12,
+    black_level_dn=64,
+    fill_factor=1.0,
+)
+DISPLAY = Display(white_cd_per_m2=WHITE, dots=64)
+BANDS = {name: [[nm, share] for nm in range(400, 701, 20)] for name, share in (("R", 0.2), ("G", 0.4), ("B", 0.1))}
+RGGB = ColourOptions(pattern="rggb", quantum_efficiencies=BANDS)
+EXPOSURE = pixsim.Exposure(integration_s=0.02)
+
+
+def light(picture: np.ndarray, **header: Any) -> SpectralImage:
+    """Light of one narrow band, without diffraction."""
+    data = np.float32(2e-4 * picture)[..., None]
+    return SpectralImage([550.0], 10.0, CELL_UM, data=data, header={"diffraction": False} | header)
+
+
+EVEN = light(np.ones((200, 200)))
+
+
+def chain_of(
+    image: SpectralImage, pixel: Pixel = PIXEL, without: SpectralImage | None = None, judging: Judging | None = None
+) -> ImagingChain:
+    judging = judging or Judging(metrics_named(["information"]))
+    return make_imaging_chain(image, CAMERA, pixel, EXPOSURE, DISPLAY, judging=judging, without=without)
+
+
+def with_disc(contrast: float, radius_px: float = 20.0) -> SpectralImage:
+    y, x = np.mgrid[:200, :200] - 99.5
+    return light(1.0 + contrast * (np.hypot(y, x) < 2 * radius_px))
+
+
+@pytest.mark.parametrize("contrast", [0.02, -0.05])
+def test_detectability_of_a_target_is_its_signal_over_the_noise(contrast: float) -> None:
+    """Σ Δ²/σ² over the pixels, from their expected electrons; without offsets that rows or columns share. To rounding."""
+    image = with_disc(contrast)
+    found = pixsim.evaluate(
+        image,
+        CAMERA,
+        PIXEL,
+        EXPOSURE,
+        DISPLAY,
+        metrics=["detectability"],
+        metric=MetricOptions(detectability={"registrations": 1}),
+        without=EVEN,
+    )
+    levels = [0.02 * chain_of(each).signal_e_per_s for each in (image, EVEN)]
+    gain = found.frame.dn_per_e
+    variance = (levels[0] + levels[1]) / 2 + 16.0 + 1 / (12 * gain**2)
+    wanted = math.sqrt(float(((levels[0] - levels[1]) ** 2 / variance).sum()))
+    assert found.metrics["detectability"] == pytest.approx(wanted, rel=1e-9)
+    assert found.metrics == {"detectability": found.further["detectability"]}
+
+
+def test_detectability_is_the_mean_over_registrations_and_the_worst() -> None:
+    """A target of one pixel is shared by four where they meet on it: registrations differ, and 16 are asked for by default."""
+    image = with_disc(0.5, 1.0)
+    judging = Judging(metrics_named(["detectability"]))
+    chain = chain_of(image, without=EVEN, judging=judging)
+    judged = Judged(chain, chain.capture("a"), judging)
+    chains = list(judged.chains(16))
+    each = [judging.metrics[0].compute(replace(judged, chain=one, judging=replace(judging, repeats=16)))[0] for one in chains]
+    assert len({one.physics.registration for one in chains}) == 16
+    mean, worst = judging.metrics[0].compute(judged)
+    assert (mean, worst) == (pytest.approx(np.mean(each), rel=1e-12), pytest.approx(min(each), rel=1e-12))
+    assert worst < 0.98 * mean
+
+
+def test_detectability_of_clipped_pixels_is_none_and_of_rounded_noise_an_error() -> None:
+    bright = light(np.full((200, 200), 300.0)), light(np.full((200, 200), 330.0))
+    evaluate = partial(pixsim.evaluate, camera=CAMERA, exposure=EXPOSURE, display=DISPLAY, metrics=["detectability"])
+    assert evaluate(bright[1], pixel=PIXEL, without=bright[0]).metrics["detectability"] == 0.0
+    quiet = PIXEL.model_copy(update={"bits": 6, "black_level_dn": 4.0})
+    with pytest.raises(PixsimError, match=r"detectability: got noise of 0\.\d+ DN in pixels of 4 µm.*0\.5 DN.*pixel\.bits"):
+        evaluate(with_disc(0.1), pixel=quiet, without=EVEN)
+
+
+def test_information_of_a_flat_spectrum_is_its_closed_form() -> None:
+    """½∬ log₂(1 + S|T|²/(N + A)) of an even spectrum, by the mean over points in place of Simpson's rule."""
+    chain = chain_of(EVEN)
+    judging = Judging(metrics_named(["information"]), MetricOptions(information={"corner_cy_per_mm": 1e5}))
+    judged = Judged(chain, chain.capture("a"), judging)
+    bits = METRICS["information"].compute(judged)[0]
+    mean_e = 0.02 * float(chain.signal_e_per_s.mean())
+    noise = (mean_e + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)) * 0.004**2
+    white = (0.15 * mean_e) ** 2 / (2 * math.pi * math.log(2)) / 1e10  # far below the corner the spectrum is even
+    axis = np.linspace(-125.0, 125.0, 501)
+    seen = white * sensor_mtf(chain, axis, axis[:, None]) ** 2
+    folded = sum(
+        white * sensor_mtf(chain, axis + 250.0 * i, axis[:, None] + 250.0 * j) ** 2
+        for i in range(-2, 3)
+        for j in range(-2, 3)
+        if i or j
+    )
+    wanted = 0.5 * 250.0**2 * float(np.log2(1 + seen / (noise + folded)).mean())
+    assert bits == pytest.approx(wanted, rel=5e-3)  # of the means over points in place of Simpson's rule
+
+
+def test_information_of_the_scene_is_that_of_another_film() -> None:
+    """A picture with a spectrum of its own, in cells of 2 and 4 µm: what both show of it is the same within 1 %."""
+    rng = np.random.default_rng(3)
+    fine = rng.normal(size=(200, 200))
+    smooth = np.fft.irfft2(
+        np.fft.rfft2(fine) * np.exp(-((60 * np.hypot(np.fft.fftfreq(200)[:, None], np.fft.rfftfreq(200))) ** 2) / 8)
+    )
+    picture = 1 + 0.2 * smooth / smooth.std()
+    coarse = picture.reshape(100, 2, 100, 2).mean(axis=(1, 3))
+    options = MetricOptions(information={"spectrum": "scene"})
+    found = []
+    for cell_um, values in ((CELL_UM, picture), (2 * CELL_UM, coarse)):
+        image = SpectralImage([550.0], 10.0, cell_um, data=np.float32(2e-4 * values)[..., None], header={"diffraction": False})
+        score = pixsim.evaluate(image, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=["information"], metric=options)
+        found.append(score.metrics["information"])
+    assert found[1] == pytest.approx(found[0], rel=0.01)
+
+
+def test_sensor_mtf_is_that_of_a_slanted_edge() -> None:
+    """The expected signal of an edge of 5° behind the same lens and pixels. The sampled edge spread errs by less than 0.02."""
+    y, x = np.mgrid[:1000, :1000] + 0.5
+    fine = (x - 500 + math.tan(math.radians(5.0)) * (y - 500) > 0).astype(float)
+    picture = 0.2 + 0.6 * fine.reshape(200, 5, 200, 5).mean(axis=(1, 3))
+    data = np.float32(2e-4 * picture)[..., None]
+    image = SpectralImage([550.0], 10.0, CELL_UM, data=data)  # with diffraction
+    chain = chain_of(image)
+    frequency = np.linspace(0.0, 0.45, 10)
+    measured = edge_mtf(chain.signal_e_per_s[10:-10, 10:-10], 5.0, frequency)
+    along = frequency * 1e3 / 4.0
+    tilt = math.radians(5.0)
+    np.testing.assert_allclose(measured, sensor_mtf(chain, along * math.cos(tilt), along * math.sin(tilt)), atol=0.02)
+
+
+def test_snr10_is_the_light_at_which_a_dot_has_it() -> None:
+    """Frames of a wall in that light: mean over deviation of a dot is 10, within 3 standard errors (0.3 % of seeds fail)."""
+    options = MetricOptions(snr10_lx={"reflectance": 0.5, "integration_s": 0.02})
+    score = pixsim.evaluate(EVEN, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=["snr10_lx"], metric=options)
+    wall_cd_per_m2 = 0.5 * score.metrics["snr10_lx"] / math.pi
+    chain = chain_of(EVEN)
+    mean_e = 0.02 * chain.white_e_per_s * wall_cd_per_m2 / WHITE
+    area = (400 / 64 / 4.0) ** 2  # pixels a dot
+    rng = np.random.default_rng(0)
+    counts = 20_000
+    electrons = rng.poisson(mean_e, counts) + rng.normal(0.0, math.sqrt(16.0 + 1 / (12 * chain.physics.dn_per_e**2)), counts)
+    snr = math.sqrt(area) * electrons.mean() / electrons.std()
+    assert snr == pytest.approx(10.0, abs=3 * 10.0 / math.sqrt(2 * counts))
+
+
+def test_visual_noise_falls_with_the_root_of_the_light() -> None:
+    """Shot noise alone, relative to white: twice as little in four times the light. Both are frames of one stream."""
+    noiseless = PIXEL.model_copy(update={"read_noise_e": 0.0, "bits": 16})
+    judging = Judging(metrics_named(["visual_noise"]))
+    found = []
+    for time_s in (0.005, 0.02):
+        chain = chain_of(EVEN, noiseless, judging=judging)
+        chain = replace(chain, exposure=pixsim.Exposure(integration_s=time_s))
+        chain = replace(chain, screen=replace(chain.screen, display=DISPLAY.model_copy(update={"bits": 16})))
+        found.append(METRICS["visual_noise"].compute(Judged(chain, chain.capture("a"), judging))[0])
+    assert found[0] / found[1] == pytest.approx(2.0, rel=0.1)
+
+
+def test_acutance_is_highest_for_small_pixels_and_at_most_1() -> None:
+    found = []
+    for pitch_um in (2.0, 4.0, 8.0):
+        pixel = PIXEL.model_copy(update={"pitch_um": pitch_um})
+        found.append(pixsim.evaluate(EVEN, CAMERA, pixel, EXPOSURE, DISPLAY, metrics=["acutance"]).metrics["acutance"])
+    assert 1 > found[0] > found[1] > found[2] > 0
+
+
+def mine(score: Any) -> float:
+    return float(score.image.max())
+
+
+@pytest.mark.parametrize(
+    ("names", "pixel", "message"),
+    [
+        (["information"], {"colour": RGGB}, r"'information'; allowed: a pixel without colour filters"),
+        (["detectability"], {}, r"'detectability'; allowed: light of the scene without its target"),
+        (["sharpness"], {}, r"metrics: got 'sharpness'; allowed: any of delta_e, detectability, .*Python"),
+        (["delta_e", "delta_e"], {}, r"'delta_e' twice"),
+        ([], {}, r"metrics: got none"),
+        ([lambda score: 1.0], {}, r"a function with a name.*not a lambda"),
+    ],
+)
+def test_metrics_that_mean_nothing_are_refused(names: list[Any], pixel: dict[str, Any], message: str) -> None:
+    with pytest.raises(PixsimError, match=message):
+        pixsim.evaluate(EVEN, CAMERA, PIXEL.model_copy(update=pixel), EXPOSURE, DISPLAY, metrics=names)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, "a", None, True, np.ones(3)])
+def test_function_of_a_user_returns_a_finite_number(value: Any) -> None:
+    def wrong(score: Any) -> Any:
+        return value
+
+    with pytest.raises(PixsimError, match="allowed: a function that returns one finite number"):
+        pixsim.evaluate(EVEN, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=[wrong])
+
+
+def test_code_of_a_function_is_part_of_its_metric() -> None:
+    def one(score: Any) -> float:
+        return 1.0
+
+    first = own_metric(one)
+
+    def one(score: Any) -> float:  # type: ignore[no-redef]
+        return 2.0
+
+    assert first.code != own_metric(one).code
+    assert own_metric(one).code == own_metric(one).code
+
+
+def test_score_refuses_another_picture() -> None:
+    """Its ΔE would be that of the old one."""
+    score = pixsim.evaluate(EVEN, CAMERA, PIXEL, EXPOSURE, DISPLAY)
+    for change in ({"image": 0.5 * score.image}, {"ideal": 0.5 * score.ideal}):
+        with pytest.raises(PixsimError, match=r"pixsim\.score_pictures"):
+            replace(score, **change)
+    assert replace(score, border_um=(1.0, 1.0)).mean_delta_e == score.mean_delta_e
+
+
+def test_pictures_are_scored_only_if_a_metric_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+    scored: list[object] = []
+    whole: Callable[..., Any] = ImagingChain.score_frame
+    monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: scored.append(frame) or whole(self, frame))
+    for names, count in ((["information", "mtf50"], 0), (["information", "delta_e"], 1)):
+        judging = Judging(metrics_named(names), METRIC_OPTIONS)
+        chain = chain_of(EVEN, judging=judging)
+        statistics = Judged(chain, chain.capture("a"), judging).statistics()
+        assert len(scored) == count
+        assert {"information", "information_bits_per_deg2"} <= statistics.keys()
