@@ -9,7 +9,7 @@ import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 HISTOGRAM_BINS = 1 << 14
 COUNTED = 1 << 18  # values at a time, many more than bins
 ROUNDING = 1e-5  # relative, of means in single precision
+OF_FRAMES = "the frame of a sensor, of which pixsim.evaluate and pixsim.run know the signal and the noise"
 
 
 def _lacks_nothing(asked: Asked) -> str:
@@ -46,11 +47,12 @@ class Metric:
     unseen : what it does not see
     columns : names of its numbers, in results and in this order; the first one is what a study optimises
     bounds : least and largest value that a number may have
-    compute : numbers of what is judged, as `columns`
+    compute : numbers of a `Judged` frame, or of a `Score` where `needs_frame` is false, as `columns`
     lacks : what a configuration would need for the metric to mean something; empty if it has all
     is_possible : whether such numbers, within the bounds, may stand beside each other
     has_optimum : whether a best pixel size may be told from it
     needs_light : whether it asks for the light of the scene beside the picture
+    needs_frame : whether it asks for the frame and the sensor behind the picture
     code : hash of a function of the user's, on which its numbers depend; empty for one of pixsim's
     """
 
@@ -63,11 +65,12 @@ class Metric:
     unseen: str
     columns: tuple[str, ...]
     bounds: tuple[float, float]
-    compute: Callable[[Judged], tuple[float, ...]] = field(repr=False)
+    compute: Callable[[Any], tuple[float, ...]] = field(repr=False)
     lacks: Callable[[Asked], str] = field(default=_lacks_nothing, repr=False)
     is_possible: Callable[[tuple[float, ...]], bool] = field(default=_any_values, repr=False)
     has_optimum: bool = True
     needs_light: bool = False
+    needs_frame: bool = True
     code: str = ""
 
     @property
@@ -84,9 +87,13 @@ class Metric:
         """Return what tells the metric from others, in a report's key; the code is pixsim's, or hashed."""
         return f"{self.name} {self.columns} {self.code}"
 
-    def values(self, judged: Judged) -> dict[str, float]:
-        """Return its numbers by their columns. Raises PixsimError if a number is outside the bounds."""
-        found = dict(zip(self.columns, map(float, self.compute(judged)), strict=True))
+    def lacking(self, asked: Asked) -> str:
+        """Return what a configuration would need for the metric to mean something; empty if it has all."""
+        return OF_FRAMES if self.needs_frame and not asked.has_frame else self.lacks(asked)
+
+    def values(self, given: Judged | Score) -> dict[str, float]:
+        """Return the numbers of what `compute` takes by their columns. Raises PixsimError if one is outside the bounds."""
+        found = dict(zip(self.columns, map(float, self.compute(given)), strict=True))
         low, high = self.bounds
         for name, value in found.items():
             if not low <= value <= high:
@@ -100,10 +107,12 @@ class Asked:
 
     is_colour : whether the pixel has colour filters
     has_without : whether there is light of the scene without its target
+    has_frame : whether a sensor made the picture
     """
 
     is_colour: bool
     has_without: bool
+    has_frame: bool = True
 
 
 @dataclass(frozen=True)
@@ -114,12 +123,12 @@ class OwnFunction:
 
     def __reduce__(self) -> tuple[Callable[[bytes], OwnFunction], tuple[bytes]]:
         """By value: the workers of a study do not have the script or the notebook of the function."""
-        from joblib.externals import cloudpickle
+        from joblib.externals.loky.cloudpickle_wrapper import dumps  # of joblib, whether it holds cloudpickle or depends on it
 
-        return _own_function, (cloudpickle.dumps(self.function),)
+        return _own_function, (dumps(self.function),)
 
-    def __call__(self, judged: Judged) -> tuple[float]:
-        value = self.function(judged.score)
+    def __call__(self, score: Score) -> tuple[float]:
+        value = self.function(score)
         if not isinstance(value, int | float | np.number) or isinstance(value, bool) or not math.isfinite(value):
             got = f"{value!r:.80} of {self.function.__name__}"
             raise invalid("metrics", got, "a function that returns one finite number of a Score")
@@ -158,6 +167,7 @@ def own_metric(function: Callable[[Score], float]) -> Metric:
         columns=(name,),
         bounds=(-math.inf, math.inf),
         compute=OwnFunction(function),
+        needs_frame=False,
         code=hashlib.blake2b(code, digest_size=8).hexdigest(),
     )
 
@@ -205,8 +215,8 @@ def _rise(values: tuple[float, ...]) -> bool:
     return mean <= largest and all(one <= other * (1 + ROUNDING) for one, other in pairwise(rising))
 
 
-def _delta_e(judged: Judged) -> tuple[float, ...]:
-    return delta_e_statistics(judged.score.delta_e)
+def _delta_e(score: Score) -> tuple[float, ...]:
+    return delta_e_statistics(score.delta_e)
 
 
 DELTA_E = Metric(
@@ -220,5 +230,6 @@ DELTA_E = Metric(
     columns=("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e"),
     bounds=(0.0, 1e3),  # of any two colours: black and white differ by 100, the most saturated ones by 260
     compute=_delta_e,
+    needs_frame=False,
     is_possible=_rise,
 )
