@@ -117,7 +117,8 @@ def sweep(
     are the numbers of a sweep over pixels of one size those of `evaluate`; of smaller pixels, it has a narrower border.
 
     pixels : of each sensor; a list, or names -> pixels
-    camera, exposure, display, correction, develop, metrics, metric, without : as of `pixsim.evaluate`
+    camera, exposure, display, correction, develop, metric, without : as of `pixsim.evaluate`
+    metrics : names of metrics, or functions of a Score that return a number; each has its columns
     repeats : sensors of each kind
     seed : of the fixed patterns and the temporal noise
     jobs : processes; None means one per core, where they are worth it. The results do not depend on it

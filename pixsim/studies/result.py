@@ -162,7 +162,7 @@ class Curve:
 
     @checks_arguments
     def mean(self, statistic: str | None = None) -> Array:
-        """Return the mean of a statistic over the sensors of each pitch, (pitches,).
+        """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit.
 
         statistic : its column in results.csv; None means `delta_e`
         """

@@ -296,8 +296,8 @@ def study(
         result's `uncertainty`; None means none
     sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor types
     smaller_than_um : sizes; the probability that the optimum is smaller is reported
-    metrics : names of metrics, as ["delta_e", "detectability"], or functions of a `Score`; the first is that of
-        `Curve.optimum`, and each has its own in `Curve.optima`
+    metrics : names of metrics, as ["delta_e", "detectability"], or functions of a `Score` that return a number; the first is that
+        of `Curve.optimum`, and each has its own in `Curve.optima`
     settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
         pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0, axis=[{"name": "lens", "set":
         "camera.f_number", "values": [2.0, 4.0]}], condition=[…]

@@ -34,8 +34,8 @@ def score_pictures(
     ideal, image : light of the dots, linear, 1 for white: (H, W), or (H, W, 3) of the display's primaries, those of sRGB
     display : its codes (gamma, bits), its viewer (samples_per_deg), filters and delta_e; a value is a dot, so that raster,
         dots and white are not used. None means the default
-    metrics : names of metrics of the shown picture that need no sensor, or functions of the Score; their numbers are the score's
-        `metrics`
+    metrics : names of metrics of the shown picture that need no sensor, or functions of the Score that return a number; theirs
+        are the score's `metrics`
 
     Raises PixsimError for pictures of other shapes, for values that are not finite or are codes, and for a metric that needs a
     sensor's frame.

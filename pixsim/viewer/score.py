@@ -1034,7 +1034,7 @@ def evaluate(
     develop : of a frame of a colour sensor; None means the default
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
-    metrics : names of further metrics, or functions of a Score; their numbers are the score's `metrics`
+    metrics : names of further metrics, or functions of a Score that return a number; theirs are the score's `metrics`
     metric : settings of the metrics; None means the defaults
     without : irradiance of the scene without its target, for the metric detectability
 
