@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pixsim.base.errors import invalid
 from pixsim.viewer.metrics import DELTA_E, Metric, own_metric
 from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, MTF50, NIIRS, SNR10_LX
-from pixsim.viewer.shown_metrics import ACUTANCE, VISUAL_NOISE
+from pixsim.viewer.shown_metrics import ACUTANCE, FLIP, VISUAL_NOISE
 
 if TYPE_CHECKING:
     from pixsim.viewer.score import Score
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 GROUP = "pixsim.metrics"  # of entry points, each of which is a function of a Score
 METRICS: Mapping[str, Metric] = {
-    metric.name: metric for metric in (DELTA_E, DETECTABILITY, INFORMATION, ACUTANCE, VISUAL_NOISE, MTF50, SNR10_LX, NIIRS)
+    metric.name: metric for metric in (DELTA_E, DETECTABILITY, INFORMATION, ACUTANCE, VISUAL_NOISE, MTF50, SNR10_LX, NIIRS, FLIP)
 }
 
 
