@@ -27,7 +27,6 @@ from pixsim.studies.cost import frame_cost
 from pixsim.studies.engine import workers_here
 from pixsim.studies.evaluations import check_ideals, rows_of
 from pixsim.studies.prepared import named
-from pixsim.studies.results_file import PIXEL_STATISTICS
 from pixsim.studies.series import Series
 from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
 from pixsim.viewer.display import dot_edges_um, picture_size_um
@@ -36,7 +35,7 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.judged import Judging
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.metrics import Asked, Metric, columns_of_metrics
+from pixsim.viewer.metrics import PIXEL_STATISTICS, Asked, Metric, columns_of_metrics
 from pixsim.viewer.score import SceneCache, Score, Seen, warn_of_clipping, warn_of_other_camera, white_header
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dis
 import hashlib
 import inspect
 import math
 import pickle
+import sysconfig
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
+from types import CellType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -20,6 +24,11 @@ if TYPE_CHECKING:
     from pixsim.viewer.judged import Judged
     from pixsim.viewer.score import Score
 
+# Columns of rows beside those of metrics.
+PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
+OF_PIXEL = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)
+# Code that versions tell, not results: of pixsim, of Python and of installed packages.
+OF_VERSIONS = (str(Path(__file__).parents[1]), *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")))
 HISTOGRAM_BINS = 1 << 14
 COUNTED = 1 << 18  # values at a time, many more than bins
 ROUNDING = 1e-5  # relative, of means in single precision
@@ -139,23 +148,50 @@ def _own_function(pickled: bytes) -> OwnFunction:
     return OwnFunction(pickle.loads(pickled))
 
 
-def own_metric(function: Callable[[Score], float]) -> Metric:
+def content_of(value: Any, seen: list[Any]) -> str:
+    """Return what the results of a user's function depend on: its code, and the functions and values to which that refers.
+
+    value : the function, or what it refers to
+    seen : such values that were met before, to which this one is added
+    """
+    if inspect.ismodule(value) or any(value is one for one in seen):
+        return ""
+    seen.append(value)
+    code = getattr(value, "__code__", None)
+    if code is None or code.co_filename.startswith(OF_VERSIONS):
+        try:
+            return inspect.getsource(value) if inspect.isclass(value) else hashlib.blake2b(pickle.dumps(value)).hexdigest()
+        except Exception:  # whatever a class of the user's raises
+            return f"{type(value)} {getattr(value, '__qualname__', '')}"
+    codes = [code]
+    for each in codes:  # with those of functions inside
+        codes += [constant for constant in each.co_consts if inspect.iscode(constant)]
+    constants = [
+        [sorted(map(repr, one)) if isinstance(one, frozenset) else repr(one) for one in each.co_consts if not inspect.iscode(one)]
+        for each in codes
+    ]
+    own = [(each.co_code, each.co_names, constant) for each, constant in zip(codes, constants, strict=True)]
+    used = {step.argval for each in codes for step in dis.get_instructions(each) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    names = sorted(used & value.__globals__.keys())
+    cells = [cell.cell_contents for cell in value.__closure__ or () if cell != CellType()]
+    others = [*(value.__globals__[name] for name in names), *cells, value.__defaults__, value.__kwdefaults__]
+    return " ".join([repr(own), *(content_of(other, seen) for other in others)])
+
+
+def own_metric(function: Callable[[Score], float], name: str = "") -> Metric:
     """Return the metric of a user's function, which takes a `pixsim.Score` and returns a number.
 
-    Its name is the function's. The attributes `better` ('less', the default, or 'more'), `unit`, `title` and `unseen` of the
-    function are the metric's. Results depend on the function's source, or on its code where there is none.
+    The attributes `better` ('less', the default, or 'more'), `unit`, `title` and `unseen` of the function are the metric's.
+    Results depend on the function's code, and on the functions and values to which it refers.
+
+    name : of the metric and its column; that of the function if it is empty
     """
-    name = getattr(function, "__name__", "")
-    if not name.isidentifier():
+    name = name or getattr(function, "__name__", "")
+    if not callable(function) or not name.isidentifier():
         raise invalid("metrics", f"{function!r:.80}", "a function with a name, which is that of its column: not a lambda")
     better: Literal["less", "more"] = getattr(function, "better", "less")
     if better not in ("less", "more"):
         raise invalid("metrics", f"{name}.better = {better!r}", "'less' or 'more'")
-    try:
-        code = inspect.getsource(function).encode()
-    except (OSError, TypeError):
-        own = getattr(function, "__code__", None)
-        code = repr((own.co_code, own.co_consts, own.co_names)).encode() if own else name.encode()
     return Metric(
         name=name,
         title=getattr(function, "title", name),
@@ -168,7 +204,7 @@ def own_metric(function: Callable[[Score], float]) -> Metric:
         bounds=(-math.inf, math.inf),
         compute=OwnFunction(function),
         needs_frame=False,
-        code=hashlib.blake2b(code, digest_size=8).hexdigest(),
+        code=hashlib.blake2b(content_of(function, []).encode(), digest_size=8).hexdigest(),
     )
 
 
