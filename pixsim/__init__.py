@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from pixsim.sensor.readout import Frame as Frame, capture as capture, make_sensor as make_sensor
     from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
     from pixsim.studies.compare import compare as compare
+    from pixsim.studies.many_sensors import sweep as sweep
     from pixsim.studies.run import run as run
     from pixsim.studies.study import study as study
     from pixsim.studies.study_settings import Study as Study
@@ -43,8 +44,9 @@ if TYPE_CHECKING:
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
     from pixsim.viewer.demosaic import demosaic as demosaic
     from pixsim.viewer.display_options import Display as Display
+    from pixsim.viewer.other_pictures import score_pictures as score_pictures
     from pixsim.viewer.scielab import delta_e_map as delta_e_map
-    from pixsim.viewer.score import evaluate as evaluate
+    from pixsim.viewer.score import Score as Score, evaluate as evaluate
 
 __version__ = VERSION
 
@@ -74,11 +76,13 @@ _NAMES_OF = {
     "viewer.colour_matrix": "colour_matrix",
     "viewer.demosaic": "demosaic",
     "viewer.scielab": "delta_e_map",
-    "viewer.score": "evaluate",
+    "viewer.score": "Score evaluate",
+    "viewer.other_pictures": "score_pictures",
     "studies.study": "study",
     "studies.compare": "compare",
     "report.write": "write_report",
     "studies.run": "run",
+    "studies.many_sensors": "sweep",
     "verification.survey": "accuracy",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

@@ -77,6 +77,7 @@ OPTIONAL = {  # package -> extra of pixsim that installs it, and its purpose
     variant.LLVM_WHEEL: ("llvm", "fast renders where the system has no LLVM"),
     "distributed": ("cluster", "studies on a cluster"),
     "spectral": ("envi", "ENVI cubes"),
+    "flip-evaluator": ("flip", "the metric flip"),
 }
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from hashlib import blake2b
@@ -31,6 +32,7 @@ LIGHT_SPEED_M_PER_S = 299792458.0
 WHOLE = slice(None)
 STRIP_VALUES = 1 << 18  # of all bands of a strip: 1 MiB in float32
 MAX_VALUE = float(np.finfo(np.float32).max)
+DIGEST = "digest"  # entry of a header: of light that was given, whose other entries need not say what it is
 # Entries of a header: the light of the scene's white, in each band; and the lamps that make it together, if the scene names them.
 LAMP, WHITE_LAMPS = "lamp_w_per_m2_sr_nm", "white_lamps"
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
@@ -173,6 +175,13 @@ class SpectralImage:
         for array in (self.wavelength_nm, self.band_width_nm, *self.within, *spectra, pictures):
             update_with_array(found, array)
         return found.hexdigest()
+
+    @property
+    def identified(self) -> SpectralImage:
+        """The same light with its `digest` in the header, which then tells it from others that nothing else tells apart."""
+        own = copy(self)
+        own.header = self.header | {DIGEST: self.digest()}
+        return own
 
     def _set_margin(self, given: NDArray[np.float32]) -> None:
         """Keep the pictures that are given, and without their margin."""

@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
 from pixsim.base.files import replacing
 from pixsim.show.figures import pdf_bytes, svg_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 
 # Characters that a data URI in double quotes cannot hold; the percent sign first.
@@ -116,6 +118,15 @@ def csv_text(lines: Iterable[Iterable[Any]], path: str | os.PathLike[str] | None
 def rows_csv(rows: Sequence[dict[str, Any]], path: str | os.PathLike[str] | None = None) -> str:
     """Return rows with the same keys as CSV, and write it to `path` if given."""
     return csv_text([*rows[:1], *(row.values() for row in rows)], path)
+
+
+def dataframe_of(table: str | Sequence[Mapping[str, Any]]) -> DataFrame:
+    """Return CSV text, or rows, as a pandas.DataFrame. Raises PixsimError without pandas."""
+    try:
+        import pandas as pd
+    except ImportError:
+        raise invalid("to_dataframe", "no pandas", "pip install pandas, or to_csv(), which pandas reads elsewhere") from None
+    return pd.read_csv(io.StringIO(table)) if isinstance(table, str) else pd.DataFrame(list(table))
 
 
 def plain(values: dict[str, Any]) -> dict[str, Any]:

@@ -29,23 +29,22 @@ from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases, folders_of, prepare_cases
-from pixsim.studies.cost import Cost, frame_cost, jobs_in_memory
-from pixsim.studies.engine import Workers, workers_for, workers_here
-from pixsim.studies.evaluations import Evaluations
+from pixsim.studies.cost import frame_cost
+from pixsim.studies.engine import Workers, workers_for
+from pixsim.studies.evaluations import rows_of
 from pixsim.studies.lineup import ComparisonJob, Lineup
 from pixsim.studies.matched_cameras import Match
 from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, rendered_light
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
 from pixsim.studies.prepared import Prepared, named
 from pixsim.studies.results_file import ResultsFile
-from pixsim.studies.rows import NO_ROWS, Row, StoredRows
+from pixsim.studies.rows import Row
 from pixsim.studies.sampling import Sizes
 from pixsim.studies.sensor_types import TYPES_FILE, sample_of
 from pixsim.studies.series import Series, judging_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import elsewhere_note
-from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E
@@ -61,8 +60,6 @@ from pixsim.viewer.score import (
     white_header,
 )
 from pixsim.viewer.setting import Run
-
-FEW_SECONDS = 3.0  # of all frames: processes take a second to start
 
 
 @checks_arguments
@@ -373,34 +370,6 @@ def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, worke
 def numbers_in(rows: Sequence[Row], column: str) -> Array:
     """Return the numbers of a column of rows, (rows,)."""
     return np.array([float(row[column]) for row in rows])
-
-
-def rows_of(
-    series: Sequence[Series],
-    sizes: Sequence[Sizes],
-    costs: Sequence[Cost],
-    results: Path | None,
-    workers: Workers | None,
-    progress: Progress,
-) -> list[StoredRows]:
-    """Return the rows of all evaluations of each series, repeats × displays.
-
-    costs : of a frame of each; the other arguments are those of `evaluate_all`
-    """
-    told_by = [name for name in series[0].columns if any(each.columns[name] for each in series)]
-    series = [replace(each, columns={name: each.columns[name] for name in told_by}) for each in series]
-    if workers is None:
-        in_all_s = sum(sum(own.values()) * cost.seconds for own, cost in zip(sizes, costs, strict=True))
-        workers = workers_here(1 if in_all_s < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for cost in costs)))
-    evaluations = Evaluations(series, results, workers)
-    rows = [NO_ROWS for _ in series]
-    with evaluations.resumed(sizes):
-        for number, own in evaluations.rows(sizes, progress):
-            rows[number] = own
-            for reason in evaluations.left_out(number, sizes[number]).values():
-                raise AlikeChannelsError(f"{series[number].label}: {reason}")
-        evaluations.finish(rows)
-    return rows
 
 
 def differences_of_types(

@@ -26,10 +26,11 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.readout import Frame, Sensor, make_frame
-from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.cost import Cost, jobs_in_memory
+from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.keys import REPEATS_PER_TASK, block_key
 from pixsim.studies.results_file import ResultsFile, columns_of
-from pixsim.studies.rows import Row, RowStore, StoredRows
+from pixsim.studies.rows import NO_ROWS, Row, RowStore, StoredRows
 from pixsim.studies.sampling import Sizes
 from pixsim.studies.series import Series
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -42,6 +43,7 @@ FEW_SERIES = 64
 FROM_CACHE, LEFT_OUT = "frame from cache", "left out"  # in the rows of a worker only; the second holds the reason
 
 
+FEW_SECONDS = 3.0  # of all frames: processes take a second to start
 FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola
 
 
@@ -180,7 +182,8 @@ def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
             known = {} if mean_e is None else {MEAN: mean_e}
             for display in repeats[repeat]:
                 on_screen = chain if isinstance(light, SpectralImage) else chain.on(light.screens[display])
-                judged = Judged(on_screen, frame, judging, repeat, task.stream)
+                of_run = 0, task.imaging.stream_of(task.stream, repeat)  # each sensor of a run is one by itself
+                judged = Judged(on_screen, frame, judging, *(of_run if task.imaging.is_run else (repeat, task.stream)))
                 numbers = {name: repr(value) for name, value in (judged.statistics() | known).items()}
                 of_row = {"key": task.keys[repeat * len(task.displays) + display], "technology": task.name, "repeat": str(repeat)}
                 viewed = task.displays[display]
@@ -262,7 +265,7 @@ def frames_of(
             yield repeat, chain, replace(frame, corrected_e=found.get(CORRECTED)), float(found[MEAN])
             continue
         sensor_of = partial(kept_sensor, chain) if task.columns else None  # which only other cases have, too
-        frame = chain.capture(*task.stream, repeat, sensor_of=sensor_of)
+        frame = chain.capture(*task.imaging.stream_of(task.stream, repeat), sensor_of=sensor_of)
         if task.frames_key:
             made = {DN: frame.dn.astype(np.min_scalar_type(2**frame.bits - 1)), SATURATED: np.array(frame.saturated_fraction)}
             made |= {MEAN: np.array(frame.mean_e.mean()), TIME: np.array(frame.integration_s)}
@@ -502,3 +505,36 @@ class Evaluations:
         """Leave only these rows in the file, in their order."""
         if self._results is not None:
             self._results.finish(rows)
+
+
+def rows_of(
+    series: Sequence[Series],
+    sizes: Sequence[Sizes],
+    costs: Sequence[Cost],
+    results: Path | None,
+    workers: Workers | None,
+    progress: Progress | None = None,
+) -> list[StoredRows]:
+    """Return the rows of all evaluations of each series.
+
+    sizes : the pixel sizes of each, and its frames
+    costs : of a frame of each
+    results : the file of the rows, from which an interrupted command goes on; None for none
+    workers : None takes as many processes as are worth it
+
+    Raises AlikeChannelsError for pixels whose colours cannot be told apart.
+    """
+    told_by = [name for name in series[0].columns if any(each.columns[name] for each in series)]
+    series = [replace(each, columns={name: each.columns[name] for name in told_by}) for each in series]
+    if workers is None:
+        in_all_s = sum(sum(own.values()) * cost.seconds for own, cost in zip(sizes, costs, strict=True))
+        workers = workers_here(1 if in_all_s < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for cost in costs)))
+    evaluations = Evaluations(series, results, workers)
+    rows = [NO_ROWS for _ in series]
+    with evaluations.resumed(sizes):
+        for number, own in evaluations.rows(sizes, progress):
+            rows[number] = own
+            for reason in evaluations.left_out(number, sizes[number]).values():
+                raise AlikeChannelsError(f"{series[number].label}: {reason}")
+        evaluations.finish(rows)
+    return rows

@@ -35,14 +35,13 @@ from pixsim.studies.cases import BASE, Case, cases_of, with_range_ends
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
 from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
-from pixsim.studies.results_file import COLUMNS
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.series import judging_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.unused import StudyConfiguration
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.metrics import DELTA_E, Asked
+from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Asked, columns_of_metrics
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.unused import warn_of_unused_settings
 
@@ -339,7 +338,8 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
         raise invalid("tolerance_delta_e", study.tolerance_delta_e, "no tolerance in a study with axes or conditions", hint)
-    if taken := [axis.name for axis in study.axis if axis.name in (*COLUMNS, KEY)]:
+    columns = *OF_PIXEL, *columns_of_metrics((DELTA_E, *judging_of(study).metrics)), KEY
+    if taken := [axis.name for axis in study.axis if axis.name in columns]:
         raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
     scenes: dict[str, Scene] = {}
     own = _without_axes(study)

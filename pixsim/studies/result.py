@@ -26,7 +26,7 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
-from pixsim.show.pages import Column, Plate, rows_csv
+from pixsim.show.pages import Column, Plate, dataframe_of, rows_csv
 from pixsim.show.render import cell_of
 from pixsim.show.sentences import few, sentence, settings_line, span
 from pixsim.studies.cases import BASE, case_words
@@ -470,13 +470,7 @@ class StudyResult:
 
     def to_dataframe(self) -> DataFrame:
         """Return the rows of `to_csv` as a pandas.DataFrame. Raises PixsimError without pandas."""
-        import io
-
-        try:
-            import pandas as pd
-        except ImportError:
-            raise invalid("to_dataframe", "no pandas", "pip install pandas, or to_csv(), which pandas reads elsewhere") from None
-        return pd.read_csv(io.StringIO(self.to_csv()))
+        return dataframe_of(self.to_csv())
 
     def _repr_html_(self) -> str:
         camera, evaluations = self.camera, sum(int(curve.sensors.sum()) for curve in self.curves)

@@ -20,10 +20,8 @@ from pixsim.base.notes import warn
 from pixsim.base.schema import KEY, SCHEMA, of_another
 from pixsim.show.pages import csv_text
 from pixsim.studies.rows import Row, RowStore, StoredRows
-from pixsim.viewer.metrics import DELTA_E, ROUNDING, Metric, columns_of_metrics
+from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, PIXEL_STATISTICS, ROUNDING, Metric, columns_of_metrics
 
-PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
-OF_PIXEL = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)
 COLUMNS = (*OF_PIXEL, *DELTA_E.columns)  # of a study with ΔE alone
 TEXTS = COLUMNS[:2]
 MAX_BYTES = 1 << 31  # eight million rows

@@ -28,6 +28,7 @@ class Imaging:
     border_um : of all that is scored on the same dots, as for `pixsim.viewer.display.dot_edges_um`; None means this pixel's
     single : compute dots and S-CIELAB in float32
     judging : what is asked of the judges
+    is_run : whether its repeats are the sensors of a run: their array is centred, and the first one's random streams have no number
     """
 
     camera: Camera
@@ -40,6 +41,7 @@ class Imaging:
     border_um: float | None = None
     single: bool = False
     judging: Judging = DELTA_E_ONLY
+    is_run: bool = False
 
     @classmethod
     def of(cls, run: Run, camera: Camera) -> Imaging:
@@ -58,8 +60,12 @@ class Imaging:
         return replace(self, pixel=self.pixel.model_copy(update={"pitch_um": pitch_um}))
 
     def registered(self, repeat: int) -> PixelPhysics:
-        """Return the pixel of one repeat, with its registration; where dots are pixels the array stays centred."""
-        return self.physics.registered(repeat) if self.display.raster == "fixed_size" else self.physics
+        """Return the pixel of one repeat, with its registration; in a run, and where dots are pixels, the array stays centred."""
+        return self.physics.registered(repeat) if self.display.raster == "fixed_size" and not self.is_run else self.physics
+
+    def stream_of(self, stream: tuple[object, ...], repeat: int) -> tuple[object, ...]:
+        """Return the key of the random streams of one repeat, which begins as those of all."""
+        return stream if self.is_run and repeat == 0 else (*stream, repeat)
 
     def light(
         self, irradiance: SpectralImage, physics: PixelPhysics | None = None, lights: tuple[ChannelLight, ...] | None = None

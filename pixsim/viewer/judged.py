@@ -15,7 +15,7 @@ from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metrics import DELTA_E, Asked, Metric
 
 if TYPE_CHECKING:
-    from pixsim.viewer.score import FrameScore, ImagingChain
+    from pixsim.viewer.score import FrameScore, ImagingChain, Score
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Judging:
     def check(self, asked: Asked) -> None:
         """Raise PixsimError for a metric that means nothing in a configuration."""
         for metric in self.metrics:
-            if lacking := metric.lacks(asked):
-                others = ", ".join(each.name for each in self.metrics if not each.lacks(asked))
+            if lacking := metric.lacking(asked):
+                others = ", ".join(each.name for each in self.metrics if not each.lacking(asked))
                 allowed = f"{lacking}; or other metrics" + (f", as {others}" if others else "")
                 raise invalid("metrics", f"'{metric.name}'", allowed)
 
@@ -107,9 +107,11 @@ class Judged:
         return frame_statistics(self.chain.physics, self.frame) | numbers_of(self.judging.metrics, self) | found
 
 
-def numbers_of(metrics: Sequence[Metric], judged: Judged) -> dict[str, float]:
-    """Return the numbers of some metrics by their columns."""
-    return {name: value for metric in metrics for name, value in metric.values(judged).items()}
+def numbers_of(metrics: Sequence[Metric], judged: Judged | Score) -> dict[str, float]:
+    """Return the numbers of some metrics by their columns; of a Score alone, those of metrics that need no frame."""
+    given = [judged if metric.needs_frame or not isinstance(judged, Judged) else judged.score for metric in metrics]
+    found = zip(metrics, given, strict=True)
+    return {name: value for metric, each in found for name, value in metric.values(each).items()}
 
 
 def frame_statistics(physics: PixelPhysics, frame: Frame) -> dict[str, float]:

@@ -7,10 +7,11 @@ from functools import cache
 from importlib import metadata
 from typing import TYPE_CHECKING
 
-from pixsim.base.errors import invalid
-from pixsim.viewer.metrics import DELTA_E, Metric, own_metric
+from pixsim.base.errors import invalid, one_line
+from pixsim.base.schema import KEY
+from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, columns_of_metrics, own_metric
 from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, MTF50, NIIRS, SNR10_LX
-from pixsim.viewer.shown_metrics import ACUTANCE, VISUAL_NOISE
+from pixsim.viewer.shown_metrics import ACUTANCE, FLIP, NPWE, VISUAL_NOISE
 
 if TYPE_CHECKING:
     from pixsim.viewer.score import Score
@@ -18,18 +19,31 @@ if TYPE_CHECKING:
     NamedOrOwn = str | Callable[[Score], float]
 
 GROUP = "pixsim.metrics"  # of entry points, each of which is a function of a Score
-METRICS: Mapping[str, Metric] = {
-    metric.name: metric for metric in (DELTA_E, DETECTABILITY, INFORMATION, ACUTANCE, VISUAL_NOISE, MTF50, SNR10_LX, NIIRS)
-}
+OF_FRAMES = DETECTABILITY, INFORMATION, MTF50, NIIRS
+OF_PICTURES = ACUTANCE, VISUAL_NOISE, NPWE, FLIP, SNR10_LX
+METRICS: Mapping[str, Metric] = {metric.name: metric for metric in (DELTA_E, *OF_FRAMES, *OF_PICTURES)}
 
+
+# No metric of a user's may have the name of a column, or of a metric.
+TAKEN = {KEY, *OF_PIXEL, "condition", "pair", "pixel", *METRICS, *columns_of_metrics(tuple(METRICS.values()))}
 
 _functions: dict[str, Metric] = {}  # of the user's, that a call of this process named last
 
 
-@cache
-def installed_metrics() -> dict[str, Metric]:
+def installed_metrics() -> dict[str, metadata.EntryPoint]:
     """Return the metrics of installed packages, by the names of their entry points in the group `pixsim.metrics`."""
-    return {entry.name: own_metric(entry.load()) for entry in metadata.entry_points(group=GROUP) if entry.name not in METRICS}
+    return {entry.name: entry for entry in metadata.entry_points(group=GROUP) if entry.name not in METRICS}
+
+
+@cache
+def installed_metric(entry: metadata.EntryPoint) -> Metric:
+    """Return the metric of an entry point. Raises PixsimError if its package fails."""
+    try:
+        return own_metric(entry.load(), entry.name)
+    except Exception as error:  # whatever its package raises
+        package = entry.dist.name if entry.dist else entry.module
+        got = f"'{entry.name}' of the package {package}, which fails ({type(error).__name__}: {one_line(str(error), 200)})"
+        raise invalid("metrics", got, "an entry point that is a function of a Score") from None
 
 
 def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
@@ -40,21 +54,24 @@ def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
     found: dict[str, Metric] = {}
     for name in names:
         if not isinstance(name, str):
-            metric = _functions[name.__name__] = own_metric(name)
-        elif name in _functions:
-            metric = _functions[name]
+            metric = own_metric(name)
         elif name in METRICS:
             metric = METRICS[name]
-        elif name in installed_metrics():
-            metric = installed_metrics()[name]
+        elif name in _functions:
+            metric = _functions[name]
+        elif name in (installed := installed_metrics()):
+            metric = installed_metric(installed[name])
         else:
             hint = "A function of your own is given in Python: metrics=[…, my_metric]."
-            raise invalid("metrics", f"'{name}'", f"any of {', '.join([*METRICS, *installed_metrics()])}", hint)
-        if metric.name in found or (metric.name in METRICS and metric is not METRICS[metric.name]):
+            raise invalid("metrics", f"'{name}'", f"any of {', '.join([*METRICS, *installed])}", hint)
+        if metric.code and metric.name in TAKEN:
+            raise invalid("metrics", f"a function '{metric.name}', which is a name of pixsim's", "another name for the function")
+        if metric.name in found:
             raise invalid("metrics", f"'{metric.name}' twice", "metrics of different names")
         found[metric.name] = metric
     if not found:
         raise invalid("metrics", "none", f"at least one of {', '.join(METRICS)}")
+    _functions.update({name: metric for name, metric in found.items() if metric.code and name not in names})
     return tuple(found.values())
 
 

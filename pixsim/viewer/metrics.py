@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import dis
 import hashlib
 import inspect
 import math
+import pickle
+import sysconfig
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from types import CellType
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -19,9 +24,15 @@ if TYPE_CHECKING:
     from pixsim.viewer.judged import Judged
     from pixsim.viewer.score import Score
 
+# Columns of rows beside those of metrics.
+PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
+OF_PIXEL = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)
+# Code that versions tell, not results: of pixsim, of Python and of installed packages.
+OF_VERSIONS = (str(Path(__file__).parents[1]), *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")))
 HISTOGRAM_BINS = 1 << 14
 COUNTED = 1 << 18  # values at a time, many more than bins
 ROUNDING = 1e-5  # relative, of means in single precision
+OF_FRAMES = "the frame of a sensor, of which pixsim.evaluate and pixsim.run know the signal and the noise"
 
 
 def _lacks_nothing(asked: Asked) -> str:
@@ -45,11 +56,12 @@ class Metric:
     unseen : what it does not see
     columns : names of its numbers, in results and in this order; the first one is what a study optimises
     bounds : least and largest value that a number may have
-    compute : numbers of what is judged, as `columns`
+    compute : numbers of a `Judged` frame, or of a `Score` where `needs_frame` is false, as `columns`
     lacks : what a configuration would need for the metric to mean something; empty if it has all
     is_possible : whether such numbers, within the bounds, may stand beside each other
     has_optimum : whether a best pixel size may be told from it
     needs_light : whether it asks for the light of the scene beside the picture
+    needs_frame : whether it asks for the frame and the sensor behind the picture
     code : hash of a function of the user's, on which its numbers depend; empty for one of pixsim's
     """
 
@@ -62,11 +74,12 @@ class Metric:
     unseen: str
     columns: tuple[str, ...]
     bounds: tuple[float, float]
-    compute: Callable[[Judged], tuple[float, ...]] = field(repr=False)
+    compute: Callable[[Any], tuple[float, ...]] = field(repr=False)
     lacks: Callable[[Asked], str] = field(default=_lacks_nothing, repr=False)
     is_possible: Callable[[tuple[float, ...]], bool] = field(default=_any_values, repr=False)
     has_optimum: bool = True
     needs_light: bool = False
+    needs_frame: bool = True
     code: str = ""
 
     @property
@@ -83,9 +96,13 @@ class Metric:
         """Return what tells the metric from others, in a report's key; the code is pixsim's, or hashed."""
         return f"{self.name} {self.columns} {self.code}"
 
-    def values(self, judged: Judged) -> dict[str, float]:
-        """Return its numbers by their columns. Raises PixsimError if a number is outside the bounds."""
-        found = dict(zip(self.columns, map(float, self.compute(judged)), strict=True))
+    def lacking(self, asked: Asked) -> str:
+        """Return what a configuration would need for the metric to mean something; empty if it has all."""
+        return OF_FRAMES if self.needs_frame and not asked.has_frame else self.lacks(asked)
+
+    def values(self, given: Judged | Score) -> dict[str, float]:
+        """Return the numbers of what `compute` takes by their columns. Raises PixsimError if one is outside the bounds."""
+        found = dict(zip(self.columns, map(float, self.compute(given)), strict=True))
         low, high = self.bounds
         for name, value in found.items():
             if not low <= value <= high:
@@ -99,10 +116,12 @@ class Asked:
 
     is_colour : whether the pixel has colour filters
     has_without : whether there is light of the scene without its target
+    has_frame : whether a sensor made the picture
     """
 
     is_colour: bool
     has_without: bool
+    has_frame: bool = True
 
 
 @dataclass(frozen=True)
@@ -117,31 +136,58 @@ class OwnFunction:
 
         return OwnFunction, (wrap_non_picklable_objects(self.function, keep_wrapper=False),)
 
-    def __call__(self, judged: Judged) -> tuple[float]:
-        value = self.function(judged.score)
+    def __call__(self, score: Score) -> tuple[float]:
+        value = self.function(score)
         if not isinstance(value, int | float | np.number) or isinstance(value, bool) or not math.isfinite(value):
             got = f"{value!r:.80} of {self.function.__name__}"
             raise invalid("metrics", got, "a function that returns one finite number of a Score")
         return (float(value),)
 
 
-def own_metric(function: Callable[[Score], float]) -> Metric:
+def content_of(value: Any, seen: list[Any]) -> str:
+    """Return what the results of a user's function depend on: its code, and the functions and values to which that refers.
+
+    value : the function, or what it refers to
+    seen : such values that were met before, to which this one is added
+    """
+    if inspect.ismodule(value) or any(value is one for one in seen):
+        return ""
+    seen.append(value)
+    code = getattr(value, "__code__", None)
+    if code is None or code.co_filename.startswith(OF_VERSIONS):
+        try:
+            return inspect.getsource(value) if inspect.isclass(value) else hashlib.blake2b(pickle.dumps(value)).hexdigest()
+        except Exception:  # whatever a class of the user's raises
+            return f"{type(value)} {getattr(value, '__qualname__', '')}"
+    codes = [code]
+    for each in codes:  # with those of functions inside
+        codes += [constant for constant in each.co_consts if inspect.iscode(constant)]
+    constants = [
+        [sorted(map(repr, one)) if isinstance(one, frozenset) else repr(one) for one in each.co_consts if not inspect.iscode(one)]
+        for each in codes
+    ]
+    own = [(each.co_code, each.co_names, constant) for each, constant in zip(codes, constants, strict=True)]
+    used = {step.argval for each in codes for step in dis.get_instructions(each) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    names = sorted(used & value.__globals__.keys())
+    cells = [cell.cell_contents for cell in value.__closure__ or () if cell != CellType()]
+    others = [*(value.__globals__[name] for name in names), *cells, value.__defaults__, value.__kwdefaults__]
+    return " ".join([repr(own), *(content_of(other, seen) for other in others)])
+
+
+def own_metric(function: Callable[[Score], float], name: str = "") -> Metric:
     """Return the metric of a user's function, which takes a `pixsim.Score` and returns a number.
 
-    Its name is the function's. The attributes `better` ('less', the default, or 'more'), `unit`, `title` and `unseen` of the
-    function are the metric's. Results depend on the function's source, or on its code where there is none.
+    The attributes `better` ('less', the default, or 'more'), `unit`, `title` and `unseen` of the function are the metric's.
+    Results depend on the function's code, and on the functions and values to which it refers.
+
+    name : of the metric and its column; that of the function if it is empty
     """
-    name = getattr(function, "__name__", "")
-    if not name.isidentifier():
+    name = name or getattr(function, "__name__", "")
+    if not callable(function) or not name.isidentifier():
         raise invalid("metrics", f"{function!r:.80}", "a function with a name, which is that of its column: not a lambda")
     better: Literal["less", "more"] = getattr(function, "better", "less")
     if better not in ("less", "more"):
         raise invalid("metrics", f"{name}.better = {better!r}", "'less' or 'more'")
-    try:
-        code = inspect.getsource(function).encode()
-    except (OSError, TypeError):
-        own = getattr(function, "__code__", None)
-        code = repr((own.co_code, own.co_consts, own.co_names)).encode() if own else name.encode()
     return Metric(
         name=name,
         title=getattr(function, "title", name),
@@ -153,7 +199,8 @@ def own_metric(function: Callable[[Score], float]) -> Metric:
         columns=(name,),
         bounds=(-math.inf, math.inf),
         compute=OwnFunction(function),
-        code=hashlib.blake2b(code, digest_size=8).hexdigest(),
+        needs_frame=False,
+        code=hashlib.blake2b(content_of(function, []).encode(), digest_size=8).hexdigest(),
     )
 
 
@@ -200,8 +247,8 @@ def _rise(values: tuple[float, ...]) -> bool:
     return mean <= largest and all(one <= other * (1 + ROUNDING) for one, other in pairwise(rising))
 
 
-def _delta_e(judged: Judged) -> tuple[float, ...]:
-    return delta_e_statistics(judged.score.delta_e)
+def _delta_e(score: Score) -> tuple[float, ...]:
+    return delta_e_statistics(score.delta_e)
 
 
 DELTA_E = Metric(
@@ -215,5 +262,6 @@ DELTA_E = Metric(
     columns=("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e"),
     bounds=(0.0, 1e3),  # of any two colours: black and white differ by 100, the most saturated ones by 260
     compute=_delta_e,
+    needs_frame=False,
     is_possible=_rise,
 )

@@ -63,7 +63,7 @@ from pixsim.viewer.judged import DELTA_E_ONLY, Judged, Judging, frame_statistics
 from pixsim.viewer.judges.information_density import radial_spectrum
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
-from pixsim.viewer.metrics import DELTA_E, Asked, delta_e_statistics, percentiles
+from pixsim.viewer.metrics import DELTA_E, Asked, Metric, delta_e_statistics, percentiles
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
     colour_delta_e_map,
@@ -80,6 +80,7 @@ if TYPE_CHECKING:
 
 
 T = TypeVar("T")
+S = TypeVar("S", bound="Score")
 CLIPPED_WARNING = 0.01
 ROUNDING = 1e-6  # of white, in the luminance of a dot
 PANEL_IN = 3.1  # width of each picture of a figure
@@ -107,17 +108,16 @@ class Score:
     display: Display = field(repr=False)
     metrics: dict[str, float] = field(default_factory=dict, kw_only=True)
     further: dict[str, float] = field(default_factory=dict, kw_only=True, repr=False)
-    _scored: tuple[Array, Array] | None = field(default=None, kw_only=True, repr=False, compare=False)
+    _scored: dict[str, Any] | None = field(default=None, kw_only=True, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if self._scored is None:
-            object.__setattr__(self, "_scored", (self.ideal, self.image))
-        elif any(
-            own is not old and not np.array_equal(own, old)  # equal after a journey to a worker
-            for own, old in zip((self.ideal, self.image), self._scored, strict=True)
-        ):
-            hint = "Score it: pixsim.score_pictures(score.ideal, image, score.display)."
-            raise invalid("image", "another picture in a Score, whose ΔE would be that of the old one", "the picture scored", hint)
+        own: dict[str, Any] = {"delta_e": self.delta_e, "ideal": self.ideal, "image": self.image, "display": self.display}
+        for name, old in (self._scored or {}).items():
+            if own[name] is not old and not np.array_equal(own[name], old):  # equal after a journey to a worker
+                got = f"another {name} in a Score, whose numbers would be those of the old one"
+                hint = "Score other pictures: pixsim.score_pictures(score.ideal, image, score.display)."
+                raise invalid(name, got, f"the {name} that was scored", hint)
+        object.__setattr__(self, "_scored", own)
 
     @property
     def mean_delta_e(self) -> float:
@@ -952,10 +952,7 @@ def make_imaging_chain(
     Warns if the render used another camera, the scene's white is estimated (`white_header`), the display clips the scene, numbers
     of a data sheet contradict one another, or the model of the pixel's stack is doubtful.
     """
-    rendered = irradiance.header.get("camera")
-    if rendered is not None and not (of_light := Camera.model_validate(rendered)).lights_like(camera):
-        other = [name for name, value in camera if value != getattr(of_light, name)]
-        warn(f"the irradiance was rendered with another camera than the one given, of another {', '.join(other)}")
+    warn_of_other_camera(irradiance, camera)
     check_develop(develop, pixel)
     physics = derive(pixel)
     warn_of_disagreements(pixel)
@@ -975,6 +972,14 @@ def make_imaging_chain(
         _keep_chain(key, *found)
     warn_of_clipping(found[1])
     return found[0]
+
+
+def warn_of_other_camera(irradiance: SpectralImage, camera: Camera) -> None:
+    """Warn if light was rendered with another camera than the one that is given."""
+    rendered = irradiance.header.get("camera")
+    if rendered is not None and not (of_light := Camera.model_validate(rendered)).lights_like(camera):
+        other = [name for name, value in camera if value != getattr(of_light, name)]
+        warn(f"the irradiance was rendered with another camera than the one given, of another {', '.join(other)}")
 
 
 KEPT_OF_PIXELS = 32  # tables, of some pixel sizes
@@ -1063,9 +1068,13 @@ def evaluate(
 def judged_score(chain: ImagingChain, judging: Judging, key: tuple[object, ...]) -> FrameScore:
     """Return the score of a new sensor and a new frame for a key, with the numbers of its metrics."""
     judged = Judged(chain, chain.capture(*key), judging, stream=key)
-    numbers = {name: value for name, value in numbers_of(judging.metrics, judged).items() if name not in DELTA_E.columns}
-    score = judged.score
-    first = {metric.name: numbers.get(metric.columns[0], score.mean_delta_e) for metric in judging.metrics}
+    return with_numbers(judged.score, judging.metrics, judged)
+
+
+def with_numbers(score: S, metrics: Sequence[Metric], judged: Judged | Score) -> S:
+    """Return a score with the numbers of metrics of what `numbers_of` takes."""
+    numbers = {name: value for name, value in numbers_of(metrics, judged).items() if name not in DELTA_E.columns}
+    first = {metric.name: numbers.get(metric.columns[0], score.mean_delta_e) for metric in metrics}
     return replace(score, metrics=first, further=numbers)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,9 +16,11 @@ from pixsim.viewer.mtf import mtf_terms
 
 if TYPE_CHECKING:
     from pixsim.viewer.judged import Judged
+    from pixsim.viewer.score import Score
 
 GREY = 0.18  # of white: the patch of visual noise
 POINTS = 257
+FLIP_PACKAGE = "flip_evaluator"
 
 
 def _grey_and_filling(asked: Asked) -> str:
@@ -75,4 +78,36 @@ VISUAL_NOISE = Metric(
     bounds=(0.0, 1e4),
     compute=_visual_noise,
     lacks=_grey_and_filling,
+)
+
+
+def _needs_flip(asked: Asked) -> str:
+    return "" if find_spec(FLIP_PACKAGE) else "the package of its authors: pip install 'pixsim[flip]'"
+
+
+def _flip(score: Score) -> tuple[float]:
+    import flip_evaluator
+
+    pair = []
+    for picture in (score.ideal, score.image):
+        of_primaries = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
+        pair.append(np.ascontiguousarray(of_primaries, np.float32))
+    # The shown light is linear, and its primaries are those of sRGB: the package need not decode it.
+    _, mean, _ = flip_evaluator.evaluate(*pair, "LDR", False, False, True, {"ppd": score.display.samples_per_deg})
+    return (float(mean),)
+
+
+FLIP = Metric(
+    name="flip",
+    title="mean FLIP",
+    unit="",
+    better="less",
+    judges="shown picture",
+    source="Andersson et al., Proc. ACM Comput. Graph. Interact. Tech. 3 (2020) 15; flip-evaluator, the package of its authors",
+    unseen="what nobody sees who flips between the two pictures: it was fitted to rendered pictures, at 67 dots per degree",
+    columns=("mean_flip",),
+    bounds=(0.0, 1.0),
+    compute=_flip,
+    lacks=_needs_flip,
+    needs_frame=False,
 )

@@ -12,6 +12,7 @@ import inspect
 import re
 import textwrap
 from collections.abc import Callable, Iterator
+from dataclasses import is_dataclass
 from functools import cache, cached_property
 from typing import Any
 
@@ -161,12 +162,14 @@ def test_function_docstring_is_complete(name: str) -> None:
 
 @pytest.mark.parametrize("name", CLASSES)
 def test_class_docstring_describes_fields(name: str) -> None:
-    """A record by the descriptions of its fields, a dataclass in its docstring."""
+    """A record by the descriptions of its fields, a dataclass in its docstring, or in that of the class that has the field."""
     kind = CLASSES[name]
     own = [each for each in kind.__mro__ if each.__module__.startswith("pixsim")]  # a base describes its own fields
     text = "\n".join(inspect.cleandoc(vars(each).get("__doc__") or "") for each in own)
     assert vars(kind).get("__doc__")
     assert not text.startswith(f"{kind.__name__}("), "the default of @dataclass"
+    heirs = [base for base in kind.__mro__ if is_dataclass(base)]
+    text = "\n".join(inspect.cleandoc(vars(base).get("__doc__") or "") for base in heirs) or text
     for field, about in fields(kind).items():
         description = about.description if issubclass(kind, Record) else description_of(field, text)
         assert description, f"{field} has no description"

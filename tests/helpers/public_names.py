@@ -50,11 +50,11 @@ def members(owner: type) -> dict[str, Any]:
 
 
 def fields(owner: type) -> dict[str, Any]:
-    """Fields of a record or a dataclass."""
+    """Fields of a record or a dataclass, for users."""
     if hasattr(owner, "model_fields"):
         return dict(owner.model_fields)
-    named = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
-    return {field.name: field for field in named if not field.name.startswith("_")}
+    found = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
+    return {field.name: field for field in found if not field.name.startswith("_")}
 
 
 def public() -> dict[str, Any]:

@@ -1,0 +1,187 @@
+"""Many sensors in one light: the frames are those of `pixsim.evaluate`, computed as the evaluations of a study are."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+
+from pixsim.base.arguments import Count, Jobs, Whole, checks_arguments
+from pixsim.base.errors import invalid, name_fault
+from pixsim.base.notes import collected_notes, warn
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
+from pixsim.sensor.collection import warn_of_stack_limits
+from pixsim.sensor.correction_options import NO_CORRECTION, Correction
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.integration import array_size_um
+from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.show.document import Document, Table
+from pixsim.show.pages import dataframe_of, rows_csv
+from pixsim.show.render import notebook
+from pixsim.studies.cost import frame_cost
+from pixsim.studies.engine import workers_here
+from pixsim.studies.evaluations import check_ideals, rows_of
+from pixsim.studies.prepared import named
+from pixsim.studies.series import Series
+from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
+from pixsim.viewer.display import dot_edges_um, picture_size_um
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.judged import Judging
+from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
+from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.metrics import PIXEL_STATISTICS, Asked, Metric, columns_of_metrics
+from pixsim.viewer.score import SceneCache, Score, Seen, warn_of_clipping, warn_of_other_camera, white_header
+from pixsim.viewer.unused import Configuration, warn_of_unused_settings
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+PIXEL = "pixel"
+
+
+@dataclass(frozen=True, repr=False)
+class SensorTable(Sequence[dict[str, Any]]):
+    """The rows of `pixsim.sweep`, one for each pixel and repeat.
+
+    rows : {"pixel": its place or name, "technology": …, "pitch_um": …, "repeat": …, and the numbers of the pixel, of its frame
+        and of each metric}
+    metrics : in the order of their columns
+    """
+
+    rows: tuple[dict[str, Any], ...]
+    metrics: tuple[Metric, ...]
+
+    @overload
+    def __getitem__(self, index: int) -> dict[str, Any]: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[dict[str, Any]]: ...
+    def __getitem__(self, index: int | slice) -> dict[str, Any] | Sequence[dict[str, Any]]:
+        return self.rows[index]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @checks_arguments
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """Return the rows as CSV, and write it to `path` if given."""
+        return rows_csv(self.rows, path)
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the rows as a pandas.DataFrame. Raises PixsimError without pandas."""
+        return dataframe_of(self.rows)
+
+    def _repr_html_(self) -> str:
+        repeats = self.rows[-1]["repeat"] + 1
+        names = [metric.columns[0] for metric in self.metrics]
+        lines = []
+        for first in range(0, len(self), repeats):
+            row, own = self.rows[first], self.rows[first : first + repeats]
+            means = [f"{np.mean([each[name] for each in own]):.6g}" for name in names]
+            lines.append((str(row[PIXEL]), row["technology"], f"{row['pitch_um']:g}", *means))
+        head = PIXEL, "technology", "size (µm)", *(metric.label for metric in self.metrics)
+        caption = f"{len(lines)} pixels, " + (f"means over {repeats} sensors of each" if repeats > 1 else "a sensor of each")
+        return notebook(Document("", "", "", {}, cell=(Table(caption, head, tuple(lines), caption, words=(1,)),)))
+
+    def __repr__(self) -> str:
+        return f"<SensorTable of {len(self)} rows: {', '.join(metric.name for metric in self.metrics)}>"
+
+
+@checks_arguments
+def sweep(
+    light: SpectralImage,
+    pixels: Mapping[str, Pixel] | Sequence[Pixel],
+    *,
+    camera: Camera,
+    exposure: Exposure | None = None,
+    display: Display | None = None,
+    correction: Correction | None = None,
+    develop: Develop | None = None,
+    metrics: Sequence[str | Callable[[Score], float]] = ("delta_e",),
+    metric: MetricOptions | None = None,
+    without: SpectralImage | None = None,
+    repeats: Count = 1,
+    seed: Whole = 0,
+    jobs: Jobs | None = None,
+) -> SensorTable:
+    """Evaluate many sensors in one light, rendered or of another program.
+
+    The frames are those of `pixsim.evaluate`, and of `pixsim run --repeats`, with the same seed, bit for bit; equal sensors have
+    equal frames. All are scored on the same dots, without the border of the largest pixels, and shown with the same white. So
+    are the numbers of a sweep over pixels of one size those of `evaluate`; of smaller pixels, it has a narrower border.
+
+    pixels : of each sensor; a list, or names -> pixels
+    camera, exposure, display, correction, develop, metric, without : as of `pixsim.evaluate`
+    metrics : names of metrics, or functions of a Score that return a number; each has its columns
+    repeats : sensors of each kind
+    seed : of the fixed patterns and the temporal noise
+    jobs : processes; None means one per core, where they are worth it. The results do not depend on it
+
+    Raises PixsimError as `evaluate` does, with the pixel's name or its place in the list, from 0.
+
+    >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})
+    >>> pixels = [Pixel(pitch_um=pitch_um, prnu=0) for pitch_um in (60.0, 84.8)]
+    >>> table = sweep(light, pixels, camera=Camera(), display=Display(white_cd_per_m2=1000, dots=32), jobs=1)
+    >>> [(row["pixel"], row["pitch_um"]) for row in table], table[0]["mean_delta_e"] < 1
+    ([(0, 60.0), (1, 84.8)], True)
+    """
+    by_name: Mapping[Any, Pixel] = pixels if isinstance(pixels, Mapping) else dict(enumerate(pixels))
+    if not by_name:
+        raise invalid("pixels", "none", "at least one Pixel")
+    for name in by_name:
+        if not isinstance(name, int) and (fault := "is empty" if not name else name_fault(name)):
+            raise invalid("pixels", f"a name that {fault}: {name!r:.80}", "names for a column of a table")
+    exposure, display = exposure or Exposure(), display or Display()
+    correction, develop = correction or NO_CORRECTION, develop or DEVELOP
+    judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
+    with collected_notes():
+        warn_of_other_camera(light, camera)
+        each: dict[Any, Imaging] = {}
+        for name, pixel in by_name.items():
+            with named(f"pixel {name}"):
+                judging.check(Asked(pixel.colour is not None, without is not None))
+                check_develop(develop, pixel)
+                imaging = Imaging(camera, pixel, exposure, display, correction, develop, judging=judging, is_run=True)
+                read = imaging.physics.as_read
+                of_light = picture_size_um(light), read.read_pitch_um, display, read.border_um, array_size_um(light, camera)
+                dot_edges_um(*of_light, read.registration)
+            each[name] = imaging
+            for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
+                warn(f"pixel {name}: {text}")
+            warn_of_stack_limits(imaging.physics, camera, light.wavelength_nm)
+        own = exposure, correction, develop, display, camera
+        given = [Configuration(imaging.physics, imaging.pixel, *own, light=light) for imaging in each.values()]
+        warn_of_unused_settings({"": given})
+        border_um = max(imaging.physics.as_read.border_um for imaging in each.values())
+        seen = [Seen(light, camera, imaging.physics, border_um) for imaging in each.values()]
+        if white := white_header(seen, display):
+            display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})
+        channels = max(len(imaging.physics.channels) for imaging in each.values())
+        scenes = SceneCache(light.identified, camera, display, channels, judging=judging, without=without)
+        series = []
+        for name, imaging in each.items():
+            shown = replace(imaging, display=display, border_um=border_um)
+            technology = imaging.physics.technology.name
+            series.append(
+                Series(technology, shown, scenes, ("evaluate", seed), False, {PIXEL: str(name)}, f"pixel {name}", stored=False)
+            )
+        check_ideals(series)
+        sizes = [{one.imaging.pixel.pitch_um: repeats} for one in series]
+        costs = [frame_cost(camera, one.imaging.pixel.pitch_um, display) for one in series]
+        workers = None if jobs is None else workers_here(jobs)
+        found = rows_of(series, sizes, costs, None, workers)
+        facts = {one.light_id: scenes.ideal_facts(one.light_key, one.imaging.physics, border_um) for one in series}
+        warn_of_clipping(max(each.beyond_white for each in facts.values()))
+    numbers = *PIXEL_STATISTICS, *columns_of_metrics(judging.metrics)
+    rows = [
+        {PIXEL: name, "technology": row["technology"], "pitch_um": float(row["pitch_um"]), "repeat": int(row["repeat"])}
+        | {column: float(row[column]) for column in numbers}
+        for name, of_pixel in zip(each, found, strict=True)
+        for row in of_pixel
+    ]
+    return SensorTable(tuple(rows), judging.metrics)

@@ -1,0 +1,134 @@
+"""Many sensors in one light: the frames of `pixsim.evaluate`, through the evaluations of a study."""
+
+import csv
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pixsim import Camera, Display, Exposure, Pixel, PixsimError, SpectralImage, evaluate, sweep
+from pixsim.viewer.judged import Judging
+from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.score import judged_score, make_imaging_chain
+
+CAMERA = Camera(die_mm=0.64)
+DISPLAY = Display(dots=48, white_cd_per_m2=3000.0)
+SAME_SIZE = {"paper": Pixel(pitch_um=10.0), "phone": Pixel(technology="4t-bsi", pitch_um=10.0)}
+METRICS = ["delta_e", "visual_noise", "information"]
+COLOUR = {"sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
+
+
+def light_of(seed=1, header=None):
+    data = 1e-3 * (1 + np.random.default_rng(seed).random((64, 64, 3)))
+    header = header or {"diffraction": False}
+    return SpectralImage([450.0, 550.0, 620.0], 30.0, 10.0, data=data.astype(np.float32), header=header)
+
+
+@pytest.fixture(scope="module")
+def light():
+    return light_of()
+
+
+def mean_image(score):
+    return float(score.image.mean())
+
+
+@pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
+def test_numbers_of_pixels_of_one_size_are_those_of_evaluate_bit_for_bit(light, raster):
+    display = Display(raster=raster, white_cd_per_m2=3000.0, **({"dots": 48} if raster == "fixed_size" else {}))
+    metrics = [*METRICS, mean_image]
+    table = sweep(light, SAME_SIZE, camera=CAMERA, display=display, metrics=metrics, seed=5, jobs=1)
+    assert [row["pixel"] for row in table] == list(SAME_SIZE)
+    for row, pixel in zip(table, SAME_SIZE.values(), strict=True):
+        score = evaluate(light, CAMERA, pixel, display=display, metrics=metrics, seed=5)
+        assert {name: row[name] for name in score.statistics()} == score.statistics()
+
+
+def test_repeats_are_the_sensors_of_a_run(light):
+    """`pixsim run --repeats 3` scores these frames, each a sensor of its own."""
+    table = sweep(light, [SAME_SIZE["paper"]], camera=CAMERA, display=DISPLAY, metrics=METRICS, repeats=3, seed=2, jobs=1)
+    judging = Judging(metrics_named(METRICS))
+    chain = make_imaging_chain(light, CAMERA, SAME_SIZE["paper"], Exposure(), DISPLAY, judging=judging)
+    for row, key in zip(table, [(2,), (2, 1), (2, 2)], strict=True):
+        expected = judged_score(chain, judging, ("evaluate", *key)).statistics()
+        assert {name: row[name] for name in expected} == expected
+
+
+def test_pixels_of_several_sizes_are_scored_on_the_same_dots(light):
+    """Dots of 13.3 µm: the border of pixels of 30 µm is three of them wide, that of pixels of 6 µm one."""
+    small, large = Pixel(pitch_um=6.0), Pixel(pitch_um=30.0)
+    table = sweep(light, [small, large], camera=CAMERA, display=DISPLAY, metrics=["delta_e", mean_image], jobs=1)
+    alone = [evaluate(light, CAMERA, pixel, display=DISPLAY) for pixel in (small, large)]
+    assert table[1]["mean_delta_e"] == alone[1].mean_delta_e
+    assert table[0]["mean_electrons_e"] == alone[0].statistics()["mean_electrons_e"]
+    assert (alone[0].image.shape, alone[1].image.shape) == ((46, 46), (42, 42))
+    assert table[0]["mean_image"] == pytest.approx(alone[0].image[2:-2, 2:-2].mean(), rel=1e-12)
+
+
+def test_jobs_change_no_number_and_another_light_does():
+    """Two lights whose headers say the same, in the workers of one another: their chains are not mixed up."""
+    own = {"camera": CAMERA, "display": DISPLAY, "metrics": ["delta_e", mean_image], "repeats": 2}
+    lights = [light_of(1), light_of(2)]
+    alone, together = ([sweep(light, SAME_SIZE, **own, jobs=jobs).rows for light in lights] for jobs in (1, 2))
+    assert alone == together
+    assert alone[0][0]["mean_delta_e"] != alone[1][0]["mean_delta_e"]
+
+
+def test_white_that_nobody_states_is_one_for_all(light):
+    """That of the sensor which sees the picture brightest; each alone would have its own."""
+    with pytest.warns(UserWarning, match="the largest of these sensors'"):
+        table = sweep(light, SAME_SIZE, camera=CAMERA, display=Display(dots=48), metrics=[mean_image], jobs=1)
+    with pytest.warns(UserWarning, match="the scene does not define its white") as notes:
+        alone = [evaluate(light, CAMERA, pixel, display=Display(dots=48)) for pixel in SAME_SIZE.values()]
+    whites = [float(str(note.message).split("using ")[1].split(" cd")[0]) for note in notes if "using" in str(note.message)]
+    brightest = int(np.argmax(whites))
+    assert whites[0] != whites[1]
+    assert table[brightest]["mean_image"] == mean_image(alone[brightest])
+    assert table[1 - brightest]["mean_image"] < mean_image(alone[1 - brightest])
+
+
+def test_detectability_has_the_light_without_its_target(light):
+    dark = SpectralImage(light.wavelength_nm, light.band_width_nm, 10.0, data=0.99 * light.data, header=light.header)
+    own = {"display": DISPLAY, "metrics": ["detectability"], "without": dark}
+    row = sweep(light, [SAME_SIZE["phone"]], camera=CAMERA, jobs=1, **own)[0]
+    score = evaluate(light, CAMERA, SAME_SIZE["phone"], **own)
+    assert row["detectability"] == score.metrics["detectability"] > 1
+    assert "mean_delta_e" not in row
+
+
+def test_table_is_rows_csv_and_frame(light, tmp_path, monkeypatch):
+    table = sweep(light, {"007": SAME_SIZE["paper"]}, camera=CAMERA, display=DISPLAY, metrics=[mean_image], repeats=2, jobs=1)
+    text = table.to_csv(tmp_path / "table.csv")
+    assert (tmp_path / "table.csv").read_text() == text.replace("\r\n", "\n")
+    rows = list(csv.DictReader(text.splitlines()))
+    assert rows == [{name: str(value) for name, value in row.items()} for row in table]
+    assert (len(table), table[-1]["repeat"], table[:1][0]["pixel"]) == (2, 1, "007")
+    mean = np.mean([row["mean_image"] for row in table])
+    assert f"<td>007</td><td>0.35um</td><td>10</td><td>{mean:.6g}</td>" in table._repr_html_()
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=tuple, read_csv=None))
+    assert table.to_dataframe() == table.rows
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(PixsimError, match="pip install pandas"):
+        table.to_dataframe()
+
+
+@pytest.mark.parametrize(
+    ("pixels", "more", "message"),
+    [
+        ([], {}, "pixels: got none; allowed: at least one Pixel"),
+        ({"=1+1": Pixel()}, {}, "pixels: got a name that begins with ="),
+        ({"": Pixel()}, {}, "pixels: got a name that is empty"),
+        ([3.0], {}, r"pixels: got \[3.0\]; allowed: .*a Pixel"),
+        ([Pixel(), Pixel(pitch_um=5.0)], {}, "pixel 1: .*pitch_um"),
+        ([Pixel(), Pixel(pitch_um=400.0)], {}, "pixel 1: pixel.pitch_um: got pixels whose border"),
+        ([Pixel()], {"metrics": ["detectability"]}, "pixel 0: metrics: got 'detectability'; allowed: light of the scene without"),
+        ([Pixel(), Pixel(colour=COLOUR)], {"metrics": ["acutance"]}, "pixel 1: metrics: got 'acutance'"),
+        ([Pixel(pitch_um=20.0), Pixel(pitch_um=20.0, colour=COLOUR)], {}, "one ideal image for all"),
+        ([Pixel()], {"repeats": 0}, "repeats: got 0"),
+        ([Pixel()], {"jobs": 0}, "jobs: got 0"),
+    ],
+)
+def test_what_cannot_be_swept_says_why(light, pixels, more, message):
+    with pytest.raises(PixsimError, match=message):
+        sweep(light, pixels, camera=CAMERA, display=DISPLAY, **more)
