@@ -20,7 +20,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import first_sampling
 from pixsim.studies.study_settings import Study
-from pixsim.viewer.raw_metrics import DETECTABILITY
+from pixsim.viewer.raw_metrics import has_target
 from pixsim.viewer.setting import Effort, Setting
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ OF_WORDS = ("title", "iso_delta_e", "detail", "paper", "sources")
 def light_hash(study: Study) -> str:
     """Return the hash of everything that a render depends on."""
     settings = [study.model_dump(mode="json", include=set(OF_LIGHT))]
-    if DETECTABILITY.name in study.metrics:
+    if has_target(study.metrics):
         settings.append(study.metric.detectability.model_dump(mode="json", include={"without"}))
     return content_hash(settings)
 

@@ -24,7 +24,7 @@ from pixsim.studies.sight import Sight, clearest
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.raw_metrics import DETECTABILITY
+from pixsim.viewer.raw_metrics import has_target
 from pixsim.viewer.score import Seen, white_header
 from pixsim.viewer.setting import Run
 
@@ -159,7 +159,7 @@ def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[
     """
     key, study, variant = task
     demand = demand_of(Prepared(Case(study), *scene_for(study, variant)))
-    if not demand.plan.exact or DETECTABILITY.name in study.metrics:  # which takes another light beside it
+    if not demand.plan.exact or has_target(study.metrics):  # which takes another light beside it
         return key, None
     camera, plan = demand.camera, demand.plan
     image, noise = render_until(demand.scene, camera, plan, [], study.exposure, study.seed, render_noise=study.render_noise)

@@ -61,7 +61,7 @@ from pixsim.studies.keys import remember_rendered
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.raw_metrics import DETECTABILITY
+from pixsim.viewer.raw_metrics import has_target
 from pixsim.viewer.score import ImagingChain, Seen, white_header
 from pixsim.viewer.setting import Setting
 
@@ -613,7 +613,7 @@ def rendered_light(demand: Demand, progress: Progress | None = None) -> tuple[Li
     )
     if plan.exact or cache.has_room(4 * light.image.planes.size):
         remember_rendered(scene, demand.camera, plan, settings, light.image.shape[1])
-    if DETECTABILITY.name in settings.metrics:
+    if has_target(settings.metrics):
         light = replace(light, without=_without_target(demand, light.image.shape[1]))
     return light, last
 

@@ -25,6 +25,7 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.raw_metrics import DETECTABILITY
 from pixsim.viewer.score import rounded_up
 
 if TYPE_CHECKING:
@@ -266,8 +267,15 @@ def judged_lines(result: RunResult) -> list[str]:
         metric, mean = metric_known(name), float(values.mean())
         low, high = mean_interval(values)[::2] if values.size > 1 else (mean, mean)
         value = with_error(mean, (high - low) / 2) if high > low else f"{mean:.4g}"
-        lines.append(f"{metric.words} {value} {metric.unit}".rstrip() + f", of the {metric.judges}")
+        seen = _threshold_words(result, mean) if metric is DETECTABILITY and mean else ""
+        lines.append(f"{metric.words} {value} {metric.unit}".rstrip() + f", of the {metric.judges}{seen}")
     return lines
+
+
+def _threshold_words(result: RunResult, d_prime: float) -> str:
+    """Return at which part of its contrast a target is seen as well as the threshold asks; d′ grows with a small contrast."""
+    threshold = result.settings.metric.detectability.threshold
+    return f"; {threshold:g} is reached at {threshold / d_prime:.3g} times this contrast, where contrasts are small"
 
 
 def unsure_words(result: RunResult) -> list[str]:

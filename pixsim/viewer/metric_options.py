@@ -26,6 +26,9 @@ class Detectability(Record):
     registrations: Annotated[int, Field(ge=1, le=1000)] = Field(
         16, description="least number of positions of the pixels under the target, over all frames of a pixel size"
     )
+    threshold: Annotated[float, Field(ge=1e-3, le=1e3)] = Field(
+        5.0, description="d′ at which a target counts as seen; Rose (1948) has 5"
+    )
 
 
 class Information(Record):

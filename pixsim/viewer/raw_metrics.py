@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from pixsim.viewer.score import ImagingChain
 
 LEAST_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
+FARTHEST = 1e12  # of d′, and of what a target lacks
 POINTS = 65  # frequencies on an axis of the Nyquist square
 ORDERS = 2  # of aliases
 LENSES = ("lens", "real lens")
@@ -75,13 +77,15 @@ def _d_prime(chain: ImagingChain, time_s: float) -> float:
     return detectability(difference, variance, column_variance=of_lines[0], row_variance=of_lines[1])
 
 
-def _detectability(judged: Judged) -> tuple[float, float]:
+def _detectability(judged: Judged) -> tuple[float, float, float]:
     options = judged.options.detectability
     each = [_d_prime(chain, judged.time_s(chain)) for chain in judged.chains(options.registrations)]
-    return float(np.mean(each)), min(each)
+    mean = float(np.mean(each))
+    return mean, min(each), min(options.threshold / mean, FARTHEST) if mean else FARTHEST
 
 
-def _needs_target(asked: Asked) -> str:
+def needs_target(asked: Asked) -> str:
+    """Return what a metric of a target lacks."""
     return "" if asked.has_without else "light of the scene without its target: metric.detectability.without"
 
 
@@ -93,15 +97,24 @@ DETECTABILITY = Metric(
     judges="raw frame",
     source="Barrett & Myers, Foundations of Image Science (2004), 13.2.12; seen at 5: Rose, J. Opt. Soc. Am. 38 (1948) 196",
     unseen="unknown positions of the target, clutter, corrections of the frame, and what becomes of it on a display",
-    columns=("detectability", "least_detectability"),
-    bounds=(0.0, 1e12),
+    columns=("detectability", "least_detectability", "contrast_factor_at_threshold"),
+    bounds=(0.0, FARTHEST),
     compute=_detectability,
-    lacks=_needs_target,
+    lacks=needs_target,
     needs_light=True,
 )
 
 
-def _grey(asked: Asked) -> str:
+OF_TARGETS = "detectability", "npwe"  # that ask for the light of the scene without its target
+
+
+def has_target(metrics: Sequence[str]) -> bool:
+    """Return whether some metrics, by their names, ask for the light of the scene without its target."""
+    return any(name in metrics for name in OF_TARGETS)
+
+
+def grey(asked: Asked) -> str:
+    """Return what a metric of monochrome sensors lacks."""
     return "a pixel without colour filters (pixel.colour)" if asked.is_colour else ""
 
 
@@ -178,7 +191,7 @@ INFORMATION = Metric(
     columns=("information", "information_bits_per_deg2"),
     bounds=(0.0, 1e15),
     compute=_information,
-    lacks=_grey,
+    lacks=grey,
     needs_light=True,
 )
 
@@ -206,7 +219,7 @@ MTF50 = Metric(
     columns=("mtf50_cy_per_mm",),
     bounds=(0.0, 1e7),
     compute=_mtf50,
-    lacks=_grey,
+    lacks=grey,
     has_optimum=False,
     needs_light=True,
 )
@@ -245,7 +258,7 @@ SNR10_LX = Metric(
     columns=("snr10_lx",),
     bounds=(0.0, 1e15),
     compute=_snr10_lx,
-    lacks=_grey,
+    lacks=grey,
     has_optimum=False,
     needs_light=True,
 )
@@ -274,6 +287,6 @@ NIIRS = Metric(
     columns=("niirs",),
     bounds=(-1e3, 1e3),
     compute=_niirs,
-    lacks=_grey,
+    lacks=grey,
     needs_light=True,
 )

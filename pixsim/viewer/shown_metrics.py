@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixsim.base.arrays import stream
+from pixsim.base.arrays import Array, stream
+from pixsim.viewer.judges.non_prewhitening import npwe
 from pixsim.viewer.judges.sharpness import acutance
 from pixsim.viewer.judges.visible_noise import visual_noise
 from pixsim.viewer.metrics import Asked, Metric
 from pixsim.viewer.mtf import mtf_terms
+from pixsim.viewer.raw_metrics import grey, needs_target
 
 if TYPE_CHECKING:
     from pixsim.viewer.judged import Judged
@@ -21,10 +23,6 @@ if TYPE_CHECKING:
 GREY = 0.18  # of white: the patch of visual noise
 POINTS = 257
 FLIP_PACKAGE = "flip_evaluator"
-
-
-def _grey_and_filling(asked: Asked) -> str:
-    return "a pixel without colour filters (pixel.colour)" if asked.is_colour else ""
 
 
 def _acutance(judged: Judged) -> tuple[float]:
@@ -51,7 +49,7 @@ ACUTANCE = Metric(
     columns=("acutance",),
     bounds=(0.0, 10.0),
     compute=_acutance,
-    lacks=_grey_and_filling,
+    lacks=grey,
     needs_light=True,
 )
 
@@ -77,7 +75,41 @@ VISUAL_NOISE = Metric(
     columns=("visual_noise",),
     bounds=(0.0, 1e4),
     compute=_visual_noise,
-    lacks=_grey_and_filling,
+    lacks=grey,
+)
+
+
+def _npwe(judged: Judged) -> tuple[float]:
+    """Compare the shown light of expected frames, and take the noise of this frame for that of all places of the picture."""
+    chain, frame = judged.chain, judged.frame
+    assert chain.without_e_per_s is not None
+
+    def shown_light(signal_e_per_s: Array) -> Array:
+        return chain.light(replace(frame, corrected_e=(signal_e_per_s * frame.integration_s).astype(np.float32)))
+
+    with_target = shown_light(chain.signal_e_per_s)
+    noise, samples_per_deg = chain.light(frame) - with_target, chain.screen.display.samples_per_deg
+    power = np.abs(np.fft.fft2(noise - noise.mean(dtype=float))) ** 2 / noise.size / samples_per_deg**2
+    return (npwe(np.asarray(with_target - shown_light(chain.without_e_per_s), float), power, samples_per_deg),)
+
+
+def _needs_target_in_grey(asked: Asked) -> str:
+    return grey(asked) or needs_target(asked)
+
+
+NPWE = Metric(
+    name="npwe",
+    title="detectability by eye d′",
+    unit="",
+    better="more",
+    judges="shown picture",
+    source="non-prewhitening observer with an eye filter: Burgess, J. Opt. Soc. Am. A 11 (1994) 1237",
+    unseen="the codes of the display, unknown positions of the target, clutter, and noise of the eye itself",
+    columns=("npwe",),
+    bounds=(0.0, 1e12),
+    compute=_npwe,
+    lacks=_needs_target_in_grey,
+    needs_light=True,
 )
 
 

@@ -98,9 +98,10 @@ def test_detectability_is_the_mean_over_registrations_and_the_worst() -> None:
     chains = list(judged.chains(16))
     each = [judging.metrics[0].compute(replace(judged, chain=one, judging=replace(judging, repeats=16)))[0] for one in chains]
     assert len({one.physics.registration for one in chains}) == 16
-    mean, worst = judging.metrics[0].compute(judged)
+    mean, worst, factor = judging.metrics[0].compute(judged)
     assert (mean, worst) == (pytest.approx(np.mean(each), rel=1e-12), pytest.approx(min(each), rel=1e-12))
     assert worst < 0.98 * mean
+    assert factor == pytest.approx(5 / mean, rel=1e-12)
 
 
 def test_npwe_is_that_of_the_expected_pictures_and_the_noise_of_frames() -> None:
@@ -115,7 +116,9 @@ def test_npwe_is_that_of_the_expected_pictures_and_the_noise_of_frames() -> None
     white_e = 0.02 * chain.white_e_per_s
     variance = float(levels[0].mean()) + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)
     shown = (levels[0] - levels[1]) / white_e
-    rows, columns = (slice((full - part) // 2, (full + part) // 2) for full, part in zip(shown.shape, chain.screen.ideal.shape, strict=True))
+    rows, columns = (
+        slice((full - part) // 2, (full + part) // 2) for full, part in zip(shown.shape, chain.screen.ideal.shape, strict=True)
+    )
     wanted = npwe(shown[rows, columns], np.array(variance / white_e**2 / 23.0**2), 23.0)
     assert found == pytest.approx(wanted, rel=0.1)
 
