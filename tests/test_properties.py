@@ -342,7 +342,9 @@ def test_capture_any_technology_is_possible_or_raises() -> None:
             assert_possible(capture_from_rates(rate, sensor, Exposure.model_validate(exposure), np.random.default_rng(1)))
 
     captured()
-    assert outcomes["accepted"] > 0.4 * outcomes.total(), outcomes
+    # 30 to 60 % of 80: which ones are drawn depends on the modules that are imported. Of 80 with 30 %, fewer than 10 have a
+    # probability of 4e-5.
+    assert outcomes["accepted"] >= 10, outcomes
 
 
 @settings(max_examples=25, **REPEATABLE)

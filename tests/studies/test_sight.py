@@ -43,6 +43,8 @@ def test_film_is_measured_for_the_brightest_light_and_the_sharpest_lens(monkeypa
     stated = (SURELY * TOLERATED_DELTA_E,) * 3
     assert [light.film.delta_e == stated for light in lights] == [True, True, False, True]
     for case, light in zip(cases, lights, strict=True):
+        if case.words in measured:
+            continue
         image, film, found = light.image, light.film, render_for(case.settings)
         alone, own = found.image, found.film
         assert image.header == alone.header
