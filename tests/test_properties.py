@@ -343,7 +343,7 @@ def test_capture_any_technology_is_possible_or_raises() -> None:
 
     captured()
     # 30 to 60 % of 80: which ones are drawn depends on the modules that are imported. Of 80 with 30 %, fewer than 10 have a
-    # probability of 4e-5.
+    # probability of 6e-5.
     assert outcomes["accepted"] >= 10, outcomes
 
 

@@ -171,7 +171,7 @@ def test_study_settings_with_time_limit_do_not_depend_on_the_clock(
     [
         pytest.param("--config sheet.toml", marks=pytest.mark.slow),  # two studies; the next has the sheet, too
         "--scene slanted_edge --config sheet.toml --window 0.9 --pitch.min-um 10 --display.dots 50",
-        "-D chart=star.exr --pixel.technology mine.toml --pitch.min-fill-factor 0.3 --camera.die-mm 1.0 --display.dots 64",
+        "-D chart=star.exr --pixel.technology mine.toml --pitch.min-fill-factor 0.3 --camera.die-mm 1.0 --display.dots 50",
     ],
 )
 def test_study_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
