@@ -268,7 +268,8 @@ def test_settings_of_study_with_base_and_range_repeat_it(tmp_path: Path) -> None
     (tmp_path / "s.toml").write_text(table, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
-        done("study s.toml --variant scalar_spectral --jobs 1 --out out")
+        result = pixsim.study("s.toml", "out", variant="scalar_spectral", jobs=1)
+        (tmp_path / "out/settings.toml").write_text(result.settings_toml, encoding="utf-8")
         patch.chdir(tmp_path / "out")
         line = command_in(tmp_path / "out")
         assert line == "study settings.toml --variant scalar_spectral"
