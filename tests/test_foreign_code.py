@@ -20,7 +20,7 @@ from pixsim.base.children import without_empty_parts
 from pixsim.cli.commands import app
 
 HOME = str(Path(pixsim.__file__).parents[1])
-SMALL = "--resolution 48 --display.dots 64"
+SMALL = "--resolution 64 --display.dots 64"
 COMMANDS = {  # each command, with two jobs where it takes them
     "run": "run own.xml --resolution 32 --display.dots 32 --render-noise 10 --raw tiff --out run",
     "plan": "plan flat",

@@ -38,7 +38,7 @@ from pixsim.cli.commands import said_what_is_kept
 from pixsim.scene.charts import write_chart
 from pixsim.studies.results_file import COLUMNS, ResultsFile
 
-SMALL = "--resolution 48 --display.dots 64"
+SMALL = "--resolution 64 --display.dots 64"
 LINES = {
     "run": f"run csf {SMALL} --out out",
     "study": "study tiny.toml --jobs 2 --out out",
