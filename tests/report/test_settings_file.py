@@ -260,12 +260,12 @@ def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
 
 
 def test_settings_of_study_with_base_and_range_repeat_it(tmp_path: Path) -> None:
-    """Bases and ranges stand there as values."""
+    """Bases and ranges stand there as values, beside a condition."""
     from helpers.tiny import tiny_toml
 
     (tmp_path / "tiny.toml").write_text(tiny_toml(resolution=COARSE), encoding="utf-8")
     table = 'name = "s"\nbase = "tiny.toml"\naxis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
-    (tmp_path / "s.toml").write_text(table, encoding="utf-8")
+    (tmp_path / "s.toml").write_text(table + DUSK, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
         result = pixsim.study("s.toml", "out", variant="scalar_spectral", jobs=1)
