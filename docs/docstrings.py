@@ -11,6 +11,7 @@ import inspect
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal
 
 import pixsim
@@ -134,10 +135,15 @@ def heir_of(thing: Any) -> str | None:
     return next(others, None) if fields_of(thing) else None
 
 
+@cache
+def schema_of(record: type[Record]) -> dict[str, Any]:
+    return record.model_json_schema(by_alias=False)
+
+
 def field_of(name: str, owner: type, described: str) -> Field:
     """A field of a record or a dataclass; what the docstring says of it counts for a dataclass only."""
     if issubclass(owner, Record):
-        schema = owner.model_json_schema(by_alias=False)["properties"][name]
+        schema = schema_of(owner)["properties"][name]
         kind = owner.model_fields[name].annotation
         inner = kind.__name__ if inspect.isclass(kind) and issubclass(kind, Record) else ""
         default = "" if inner or "default" not in schema else "None" if schema["default"] is None else toml_value(schema["default"])

@@ -34,6 +34,8 @@ from pixsim.studies.result import StudyResult
 from pixsim.viewer.merging import merge
 from pixsim.viewer.score import ImagingChain
 
+gc.disable()  # until tests are collected, of which all stay
+
 
 def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run of pytest, which its workers share."""
@@ -42,8 +44,13 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def pytest_collection_finish() -> None:
-    """Tests that are collected stay until the end: the garbage collector need not look at a million objects again and again."""
+    """Tests that are collected stay until the end: the garbage collector need not look at a million objects again and again.
+
+    Nor at each 700 new ones: figures are made of a hundred thousand.
+    """
     gc.freeze()
+    gc.set_threshold(50_000)
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)

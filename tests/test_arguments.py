@@ -158,7 +158,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "EdgeResponse": edge, "Scene": scene,
     **dict.fromkeys(("Score", "FrameScore"), score),
     "Plan": plan, "Frame": lambda: FRAME, "Sensor": lambda: SENSOR, "RawFrame": lambda: pixsim.read_frame,
-    "Lens": lambda: pixsim.load_lens("cooke_triplet"),
+    "Lens": cache(lambda: pixsim.load_lens("cooke_triplet")),
 }  # fmt: skip
 # Built by pixsim only, from parts that are not public, or called above with a whole study.
 NOT_CALLED = {

@@ -157,11 +157,11 @@ def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
         assert text == texts["file"], name
 
 
-def test_later_layer_replaces_value_under_another_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_later_layer_replaces_value_under_another_word(tmp_path: Path) -> None:
     """An option in a data sheet's words replaces the file's field, and the other way round."""
-    monkeypatch.setattr(datasheet, "make_datasheet", partial(datasheet.make_datasheet, shape=(60, 60), stack_frames=8))
     path = file_of(tmp_path / "a.toml", SHEET)
-    code, out, err = command("datasheet --json", path, "--pixel.temporal-dark-noise-e", 9, "--out", tmp_path / "out")
+    small = "--resolution 32 --display.dots 16 --irradiance none --json"
+    code, out, err = command(f"run csf {small} --config", path, "--pixel.temporal-dark-noise-e", 9, "--out", tmp_path / "out")
     assert code == 0, err
     pixel = json.loads(out)["pixel"]
     assert (pixel["read_noise_e"], pixel["temporal_dark_noise_e"], pixel["technology"]) == (None, 9.0, "none")

@@ -273,9 +273,10 @@ def assert_possible(frame: Frame) -> None:
 
 
 def test_evaluate_is_finite_and_in_range_or_raises() -> None:
+    """What goes wrong in one of 43 chains is found with a probability of 95 %."""
     outcomes: Counter[str] = Counter()
 
-    @settings(max_examples=200, **REPEATABLE)
+    @settings(max_examples=130, **REPEATABLE)
     @given(chains())
     def scored(chain: dict[str, Any]) -> None:
         with only_explained_errors(outcomes):
@@ -288,9 +289,9 @@ def test_evaluate_is_finite_and_in_range_or_raises() -> None:
 
     scored()
     # Most of the other chains have a white that fills no well, or pixels larger than the die. 20 to 50 % are accepted: which ones
-    # are drawn depends on the constants in the files that are imported, and the first ones are extreme. Of 200 with 20 %, 19 or
-    # fewer have a probability of 5e-5.
-    assert outcomes["accepted"] >= 20, outcomes
+    # are drawn depends on the constants in the files that are imported, and the first ones are extreme. Of 130 with 20 %, 9 or
+    # fewer have a probability of 3e-5.
+    assert outcomes["accepted"] >= 10, outcomes
 
 
 def any_technology() -> st.SearchStrategy[Technology]:
@@ -342,7 +343,9 @@ def test_capture_any_technology_is_possible_or_raises() -> None:
             assert_possible(capture_from_rates(rate, sensor, Exposure.model_validate(exposure), np.random.default_rng(1)))
 
     captured()
-    assert outcomes["accepted"] > 0.4 * outcomes.total(), outcomes
+    # 30 to 60 % of 80: which ones are drawn depends on the modules that are imported. Of 80 with 30 %, fewer than 10 have a
+    # probability of 6e-5.
+    assert outcomes["accepted"] >= 10, outcomes
 
 
 @settings(max_examples=25, **REPEATABLE)

@@ -6,13 +6,14 @@ Strings are plain text, with `code` in backticks. Every string is escaped where 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from pixsim.base.files import versions
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
+from pixsim.show.figures import pdf_bytes
 from pixsim.show.pages import Drawn, Figures, Plate
 from pixsim.show.pictures import Picture
 
@@ -134,7 +135,7 @@ class Plot:
         """Return the figure with the files that are asked for; one that was drawn elsewhere has those of its drawing."""
         if figures == "svg" or isinstance(self._made, Drawn):
             return self.drawn
-        return self._made.drawn(figures)
+        return replace(self.drawn, pdf=pdf_bytes(self._made.figure))  # drawn once, for the page as for its file
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ def test_study_command_with_data_sheet_runs(tmp_path: Path) -> None:
     """With a scene parameter, and --quick for a study without a [quick] table."""
     study_path = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\nrefine = false\n[pitch]\ncount = 5\n')
     path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nspp = 4\n[display]\ndots = 64\n")
-    small = "--resolution 64 --camera.die-mm 0.5"
+    small = "--resolution 48 --camera.die-mm 0.5"
     line = f"study {study_path} --config {path} {small} -D luminance_cd_per_m2=50 --quick --jobs 1 --out {tmp_path / 'out'}"
     with warnings.catch_warnings(action="always"):
         code, out, err = command(line)
@@ -223,7 +223,7 @@ def sheet(tmp_path: Path) -> Path:
 
 
 def test_run_command_data_sheet_sets_all_values(sheet: Path, tmp_path: Path) -> None:
-    small = "--resolution 64 --display.dots 64 --json"
+    small = "--resolution 48 --display.dots 64 --json"
     code, out, err = command(f"run csf {small} --config", sheet, "--out", tmp_path / "out")
     assert code == 0, err
     score = json.loads(out)
@@ -249,7 +249,7 @@ def test_run_command_incomplete_data_sheet_states_assumed_technology(missing: st
     assert words in repr(pixel)
     assert (pixel.assumption, pixel.technology) == (words, "0.35um")
     if missing == "pitch_um":  # the way from there to the results is the same for all
-        small = f"run csf --resolution 64 --display.dots 64 --out {tmp_path / 'out'} --config"
+        small = f"run csf --resolution 48 --display.dots 64 --out {tmp_path / 'out'} --config"
         code, out, err = command(small, sheet)
         assert (code, words in out) == (0, True), err
         code, out, err = command(small, sheet, "--json")

@@ -25,7 +25,7 @@ from pixsim.cli.commands import app
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.setting import Run
 
-SMALL = "--resolution 64 --display.dots 64"
+SMALL = "--resolution 48 --display.dots 64"
 
 
 def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:

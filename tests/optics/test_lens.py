@@ -23,7 +23,6 @@ DATA = Path(__file__).parents[1] / "data" / "lenses"
 LENSES = ("achromat_pair_55278", "cooke_triplet", "double_gauss", "double_gauss_us583336", "phone", "retrofocus", "singlet")
 GLASS = constant_glass("n = 1.5", 1.5)
 WAVES = 1e-9  # the floor of float64 for paths near 100 mm
-EDGE_MM = 1e-3  # a ray nearer to the edge of an aperture may pass or not
 
 
 @cache

@@ -139,7 +139,6 @@ def test_toml_may_use_radii_and_f_number(tmp_path: Path) -> None:
     same(load(tmp_path, text, "lens.toml"), pixsim.load_lens("cooke_triplet"), 20.0)
 
 
-SECOND = "[[surface]]  # 2\n"
 WRONG_TOML = {
     'glass = "SCHOTT:F2"|glass = "SCHOTT:F2_MOLD"': r"surface 3 \(line 44\): glass: got the unknown glass 'SCHOTT:F2_MOLD'",
     'glass = "SCHOTT:F2"|glass = "mirror"': r"surface 3 \(line 44\): glass: got 'MIRROR', a mirror; .* no mirrors",

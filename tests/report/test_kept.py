@@ -225,7 +225,7 @@ def test_study_command_again_draws_nothing(
 # --- runs ---
 
 RUN = "--pixel.pitch-um 21.2 --display.dots 32 --seed 3"
-OF_SCENE = f"csf --variant scalar_spectral --resolution 64 {RUN}"
+OF_SCENE = f"csf --variant scalar_spectral --resolution 48 {RUN}"
 
 
 def picture_of(path: Path, light: float = 0.01) -> Path:

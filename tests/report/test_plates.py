@@ -60,15 +60,12 @@ def scaled(result: StudyResult) -> StudyResult:
     return replace(result, curves=tuple(curves))
 
 
-def paper_plates(evidence: Evidence) -> list[Plate]:
-    return [*scene_plates(evidence.result), *map_plates(evidence)]
-
-
 def every_plate(evidence: Evidence) -> dict[str, Plate]:
     result, curve = evidence.result, evidence.result.curves[0]
     scores = result.scores(curve.technology, 7.0)
     plates = [
-        *paper_plates(evidence),
+        *scene_plates(evidence.result),
+        *map_plates(evidence),
         light_against_detail(result, evidence.curves["0.35um"]),
         delta_e_against_pitch(result, [curve]),
         delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all"),
@@ -90,11 +87,10 @@ def saved(plates: dict[str, Plate]) -> dict[str, str]:
     return {name: svg_text(plate.figure) for name, plate in plates.items()}
 
 
-def test_paper_plates_are_in_order(evidence: Evidence, plates: dict[str, Plate]) -> None:
-    names = [plate.name for plate in paper_plates(evidence)]
-    numbered = [name.split("_")[1] for name in names if name.startswith("figure_")]
-    assert numbered == ["2a", "2b", "3", "4", "5", "6"]
-    assert all(plates[name].caption.endswith(".") for name in names)
+def test_paper_plates_are_in_order(plates: dict[str, Plate]) -> None:
+    numbered = [name for name in plates if name.startswith("figure_")]
+    assert [name.split("_")[1] for name in numbered] == ["2a", "2b", "3", "4", "5", "6"]
+    assert all(plates[name].caption.endswith(".") for name in numbered)
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
@@ -496,10 +492,10 @@ def test_svg_text_keeps_images(saved: dict[str, str]) -> None:
     assert seen >= 8  # the scene, three pictures of either kind, the cells
 
 
-def test_plates_lines_differ_in_grey(evidence: Evidence) -> None:
+def test_plates_lines_differ_in_grey(plates: dict[str, Plate]) -> None:
     """All lines named in a legend differ."""
     compared = 0
-    for name, plate in every_plate(evidence).items():
+    for name, plate in plates.items():
         handles = [item for axes in plate.figure.axes if axes.get_legend() for item in axes.get_legend().get_lines()]
         looks = [grey_look(item) for item in handles]
         assert len(set(looks)) == len(looks), name
@@ -507,8 +503,8 @@ def test_plates_lines_differ_in_grey(evidence: Evidence) -> None:
     assert compared > 15
 
 
-def test_plates_axes_have_labels(evidence: Evidence) -> None:
-    for name, plate in every_plate(evidence).items():
+def test_plates_axes_have_labels(plates: dict[str, Plate]) -> None:
+    for name, plate in plates.items():
         for axes in plate.figure.axes:
             label = axes.get_xlabel() + axes.get_ylabel()
             assert label, name

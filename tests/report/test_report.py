@@ -90,9 +90,13 @@ def figures(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in (folder / "figures").glob("*.svg")}
 
 
-def test_write_report_figures_are_reproducible(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_write_report_figures_are_reproducible_and_notes_are_shown(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    """A warning of the render, such as of its noise, is a note of the result."""
     result, folder = made
-    pixsim.write_report(result, tmp_path, {"render": 99.0})
+    warned = "render noise is 0.31 of the sensor noise, target 0.2"
+    pixsim.write_report(replace(result, warned=(warned,)), tmp_path, {"render": 99.0})
+    assert warned in words_of(tmp_path)
+    assert warned in json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["notes"]
     assert figures(folder) == figures(tmp_path)
     for svg in figures(folder).values():
         assert b"dc:date" not in svg
@@ -172,14 +176,6 @@ def test_light_level_exposure_range(made: tuple[StudyResult, Path]) -> None:
     irradiance, display = made[0].irradiance, made[0].study.display
     assert str(LightLevel.of(irradiance, display, [0.02, 0.005, 0.0123])).endswith("exposed for 5 to 20 ms")
     assert str(LightLevel.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
-
-
-def test_write_report_shows_notes(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
-    """A warning of the render, such as of its noise, is a note of the result."""
-    warned = "render noise is 0.31 of the sensor noise, target 0.2"
-    pixsim.write_report(replace(made[0], warned=(warned,)), tmp_path)
-    assert warned in words_of(tmp_path)
-    assert warned in json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["notes"]
 
 
 def test_write_report_descriptions_are_formatted(made: tuple[StudyResult, Path]) -> None:

@@ -461,7 +461,7 @@ def test_run_page_foreign_picture_and_data_sheet(tmp_path: Path) -> None:
 
 
 def test_run_page_enlarges_small_picture(tmp_path: Path) -> None:
-    line = f"run csf --variant scalar_spectral --resolution 64 --display.dots 40 --pixel.pitch-um 42.4 --out {tmp_path}"
+    line = f"run csf --variant scalar_spectral --resolution 48 --display.dots 40 --pixel.pitch-um 42.4 --out {tmp_path}"
     assert command(line)[0] == 0
     page = text_of(tmp_path)
     assert "--dots: 228px" in page  # 38 of 40 dots are shown

@@ -171,7 +171,7 @@ def test_study_settings_with_time_limit_do_not_depend_on_the_clock(
     [
         pytest.param("--config sheet.toml", marks=pytest.mark.slow),  # two studies; the next has the sheet, too
         "--scene slanted_edge --config sheet.toml --window 0.9 --pitch.min-um 10 --display.dots 50",
-        "-D chart=star.exr --pixel.technology mine.toml --pitch.min-fill-factor 0.3 --camera.die-mm 1.0 --display.dots 64",
+        "-D chart=star.exr --pixel.technology mine.toml --pitch.min-fill-factor 0.3 --camera.die-mm 1.0 --display.dots 50",
     ],
 )
 def test_study_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -260,15 +260,16 @@ def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
 
 
 def test_settings_of_study_with_base_and_range_repeat_it(tmp_path: Path) -> None:
-    """Bases and ranges stand there as values."""
+    """Bases and ranges stand there as values, beside a condition."""
     from helpers.tiny import tiny_toml
 
     (tmp_path / "tiny.toml").write_text(tiny_toml(resolution=COARSE), encoding="utf-8")
     table = 'name = "s"\nbase = "tiny.toml"\naxis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
-    (tmp_path / "s.toml").write_text(table, encoding="utf-8")
+    (tmp_path / "s.toml").write_text(table + DUSK, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
-        done("study s.toml --variant scalar_spectral --jobs 1 --out out")
+        result = pixsim.study("s.toml", "out", variant="scalar_spectral", jobs=1)
+        (tmp_path / "out/settings.toml").write_text(result.settings_toml, encoding="utf-8")
         patch.chdir(tmp_path / "out")
         line = command_in(tmp_path / "out")
         assert line == "study settings.toml --variant scalar_spectral"

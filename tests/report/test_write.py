@@ -25,7 +25,7 @@ def test_report_of_a_study_with_an_axis_has_its_table(tmp_path: Path) -> None:
 
 def test_report_of_a_comparison_has_its_files(tmp_path: Path) -> None:
     files = [sheet(tmp_path / f"{name}.toml", noise_e) for name, noise_e in (("a", 3.0), ("b", 30.0))]
-    result = pixsim.compare(files, display={"dots": 32}, resolution=64, repeats=2, jobs=1)
+    result = pixsim.compare(files, display={"dots": 32}, resolution=48, repeats=2, jobs=1)
     page = pixsim.write_report(result, tmp_path / "out", {"render": 1.0})
     assert page.is_file()
     assert all((tmp_path / "out" / name).is_file() for name in comparison_files(result.prepared))

@@ -397,7 +397,7 @@ def assert_same_bytes_on_cluster(by: str, cluster: str, toml: Path, expected: by
 
 
 def test_comparison_on_cluster_is_the_same(cluster_here: str) -> None:
-    options: dict[str, Any] = {"repeats": 2, "camera": {"die_mm": 2.7}, "display": {"dots": 32}, "resolution": 64}
+    options: dict[str, Any] = {"repeats": 2, "camera": {"die_mm": 2.7}, "display": {"dots": 32}, "resolution": 48}
     options |= {"pixel": {"pitch_um": 60.0}}
     own = pixsim.compare(["0.35um", "4t-bsi"], jobs=1, **options)
     assert pixsim.compare(["0.35um", "4t-bsi"], scheduler=cluster_here, **options).answers() == own.answers()

@@ -17,7 +17,7 @@ def test_sensors_of_one_field_are_compared_through_one_lens_scaled(tmp_path: Pat
     files = [sheet(tmp_path / "a.toml", more="", pitch_um=20.0), sheet(tmp_path / "b.toml", pitch_um=10.0, pixels="[64, 64]")]
     for file in files:
         file.write_text(file.read_text(encoding="utf-8") + lens, encoding="utf-8")
-    result = pixsim.compare(files, match="view", repeats=2, jobs=1, display={"dots": 32}, resolution=64)
+    result = pixsim.compare(files, match="view", repeats=2, jobs=1, display={"dots": 32}, resolution=48)
     first, second = result.sensors
     one, other = (Camera(**sensor.irradiance.header["camera"]) for sensor in result.sensors)
     assert one.lens is not None

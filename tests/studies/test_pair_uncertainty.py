@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from helpers.commands import assert_refused, command
 from helpers.sheets import sheet
+from helpers.tiny import COARSE
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -19,7 +20,7 @@ from pixsim.studies import evaluations
 from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.study_settings import Study
 
-SMALL: dict[str, Any] = {"display": {"dots": 32}, "resolution": 64, "repeats": 3, "jobs": 1}
+SMALL: dict[str, Any] = {"display": {"dots": 32}, "resolution": COARSE, "repeats": 3, "jobs": 1}
 DIM = {"luminance_cd_per_m2": 0.05}  # so that read noise decides
 DRAWS = 64
 
@@ -47,7 +48,7 @@ def test_probability_is_that_of_less_read_noise(
 ) -> None:
     """With equal random numbers, mean ΔE grows with read noise: a is better where its read noise is smaller."""
     files = [unsure(tmp_path / f"{name}.toml", sum(ends) / 2, *ends) for name, ends in (("a", range_a), ("b", range_b))]
-    (found,) = of(*files).uncertainty
+    (found,) = of(*files, resolution=64).uncertainty
     better = found.probability_a_better
     assert better.low <= expected <= better.high
     assert better.probability == pytest.approx(expected, abs=2 * np.sqrt(expected * (1 - expected) / DRAWS))
@@ -116,7 +117,7 @@ def test_numbers_that_a_condition_sets_are_known_in_it(tmp_path: Path) -> None:
 def test_settings_repeat_the_types_and_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     unsure(Path("a.toml"), 20.0, 10.0, 30.0), sheet(Path("b.toml"), 25.0)
-    small = "--display.dots 32 --resolution 64 --repeats 2 --jobs 1 -D luminance_cd_per_m2=1"
+    small = f"--display.dots 32 --resolution {COARSE} --repeats 2 --jobs 1 -D luminance_cd_per_m2=1"
     _, out, _ = command(f"compare a.toml b.toml --uncertainty 8 {small} --out first")
     first = json.loads(Path("first/compare.json").read_text(encoding="utf-8"))
     (words,) = [line for line in out.splitlines() if "over 8 sensor types a is better than b with the probability" in line]

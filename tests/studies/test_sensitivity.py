@@ -21,11 +21,9 @@ from pixsim.base.schema import SCHEMA
 from pixsim.cli.templates import json_schema
 from pixsim.report.axes import axes_summary
 from pixsim.sensor.technology import load_technology
-from pixsim.studies import oversampling
 from pixsim.studies.cases import cases_of, with_range_ends
 from pixsim.studies.claims import Evidence, findings, scaling_rows, turned_words, verdicts
 from pixsim.studies.optimum import fit_curve
-from pixsim.studies.oversampling import measure_film
 from pixsim.studies.preparation import check_pitches
 from pixsim.studies.result import CasesResult, Curve, StudyResult
 from pixsim.studies.sampling import study_pitches_um
@@ -241,11 +239,7 @@ def test_statements_of_a_case_are_those_of_the_study_alone(value: str, done: tup
 
 
 @pytest.mark.slow
-def test_sensitivity_command_two_workers_same_result(
-    done: tuple[StudyResult, Path], desk: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With the error of the film measured, as commands do."""
-    monkeypatch.setattr(oversampling, "measure_film", measure_film)
+def test_sensitivity_command_two_workers_same_result(done: tuple[StudyResult, Path], desk: Path) -> None:
     code, message, _ = command("study sensitivity.toml --out command --jobs 2")
     assert code == 0
     with pytest.warns(UserWarning, match="the axis PRNU changes nothing"):

@@ -150,7 +150,8 @@ def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: 
 def test_sobol_in_python_has_the_indices_of_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command takes the rows of the study in Python, and finds nothing else to evaluate in them."""
     monkeypatch.chdir(tmp_path)
-    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
+    few = {"camera": {"die_mm": 0.2}, "display": {"dots": 16}}  # so that 24 types take a second
+    Path("s.toml").write_text(written(technologies=["4t-bsi"], **few), encoding="utf-8")
     sheet = SHEET | {"uncertainty": {"read_noise_e": {"sd": 5.0}}}
     Path("sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
     (found,) = pixsim.study("s.toml", "out", config="sheet.toml", jobs=1, sobol=8, smaller_than_um=[6.0]).uncertainty
