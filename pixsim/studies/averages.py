@@ -155,7 +155,7 @@ class Averaged:
 
     @property
     def judged(self) -> dict[str, dict[str, Array]]:
-        """Further metrics by their names: of each frame of each sensor on the chosen display, (repeats,).
+        """Further metrics by their names, each in its unit: of each frame of each sensor on the chosen display, (repeats,).
 
         With conditions, the weighted mean, as of `viewed`.
         """

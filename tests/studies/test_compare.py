@@ -28,6 +28,7 @@ from pixsim.studies.comparison import Comparison
 from pixsim.studies.evaluations import evaluate_task, tasks_of
 from pixsim.studies.lineup import Lineup, pixels_of, prepare
 from pixsim.studies.matched_cameras import matched_cameras
+from pixsim.studies.oversampling import Light
 from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.verdicts import ranking_words, verdict
 from pixsim.studies.viewing import Viewing, ViewingRange
@@ -233,7 +234,8 @@ def test_pairing_reduces_variance(tmp_path: Path) -> None:
 def test_frame_of_another_process_is_the_same(noisy: Comparison) -> None:
     """A chain that was sent to a worker gives the same frames, bit for bit."""
     compared = noisy.sensors[2]
-    series = series_of_sensor(noisy.shown.lineup, compared.sensor, compared.irradiance)
+    light = Light(compared.irradiance, compared.sensor.camera, compared.film, compared.noise)
+    series = series_of_sensor(noisy.shown.lineup, compared.sensor, light, 8)
     (task,) = tasks_of(series, {compared.sensor.settings.pixel.pitch_um: 8})
     rows = evaluate_task(*pickle.loads(pickle.dumps((task, series.light()))))
     of_first_display = [float(row["mean_delta_e"]) for row in rows][:: len(series.displays)]
