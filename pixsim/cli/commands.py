@@ -129,6 +129,7 @@ def run(
     *,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
+    judges: common.Judges = common.NO_JUDGES,
     seed: common.Seed = None,
     tolerance_e: common.Tolerance = None,
     effort: common.Effort = common.NO_EFFORT,
@@ -185,7 +186,7 @@ def run(
     from pixsim.studies.run import light_run, prepare, score_run
     from pixsim.studies.run_arrays import check_raw
 
-    chosen = options.settings(effort, display=display, seed=seed, tolerance_e=tolerance_e)
+    chosen = options.settings(effort, display=display, seed=seed, tolerance_e=tolerance_e, **vars(judges))
     folder, raw_suffixes = out or DEFAULT_OUT / Path(scene).stem, [f".{suffix}" for suffix in raw or []]
     check_raw(chosen, raw_suffixes)
     files = RunFiles(tuple(raw_suffixes), irradiance)
@@ -257,6 +258,7 @@ def study(
     ] = None,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
+    judges: common.Judges = common.NO_JUDGES,
     pitch: common.PitchTable = None,
     seed: common.Seed = None,
     tolerance_e: common.Tolerance = None,
@@ -333,7 +335,8 @@ def study(
     from pixsim.studies.study_file import checked_study, read_study, uncertainty_of
 
     table = read_study(study)
-    tables = options.study_tables(scene, effort, display=display, pitch=pitch, seed=seed, refine=refine, tolerance_e=tolerance_e)
+    chosen = {"display": display, "pitch": pitch, "seed": seed, "refine": refine, "tolerance_e": tolerance_e, **vars(judges)}
+    tables = options.study_tables(scene, effort, **chosen)
     if axis:
         tables["axis"] = common.axes_of(axis, table.table.get("axis", []))
     with collected_notes():  # also of what is found before the study begins
@@ -448,6 +451,7 @@ def compare(
     ] = None,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
+    judges: common.Judges = common.NO_JUDGES,
     seed: common.Seed = None,
     tolerance_e: common.Tolerance = None,
     render_noise: Annotated[str | None, common.field_option(Run, "render_noise")] = None,
@@ -487,7 +491,7 @@ def compare(
     from pixsim.studies.comparison_cases import ComparedCases, prepare_cases
 
     shared: dict[str, Any] = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
-    tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
+    tables = options.tables(**shared, resolution=resolution, window_mm=window_mm, **vars(judges))
     with collected_notes() as notes:
         axes, cases, prepared = prepare_cases(
             sensors,

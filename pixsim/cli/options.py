@@ -277,8 +277,6 @@ class SceneOptions:
     exposure: ExposureTable = None
     correction: CorrectionTable = None
     develop: DevelopTable = None
-    metrics: Metrics = None
-    metric: MetricTable = None
 
     def settings(self, effort: Effort | None = None, **others: object) -> Run:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""
@@ -317,7 +315,16 @@ class Effort:
     window_mm: Annotated[str | None, field_option(Run, "window_mm"), Parameter(name="--window")] = None
 
 
-NO_OPTIONS, NO_EFFORT = SceneOptions(), Effort()
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Judges:
+    """Options of run, study and compare: the metrics that judge each frame, and their settings."""
+
+    metrics: Metrics = None
+    metric: MetricTable = None
+
+
+NO_OPTIONS, NO_EFFORT, NO_JUDGES = SceneOptions(), Effort(), Judges()
 
 
 def given(options: dict[str, Any]) -> dict[str, Any]:

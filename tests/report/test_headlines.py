@@ -62,11 +62,12 @@ def curves() -> Iterator[Any]:
         yield SimpleNamespace(
             label="data sheet", optimum=best, pitch_um=pitch_um, light=LightError.of(header, film, causes), fit_swings=swings,
             no_difference_um=alike, alike_um=None, mean=lambda: np.full(8, 76.5), from_smallest=True, viewed=[view, view],
-            fit=SimpleNamespace(delta_e=np.full(8, 77.0)),
+            fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True,
         )  # fmt: skip
     for film, causes in product(FILMS, NAMED):
         light = LightError.of({}, film, causes)
-        yield SimpleNamespace(label="4t-bsi", alike_um=(0.47, 15.0), light=light, mean=lambda: np.full(8, 76.5), viewed=[])
+        own = {"light": light, "mean": lambda: np.full(8, 76.5), "viewed": [], "judged_by_delta_e": True}
+        yield SimpleNamespace(label="4t-bsi", alike_um=(0.47, 15.0), **own)
 
 
 def check(parts: Sequence[Text], unsure: str = "") -> str:

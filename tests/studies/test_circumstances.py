@@ -18,7 +18,7 @@ from pixsim.studies.comparison import Comparison
 from pixsim.studies.lineup import prepare
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study
-from pixsim.studies.verdicts import headline
+from pixsim.studies.verdicts import whole_verdict
 
 DAY = {"scene": {"parameters": {"luminance_cd_per_m2": 300.0}}, "exposure": {"max_integration_s": 0.02}}
 NIGHT = {"scene": {"parameters": {"luminance_cd_per_m2": 1.0}}, "display": {"white_cd_per_m2": 1.0}, "camera": {"f_number": 2.0}}
@@ -84,7 +84,7 @@ def test_another_sensor_changes_no_answer_on_a_pair(both: Comparison, files: lis
     among = pixsim.compare([*files, third], study=plan(condition=BOTH), repeats=3, jobs=1)
     assert among.pair("b").answers() == both.answers()
     assert [part.answers() for part in among.pair("b").conditions] == [part.answers() for part in both.conditions]
-    assert headline(among, "b") == headline(both, "b")
+    assert whole_verdict(among, "b") == whole_verdict(both, "b")
 
 
 def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison], files: list[Path]) -> None:

@@ -37,6 +37,7 @@ from pixsim.studies.unused import StudyConfiguration, rules_of
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
+from pixsim.viewer.metric_options import METRIC_OPTIONS
 from pixsim.viewer.setting import Run
 from pixsim.viewer.unused import Configuration, unused_notes, unused_settings
 
@@ -349,4 +350,5 @@ def test_every_command_says_so(tmp_path: Path) -> None:
 def test_rules_name_settings_that_exist() -> None:
     known = {*MOVES, *Run.model_fields, *Study.model_fields, *(f"camera.{name}" for name in CameraOptions.model_fields)}
     known |= {f"pitch.{name}" for name in type(tiny().pitch).model_fields}
+    known |= {f"metric.{name}.{field}" for name, options in METRIC_OPTIONS for field in type(options).model_fields}
     assert not {name for rule in rules_of(study_of()) for name in rule.settings} - known
