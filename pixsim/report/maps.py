@@ -334,7 +334,22 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
         "mean_delta_e_low": [each.mean_delta_e_interval[0] for each in best],
         "mean_delta_e_high": [each.mean_delta_e_interval[1] for each in best],
         **fresnel_column(curves, [each.pitch_um for each in best]),
+        **{name: column for metric in curves[0].metrics[1:] for name, column in _metric_columns(metric.name, curves).items()},
     }
+
+
+def _metric_columns(metric: str, curves: Sequence[Curve]) -> dict[str, Column]:
+    """Return the optima by a further metric, empty where it tells none; no columns where it tells none at all."""
+    optima = [curve.optima.get(metric) for curve in curves]
+    if not any(optima):
+        return {}
+    values: dict[str, list[float | None]] = {
+        f"{metric}_optimum_um": [None if each is None else each.pitch_um for each in optima],
+        f"{metric}_interval_low_um": [None if each is None else each.interval_um[0] for each in optima],
+        f"{metric}_interval_high_um": [None if each is None else each.interval_um[1] for each in optima],
+        f"best_{metric}": [None if each is None else each.value for each in optima],
+    }
+    return {name: ["" if value is None else value for value in column] for name, column in values.items()}
 
 
 # --- what is seen ------------------------------------------------------------------------------------------------------

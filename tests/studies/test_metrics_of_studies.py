@@ -205,3 +205,14 @@ def test_comparison_has_scores_and_probabilities_of_each_metric() -> None:
     assert 0 <= of_metric["probability_a_better"]["4t-bsi"] < 0.5, "a quieter pixel"
     alone = pixsim.compare(["0.35um", "4t-bsi"], repeats=3, jobs=1, **small)
     assert alone.difference == result.difference
+
+
+def test_each_case_of_a_study_has_an_optimum_by_each_metric(tmp_path: Path) -> None:
+    axis = [{"name": "light", "set": "exposure.integration_s", "values": [0.01, 0.03]}]
+    result = pixsim.study(tiny(metrics=["delta_e", "information", "mtf50"], axis=axis), tmp_path, jobs=1)
+    pixsim.write_report(result, tmp_path)
+    found = rows(tmp_path / "optima.csv")
+    assert [float(row["information_optimum_um"]) for row in found] == [
+        each.optima["information"].pitch_um for each in result.curves
+    ]
+    assert not any(name.startswith("mtf50") for name in found[0]), "it tells no best size"
