@@ -40,7 +40,7 @@ from pixsim.show.pages import Column, Drawn, Figures, Plate, figure_files, table
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
 from pixsim.show.sentences import capital
-from pixsim.studies.agreement import agreement_of, judges_against_pitch
+from pixsim.studies.agreement import agreement_of, judges_against_pitch, metrics_against_pitch
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.conditions import Compromise
 from pixsim.studies.engine import Workers, results_of
@@ -219,6 +219,8 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
     plates = [delta_e_against_pitch(result, [first])]
     if agreement_of(first) is not None:
         plates.append(judges_against_pitch(first))
+    if len(first.metrics) > 1:
+        plates.append(metrics_against_pitch(first))
     if len(result.curves) > 1:
         plates += [delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all")]
         processes = not any(curve.data_sheet for curve in result.curves)
@@ -248,7 +250,7 @@ def report_files(study: Study) -> set[str]:
     """Return the names of all files that the report of a study may have."""
     labels = [file_label(label) for label in labels_of(study.technologies)]
     curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
-    plates = {*curves, "judges", "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
+    plates = {*curves, "judges", "metrics", "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
     plates |= set(PAPER_PLATES) if study.paper else set()
     sheets = (f"figures/contact_sheet_{label}.png" for label in labels)
     return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *figure_files(plates), *sheets}

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from pixsim.studies.result import Curve
 
 COUNTS = ("no", "one", "both", "all three", "all four", "all five", "all six", "all seven", "all eight")
+NORMAL_95 = 1.96
+HEADROOM = 1.05  # of an axis, so that no mark is cut
 WORTH_SAYING = 0.005  # of the best value, that is lost elsewhere
 
 
@@ -135,3 +137,39 @@ def judges_against_pitch(curve: Curve) -> Plate:
         "so that 1 is the best pixel by this judge; marks are their best sizes."
     )
     return Plate("judges", caption, figure, table)
+
+
+@own_style()
+def metrics_against_pitch(curve: Curve) -> Plate:
+    """Draw each metric against pixel size in its own unit: means of sensors, and the fitted curve with its best size."""
+    fits, metrics = fits_of(curve), curve.metrics
+    rows = -(-len(metrics) // 2)
+    figure = new_figure(6.4, 0.6 + 2.1 * rows)
+    panels = figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()
+    table: dict[str, Column] = {"pitch_um": curve.pitch_um.tolist()}
+    for axes, metric in zip(panels, metrics, strict=False):
+        values = curve.statistics[metric.columns[0]]
+        mean, count = np.nanmean(values, axis=1), np.isfinite(values).sum(axis=1)
+        half = NORMAL_95 * np.nanstd(values, axis=1, ddof=1) / np.sqrt(count)
+        axes.errorbar(curve.pitch_um, mean, half, fmt="o", ms=3, lw=1, capsize=2, color=LOOKS[0].colour)
+        if fit := fits.get(metric.name):
+            fitted = fit.delta_e if metric.better == "less" else 1 / fit.delta_e
+            axes.plot(fit.pitch_um, fitted, lw=1.2, color=LOOKS[0].colour)
+            axes.plot(fit.optimum.pitch_um, fit.optimum.value, "v", ms=7, mfc="white", mec=LOOKS[0].colour)
+        better = "less is better" if metric.better == "less" else "more is better"
+        axes.set_title(f"{metric.label}: {better}", fontsize=8)
+        axes.set_ylim(0, HEADROOM * max(axes.get_ylim()[1], float(mean.max())))
+        axes.grid(alpha=0.25)
+        table[metric.columns[0]], table[f"{metric.columns[0]}_ci95"] = mean.tolist(), half.tolist()
+    for axes in panels[len(metrics) :]:
+        axes.set_axis_off()
+    for axes in panels[-2:]:
+        axes.set_xlabel("pixel size (µm)")
+    untold = [metric.words for metric in metrics if metric.name not in fits]
+    caption = (
+        f"Each judge in its own unit ({curve.label}). Points: means over sensors with 95 % intervals; lines: fitted curves; "
+        "triangles: the best sizes."
+    )
+    if untold:
+        caption += f" No best size is told by {', '.join(untold)}."
+    return Plate("metrics", caption, figure, table)
