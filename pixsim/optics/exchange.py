@@ -32,6 +32,7 @@ from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.lens_options import LensOptions
 
 ALLOWED_NM = (300.0, 1200.0)  # where glass transmits and silicon responds
+GIVEN = Path("the light that is given")
 PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
 PARTS_OF_A_BAND = 10
 WIDE_BAND_NM = 40.0  # of a band; filters of a camera are about 80 nm wide
@@ -83,19 +84,28 @@ def read_with_camera(
     path = Path(path)
     if path.suffix.lower() == ".exr" and "pixsim" in read_header(path):
         image = _read_pixsim_exr(path, None, units, None)
-        if lens.file is not None:
-            got = f"'{lens.file}' for light of '{path}', which came through its own"
-            raise invalid("lens.file", got, "the lens of that light", "Render the scene with this lens.")
-        camera_metadata = image.header.get("camera") or {}
-        die = {"die_mm": image.pitch_um * image.shape[1] / 1e3} if options.die_mm is None else {}
-        camera = options.over(checked(Camera, [Layer({**camera_metadata, **die}, f"camera in '{path}'")]))
-        _agreed_pitch(path, image.pitch_um, None, camera, image.shape[1])
-        return image, camera
+        return image, camera_of_light(image, options, lens, path)
     cube = foreign.read_cube(path)
     pitch_known = cube.pitch_um is not None and options.die_mm is None
     die_mm = _positive(path, "pitch_um", cube.pitch_um) * cube.data.shape[1] / 1e3 if pitch_known else Camera().die_mm
     camera = camera_with_lens(options.over(checked(Camera, [Layer({"die_mm": die_mm}, f"'{path}'")])), options, lens)
     return _from_cube(path, cube, camera, units, None), camera
+
+
+def camera_of_light(image: SpectralImage, options: CameraOptions, lens: LensOptions, path: Path = GIVEN) -> Camera:
+    """Return the camera of light of pixsim, or of light that is given: that of its header, overridden by the options.
+
+    path : of its file, for messages
+
+    Raises PixsimError if its pitch and the die contradict each other, and for another lens than that of a render.
+    """
+    if "camera" in image.header and lens.file is not None:
+        got = f"'{lens.file}' for light of '{path}', which came through its own"
+        raise invalid("lens.file", got, "the lens of that light", "Render the scene with this lens.")
+    die = {"die_mm": image.pitch_um * image.shape[1] / 1e3} if options.die_mm is None else {}
+    camera = options.over(checked(Camera, [Layer({**(image.header.get("camera") or {}), **die}, f"camera in '{path}'")]))
+    _agreed_pitch(path, image.pitch_um, None, camera, image.shape[1])
+    return camera_with_lens(camera, options, lens)
 
 
 def _from_cube(path: Path, cube: foreign.Cube, camera: Camera | None, units: str | None, pitch_um: float | None) -> SpectralImage:

@@ -247,7 +247,7 @@ def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles)
         if sheet
         else "All other parameters come from the technology."
     )
-    source = rendered_words(header) if "scene_hash" in header else f"read from {header.get('source', 'a file')}"
+    source = rendered_words(header)
     slider = Slider(
         *("slider", "The whole picture and the ideal image"),
         shown_picture(pictures["ideal.png"], score.ideal, "ideal image"),

@@ -292,8 +292,7 @@ def document_of(
 
 
 EACH_SIZE = (
-    "Each pixel size is simulated on the same die with the same rendered scene ({}). Small pixels suffer from noise, large ones "
-    "from blur. {}"
+    "Each pixel size is simulated on the same die in the same light ({}). Small pixels suffer from noise, large ones from blur. {}"
 )
 INTERVAL = (
     "The 95 % interval is that of the pixel size with the smallest expected ΔE. It includes the noise and fixed pattern of the "
@@ -370,7 +369,7 @@ def plot_of(made: Plate | Drawn) -> Plot:
 
 def _about(result: StudyResult) -> Iterator[Block]:
     """Yield what the numbers of a page mean."""
-    yield EACH_SIZE.format(result.irradiance.header["scene"], DELTA_E)
+    yield EACH_SIZE.format(result.irradiance.header.get("scene", "that was given"), DELTA_E)
     border = f" A border of {result.study.border_um:.3g} µm, one and a half of the largest pixels of the study, is not scored."
     yield INTERVAL + border * (result.study.display.raster == "fixed_size")
 
@@ -491,9 +490,8 @@ def _assumptions(result: StudyResult) -> Iterator[Block]:
 def _rendered(result: StudyResult) -> str:
     """Return what the light of a study was made from."""
     header = result.irradiance.header
-    return (
-        f"Irradiance: {rendered_words(header)}, seed {header['seed']}; {'; '.join(header['plan'])}. Study seed {result.study.seed}."
-    )
+    seed = f", seed {header['seed']}; {'; '.join(header['plan'])}" if "plan" in header else ""
+    return f"Irradiance: {rendered_words(header)}{seed}. Study seed {result.study.seed}."
 
 
 def settings(result: StudyResult) -> list[Table]:

@@ -32,7 +32,9 @@ def map_words(start: str, mean: float, p99: float, end: float) -> str:
 
 
 def rendered_words(header: Mapping[str, Any]) -> str:
-    """Return the scene that light was rendered from, and how."""
+    """Return the scene that light was rendered from, and how; or the file of another program that it was read from."""
+    if "scene_hash" not in header:
+        return f"read from {header['source']}" if "source" in header else "given, not rendered"
     rays = f"{header['spp']} rays for each sample of the film" if header["spp"] else "computed from the chart"
     return f"{header['scene']} (hash {header['scene_hash']}), {rays}, {header['variant']}"
 

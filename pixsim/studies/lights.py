@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ from pixsim.sensor.labels import label_in
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.keys import light_hash
-from pixsim.studies.oversampling import Demand, Light, rendered_light
+from pixsim.studies.oversampling import Demand, GivenLight, Light, rendered_light
 from pixsim.studies.pixels import imaging_of, physics_of
 from pixsim.studies.preparation import first_film, plan_of, scene_for, smallest_pixels, study_plan
 from pixsim.studies.prepared import Prepared
@@ -67,6 +68,14 @@ def render_for(
         raise AlikeChannelsError(f"{label_in(first, words)}: none of its pixel sizes is possible. {error}") from None
     light.image.header.update(white_header(seen_by_all(study, light.image, light.camera), study.display))
     return light
+
+
+def given_light(case: Prepared[Study]) -> GivenLight:
+    """Return the light of a case whose light is given, with the white that it is shown with."""
+    assert case.picture is not None
+    study, image = case.settings, copy(case.picture)
+    image.header = image.header | white_header(seen_by_all(study, image, case.camera), study.display)
+    return GivenLight(image, case.camera)
 
 
 def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:

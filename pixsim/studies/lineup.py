@@ -41,7 +41,7 @@ from pixsim.studies.oversampling import Demand
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.preparation import ALLOWED_DOTS, check_metrics, choose_view, with_view
-from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
+from pixsim.studies.prepared import Job, Prepared, is_picture, loaded_scene, named
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study, owner_of
 from pixsim.studies.varied import NOT_SETTINGS, paths_of
@@ -430,7 +430,7 @@ def lineup_of(
     if settings.display.raster != "fixed_size":
         got = f"'{settings.display.raster}', which gives each sensor a display of its own"
         raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
-    if Path(scene).suffix.lower() in (".exr", ".npz", ".hdr"):
+    if is_picture(scene):
         raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
     loaded = loaded_scene(scene, settings.scene, settings.resolution, variant=variant, sensor=sensor)
     for name, run in zip(names, runs, strict=True):

@@ -522,6 +522,16 @@ class Light:
 
 
 @dataclass(frozen=True)
+class GivenLight:
+    """Irradiance that was given, and not rendered. The fields are those of `Light`."""
+
+    image: SpectralImage
+    camera: Camera
+    film: None = None
+    without: SpectralImage | None = None
+
+
+@dataclass(frozen=True)
 class Demand:
     """What some pixels ask of one light.
 

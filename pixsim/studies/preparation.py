@@ -16,9 +16,11 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.records import content_hash
 from pixsim.base.schema import KEY
+from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import rendered_camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
+from pixsim.optics.exchange import camera_of_light
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
@@ -34,11 +36,12 @@ from pixsim.sensor.technology import check_name
 from pixsim.studies.cases import BASE, Case, cases_of, with_range_ends
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
-from pixsim.studies.prepared import Job, Prepared, loaded_scene, named
+from pixsim.studies.prepared import Job, Prepared, is_picture, loaded_scene, named
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.series import judging_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.unused import StudyConfiguration
+from pixsim.studies.varied import paths_of
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Asked, columns_of_metrics
@@ -97,6 +100,16 @@ def with_view(settings: Chosen, view: Mapping[str, Any]) -> Chosen:
 def scene_with_view(scene: Scene, view: Mapping[str, Any]) -> Scene:
     """Return a scene with the chart of `choose_view`."""
     return scene.with_parameters(**{MAX_LP_PER_MM: repr(view[MAX_LP_PER_MM])}) if MAX_LP_PER_MM in view else scene
+
+
+def source_with_view(source: Scene | SpectralImage, view: Mapping[str, Any]) -> Scene | SpectralImage:
+    """Return `scene_with_view` of a scene; light that is given as it is."""
+    return source if isinstance(source, SpectralImage) else scene_with_view(source, view)
+
+
+def shows_csf(source: Scene | SpectralImage) -> bool:
+    """Return whether a scene shows the CSF chart, whose end may be chosen."""
+    return not isinstance(source, SpectralImage) and source.shows_csf
 
 
 def without_chart(view: Mapping[str, Any]) -> dict[str, Any]:
@@ -274,11 +287,36 @@ def check_pitches(study: Study) -> None:
         raise invalid("max_evaluations", study.max_evaluations, expected, "Raise it, or lower repeats or pitch.count.")
 
 
+GIVEN_LIGHT = "(given light)"  # in place of a scene's file
+OF_LIGHT = ("scene", "camera", "lens", "resolution", "window_mm", "max_seconds", "tolerance_e", "tolerance_delta_e", "render_noise")
+
+
+def of_given_light(study: Study, variant: str | None) -> Study:
+    """Return a study whose light is given, without the scene of its file.
+
+    Raises PixsimError for what only light of a scene has: axes over scene and camera, a window, a tolerance of ΔE.
+    """
+    where = "a study whose light is given"
+    varied = [path for axis in study.axis for path in axis.paths]
+    varied += [path for condition in study.condition for path in paths_of(condition.set)]
+    if moved := [".".join(path) for path in varied if path[0] in OF_LIGHT]:
+        raise invalid("axis", f"{moved[0]} in {where}", "settings of pixel, exposure, display, correction and development")
+    stated = {"window_mm": study.window_mm, "tolerance_delta_e": study.tolerance_delta_e, "variant": variant}
+    if names := [name for name, value in stated.items() if value is not None] + ["paper"] * study.paper:
+        raise invalid(names[0], f"a value in {where}", "a study of a scene, or no value")
+    return study.model_copy(update={"scene": StudyScene(file=GIVEN_LIGHT), "resolution": None})
+
+
 def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] | None = None) -> tuple[Scene, Camera]:
     """Return the study's scene and the camera of its window. Raises PixsimError for invalid input.
 
     known : scenes by their settings, to which this one is added
     """
+    if study.scene.file == GIVEN_LIGHT:
+        raise invalid("scene.file", "light that was given in Python", "a scene, or pixsim.study(…, light=…)")
+    if is_picture(study.scene.file):
+        hint = f"In Python: pixsim.study(…, light=pixsim.read_irradiance('{study.scene.file}'))."
+        raise invalid("scene.file", f"'{study.scene.file}', a picture", "a Mitsuba scene", hint)
     known = {} if known is None else known
     key = content_hash([study.scene.model_dump(mode="json"), study.resolution])
     if key not in known:
@@ -293,14 +331,20 @@ class StudyJob(Job[Study]):
 
     asked : as it was given
     study : with its pixel sizes, display and chart; one without axes and conditions is its own only case
-    scene : of the study itself
+    source : scene of the study itself, or the light that is given
     uncertainty : of the study's [pixel] and data sheets, as its files state it
     """
 
     asked: Study
     study: Study
-    scene: Scene
+    source: Scene | SpectralImage
     uncertainty: Uncertainty = field(default_factory=dict)
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of a study without given light."""
+        assert not isinstance(self.source, SpectralImage)
+        return self.source
 
     @property
     def evaluations(self) -> int:
@@ -308,10 +352,11 @@ class StudyJob(Job[Study]):
         return sum(sum(sum(sensors.values()) for sensors in first_sampling(case.settings).values()) for case in self.cases)
 
 
-def prepare(study: Study, variant: str | None = None, quick: bool = False) -> StudyJob:
+def prepare(study: Study, variant: str | None = None, quick: bool = False, light: SpectralImage | None = None) -> StudyJob:
     """Choose what a study leaves open, and check everything that can be checked before a render.
 
     quick : use the values of the study's `quick` table
+    light : on the sensor, in place of a scene's
 
     Raises PixsimError for invalid input, and warns of a range of sizes that had to be shortened.
     """
@@ -323,14 +368,21 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
             warn(f"the study {study.name} has no [quick] table: running it in full")
     asked = study.quickened if quick else study
     study = with_range_ends(asked)
+    scenes: dict[str, Scene] = {}
+    light = None if light is None else light.identified
+    study = study if light is None else of_given_light(study, variant)
+
+    def source_for(study: Study) -> tuple[Scene | SpectralImage, Camera]:
+        return scene_for(study, variant, scenes) if light is None else (light, camera_of_light(light, study.camera, study.lens))
+
     if not study.has_cases:
         check_technologies(study)
-        scene, camera = scene_for(study, variant)
+        scene, camera = source_for(study)
         fitted = fitted_range(study, camera)
         view = _chosen_view(fitted, scene, camera)
-        whole = _checked(Case(with_view(fitted, view)), scene_with_view(scene, view), camera)
-        warn_of_unused([(study, whole.settings)])
-        return StudyJob(asked=asked, study=whole.settings, scene=whole.scene, view=view, cases=(whole,), variant=variant)
+        whole = _checked(Case(with_view(fitted, view)), source_with_view(scene, view), camera)
+        warn_of_unused([(study, whole.settings)], light)
+        return StudyJob(asked=asked, study=whole.settings, source=whole.source, view=view, cases=(whole,), variant=variant)
     if study.metrics[0] != DELTA_E.name:
         hint = "Further metrics have an optimum of their own in each case."
         raise invalid("metrics", f"'{study.metrics[0]}' first in a study with axes or conditions", "delta_e first", hint)
@@ -341,36 +393,37 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> St
     columns = *OF_PIXEL, *columns_of_metrics((DELTA_E, *judging_of(study).metrics)), KEY
     if taken := [axis.name for axis in study.axis if axis.name in columns]:
         raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
-    scenes: dict[str, Scene] = {}
     own = _without_axes(study)
-    scene, camera = scene_for(own, variant)
+    scene, camera = source_for(own)
     view = _chosen_view(own, scene, camera)
     prepared: list[Prepared[Study]] = []
     cases = cases_of(study)
     for case in cases:
         with named(case.words or BASE):
-            shown = _same_chart(case.settings, own) or scene_for(case.settings, variant, scenes)[0].shows_csf
+            shown = _same_chart(case.settings, own) or shows_csf(source_for(case.settings)[0])
             complete = with_view(case.settings, view if shown else without_chart(view))
             check_technologies(complete)
-            scene_of_case, its_camera = scene_for(complete, variant, scenes)
+            scene_of_case, its_camera = source_for(complete)
             prepared.append(_checked(replace(case, settings=fitted_range(complete, its_camera)), scene_of_case, its_camera))
-    warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, prepared, strict=True)])
+    warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, prepared, strict=True)], light)
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
     kept = view if all(_same_chart(each.settings, own) for each in prepared) else without_chart(view)
-    study, scene = with_view(study, kept), scene_with_view(scene, view)
-    return StudyJob(asked=asked, study=study, scene=scene, view=view, cases=tuple(prepared), variant=variant)
+    study, scene = with_view(study, kept), source_with_view(scene, view)
+    return StudyJob(asked=asked, study=study, source=scene, view=view, cases=tuple(prepared), variant=variant)
 
 
-def warn_of_unused(cases: Sequence[tuple[Study, Study]]) -> None:
+def warn_of_unused(cases: Sequence[tuple[Study, Study]], light: SpectralImage | None = None) -> None:
     """Warn of the settings that no case of a study uses, and of those that none uses in one of its technologies.
 
     cases : each as the user set it, and with what it left open
+    light : that is given
     """
     sensors: dict[str, list[StudyConfiguration]] = {}
     for given, complete in cases:
         for technology in given.technologies:
             pixel = physics_of(complete, technology, float(study_pitches_um(complete, technology).max()))
-            sensors.setdefault(technology, []).append(StudyConfiguration.of_technology(given, pixel, technology))
+            of_technology = StudyConfiguration.of_technology(given, pixel, technology)
+            sensors.setdefault(technology, []).append(replace(of_technology, light=light))
     warn_of_unused_settings(dict(zip(labels_of(list(sensors)), sensors.values(), strict=True)))
 
 
@@ -389,7 +442,8 @@ def _without_axes(study: Study) -> Study:
     return Study.model_validate(table)
 
 
-def _chosen_view(study: Study, scene: Scene, camera: Camera) -> dict[str, Any]:
+def _chosen_view(study: Study, source: Scene | SpectralImage, camera: Camera) -> dict[str, Any]:
+    scene = None if isinstance(source, SpectralImage) else source
     return {} if study.own_um is None else choose_view(study.own_um, camera, study.display, scene)
 
 
@@ -404,12 +458,13 @@ def check_metrics(settings: Setting, pixels: Sequence[PixelOptions], scene: Scen
         judging.check(Asked(pixel.colour is not None, has_without))
 
 
-def _checked(case: Case[Study], scene: Scene, camera: Camera) -> Prepared[Study]:
+def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -> Prepared[Study]:
     """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not possible."""
     study = case.settings
-    check_metrics(study, [study.options_of(name) for name in study.technologies], scene)
+    pixels = [study.options_of(name) for name in study.technologies]
+    check_metrics(study, pixels, None if isinstance(source, SpectralImage) else source)
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
         dot_edges_um(camera.die_um, largest_um, study.display, study.border_um)
-    return Prepared(case, scene, camera)
+    return Prepared(case, source, camera)

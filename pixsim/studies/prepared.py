@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
 from pixsim.base.errors import PixsimError
@@ -88,6 +89,11 @@ def named(part: str) -> Iterator[None]:
         yield
     except PixsimError as error:
         raise PixsimError(f"{part}: {error}" if part else str(error)) from None
+
+
+def is_picture(file: str) -> bool:
+    """Return whether a file holds light that was rendered before, by its name."""
+    return Path(file).suffix.lower() in (".exr", ".npz", ".hdr")
 
 
 def loaded_scene(

@@ -38,7 +38,7 @@ from pixsim.studies.lights import demand_of
 from pixsim.studies.oversampling import Demand, Light, rendered_light
 from pixsim.studies.paired import mean_interval
 from pixsim.studies.preparation import check_metrics, choose_view, scene_with_view, with_view
-from pixsim.studies.prepared import Job, Prepared, loaded_scene
+from pixsim.studies.prepared import Job, Prepared, is_picture, loaded_scene
 from pixsim.studies.sentences import score_parts
 from pixsim.studies.series import judging_of
 from pixsim.studies.settings_text import scene_table
@@ -66,7 +66,6 @@ from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
 MAX_REPEATS = 10_000
 BEFORE_FRAME = 0.8  # of the work of "sense and score"
@@ -150,7 +149,7 @@ def prepare(
         allowed = f"one of the two: a tolerance selects cheaper settings, {setting('full')} uses none"
         raise invalid(setting("tolerance_delta_e"), f"with {setting('full')}", allowed)
     scene: Scene | None = None
-    if Path(source).suffix.lower() in PICTURE_SUFFIXES:
+    if is_picture(source):
         if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.resolution or settings.window_mm:
             options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution, --window"
             raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")

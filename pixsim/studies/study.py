@@ -17,8 +17,9 @@ from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.records import content_hash
 from pixsim.base.toml import SETTINGS_FILE
-from pixsim.light.spectral import SpectralImage
+from pixsim.light.spectral import DIGEST, SpectralImage
 from pixsim.light.stored import PictureFile
+from pixsim.optics.camera import Camera
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.labels import label_in
 from pixsim.show.sentences import few
@@ -29,8 +30,8 @@ from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
 from pixsim.studies.keys import remember_evaluated
-from pixsim.studies.lights import lights_of_cases
-from pixsim.studies.oversampling import Light
+from pixsim.studies.lights import given_light, lights_of_cases
+from pixsim.studies.oversampling import GivenLight, Light
 from pixsim.studies.preparation import StudyJob, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of
 from pixsim.studies.results_file import ResultsFile
@@ -59,6 +60,9 @@ def repeated_settings(job: StudyJob, chosen: Study, image: SpectralImage, asked:
     """
     from pixsim.scene.convergence import without_clock
 
+    if isinstance(job.source, SpectralImage):
+        command = f"pixsim.study('{SETTINGS_FILE}', out, light=…), of the light of digest {image.header[DIGEST]}"
+        return settings_text(job.study, command, spreads_of_study(job.study, job.uncertainty))
     scene, kept = job.scene, without_clock(job.study, chosen, image)
     file = kept.scene.file
     of_scene = {
@@ -113,7 +117,7 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
 
 def evaluate_cases(
     cases: Sequence[Case[Study]],
-    lights: Sequence[Light],
+    lights: Sequence[Light | GivenLight],
     view: Mapping[str, Any],
     results: Path,
     workers: Workers,
@@ -274,6 +278,7 @@ def study(
     sobol: int | None = None,
     smaller_than_um: Sequence[float] = (),
     metrics: Sequence[str | Callable[[Score], float]] = (),
+    light: SpectralImage | None = None,
     **settings: object,
 ) -> StudyResult:
     """Run a study, or resume an interrupted one, with its rows in `out`/results.csv.
@@ -298,6 +303,9 @@ def study(
     smaller_than_um : sizes; the probability that the optimum is smaller is reported
     metrics : names of metrics, as ["delta_e", "detectability"], or functions of a `Score`, each a number in its own unit; the first
         is that of `Curve.optimum`, and each has its own in `Curve.optima`
+    light : on the sensor, rendered or of another program (`pixsim.read_irradiance`), in place of a scene's. Its camera is that of
+        its header, or the default, with `camera` over it. Axes and conditions then vary the sensor and what follows it, and
+        settings.toml repeats the study in Python alone, with the same light
     settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
         pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0, axis=[{"name": "lens", "set":
         "camera.f_number", "values": [2.0, 4.0]}], condition=[…]
@@ -314,6 +322,10 @@ def study(
     """
     if metrics:
         settings["metrics"] = tuple(metric.name for metric in metrics_named(metrics))
+    if isinstance(own := settings.get("camera"), Camera):
+        settings["camera"] = own.options.model_dump(exclude_none=True)
+    if light is not None and (names := [name for name, value in (("scene", scene), ("parameters", parameters)) if value]):
+        raise invalid(names[0], "a value beside light", "one of the two")
     given = {"config": config, "parameters": parameters, "pixel": pixel, "scene": scene} | settings
     if isinstance(plan, Study) and (names := [name for name, value in given.items() if value]):
         hint = "Set these values in the Study instead."
@@ -324,7 +336,7 @@ def study(
         from pixsim.studies.sensor_types import asked_of
 
         asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
-        job = replace(prepare(chosen, variant, quick=quick), uncertainty=spreads)
+        job = replace(prepare(chosen, variant, quick=quick, light=light), uncertainty=spreads)
         return run_prepared(job, out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, asked=asked)
 
 
@@ -364,12 +376,17 @@ def run_prepared(
 
             chosen, settled = settled_study(chosen, job.scene, job.camera)
             job, cases = replace(job, study=chosen), [Case(chosen)]
-        lights = lights_of_cases(cases, job.variant, stage, workers, settled, store=PictureFile(folder).stored)
+        lights: Sequence[Light | GivenLight | str]
+        if isinstance(job.source, SpectralImage):
+            lights = [given_light(each) for each in job.cases]
+        else:
+            lights = lights_of_cases(cases, job.variant, stage, workers, settled, store=PictureFile(folder).stored)
         reasons = [light for light in lights if isinstance(light, str)]
         lit = [(case, light) for case, light in zip(cases, lights, strict=True) if not isinstance(light, str)]
         found: list[StudyResult] = []
         if lit:
-            on_films = [case.settings.model_copy(update={"resolution": light.image.shape[1]}) for case, light in lit]
+            films = [light.image.shape[1] if isinstance(light, Light) else None for _, light in lit]
+            on_films = [case.settings.model_copy(update={"resolution": film}) for (case, _), film in zip(lit, films, strict=True)]
             cases = [replace(case, settings=settings) for (case, _), settings in zip(lit, on_films, strict=True)]
             of_cases = cases, [light for _, light in lit], job.view, folder / "results.csv", workers
             made, counts = evaluate_cases(*of_cases, lambda: stage("evaluate"))
