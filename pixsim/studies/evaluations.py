@@ -22,7 +22,6 @@ from pixsim.base import cache
 from pixsim.base.errors import PixsimError
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
-from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.readout import Frame, Sensor, make_frame
@@ -37,7 +36,16 @@ from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.judged import Judged
-from pixsim.viewer.score import IdealFacts, ImagingChain, PreparedScene, SharedLight, chain_of_frames, check_one_ideal, shown
+from pixsim.viewer.score import (
+    IdealFacts,
+    ImagingChain,
+    PreparedScene,
+    SharedLight,
+    Unprepared,
+    chain_of_frames,
+    check_one_ideal,
+    shown,
+)
 
 FEW_SERIES = 64
 FROM_CACHE, LEFT_OUT = "frame from cache", "left out"  # in the rows of a worker only; the second holds the reason
@@ -181,7 +189,7 @@ def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
         for repeat, chain, frame, mean_e in frames_of(task, light, repeats, shown=not judging.needs_light):
             known = {} if mean_e is None else {MEAN: mean_e}
             for display in repeats[repeat]:
-                on_screen = chain if isinstance(light, SpectralImage) else chain.on(light.screens[display])
+                on_screen = chain if isinstance(light, Unprepared) else chain.on(light.screens[display])
                 of_run = 0, task.imaging.stream_of(task.stream, repeat)  # each sensor of a run is one by itself
                 judged = Judged(on_screen, frame, judging, *(of_run if task.imaging.is_run else (repeat, task.stream)))
                 numbers = {name: repr(value) for name, value in (judged.statistics() | known).items()}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pixsim.light.spectral import SpectralImage
 from pixsim.show.pages import Column
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.parts import delta_e_parts
@@ -24,7 +23,7 @@ def parts_table(result: StudyResult) -> dict[str, Column]:
             series = part.series[curve.technology]
             light, imaging = series.light(), series.imaging.at(pitch_um)
             physics = imaging.registered(0)
-            prepared = imaging.light(light, physics) if isinstance(light, SpectralImage) else light
+            prepared = imaging.prepared(light, physics)
             key = *series.stream_at(pitch_um), 0
             parts = delta_e_parts(part.irradiance, part.camera, physics, prepared, imaging.chain(prepared, physics), *key)
             rows.append({"pixel": curve.label, "pitch_um": pitch_um, **parts.as_dict()})

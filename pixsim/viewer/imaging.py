@@ -16,7 +16,7 @@ from pixsim.sensor.technology import Technology
 from pixsim.viewer.develop_options import DEVELOP, Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.judged import DELTA_E_ONLY, Judging
-from pixsim.viewer.score import ImagingChain, PreparedScene, SharedLight, chain_at_pitch, prepare_scene
+from pixsim.viewer.score import ImagingChain, PreparedScene, SharedLight, Unprepared, chain_at_pitch, prepare_scene
 from pixsim.viewer.setting import Run
 
 
@@ -68,22 +68,33 @@ class Imaging:
         return stream if self.is_run and repeat == 0 else (*stream, repeat)
 
     def light(
-        self, irradiance: SpectralImage, physics: PixelPhysics | None = None, lights: tuple[ChannelLight, ...] | None = None
+        self,
+        irradiance: SpectralImage,
+        physics: PixelPhysics | None = None,
+        lights: tuple[ChannelLight, ...] | None = None,
+        without: SpectralImage | None = None,
     ) -> PreparedScene:
         """Return the light behind the lens and the screen, as of `prepare_scene`.
 
         physics : the pixel with its registration; None means as it is
         lights : behind the lens, where they are known
+        without : irradiance of the scene without its target, if a metric asks for it
         """
         own = irradiance, self.camera, physics or self.physics, self.display
-        return prepare_scene(*own, border_um=self.border_um, single=self.single, lights=lights, judging=self.judging)
+        return prepare_scene(
+            *own, border_um=self.border_um, single=self.single, lights=lights, judging=self.judging, without=without
+        )
+
+    def prepared(self, light: SharedLight, physics: PixelPhysics) -> PreparedScene:
+        """Return light that a series shares, prepared for its pixels."""
+        return self.light(light.irradiance, physics, without=light.without) if isinstance(light, Unprepared) else light
 
     def chain(self, light: SharedLight, physics: PixelPhysics | None = None) -> ImagingChain:
         """Return the imaging chain up to the noise.
 
-        light : prepared for the pixel's response, or the irradiance
+        light : prepared for the pixel's response, or not yet
         physics : the pixel with its registration; None means as it is
         """
         physics = physics or self.physics
-        prepared = self.light(light, physics) if isinstance(light, SpectralImage) else light
+        prepared = self.prepared(light, physics)
         return chain_at_pitch(prepared, physics, self.exposure, self.correction, self.develop)

@@ -783,7 +783,15 @@ class IdealFacts(NamedTuple):
 
 
 # What the pitches of a technology share. With one_to_one, where dots are pixels, that is the irradiance only.
-SharedLight = PreparedScene | SpectralImage
+@dataclass(frozen=True)
+class Unprepared:
+    """Irradiance of the scene, and of the scene without its target, if a metric asks for it."""
+
+    irradiance: SpectralImage
+    without: SpectralImage | None = None
+
+
+SharedLight = PreparedScene | Unprepared
 
 
 class SceneCache:
@@ -813,7 +821,7 @@ class SceneCache:
     def get(self, key: object, physics: PixelPhysics, border_um: float) -> SharedLight:
         """Return the prepared scene of a key, which stands for a spectral response and a border."""
         if self.display.raster == "one_to_one":
-            return self.irradiance
+            return Unprepared(self.irradiance, self.without)
         if key not in self._scenes:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()

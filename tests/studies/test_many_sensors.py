@@ -88,9 +88,10 @@ def test_white_that_nobody_states_is_one_for_all(light):
     assert table[1 - brightest]["mean_image"] < mean_image(alone[1 - brightest])
 
 
-def test_detectability_has_the_light_without_its_target(light):
+@pytest.mark.parametrize("display", [DISPLAY, Display(raster="one_to_one", white_cd_per_m2=3000.0)])
+def test_detectability_has_the_light_without_its_target(light, display):
     dark = SpectralImage(light.wavelength_nm, light.band_width_nm, 10.0, data=0.99 * light.data, header=light.header)
-    own = {"display": DISPLAY, "metrics": ["detectability"], "without": dark}
+    own = {"display": display, "metrics": ["detectability"], "without": dark}
     row = sweep(light, [SAME_SIZE["phone"]], camera=CAMERA, jobs=1, **own)[0]
     score = evaluate(light, CAMERA, SAME_SIZE["phone"], **own)
     assert row["detectability"] == score.metrics["detectability"] > 1
