@@ -112,8 +112,8 @@ def sweep(
     """Evaluate many sensors in one light, rendered or of another program.
 
     The frames are those of `pixsim.evaluate`, and of `pixsim run --repeats`, with the same seed, bit for bit; equal sensors have
-    equal frames. All are scored on the same dots, without the border of the largest pixels, and shown with the same white. So
-    are the numbers of a sweep over pixels of one size those of `evaluate`; of smaller pixels, it has a narrower border.
+    equal frames. All are shown with one white, and scored on the same dots: the border of the largest pixels is left out. So
+    pixels of one size have the numbers of `evaluate`, and smaller ones among larger ones those of fewer dots.
 
     pixels : of each sensor; a list, or names -> pixels
     camera, exposure, display, correction, develop, metric, without : as of `pixsim.evaluate`
