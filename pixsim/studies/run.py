@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -51,6 +51,7 @@ from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import (
     FrameScore,
     ImagingChain,
+    Score,
     Seen,
     clip_words,
     clips_dark,
@@ -413,6 +414,7 @@ def run(
     variant: str | None = None,
     units: str | None = None,
     progress: Stage | None = None,
+    metrics: Sequence[str | Callable[[Score], float]] = (),
     **settings: object,
 ) -> RunResult:
     """Render a scene, capture it with one sensor and score the image, with the errors of its light, as `pixsim run` does.
@@ -428,6 +430,7 @@ def run(
     variant : Mitsuba variant; None means the fastest that works
     units : of an image whose file does not state them, such as W.m^-2.nm^-1
     progress : returns a callback for each named stage
+    metrics : names of further metrics, or functions of a `Score`, each a number in its own unit
     settings : other tables and fields of `Run`: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3, window_mm=1.0
 
     Raises PixsimError for invalid input, before anything is rendered.
@@ -436,6 +439,8 @@ def run(
     >>> result.score.frame.pixels, result.mean_delta_e < 0.5  # two pixels a dot of the display
     ((64, 64), True)
     """
+    if metrics:
+        settings["metrics"] = tuple(metric.name for metric in metrics_named(metrics))
     with collected_notes():  # also of what is found before the run begins
         own = {name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table}
         asked = run_settings(config, settings | own)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim import Camera, Display, Pixel, PixsimError, SpectralImage, evaluate, score_pictures, study
+from pixsim import Camera, Display, Pixel, PixsimError, SpectralImage, compare, evaluate, run, score_pictures, study
 from pixsim.viewer import metric_registry
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import content_of, own_metric
@@ -48,16 +48,16 @@ rms_error.unit, rms_error.title, rms_error.unseen = "of white", "RMS error", "wh
 
 
 def test_a_function_is_a_metric_of_a_study_in_any_process(plan, tmp_path):
-    """Workers get it by value: they do not have this module's name."""
+    """Workers get it by value, and know no function by its name: neither for frames, nor for the lights that they compute."""
+    axis = [{"name": "aperture", "set": "camera.f_number", "values": [2.8, 8.0]}]
     for jobs in (1, 2):
-        result = study(plan, tmp_path / str(jobs), metrics=["delta_e", rms_error], jobs=jobs)
-    curve = result.curves[0]
+        result = study(plan, tmp_path / str(jobs), metrics=["delta_e", rms_error], axis=axis, jobs=jobs)
     assert (tmp_path / "1/results.csv").read_bytes() == (tmp_path / "2/results.csv").read_bytes()
-    assert curve.statistics["rms_error"].shape == (5, 2)
-    assert [metric.label for metric in curve.metrics][1] == "RMS error (of white)"
-    rows = rows_in(tmp_path / "2")
-    assert [float(row["rms_error"]) for row in rows] == curve.statistics["rms_error"].ravel().tolist()
-    assert 0 < min(curve.statistics["rms_error"].ravel()) < max(curve.statistics["rms_error"].ravel()) < 1
+    values = np.array([curve.statistics["rms_error"] for curve in result.curves])
+    assert values.shape == (2, 5, 2)
+    assert [float(row["rms_error"]) for row in rows_in(tmp_path / "2")] == values.ravel().tolist()
+    assert 0 < values.min() < values.max() < 1
+    assert [metric.label for metric in result.curves[0].metrics][1] == "RMS error (of white)"
 
 
 def test_rows_of_another_code_are_computed_anew_and_those_of_the_same_are_not(plan, tmp_path):
@@ -169,6 +169,16 @@ def test_an_axis_may_not_have_the_name_of_a_metric_of_ones_own(plan, tmp_path):
     axis = [{"name": "rms_error", "set": "camera.f_number", "values": [2.0, 4.0]}]
     with pytest.raises(PixsimError, match="name = 'rms_error', a column of every study"):
         study(plan, tmp_path, metrics=["delta_e", rms_error], axis=axis)
+
+
+def test_runs_and_comparisons_take_functions_too():
+    """The quieter sensor has the smaller error."""
+    small = {"display": {"dots": 32}, "resolution": 64, "pixel": {"pitch_um": 60.0}}
+    result = run("csf", metrics=["delta_e", rms_error], **small)
+    assert result.score.metrics["rms_error"] == rms_error(result.score)
+    compared = compare(["0.35um", "4t-bsi"], repeats=2, jobs=1, camera={"die_mm": 2.7}, metrics=["delta_e", rms_error], **small)
+    of_sensors = compared.judged["rms_error"]
+    assert of_sensors["4t-bsi"].mean() < of_sensors["0.35um"].mean()
 
 
 def test_a_number_of_numpy_is_a_number():
