@@ -186,7 +186,7 @@ Metrics = Annotated[
     list[str] | None,
     Parameter(
         name=("--metrics", "--metric"),
-        help="Judge by this metric: delta_e, detectability, information, acutance, visual_noise, mtf50, snr10_lx, niirs, npwe, "
+        help="Judge by this metric: delta_e, detectability, npwe, information, acutance, visual_noise, mtf50, snr10_lx, niirs, "
         "flip. Repeatable; the first one is that of the headline [default: delta_e].",
         consume_multiple=False,
         metavar="NAME",

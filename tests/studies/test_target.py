@@ -33,6 +33,7 @@ from pixsim.studies.optimum import STEEP, FittedCurve, Posterior, fit_curve
 from pixsim.studies.result import Curve, StudyResult, curve_of, open_notes, target_notes
 from pixsim.studies.rows import Row
 from pixsim.studies.study import next_round
+from pixsim.viewer.metrics import Metric
 from pixsim.viewer.score import ImagingChain, Score
 
 Sensors = dict[float, int]
@@ -414,9 +415,9 @@ def test_study_fits_only_curves_with_new_rows(tmp_path: Path, monkeypatch: pytes
     """There is room for one round, of the first technology; each curve is that of all of its rows."""
     fitted: list[str] = []
 
-    def counted(study: pixsim.Study, technology: str, own: Sequence[Row]) -> Curve:
+    def counted(study: pixsim.Study, technology: str, own: Sequence[Row], metrics: tuple[Metric, ...]) -> Curve:
         fitted.append(technology)
-        return curve_of(study, technology, own)
+        return curve_of(study, technology, own, metrics)
 
     monkeypatch.setattr("pixsim.studies.study.curve_of", counted)
     names = ["0.35um", "0.25um"]
