@@ -89,6 +89,11 @@ def score() -> Any:
 
 
 @cache
+def sensor_table() -> Any:
+    return pixsim.sweep(LIGHT, [PIXEL], camera=CAMERA, display=DISPLAY)
+
+
+@cache
 def edge() -> Any:
     return pixsim.edge_response(EDGE)
 
@@ -122,9 +127,11 @@ GOOD: dict[str, Any] = {
     "power": lambda: lambda y, x: np.exp(-np.hypot(y, x)), "mtf": np.array([1.0, 0.8, 0.5]), "noise_power": np.array(1e-3),
     "mean": 1.0, "rer": 0.4, "ground_m": 0.5, "snr": 50.0, "frequency": np.array([0.0, 1.0, 2.0]), "reflectance": 0.9,
     "frequency_cy_per_deg": np.array([0.0, 1.0, 2.0]), "angle_deg": 5.0, "white_cd_per_m2": 100.0,
+    "ideal": PLANE, "light": LIGHT, "pixels": lambda: [PIXEL],
     "factor": 2.0, "edges_nm": np.array([400.0, 500.0, 600.0]), "height_mm": 1.0, "azimuth_deg": 30.0,
 }  # fmt: skip
 OWN: dict[str, Any] = {
+    "pixsim.score_pictures.image": PLANE,
     "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sfr.image": "edge.npy",
     "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
     "pixsim.read_frame.path": "raw.npz", "pixsim.Technology.with_numbers.values": {"prnu": 0.01},
@@ -156,7 +163,7 @@ ALWAYS = {"pixsim.SpectralImage": ("data",)} | dict.fromkeys(
 INSTANCES: dict[str, Callable[[], Any]] = {
     "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
     "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "EdgeResponse": edge, "Scene": scene,
-    **dict.fromkeys(("Score", "FrameScore"), score),
+    **dict.fromkeys(("Score", "FrameScore"), score), "SensorTable": sensor_table,
     "Plan": plan, "Frame": lambda: FRAME, "Sensor": lambda: SENSOR, "RawFrame": lambda: pixsim.read_frame,
     "Lens": cache(lambda: pixsim.load_lens("cooke_triplet")),
 }  # fmt: skip
@@ -171,7 +178,7 @@ NOT_CALLED = {
     "pixsim.datasheet": "its own tests below", "pixsim.measure.datasheet": "a whole measurement",
     "pixsim.run": "its own tests below", "pixsim.studies.run.RunResult": "a whole run",
     "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
-    "pixsim.PixsimError": "takes any text",
+    "pixsim.PixsimError": "takes any text", "pixsim.studies.many_sensors.SensorTable": "the rows of a sweep",
 }  # fmt: skip
 ANY_VALUE = {"object", "Any"}
 SMALL_RECORDS: dict[str, dict[str, Any]] = {
