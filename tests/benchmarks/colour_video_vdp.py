@@ -3,7 +3,8 @@
     python tests/benchmarks/colour_video_vdp.py [--python FILE] [--pitches 1 1.4 2 2.8 4 5.6 8]
 
 ColorVideoVDP (Mantiuk et al., ACM Trans. Graph. 43 (2024) 129) needs PyTorch, which pixsim does not depend on: `--python` names the
-interpreter of an environment of its own, made by `python -m venv E; E/bin/pip install torch==2.13.0+cpu cvvdp`. The pictures are
+interpreter of an environment of its own, made by `python -m venv E; E/bin/pip install cvvdp`. (Beside a torch without CUDA, the
+file torchvision/_meta_registrations.py of torchvision has to be empty: it registers operators that are not there.) The pictures are
 those that pixsim's display shows, of the first sensor, with the pixels per degree of that display; both programs see the same
 relative luminance. JOD is 10 for pictures that nobody tells apart, and falls by 1 where 75 % of viewers prefer the other one.
 """
@@ -24,6 +25,7 @@ import pixsim
 # Run by the other interpreter: pictures in, JOD out.
 JUDGE = """
 import json, sys, numpy as np, torch, pycvvdp
+from importlib import metadata
 job = json.load(open(sys.argv[1]))
 wide_deg = job["width"] / job["dots_per_deg"]
 geometry = pycvvdp.vvdp_display_geometry((job["width"], job["height"]), distance_m=1.0, fov_horizontal=wide_deg)
@@ -37,7 +39,7 @@ found = []
 for image in pictures["images"]:
     jod, _ = metric.predict(light(image), light(pictures["ideal"]), dim_order="HWC")
     found.append(float(jod))
-print(json.dumps({"jod": found, "version": getattr(pycvvdp, "__version__", "unknown")}))
+print(json.dumps({"jod": found, "version": metadata.version("cvvdp")}))
 """
 
 
