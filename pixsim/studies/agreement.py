@@ -83,17 +83,30 @@ def value_words(metric: Metric, optimum: Optimum) -> str:
     return f"{optimum.value:.4g} {metric.unit}".rstrip()
 
 
-def place_words(optimum: Optimum) -> str:
-    """Return the best size by a metric with its interval, as text."""
-    end = "" if optimum.inside else ", the end of the sizes"
+def place_words(optimum: Optimum, sizes_um: Array) -> str:
+    """Return the best size by a metric with its interval, as text.
+
+    sizes_um : that were tried, rising
+    """
+    end, (low, high) = "" if optimum.inside else ", the end of the sizes", optimum.interval_um
+    if (low is None and high is not None and high <= sizes_um[0]) or (high is None and low is not None and low >= sizes_um[-1]):
+        return f"{optimum.pitch_um:.2f} µm{end} (95 %: at it or beyond)"
     return f"{optimum.pitch_um:.2f} µm{end} (95 %: {interval(optimum.interval_um)})"
 
 
 def agreement_words(curve: Curve) -> list[str]:
-    """Return whether the metrics agree, and what each of them asks for and loses elsewhere; nothing of a single one."""
-    found = agreement_of(curve)
+    """Return whether the metrics agree, what each of them asks for and loses elsewhere, and which tell no best size.
+
+    Nothing of a single metric.
+    """
+    found, fitted = agreement_of(curve), fits_of(curve)
+    silent = [
+        f"{curve.label}: {metric.words} tells no best size, since it is 0 or below, or beyond all bounds, for some sizes"
+        for metric in curve.metrics
+        if metric.has_optimum and metric.name not in fitted
+    ]
     if found is None:
-        return []
+        return silent
     names = list(found.optima)
     low, high = found.between_um
     titles = {metric.name: metric.words for metric in curve.metrics}
@@ -109,9 +122,9 @@ def agreement_words(curve: Curve) -> list[str]:
         optimum = found.optima[metric.name]
         lost = {other: 1 - share for other, share in found.kept[metric.name].items() if 1 - share >= WORTH_SAYING}
         losses = ", ".join(f"{100 * share:.2g} % at that of {titles[other]}" for other, share in lost.items())
-        words = f"{metric.words}: best at {place_words(optimum)}, {value_words(metric, optimum)}"
+        words = f"{metric.words}: best at {place_words(optimum, curve.pitch_um)}, {value_words(metric, optimum)}"
         said.append(words + (f"; it loses {losses}" if losses else ""))
-    return said
+    return said + silent
 
 
 @own_style()

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 LEAST_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
 FARTHEST = 1e12  # of d′, and of what a target lacks
+NOTHING_SEEN = 0.0  # of NIIRS: interpretability is precluded
 POINTS = 65  # frequencies on an axis of the Nyquist square
 ORDERS = 2  # of aliases
 LENSES = ("lens", "real lens")
@@ -175,6 +176,8 @@ def _information(judged: Judged) -> tuple[float, float]:
     chain, time_s = judged.chain, judged.frame.integration_s
     axis, power, folded = scene_power(chain, judged.options.information)
     mean_e = float(chain.signal_e_per_s.mean()) * time_s
+    if clips(chain, np.array(mean_e), time_s):
+        return 0.0, 0.0
     noise = float(variance_of_pixels_e2(chain, mean_e, time_s)) * (1e-3 * chain.physics.read_pitch_um) ** 2
     bits = information_bits_per_mm2(axis, mean_e**2 * power, noise, mean_e**2 * folded)
     return bits, bits * (chain.facts.camera.image_distance_mm * math.radians(1.0)) ** 2
@@ -270,6 +273,8 @@ def _niirs(judged: Judged) -> tuple[float]:
     along, mtf = _mtf_along(chain)
     rer = relative_edge_response(along * 1e-3 * physics.read_pitch_um, mtf)
     darker_e, brighter_e = (chain.white_e_per_s * time_s * reflectance for reflectance in sorted(options.reflectances))
+    if clips(chain, np.array(brighter_e), time_s):
+        return (NOTHING_SEEN,)
     noise_e2 = float(variance_of_pixels_e2(chain, brighter_e, time_s))
     noise_e2 += sum(float(np.mean(variance_e2(physics, along=along))) for along in ("column", "row"))
     ground_m = options.ground_m or 1e-6 * physics.read_pitch_um / abs(camera.magnification)

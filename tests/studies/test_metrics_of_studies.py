@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from helpers.tiny import rows, tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.studies.agreement import agreement_of, agreement_words
+from pixsim.studies.agreement import agreement_of, agreement_words, place_words
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import Curve, StudyResult, fit_of_metric, loss_of
 from pixsim.viewer.metric_registry import METRICS, metrics_named
@@ -85,6 +86,19 @@ def test_judges_disagree_and_say_what_each_loses() -> None:
     assert "the judges disagree; their best sizes are 2." in first
     assert [words.split(":")[0] for words in others] == ["mean ΔE", "information"]
     assert "it loses 2" in others[0]
+
+
+def test_judge_without_a_best_size_says_so() -> None:
+    own = curve(parabola(3.0), 50.0 / parabola(3.0))
+    words = agreement_words(replace(own, fits={}))
+    assert words == ["one: information tells no best size, since it is 0 or below, or beyond all bounds, for some sizes"]
+
+
+def test_interval_at_an_end_of_the_sizes_is_no_interval() -> None:
+    """A loss without scatter that rises from the smallest size on: its interval would be from there to there."""
+    rising = np.repeat(PITCH_UM[:, None], 4, axis=1)
+    place = place_words(fit_curve(PITCH_UM, rising).optimum, PITCH_UM)
+    assert place == "2.00 µm, the end of the sizes (95 %: at it or beyond)"
 
 
 @pytest.fixture(scope="module")

@@ -132,6 +132,21 @@ def test_detectability_of_clipped_pixels_is_none_and_of_rounded_noise_an_error()
         evaluate(with_disc(0.1), pixel=quiet, without=EVEN)
 
 
+@pytest.mark.parametrize("name", ["information", "niirs"])
+def test_frame_whose_signal_clips_tells_nothing(name: str) -> None:
+    """Just below the end of the well a frame tells much, whose signal is largest there, and above it nothing."""
+
+    def value(times: float) -> float:
+        exposure = pixsim.Exposure(integration_s=times * full_s)
+        return pixsim.evaluate(EVEN, CAMERA, PIXEL, exposure=exposure, display=DISPLAY, metrics=[name]).metrics[name]
+
+    chain = chain_of(EVEN)
+    top_e = (2**12 - 1 - 64) / chain.physics.dn_per_e
+    full_s = top_e / (float(chain.signal_e_per_s.mean()) if name == "information" else 0.15 * chain.white_e_per_s)
+    assert value(0.25) < value(0.99)
+    assert value(1.01) == 0.0
+
+
 def test_information_of_a_flat_spectrum_is_its_closed_form() -> None:
     """½∬ log₂(1 + S|T|²/(N + A)) of an even spectrum, by the mean over points in place of Simpson's rule."""
     chain = chain_of(EVEN)
