@@ -89,7 +89,7 @@ def place_words(optimum: Optimum, sizes_um: Array) -> str:
     sizes_um : that were tried, rising
     """
     end, (low, high) = "" if optimum.inside else ", the end of the sizes", optimum.interval_um
-    if (low is None and high is not None and high <= sizes_um[0]) or (high is None and low is not None and low >= sizes_um[-1]):
+    if interval((low, high)) in (interval((None, sizes_um[0])), interval((sizes_um[-1], None))):
         return f"{optimum.pitch_um:.2f} µm{end} (95 %: at it or beyond)"
     return f"{optimum.pitch_um:.2f} µm{end} (95 %: {interval(optimum.interval_um)})"
 
