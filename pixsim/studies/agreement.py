@@ -12,7 +12,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.show.figures import LOOKS, new_figure, own_style
 from pixsim.show.pages import Column, Plate
-from pixsim.show.sentences import interval
+from pixsim.show.sentences import interval, rounded
 from pixsim.studies.optimum import FittedCurve, Optimum
 from pixsim.viewer.metrics import Metric
 
@@ -121,7 +121,7 @@ def agreement_words(curve: Curve) -> list[str]:
             continue
         optimum = found.optima[metric.name]
         lost = {other: 1 - share for other, share in found.kept[metric.name].items() if 1 - share >= WORTH_SAYING}
-        losses = ", ".join(f"{100 * share:.2g} % at that of {titles[other]}" for other, share in lost.items())
+        losses = ", ".join(f"{rounded(100 * share)} % at that of {titles[other]}" for other, share in lost.items())
         words = f"{metric.words}: best at {place_words(optimum, curve.pitch_um)}, {value_words(metric, optimum)}"
         said.append(words + (f"; it loses {losses}" if losses else ""))
     return said + silent

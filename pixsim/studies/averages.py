@@ -67,9 +67,9 @@ class Compared:
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
         """Causes of its mean ΔE beside its noise and blur, the largest first."""
-        time_s = self.score.frame.integration_s
-        lightness = lightness_range(self.score.ideal)
-        return causes_of(self.irradiance.header, self.score.physics, self.white_e, time_s, lightness)
+        frame, lightness = self.score.frame, lightness_range(self.score.ideal)
+        of_frame = self.white_e, frame.integration_s, lightness, frame.saturated_fraction
+        return causes_of(self.irradiance.header, self.score.physics, *of_frame)
 
     @property
     def delta_e(self) -> Array:

@@ -560,18 +560,20 @@ def _is_value(value: float | int | str, asked: float | int | str) -> bool:
     return value == asked or (not isinstance(value, str) and f"{value:.4g}" == str(asked))
 
 
-def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float]) -> tuple[Cause, ...]:
+def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float], rows: Sequence[Row]) -> tuple[Cause, ...]:
     """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the largest first.
 
     series : of the curve
     lightness : the ideal image's, lowest and highest
+    rows : of the curve
     """
     image, place = series.scenes.irradiance, int(np.argmin(curve.mean()))
     time_s, at_best = curve.mean("integration_s")[place], series.imaging.at(float(curve.pitch_um[place]))
     read = at_best.physics.as_read
     area_um2 = collecting_area_um2(image, at_best.camera, at_best.physics) * read.bin_side**2
     white_e = white_rate(image, at_best.camera, at_best.physics, at_best.display) * area_um2 * float(time_s)
-    return causes_of(image.header, read, white_e, float(time_s), lightness)
+    full = [float(row["saturated_fraction"]) for row in rows if float(row["pitch_um"]) == curve.pitch_um[place]]
+    return causes_of(image.header, read, white_e, float(time_s), lightness, float(np.mean(full)))
 
 
 def loss_of(metric: Metric, values: Array) -> Array:

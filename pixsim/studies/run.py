@@ -271,8 +271,9 @@ class RunResult(LitRun):
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
         """Causes of the mean ΔE beside the sensor's noise and blur, the largest first."""
-        time_s, lightness = self.score.frame.integration_s, lightness_range(self.score.ideal)
-        return causes_of(self.irradiance.header, self.score.physics, self.white_e, time_s, lightness)
+        frame, lightness = self.score.frame, lightness_range(self.score.ideal)
+        of_frame = self.white_e, frame.integration_s, lightness, frame.saturated_fraction
+        return causes_of(self.irradiance.header, self.score.physics, *of_frame)
 
     @property
     def film(self) -> dict[str, Any] | None:

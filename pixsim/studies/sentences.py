@@ -21,6 +21,7 @@ from pixsim.studies.agreement import agreement_words, value_words
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.paired import mean_interval
+from pixsim.viewer.causes import SATURATED_SHOWN
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.metric_registry import metric_known
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from pixsim.studies.result import Curve, StudyResult
     from pixsim.studies.run import RunResult
 
-SATURATED_SHOWN = 0.01
 FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel
 LEAST_RISE = 0.1  # per cent, of a curve to an end of its range: a fit says no more
 

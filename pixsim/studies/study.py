@@ -218,7 +218,7 @@ def evaluate_cases(
                 condition=case.condition,
                 alone=case.alone,
                 left_out=tuple(left_out[number].items()),
-                causes=causes_of_curve(series[number], curves[number], facts[number].lightness),
+                causes=causes_of_curve(series[number], curves[number], facts[number].lightness, rows[number]),
             )
             for number in numbers
         )

@@ -1,6 +1,6 @@
 """What decides a mean ΔE other than the sensor's noise and blur: to be named before the number is believed.
 
-Light that is not computed, an ideal image without contrast, and an ADC with too few codes for the picture.
+Light that is not computed, an ideal image without contrast, an ADC with too few codes for the picture, and pixels that are full.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from pixsim.viewer.scielab import xyz_to_lab
 FEWEST_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
 SEEN_LIGHTNESS = 1.0  # of L*: the smallest difference that is noticeable
 ALL = 100.0  # ΔE from black to white
+SATURATED_SHOWN = 0.01  # of the pixels; the tail of shot noise fills fewer
 LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
 ROUNDING = 1e-9  # of a number of codes
 
@@ -46,7 +47,12 @@ class Cause:
 
 
 def causes_of(
-    header: Mapping[str, Any], physics: PixelPhysics, white_e: float, integration_s: float, lightness: tuple[float, float]
+    header: Mapping[str, Any],
+    physics: PixelPhysics,
+    white_e: float,
+    integration_s: float,
+    lightness: tuple[float, float],
+    saturated_fraction: float = 0.0,
 ) -> tuple[Cause, ...]:
     """Return the causes of a score, the largest first.
 
@@ -54,8 +60,11 @@ def causes_of(
     physics : of what is read
     white_e : mean electrons of the scene's white on axis, in this time
     lightness : of the ideal image, as of `lightness_range`
+    saturated_fraction : of the pixels of a frame
     """
-    found = [_contrast(*lightness), _codes(physics, white_e, integration_s, lightness[1]), _light(outside_share(header, physics))]
+    few_codes = _codes(physics, white_e, integration_s, lightness[1])
+    full = _full(_range_e(physics, integration_s), white_e, lightness[1], saturated_fraction)
+    found = [_contrast(*lightness), few_codes or full, _light(outside_share(header, physics))]
     return tuple(sorted(filter(None, found), key=lambda cause: -cause.delta_e))
 
 
@@ -131,6 +140,16 @@ def _contrast(low: float, high: float) -> Cause | None:
     elif low > ALL - SEEN_LIGHTNESS:
         hint = f"all of it is display white: choose a scene with detail, or raise {setting('display.white_cd_per_m2')} if it clips"
     return Cause(f"the ideal image has no contrast, L* {low:.1f} to {high:.1f}", ALL, hint)
+
+
+def _full(range_e: float, white_e: float, lightest: float, share: float) -> Cause | None:
+    if share <= SATURATED_SHOWN or range_e >= white_e:  # where display white clips too, full pixels cost nothing
+        return None
+    lost = lightest - float(lightness_of(np.array(max(range_e, 0.0) / white_e)))
+    if lost < SEEN_LIGHTNESS:
+        return None
+    hint = f"less time ({setting('exposure.integration_s')}) or gain ({setting('exposure.gain_db')}), or a larger full well"
+    return Cause(f"{share:.0%} of the pixels are saturated", lost, hint)
 
 
 def _light(share: float) -> Cause | None:

@@ -1067,8 +1067,9 @@ def evaluate(
     own = irradiance, camera, pixel, exposure, display, full, correction, develop
     chain = make_imaging_chain(*own, keep=True, judging=judging, without=without)
     score = judged_score(chain, judging, ("evaluate", seed))
-    time_s = score.frame.integration_s
-    causes = causes_of(irradiance.header, score.physics, chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal))
+    time_s, saturated = score.frame.integration_s, score.frame.saturated_fraction
+    of_frame = chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal), saturated
+    causes = causes_of(irradiance.header, score.physics, *of_frame)
     # The ideal picture is that of the chain, which stays.
     return replace(score, ideal=score.ideal.copy(), light=LightError.of(irradiance.header, causes=causes), _scored=None)
 

@@ -214,6 +214,16 @@ def test_signal_below_one_step_is_named_beside_a_bright_white() -> None:
         assert [cause.words for cause in causes] == ["the lightest dot is 0.9 of a step of the ADC above black"] * named
 
 
+def test_full_pixels_are_named_where_display_white_is_lighter() -> None:
+    """In a white of four wells, pixels are full from a quarter of it on, L* 57.1 by CIE 15: up to 42.9 are lost."""
+    full_e = FLAT.saturation_e - 0.01 * FLAT.dark_current_e_per_s
+    (cause,) = causes_of({}, FLAT, 4 * full_e, 0.01, (0.0, 100.0), 0.85)
+    assert cause.words == "85% of the pixels are saturated"
+    assert cause.delta_e == pytest.approx(100 - (116 * 0.25 ** (1 / 3) - 16), abs=1e-9)
+    for white_e, lightest, share in ((full_e, 100.0, 0.85), (4 * full_e, 57.0, 0.85), (4 * full_e, 100.0, 0.005)):
+        assert causes_of({}, FLAT, white_e, 0.01, (0.0, lightest), share) == ()
+
+
 def test_largest_cause_is_named_first() -> None:
     few, left_out = Cause("few codes", 50.0, "more bits"), Cause("light left out", 2.0, "a filter")
     assert LightError(3.6, 0.02, causes=(few, left_out)).number(76.5) == "76.5 (few codes, …) ± 3.6 (film)"
