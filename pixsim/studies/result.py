@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import cycle
+from itertools import cycle, islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+FEW_ROWS = 64  # that tell which part of the pixels is full
 WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
 SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
@@ -572,7 +573,8 @@ def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float]
     read = at_best.physics.as_read
     area_um2 = collecting_area_um2(image, at_best.camera, at_best.physics) * read.bin_side**2
     white_e = white_rate(image, at_best.camera, at_best.physics, at_best.display) * area_um2 * float(time_s)
-    full = [float(row["saturated_fraction"]) for row in rows if float(row["pitch_um"]) == curve.pitch_um[place]]
+    at_size = (float(row["saturated_fraction"]) for row in rows if float(row["pitch_um"]) == curve.pitch_um[place])
+    full = list(islice(at_size, FEW_ROWS))
     return causes_of(image.header, read, white_e, float(time_s), lightness, float(np.mean(full)))
 
 
