@@ -244,7 +244,8 @@ class LightFacts:
     @cached_property
     def spectrum(self) -> tuple[Array, Array]:
         """Power spectrum of the picture over its squared mean, as of `radial_spectrum`: cycles/mm, and mm²."""
-        frequency, power = radial_spectrum(self.picture / float(self.picture.mean(dtype=float)), self.mean.pitch_um)
+        mean = float(self.picture.mean(dtype=float)) or 1.0  # of a black picture, which has no power
+        frequency, power = radial_spectrum(self.picture / mean, self.mean.pitch_um)
         return frequency, power
 
 
@@ -699,6 +700,15 @@ def warn_of_clipping(beyond_white: float) -> None:
         warn(text)
 
 
+def check_without(without: SpectralImage, irradiance: SpectralImage) -> None:
+    """Raise PixsimError if light without a target cannot be compared with that with it, sample by sample."""
+    without.validate()
+    got, wanted = ([*each.shape[:2], each.pitch_um] for each in (without, irradiance))
+    if got[:2] != wanted[:2] or not math.isclose(got[2], wanted[2], rel_tol=ROUNDING):
+        found, allowed = ("{} × {} samples of {:g} µm".format(*each) for each in (got, wanted))
+        raise invalid("without", found, f"the samples of the light with the target, {allowed}")
+
+
 def prepare_scene(
     irradiance: SpectralImage,
     camera: Camera,
@@ -722,9 +732,11 @@ def prepare_scene(
     judging : what is asked of the judges
     without : the irradiance of the scene without its target, if a metric asks for it
 
-    Raises PixsimError if the irradiance is negative or not finite.
+    Raises PixsimError if the irradiance is negative or not finite, or without the target has other samples.
     """
     irradiance.validate()
+    if without is not None:
+        check_without(without, irradiance)
     channels = physics.channels
     rendition = None if physics.layout is None else rendition_of(irradiance, channels, display)
     make_screen = partial(
