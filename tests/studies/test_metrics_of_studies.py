@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from helpers.tiny import rows, tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.studies.agreement import agreement_of, agreement_words
+from pixsim.studies.agreement import agreement_of, agreement_words, share_of_best
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import Curve, StudyResult, fit_of_metric, loss_of
 from pixsim.viewer.metric_registry import METRICS, metrics_named
@@ -87,6 +88,20 @@ def test_judges_disagree_and_say_what_each_loses() -> None:
     assert "it loses 2" in others[0]
 
 
+def test_nobody_agrees_with_a_judge_who_has_no_wish() -> None:
+    """A metric that is the same at all sizes may be best at any of them; of a best value of 0, nothing is left elsewhere."""
+    own = curve(parabola(3.0), np.full((PITCH_UM.size, 28), 50.0))
+    found = agreement_of(own)
+    assert found is not None
+    assert found.together is None
+    assert found.as_dict()["agree"] is None
+    assert "whether the judges agree is not known; information may be best at any" in agreement_words(own)[0]
+    least = np.maximum(np.abs(own.fit.pitch_um - PITCH_UM[3]) - 0.1, 0.0)
+    kept = share_of_best(replace(own.fit, delta_e=least))
+    assert kept.max() == 1.0
+    assert kept[0] == 0.0
+
+
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
     folder = tmp_path_factory.mktemp("judged")
@@ -102,6 +117,9 @@ def test_study_has_columns_and_optima_of_each_metric(judged: tuple[StudyResult, 
     assert own.optimum is own.optima["delta_e"]
     summary = result.as_dict()["curves"][0]
     assert summary["optima"]["information"]["value"] == own.optima["information"].value
+    agreement = agreement_of(own)
+    assert agreement is not None
+    assert summary["judges"] == agreement.as_dict()
     assert summary["metrics"]["mtf50_cy_per_mm"] == own.mean("mtf50_cy_per_mm").tolist()
 
 
@@ -128,6 +146,7 @@ def test_study_may_judge_by_another_metric_first(tmp_path: Path) -> None:
     result = pixsim.study(tiny(metrics=["information", "acutance"]), tmp_path, jobs=1)
     own = result.curves[0]
     assert not own.has_delta_e
+    assert own.as_dict()["optimum"] == own.optimum.of_metric(), "no number of ΔE"
     assert own.optimum.value == pytest.approx(own.mean("information").max(), rel=0.05)
     pixsim.write_report(result, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
