@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
+from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.photodiode import saturation_level_e
@@ -95,7 +96,9 @@ def _detectability(judged: Judged) -> tuple[float, float, float]:
 
 def needs_target(asked: Asked) -> str:
     """Return what a metric of a target lacks."""
-    return "" if asked.has_without else "light of the scene without its target: metric.detectability.without"
+    if asked.has_without:
+        return ""
+    return f"light of the scene without its target: {setting('metric.detectability.without')}, or without=… of evaluate and sweep"
 
 
 DETECTABILITY = Metric(

@@ -64,6 +64,7 @@ from pixsim.viewer.judges.information_density import radial_spectrum
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metrics import DELTA_E, Asked, Metric, delta_e_statistics, percentiles
+from pixsim.viewer.raw_metrics import OF_TARGETS, has_target
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
     colour_delta_e_map,
@@ -1076,6 +1077,7 @@ def evaluate(
     from pixsim.viewer.metric_registry import metrics_named
 
     judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
+    warn_of_unused_light(judging, without)
     own = irradiance, camera, pixel, exposure, display, full, correction, develop
     chain = make_imaging_chain(*own, keep=True, judging=judging, without=without)
     score = judged_score(chain, judging, ("evaluate", seed))
@@ -1083,6 +1085,12 @@ def evaluate(
     causes = causes_of(irradiance.header, score.physics, chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal))
     # The ideal picture is that of the chain, which stays.
     return replace(score, ideal=score.ideal.copy(), light=LightError.of(irradiance.header, causes=causes), _scored=None)
+
+
+def warn_of_unused_light(judging: Judging, without: SpectralImage | None) -> None:
+    """Warn if light without a target is given, and no metric asks for it."""
+    if without is not None and not has_target([metric.name for metric in judging.metrics]):
+        warn(f"without is not used: neither {' nor '.join(OF_TARGETS)} is among the metrics")
 
 
 def judged_score(chain: ImagingChain, judging: Judging, key: tuple[object, ...]) -> FrameScore:
