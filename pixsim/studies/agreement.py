@@ -92,6 +92,15 @@ def tells_nothing(optimum: Optimum) -> bool:
     return optimum.interval_um == (None, None)
 
 
+def common_end(found: Agreement) -> str:
+    """Return at which end of the sizes, 'smallest' or 'largest', all metrics are best; empty if one has its best size inside."""
+    optima = found.optima.values()
+    for place, name in enumerate(("smallest", "largest")):
+        if all(not each.inside and each.interval_um[place] is None for each in optima):
+            return name
+    return ""
+
+
 def value_words(metric: Metric, optimum: Optimum) -> str:
     """Return the value of a metric at its best size, with its unit."""
     return f"{optimum.value:.4g} {metric.unit}".rstrip()
@@ -115,6 +124,8 @@ def agreement_words(curve: Curve) -> list[str]:
     if found.together is None:
         open_ones = ", ".join(titles[name] for name, optimum in found.optima.items() if tells_nothing(optimum))
         said = [f"{curve.label}: whether the judges agree is not known; {open_ones} may be best at any of the sizes tried"]
+    elif found.together and (end := common_end(found)):
+        said = [f"{curve.label}: the judges agree as far as the sizes tell: the best is the {end} one tried, {sizes}, or beyond"]
     elif found.together:
         many = COUNTS[len(names)] if len(names) < len(COUNTS) else f"all {len(names)}"
         said = [f"{curve.label}: the judges agree, {many} within {sizes} (their 95 % intervals overlap)"]

@@ -102,6 +102,13 @@ def test_nobody_agrees_with_a_judge_who_has_no_wish() -> None:
     assert kept[0] == 0.0
 
 
+@pytest.mark.parametrize(("best_um", "end"), [(0.5, "smallest"), (20.0, "largest")])
+def test_judges_who_want_more_than_was_tried_agree_as_far_as_the_sizes_tell(best_um: float, end: str) -> None:
+    first, *_ = agreement_words(curve(parabola(best_um), 50.0 / parabola(best_um)))
+    size = {"smallest": PITCH_UM[0], "largest": PITCH_UM[-1]}[end]
+    assert f"agree as far as the sizes tell: the best is the {end} one tried, {size:.2f} µm, or beyond" in first
+
+
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
     folder = tmp_path_factory.mktemp("judged")
