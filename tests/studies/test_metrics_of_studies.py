@@ -16,9 +16,14 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.studies.agreement import agreement_of, agreement_words, share_of_best
 from pixsim.studies.optimum import fit_curve
+from pixsim.studies.preparation import prepare
 from pixsim.studies.result import Curve, StudyResult, fit_of_metric, loss_of
+from pixsim.studies.settings_text import settings_text
+from pixsim.studies.study_file import load_study
+from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.settings_file import settings_layer
 
 PITCH_UM = np.array([2.0, 2.4, 2.9, 3.5, 4.2, 5.0, 6.0])
 NAMES = ["delta_e", "information", "mtf50"]
@@ -242,3 +247,21 @@ def test_each_case_of_a_study_has_an_optimum_by_each_metric(tmp_path: Path) -> N
         each.optima["information"].pitch_um for each in result.curves
     ]
     assert not any(name.startswith("mtf50") for name in found[0]), "it tells no best size"
+
+
+def test_scene_without_the_target_lies_next_to_its_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In files of studies and sensors; the settings of a folder have its whole path; a wrong name is known before a render."""
+    folder = tmp_path / "own"
+    folder.mkdir()
+    (folder / "empty.xml").write_text("<scene/>")
+    table = '[metric.detectability]\nwithout = "empty.xml"\n'
+    (folder / "study.toml").write_text(f'name = "a"\nmetrics = ["detectability"]\n{table}')
+    (folder / "sensor.toml").write_text(table)
+    monkeypatch.chdir(tmp_path)
+    study = load_study(folder / "study.toml")
+    assert study.metric.detectability.without == str(folder / "empty.xml")
+    assert settings_layer(folder / "sensor.toml").table["metric"]["detectability"]["without"] == str(folder / "empty.xml")
+    stated = study.model_copy(update={"metric": MetricOptions(detectability={"without": "own/empty.xml"})})
+    assert f'without = "{folder / "empty.xml"}"' in settings_text(stated, "again")
+    with pytest.raises(PixsimError, match=r"without.*: scene: got 'none.xml'; allowed: an XML file, or one of csf"):
+        prepare(tiny(metrics=["detectability"], metric={"detectability": {"without": "none.xml"}}))
