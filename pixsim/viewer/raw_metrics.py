@@ -108,7 +108,7 @@ DETECTABILITY = Metric(
     better="more",
     judges="raw frame",
     source="Barrett & Myers, Foundations of Image Science (2004), 13.2.12; seen at 5: Rose, J. Opt. Soc. Am. 38 (1948) 196",
-    unseen="unknown positions of the target, clutter, corrections of the frame, and what becomes of it on a display",
+    unseen="unknown positions of the target, clutter, noise cut off at code 0, corrections of the frame, and the display",
     columns=("detectability", "least_detectability", "contrast_factor_at_threshold"),
     bounds=(0.0, FARTHEST),
     compute=_detectability,
@@ -267,7 +267,7 @@ def _snr10_lx(judged: Judged) -> tuple[float]:
 
 SNR10_LX = Metric(
     name="snr10_lx",
-    title="illuminance for an SNR of 10",
+    title="illuminance for the SNR wanted, 10 unless it is set",
     unit="lx",
     better="less",
     judges="shown picture",

@@ -369,3 +369,8 @@ def test_pictures_are_scored_only_if_a_metric_asks(monkeypatch: pytest.MonkeyPat
         statistics = Judged(chain, chain.capture("a"), judging).statistics()
         assert len(scored) == count
         assert {"information", "information_bits_per_deg2"} <= statistics.keys()
+
+
+def test_name_of_snr10_holds_for_any_snr() -> None:
+    """The SNR is a setting: words of a result that state 10 would be wrong for another one."""
+    assert METRICS["snr10_lx"].words == "illuminance for the SNR wanted"
