@@ -28,7 +28,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "tolerance_delta_e": 0.01, "target_ci_um": 0.1, "max_evaluations": 1000, "max_seconds": 60.0, "resolution": 1024,
     "die_height_mm": 2.4, "pixels": [640, 640], "die_mm": 2.4,
     "f_number": 2.8, "chief_ray_angle": [[0.0, 0.0], [1.0, 16.0], [2.0, 30.0]], "integration_s": 0.02,
-    "demosaic": "bilinear", "corner_cy_per_mm": 0.4, "ground_m": 0.5,
+    "demosaic": "bilinear", "corner_cy_per_mm": 0.4, "ground_distance_m": 500e3,
     "white_cd_per_m2": 1000.0, "lens.file": "phone", "configuration": 1, "vignetting_factors": "use",
     "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],
     "sensors": {"my_sensor.toml": {"pitch_um": 3.75, "technology": "4t-bsi"}},

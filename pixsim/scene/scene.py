@@ -261,6 +261,20 @@ def is_packaged(text: SceneText) -> bool:
     return text.content in _packaged_texts()
 
 
+def scene_path(scene: str | os.PathLike[str]) -> Path:
+    """Return the file of a scene, which may be a packaged one. Raises PixsimError if there is none."""
+    path = packaged_scenes().get(str(scene)) or Path(scene)
+    if path.suffix == ".toml":
+        hint = f"To use a parameter file: pixsim run csf --config {path}"
+        raise invalid("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", hint)
+    if not os.path.lexists(path) or path.is_dir():
+        known, is_path = packaged_scenes(), path.parent != Path() and not path.is_dir()
+        got = missing(path) if is_path else f"'{scene}'"
+        hint = _hint_of_picture(path) or did_you_mean(str(scene), known)
+        raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", hint)
+    return path
+
+
 @checks_arguments
 def load_scene(
     scene: str | os.PathLike[str], *, variant: str | None = None, sensor: str | None = None, **parameters: object
@@ -285,15 +299,7 @@ def load_scene(
     >>> load_scene("csf", resolution=64).camera().focal_length_mm
     3.86
     """
-    path = packaged_scenes().get(str(scene)) or Path(scene)
-    if path.suffix == ".toml":
-        hint = f"To use a parameter file: pixsim run csf --config {path}"
-        raise invalid("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", hint)
-    if not os.path.lexists(path) or path.is_dir():
-        known, is_path = packaged_scenes(), path.parent != Path() and not path.is_dir()
-        got = missing(path) if is_path else f"'{scene}'"
-        hint = _hint_of_picture(path) or did_you_mean(str(scene), known)
-        raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", hint)
+    path = scene_path(scene)
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
     lamps = parameters.pop(WHITE_LAMPS, None)
     highest = parameters.pop(charts.MAX_LP_PER_MM, None)

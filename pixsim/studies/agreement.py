@@ -13,7 +13,7 @@ from pixsim.base.arrays import Array
 from pixsim.show.figures import LOOKS, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 from pixsim.show.sentences import interval, rounded
-from pixsim.studies.optimum import FittedCurve, Optimum
+from pixsim.studies.optimum import ROUNDING, FittedCurve, Optimum
 from pixsim.viewer.metrics import Metric
 
 if TYPE_CHECKING:
@@ -30,13 +30,14 @@ class Agreement:
     """What several metrics say of the pixels of one curve.
 
     optima : of each metric, by its name
-    together : whether the 95 % intervals of all of them overlap, an open end without limit
+    together : whether the 95 % intervals of all of them overlap, an open end without limit; None where they do since some are
+        open at both ends, so that nothing is known
     between_um : smallest and largest of their best sizes
     kept : for each metric, and each metric's best size, the share of its best value that is left there
     """
 
     optima: Mapping[str, Optimum]
-    together: bool
+    together: bool | None
     between_um: tuple[float, float]
     kept: Mapping[str, Mapping[str, float]]
 
@@ -55,8 +56,13 @@ def fits_of(curve: Curve) -> dict[str, FittedCurve]:
 
 
 def share_of_best(fit: FittedCurve) -> Array:
-    """Return a metric over its best value along its fitted curve, at most 1; the best over the value where less is better."""
-    return np.asarray(fit.delta_e.min() / fit.delta_e) if fit.delta_e.min() > 0 else np.ones(fit.delta_e.size)
+    """Return a metric over its best value along its fitted curve, at most 1; the best over the value where less is better.
+
+    Of a best value of 0, nothing is left where the value is another one.
+    """
+    loss = np.maximum(fit.delta_e, 0.0)
+    best = float(loss.min())
+    return np.divide(best, loss, out=np.ones(loss.size), where=loss > best + ROUNDING * fit.scale)
 
 
 def agreement_of(curve: Curve) -> Agreement | None:
@@ -75,7 +81,24 @@ def agreement_of(curve: Curve) -> Agreement | None:
         }
         for name, fit in fits.items()
     }
-    return Agreement(optima, max(lows) <= min(highs), (min(sizes), max(sizes)), kept)
+    together: bool | None = max(lows) <= min(highs)
+    if together and any(tells_nothing(each) for each in optima.values()):
+        together = None
+    return Agreement(optima, together, (min(sizes), max(sizes)), kept)
+
+
+def tells_nothing(optimum: Optimum) -> bool:
+    """Return whether the interval of an optimum is open at both ends: any size may be the best."""
+    return optimum.interval_um == (None, None)
+
+
+def common_end(found: Agreement) -> str:
+    """Return at which end of the sizes, 'smallest' or 'largest', all metrics are best; empty if one has its best size inside."""
+    optima = found.optima.values()
+    for place, name in enumerate(("smallest", "largest")):
+        if all(not each.inside and each.interval_um[place] is None for each in optima):
+            return name
+    return ""
 
 
 def value_words(metric: Metric, optimum: Optimum) -> str:
@@ -111,7 +134,12 @@ def agreement_words(curve: Curve) -> list[str]:
     low, high = found.between_um
     titles = {metric.name: metric.words for metric in curve.metrics}
     sizes = f"{low:.2f} µm" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f} µm"
-    if found.together:
+    if found.together is None:
+        open_ones = ", ".join(titles[name] for name, optimum in found.optima.items() if tells_nothing(optimum))
+        said = [f"{curve.label}: whether the judges agree is not known; {open_ones} may be best at any of the sizes tried"]
+    elif found.together and (end := common_end(found)):
+        said = [f"{curve.label}: the judges agree as far as the sizes tell: the best is the {end} one tried, {sizes}, or beyond"]
+    elif found.together:
         many = COUNTS[len(names)] if len(names) < len(COUNTS) else f"all {len(names)}"
         said = [f"{curve.label}: the judges agree, {many} within {sizes} (their 95 % intervals overlap)"]
     else:

@@ -36,7 +36,7 @@ from pixsim.viewer.judged import Judging
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import PIXEL_STATISTICS, Asked, Metric, columns_of_metrics
-from pixsim.viewer.score import SceneCache, Score, Seen, warn_of_clipping, warn_of_other_camera, white_header
+from pixsim.viewer.score import SceneCache, Score, Seen, warn_of_clipping, warn_of_other_camera, warn_of_unused_light, white_header
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 
 if TYPE_CHECKING:
@@ -140,6 +140,7 @@ def sweep(
     correction, develop = correction or NO_CORRECTION, develop or DEVELOP
     judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
     with collected_notes():
+        warn_of_unused_light(judging, without)
         warn_of_other_camera(light, camera)
         each: dict[Any, Imaging] = {}
         for name, pixel in by_name.items():

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
+from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.records import content_hash
@@ -45,6 +46,7 @@ from pixsim.studies.varied import paths_of
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Asked, columns_of_metrics
+from pixsim.viewer.raw_metrics import has_target
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.unused import warn_of_unused_settings
 
@@ -453,6 +455,11 @@ def check_metrics(settings: Setting, pixels: Sequence[PixelOptions], scene: Scen
     scene : None for a picture of another program
     """
     judging, stated = judging_of(settings), settings.metric.detectability.without
+    if isinstance(stated, str) and has_target(settings.metrics):
+        from pixsim.scene.scene import scene_path
+
+        with named(setting("metric.detectability.without")):
+            scene_path(stated)
     has_without = scene is not None and (isinstance(stated, str) or stated.keys() <= scene.names)
     for pixel in pixels:
         judging.check(Asked(pixel.colour is not None, has_without))

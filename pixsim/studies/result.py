@@ -29,6 +29,7 @@ from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, dataframe_of, rows_csv
 from pixsim.show.render import cell_of
 from pixsim.show.sentences import few, sentence, settings_line, span
+from pixsim.studies.agreement import agreement_of
 from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import Counts, blocks_of, frames_of, task_of
 from pixsim.studies.light_level import LightLevel
@@ -235,7 +236,9 @@ class Curve:
             return {}
         optima = {name: optimum.of_metric() for name, optimum in self.optima.items()}
         names = columns_of_metrics(self.metrics)
-        return {"optima": optima, "metrics": {name: self.mean(name).tolist() for name in names}}
+        judges = agreement_of(self)
+        told = {} if judges is None else {"judges": judges.as_dict()}
+        return {"optima": optima, "metrics": {name: self.mean(name).tolist() for name in names}} | told
 
     def as_dict(self) -> dict[str, Any]:
         """Return the curve as in summary.json."""
@@ -244,7 +247,7 @@ class Curve:
         return {
             "technology": self.technology,
             **of_case,
-            "optimum": self.optimum.as_dict(),
+            "optimum": self.optimum.as_dict() if self.judged_by_delta_e else self.optimum.of_metric(),
             "no_visible_difference_um": self.no_difference_um,
             "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum_features,

@@ -21,7 +21,11 @@ FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
     ("camera", "chief_ray_angle"): as_chief_ray_angles,
     **{("pixel", "colour", name): as_curves for name, as_curves in AS_CURVES.items()},
 }
-FILES = (("scene", "file"), ("lens", "file"), ("scene", "parameters", "chart"), ("pixel", "technology"), *FILES_OF_VALUES)
+WITHOUT_TARGET = ("metric", "detectability", "without")
+FILES = (
+    *(("scene", "file"), ("lens", "file"), ("scene", "parameters", "chart"), ("pixel", "technology"), WITHOUT_TARGET),
+    *FILES_OF_VALUES,
+)
 
 
 def settings_text(record: Record, command: str, uncertainty: Uncertainty | None = None, **changes: object) -> str:
@@ -43,6 +47,8 @@ def settings_text(record: Record, command: str, uncertainty: Uncertainty | None 
         table["axis"] = [_without_files_of_axis(axis) for axis in table["axis"]]
     for condition in table.get("condition", ()):
         condition["set"] = _without_files(condition["set"])
+    if isinstance(without := table.get("metric", {}).get("detectability", {}).get("without"), str):
+        table["metric"]["detectability"]["without"] = whole_path(without)
     if "file" in table.get("lens", {}):
         table["lens"]["file"] = whole_path(table["lens"]["file"])
         if catalogues := table["lens"].get("glass_catalogues"):

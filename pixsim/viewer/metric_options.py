@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pixsim.base.records import NumberOrText, Record, UnitInterval
+from pixsim.light.quantities import Fraction
 
 Illuminance = Annotated[float, Field(ge=1e-9, le=1e9)]
 Length = Annotated[float, Field(ge=1e-6, le=1e9)]
@@ -50,19 +51,23 @@ class SnrIlluminance(Record):
     """Settings of the metric snr10_lx."""
 
     snr: Annotated[float, Field(ge=0.1, le=1e6)] = Field(10.0, description="signal to noise ratio of a dot of the display")
-    reflectance: UnitInterval = Field(0.18, description="of the wall")
+    reflectance: Fraction = Field(0.18, description="of the wall")
     integration_s: Annotated[float, Field(ge=1e-9, le=1e6)] = Field(1 / 30, description="integration time")
 
 
 class Niirs(Record):
     """Settings of the metric niirs."""
 
-    ground_m: Length | None = Field(
-        None, description="distance of pixels on the ground (absent: of the pixels' images on the object plane)"
-    )
+    ground_distance_m: Length | None = Field(None, description="of the ground from the lens (absent: that of the plane in focus)")
     reflectances: tuple[UnitInterval, UnitInterval] = Field(
         (0.07, 0.15), description="of two surfaces whose difference is the signal of SNR"
     )
+
+    @model_validator(mode="after")
+    def _surfaces_differ(self) -> Self:
+        if self.reflectances[0] == self.reflectances[1]:
+            raise ValueError(f"reflectances = {list(self.reflectances)}, which are equal; give those of two surfaces that differ")
+        return self
 
 
 class MetricOptions(Record):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
+from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.photodiode import saturation_level_e
@@ -46,14 +47,23 @@ def variance_of_pixels_e2(chain: ImagingChain, signal_e: Array | float, time_s: 
     return np.asarray(alone + 1 / (12 * p.dn_per_e**2))
 
 
-def clips(chain: ImagingChain, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
-    """Return which pixels of an expected signal are at an end of the well or of the codes."""
+def range_e(chain: ImagingChain, time_s: float) -> tuple[float, float]:
+    """Return the ends of the signals that neither the well nor the codes clip, in electrons."""
     p = chain.physics
     dark_e = p.dark_current_e_per_s * time_s
     top_e = (2**p.pixel.bits - 1 - p.pixel.black_level_dn) / p.dn_per_e - dark_e  # `frame_mean_dn` is linear
-    full_e = min(saturation_level_e(time_s, p) - dark_e, top_e)
-    at_zero = signal_e <= -p.pixel.black_level_dn / p.dn_per_e - dark_e
-    return np.logical_or(signal_e >= full_e, at_zero)
+    return -p.pixel.black_level_dn / p.dn_per_e - dark_e, min(saturation_level_e(time_s, p) - dark_e, top_e)
+
+
+def clips(chain: ImagingChain, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
+    """Return which pixels of an expected signal are at an end of the well or of the codes."""
+    empty_e, full_e = range_e(chain, time_s)
+    return np.logical_or(signal_e >= full_e, signal_e <= empty_e)
+
+
+def within_range_e(chain: ImagingChain, signal_e: Array, time_s: float) -> Array:
+    """Return an expected signal, clipped as the well and the codes clip it."""
+    return np.clip(signal_e, *range_e(chain, time_s))
 
 
 def _d_prime(chain: ImagingChain, time_s: float) -> float:
@@ -87,7 +97,9 @@ def _detectability(judged: Judged) -> tuple[float, float, float]:
 
 def needs_target(asked: Asked) -> str:
     """Return what a metric of a target lacks."""
-    return "" if asked.has_without else "light of the scene without its target: metric.detectability.without"
+    if asked.has_without:
+        return ""
+    return f"light of the scene without its target: {setting('metric.detectability.without')}, or without=… of evaluate and sweep"
 
 
 DETECTABILITY = Metric(
@@ -97,7 +109,7 @@ DETECTABILITY = Metric(
     better="more",
     judges="raw frame",
     source="Barrett & Myers, Foundations of Image Science (2004), 13.2.12; seen at 5: Rose, J. Opt. Soc. Am. 38 (1948) 196",
-    unseen="unknown positions of the target, clutter, corrections of the frame, and what becomes of it on a display",
+    unseen="unknown positions of the target, clutter, noise cut off at code 0, corrections of the frame, and the display",
     columns=("detectability", "least_detectability", "contrast_factor_at_threshold"),
     bounds=(0.0, FARTHEST),
     compute=_detectability,
@@ -173,13 +185,16 @@ def scene_power(chain: ImagingChain, options: Information) -> tuple[Array, Array
 
 
 def _information(judged: Judged) -> tuple[float, float]:
+    """Return that of the mean level of the pixels that do not clip, for their share of the sensor."""
     chain, time_s = judged.chain, judged.frame.integration_s
     axis, power, folded = scene_power(chain, judged.options.information)
-    mean_e = float(chain.signal_e_per_s.mean()) * time_s
-    if clips(chain, np.array(mean_e), time_s):
+    signal_e = chain.signal_e_per_s * time_s
+    told = ~clips(chain, signal_e, time_s)
+    if not told.any():
         return 0.0, 0.0
+    mean_e = float(signal_e[told].mean())
     noise = float(variance_of_pixels_e2(chain, mean_e, time_s)) * (1e-3 * chain.physics.read_pitch_um) ** 2
-    bits = information_bits_per_mm2(axis, mean_e**2 * power, noise, mean_e**2 * folded)
+    bits = float(told.mean()) * information_bits_per_mm2(axis, mean_e**2 * power, noise, mean_e**2 * folded)
     return bits, bits * (chain.facts.camera.image_distance_mm * math.radians(1.0)) ** 2
 
 
@@ -190,7 +205,8 @@ INFORMATION = Metric(
     better="more",
     judges="raw frame",
     source="Fales & Huck, Information Sciences 57-58 (1991) 245: ½∬ log₂(1 + S|T|²/(N + A))",
-    unseen="what is in the picture: noise of the mean level counts everywhere, and offsets of whole rows and columns nowhere",
+    unseen="what is in the picture: noise of the mean level counts everywhere, offsets of whole rows and columns nowhere; "
+    "and corrections of the frame",
     columns=("information", "information_bits_per_deg2"),
     bounds=(0.0, 1e15),
     compute=_information,
@@ -252,12 +268,12 @@ def _snr10_lx(judged: Judged) -> tuple[float]:
 
 SNR10_LX = Metric(
     name="snr10_lx",
-    title="illuminance for an SNR of 10",
+    title="illuminance for the SNR wanted, 10 unless it is set",
     unit="lx",
     better="less",
     judges="shown picture",
     source="Alakarhu, International Image Sensor Workshop (2007), per dot of the display",
-    unseen="sharpness, colour, and all levels but one",
+    unseen="sharpness, colour, corrections of the frame, and all levels but one",
     columns=("snr10_lx",),
     bounds=(0.0, 1e15),
     compute=_snr10_lx,
@@ -277,7 +293,9 @@ def _niirs(judged: Judged) -> tuple[float]:
         return (NOTHING_SEEN,)
     noise_e2 = float(variance_of_pixels_e2(chain, brighter_e, time_s))
     noise_e2 += sum(float(np.mean(variance_e2(physics, along=along))) for along in ("column", "row"))
-    ground_m = options.ground_m or 1e-6 * physics.read_pitch_um / abs(camera.magnification)
+    distance_m = options.ground_distance_m
+    reduction = 1 / abs(camera.magnification) if distance_m is None else 1e3 * distance_m / camera.image_distance_mm
+    ground_m = 1e-6 * physics.read_pitch_um * reduction
     return (niirs(rer, ground_m, (brighter_e - darker_e) / math.sqrt(noise_e2)),)
 
 
@@ -288,7 +306,7 @@ NIIRS = Metric(
     better="more",
     judges="raw frame",
     source="General Image Quality Equation 5, NGA (2015)",
-    unseen="aliases, motion and haze; fitted to pictures from above of 0.2 to 1.3 relative edge response",
+    unseen="aliases, clipping, corrections, motion, haze; fitted to pictures from above of 0.2 to 1.3 relative edge response",
     columns=("niirs",),
     bounds=(-1e3, 1e3),
     compute=_niirs,

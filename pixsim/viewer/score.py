@@ -64,6 +64,7 @@ from pixsim.viewer.judges.information_density import radial_spectrum
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metrics import DELTA_E, Asked, Metric, delta_e_statistics, percentiles
+from pixsim.viewer.raw_metrics import OF_TARGETS, has_target
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
     colour_delta_e_map,
@@ -244,7 +245,8 @@ class LightFacts:
     @cached_property
     def spectrum(self) -> tuple[Array, Array]:
         """Power spectrum of the picture over its squared mean, as of `radial_spectrum`: cycles/mm, and mm²."""
-        frequency, power = radial_spectrum(self.picture / float(self.picture.mean(dtype=float)), self.mean.pitch_um)
+        mean = float(self.picture.mean(dtype=float)) or 1.0  # of a black picture, which has no power
+        frequency, power = radial_spectrum(self.picture / mean, self.mean.pitch_um)
         return frequency, power
 
 
@@ -699,6 +701,15 @@ def warn_of_clipping(beyond_white: float) -> None:
         warn(text)
 
 
+def check_without(without: SpectralImage, irradiance: SpectralImage) -> None:
+    """Raise PixsimError if light without a target cannot be compared with that with it, sample by sample."""
+    without.validate()
+    got, wanted = ([*each.shape[:2], each.pitch_um] for each in (without, irradiance))
+    if got[:2] != wanted[:2] or not math.isclose(got[2], wanted[2], rel_tol=ROUNDING):
+        found, allowed = ("{} × {} samples of {:g} µm".format(*each) for each in (got, wanted))
+        raise invalid("without", found, f"the samples of the light with the target, {allowed}")
+
+
 def prepare_scene(
     irradiance: SpectralImage,
     camera: Camera,
@@ -722,9 +733,11 @@ def prepare_scene(
     judging : what is asked of the judges
     without : the irradiance of the scene without its target, if a metric asks for it
 
-    Raises PixsimError if the irradiance is negative or not finite.
+    Raises PixsimError if the irradiance is negative or not finite, or without the target has other samples.
     """
     irradiance.validate()
+    if without is not None:
+        check_without(without, irradiance)
     channels = physics.channels
     rendition = None if physics.layout is None else rendition_of(irradiance, channels, display)
     make_screen = partial(
@@ -1064,6 +1077,7 @@ def evaluate(
     from pixsim.viewer.metric_registry import metrics_named
 
     judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
+    warn_of_unused_light(judging, without)
     own = irradiance, camera, pixel, exposure, display, full, correction, develop
     chain = make_imaging_chain(*own, keep=True, judging=judging, without=without)
     score = judged_score(chain, judging, ("evaluate", seed))
@@ -1072,6 +1086,12 @@ def evaluate(
     causes = causes_of(irradiance.header, score.physics, *of_frame)
     # The ideal picture is that of the chain, which stays.
     return replace(score, ideal=score.ideal.copy(), light=LightError.of(irradiance.header, causes=causes), _scored=None)
+
+
+def warn_of_unused_light(judging: Judging, without: SpectralImage | None) -> None:
+    """Warn if light without a target is given, and no metric asks for it."""
+    if without is not None and not has_target([metric.name for metric in judging.metrics]):
+        warn(f"without is not used: neither {' nor '.join(OF_TARGETS)} is among the metrics")
 
 
 def judged_score(chain: ImagingChain, judging: Judging, key: tuple[object, ...]) -> FrameScore:

@@ -46,6 +46,9 @@ def settings_layer(path: Path) -> Layer:
     scene = table.get("scene")
     if isinstance(scene, dict) and "chart" in scene:
         table = {**table, "scene": scene | {"chart": resolve_file(path, scene["chart"])}}
+    metric = table.get("metric")
+    if isinstance(metric, dict) and isinstance(own := metric.get("detectability"), dict) and "without" in own:
+        table = {**table, "metric": metric | {"detectability": own | {"without": resolve_file(path, own["without"])}}}
     return Layer(table, str(path))
 
 

@@ -14,7 +14,7 @@ from pixsim.viewer.judges.sharpness import acutance
 from pixsim.viewer.judges.visible_noise import visual_noise
 from pixsim.viewer.metrics import Asked, Metric
 from pixsim.viewer.mtf import mtf_terms
-from pixsim.viewer.raw_metrics import grey, needs_target
+from pixsim.viewer.raw_metrics import grey, needs_target, within_range_e
 
 if TYPE_CHECKING:
     from pixsim.viewer.judged import Judged
@@ -58,6 +58,8 @@ def _visual_noise(judged: Judged) -> tuple[float]:
     """Show a frame of an even patch, of the same sensor settings and exposure, in a stream of its own."""
     chain, time_s = judged.chain, judged.frame.integration_s
     even = np.full(chain.signal_e_per_s.shape, GREY * chain.white_e_per_s)
+    if chain.even is not None and (chain.shading is not None or chain.correction.flat_frames):
+        even *= chain.even  # by which the picture is divided
     patch = replace(chain, signal_e_per_s=even, exposure=chain.exposure.model_copy(update={"integration_s": time_s}))
     key = (*judged.stream, judged.number, "visual noise")
     frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
@@ -85,7 +87,8 @@ def _npwe(judged: Judged) -> tuple[float]:
     assert chain.without_e_per_s is not None
 
     def shown_light(signal_e_per_s: Array) -> Array:
-        return chain.light(replace(frame, corrected_e=(signal_e_per_s * frame.integration_s).astype(np.float32)))
+        signal_e = within_range_e(chain, signal_e_per_s * frame.integration_s, frame.integration_s)
+        return chain.light(replace(frame, corrected_e=signal_e.astype(np.float32)))
 
     with_target = shown_light(chain.signal_e_per_s)
     noise, samples_per_deg = chain.light(frame) - with_target, chain.screen.display.samples_per_deg

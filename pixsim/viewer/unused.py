@@ -28,6 +28,7 @@ from pixsim.sensor.stack_options import StackOptions
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_options import METRIC_OPTIONS
+from pixsim.viewer.raw_metrics import OF_TARGETS, has_target
 from pixsim.viewer.setting import Effort, Run, Setting
 
 WITHIN = 1e-6  # relative, of lengths and temperatures that are equal but for rounding
@@ -235,6 +236,16 @@ def of_metric(c: Configuration, name: str) -> str:
     return "" if isinstance(c.command, Setting) and name in c.command.metrics else f"{name} is not among the metrics"
 
 
+def of_target(c: Configuration) -> str:
+    judged = isinstance(c.command, Setting) and has_target(c.command.metrics)
+    return "" if judged else f"neither {' nor '.join(OF_TARGETS)} is among the metrics"
+
+
+def of_registrations(c: Configuration) -> str:
+    centred = "with display.raster = 'one_to_one' the array is centred" if c.display.raster == "one_to_one" else ""
+    return of_metric(c, "detectability") or centred
+
+
 def of_natural_spectrum(c: Configuration) -> str:
     known = isinstance(c.command, Setting) and c.command.metric.information.spectrum == "natural"
     return of_metric(c, "information") or ("" if known else "the spectrum is that of the scene (metric.information.spectrum)")
@@ -292,7 +303,12 @@ RULES = (
     ),
     Rule(("tolerance_e", "render_noise", "repeats"), of_calibration),
     Rule(("metric.information.contrast", "metric.information.corner_cy_per_mm"), of_natural_spectrum),
-    *(Rule(fields_of(f"metric.{name}", type(options)), partial(of_metric, name=name)) for name, options in METRIC_OPTIONS),
+    Rule(("metric.detectability.without",), of_target),
+    Rule(("metric.detectability.registrations",), of_registrations),
+    *(
+        Rule(fields_of(f"metric.{name}", type(options), "without", "registrations"), partial(of_metric, name=name))
+        for name, options in METRIC_OPTIONS
+    ),
 )
 
 

@@ -14,11 +14,16 @@ from helpers.tiny import rows, tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.studies.agreement import agreement_of, agreement_words, place_words
+from pixsim.studies.agreement import agreement_of, agreement_words, place_words, share_of_best
 from pixsim.studies.optimum import fit_curve
+from pixsim.studies.preparation import prepare
 from pixsim.studies.result import Curve, StudyResult, fit_of_metric, loss_of
+from pixsim.studies.settings_text import settings_text
+from pixsim.studies.study_file import load_study
+from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.settings_file import settings_layer
 
 PITCH_UM = np.array([2.0, 2.4, 2.9, 3.5, 4.2, 5.0, 6.0])
 NAMES = ["delta_e", "information", "mtf50"]
@@ -101,6 +106,27 @@ def test_interval_at_an_end_of_the_sizes_is_no_interval() -> None:
     assert place == "2.00 µm, the end of the sizes (95 %: at it or beyond)"
 
 
+def test_nobody_agrees_with_a_judge_who_has_no_wish() -> None:
+    """A metric that is the same at all sizes may be best at any of them; of a best value of 0, nothing is left elsewhere."""
+    own = curve(parabola(3.0), np.full((PITCH_UM.size, 28), 50.0))
+    found = agreement_of(own)
+    assert found is not None
+    assert found.together is None
+    assert found.as_dict()["agree"] is None
+    assert "whether the judges agree is not known; information may be best at any" in agreement_words(own)[0]
+    least = np.maximum(np.abs(own.fit.pitch_um - PITCH_UM[3]) - 0.1, 0.0)
+    kept = share_of_best(replace(own.fit, delta_e=least))
+    assert kept.max() == 1.0
+    assert kept[0] == 0.0
+
+
+@pytest.mark.parametrize(("best_um", "end"), [(0.5, "smallest"), (20.0, "largest")])
+def test_judges_who_want_more_than_was_tried_agree_as_far_as_the_sizes_tell(best_um: float, end: str) -> None:
+    first, *_ = agreement_words(curve(parabola(best_um), 50.0 / parabola(best_um)))
+    size = {"smallest": PITCH_UM[0], "largest": PITCH_UM[-1]}[end]
+    assert f"agree as far as the sizes tell: the best is the {end} one tried, {size:.2f} µm, or beyond" in first
+
+
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
     folder = tmp_path_factory.mktemp("judged")
@@ -116,6 +142,9 @@ def test_study_has_columns_and_optima_of_each_metric(judged: tuple[StudyResult, 
     assert own.optimum is own.optima["delta_e"]
     summary = result.as_dict()["curves"][0]
     assert summary["optima"]["information"]["value"] == own.optima["information"].value
+    agreement = agreement_of(own)
+    assert agreement is not None
+    assert summary["judges"] == agreement.as_dict()
     assert summary["metrics"]["mtf50_cy_per_mm"] == own.mean("mtf50_cy_per_mm").tolist()
 
 
@@ -142,6 +171,7 @@ def test_study_may_judge_by_another_metric_first(tmp_path: Path) -> None:
     result = pixsim.study(tiny(metrics=["information", "acutance"]), tmp_path, jobs=1)
     own = result.curves[0]
     assert not own.has_delta_e
+    assert own.as_dict()["optimum"] == own.optimum.of_metric(), "no number of ΔE"
     assert own.optimum.value == pytest.approx(own.mean("information").max(), rel=0.05)
     pixsim.write_report(result, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -230,3 +260,21 @@ def test_each_case_of_a_study_has_an_optimum_by_each_metric(tmp_path: Path) -> N
         each.optima["information"].pitch_um for each in result.curves
     ]
     assert not any(name.startswith("mtf50") for name in found[0]), "it tells no best size"
+
+
+def test_scene_without_the_target_lies_next_to_its_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In files of studies and sensors; the settings of a folder have its whole path; a wrong name is known before a render."""
+    folder = tmp_path / "own"
+    folder.mkdir()
+    (folder / "empty.xml").write_text("<scene/>")
+    table = '[metric.detectability]\nwithout = "empty.xml"\n'
+    (folder / "study.toml").write_text(f'name = "a"\nmetrics = ["detectability"]\n{table}')
+    (folder / "sensor.toml").write_text(table)
+    monkeypatch.chdir(tmp_path)
+    study = load_study(folder / "study.toml")
+    assert study.metric.detectability.without == str(folder / "empty.xml")
+    assert settings_layer(folder / "sensor.toml").table["metric"]["detectability"]["without"] == str(folder / "empty.xml")
+    stated = study.model_copy(update={"metric": MetricOptions(detectability={"without": "own/empty.xml"})})
+    assert f'without = "{folder / "empty.xml"}"' in settings_text(stated, "again")
+    with pytest.raises(PixsimError, match=r"without.*: scene: got 'none.xml'; allowed: an XML file, or one of csf"):
+        prepare(tiny(metrics=["detectability"], metric={"detectability": {"without": "none.xml"}}))

@@ -147,6 +147,92 @@ def test_frame_whose_signal_clips_tells_nothing(name: str) -> None:
     assert value(1.01) == 0.0
 
 
+def test_light_without_the_target_has_the_samples_of_that_with_it() -> None:
+    evaluate = partial(pixsim.evaluate, EVEN, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=["detectability"])
+    coarse = SpectralImage([550.0], 10.0, 2 * CELL_UM, data=np.full((100, 100, 1), 2e-4), header=EVEN.header)
+    message = "without: got 100 × 100 samples of 4 µm; allowed: the samples of the light with the target, 200 × 200 samples of 2 µm"
+    with pytest.raises(PixsimError, match=message):
+        evaluate(without=coarse)
+    with pytest.raises(PixsimError, match="negative"):
+        evaluate(without=light(-np.ones((200, 200))))
+    for call in (
+        partial(evaluate, metrics=["delta_e"]),
+        partial(pixsim.sweep, EVEN, [PIXEL], camera=CAMERA, display=DISPLAY, jobs=1),
+    ):
+        with pytest.warns(UserWarning, match="without is not used: neither detectability nor npwe is among the metrics"):
+            call(without=EVEN)
+
+
+def test_npwe_sees_nothing_of_what_clips() -> None:
+    """Light of 300 and 330 times that of `EVEN`, both far above the full well: one picture, without and with the target."""
+    with_target, without = light(300.0 + 30.0 * (with_disc(1.0).data[..., 0] > 3e-4)), light(np.full((200, 200), 300.0))
+    found = pixsim.evaluate(with_target, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=["npwe"], without=without)
+    assert found.frame.saturated_fraction == 1.0
+    assert found.metrics["npwe"] == 0.0
+
+
+def test_pixels_that_clip_have_no_information() -> None:
+    """Half of the sensor is far beyond its full well: the other half has half of what all of it has in its own light."""
+    picture = np.ones((200, 200))
+    picture[:, 100:] = 1e3
+    half, whole = (
+        pixsim.evaluate(image, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=["information"]).metrics["information"]
+        for image in (light(picture), EVEN)
+    )
+    assert half == pytest.approx(whole / 2, rel=1e-9)
+
+
+def test_visual_noise_has_no_shading_that_is_corrected() -> None:
+    """Openings that are not shifted lose a good part of the light at the edge; its correction leaves an even patch even."""
+    stack = {"height_um": 6.0, "index": 1.5, "microlens": "none", "shift": "none"}
+    quiet = {"pitch_um": 4.0, "stack": stack, "fill_factor": 0.5, "bits": 16, "read_noise_e": 0.0, "full_well_e": 1e9}
+    pixel = Pixel.model_validate(PIXEL.model_dump(exclude_unset=True) | quiet)
+    bright, camera = light(np.full((200, 200), 1e4)), Camera(die_mm=0.4, f_number=2.8, focal_length_mm=0.5)
+    display = DISPLAY.model_copy(update={"white_cd_per_m2": 1e4 * WHITE})
+    even = make_imaging_chain(bright, camera, pixel, EXPOSURE, display).even
+    assert even is not None
+    assert np.ptp(even) > 0.5
+    for correction in (None, pixsim.Correction(flat_frames=10)):
+        found = pixsim.evaluate(bright, camera, pixel, EXPOSURE, display, correction=correction, metrics=["visual_noise"])
+        assert found.metrics["visual_noise"] == pytest.approx(0.031, rel=0.1), "4.4 with the shading of its correction"
+
+
+def test_ground_distance_of_niirs_grows_with_the_pixels() -> None:
+    """Of a distance of the ground as that of the plane in focus, NIIRS is what it is without one; 10 times farther 3.32 less."""
+    evaluate = partial(pixsim.evaluate, EVEN, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=["niirs"])
+    near, same, far = (
+        evaluate(metric=MetricOptions(niirs={} if distance_m is None else {"ground_distance_m": distance_m})).metrics["niirs"]
+        for distance_m in (None, CAMERA.object_distance_m, 10 * CAMERA.object_distance_m)
+    )
+    assert same == pytest.approx(near, abs=1e-9)
+    assert far == pytest.approx(near - 3.32, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"niirs": {"reflectances": (0.1, 0.1)}}, "niirs: reflectances.*equal"),
+        ({"snr10_lx": {"reflectance": 0.0}}, "reflectance: got 0"),
+    ],
+)
+def test_settings_of_metrics_without_a_meaning_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(PixsimError, match=message):
+        MetricOptions(**settings)
+
+
+def test_black_picture_has_no_spectrum() -> None:
+    found = pixsim.evaluate(
+        light(np.zeros((200, 200))),
+        CAMERA,
+        PIXEL,
+        EXPOSURE,
+        DISPLAY,
+        metrics=["information"],
+        metric=MetricOptions(information={"spectrum": "scene"}),
+    )
+    assert found.metrics["information"] == 0.0
+
+
 def test_information_of_a_flat_spectrum_is_its_closed_form() -> None:
     """½∬ log₂(1 + S|T|²/(N + A)) of an even spectrum, by the mean over points in place of Simpson's rule."""
     chain = chain_of(EVEN)
@@ -298,3 +384,8 @@ def test_pictures_are_scored_only_if_a_metric_asks(monkeypatch: pytest.MonkeyPat
         statistics = Judged(chain, chain.capture("a"), judging).statistics()
         assert len(scored) == count
         assert {"information", "information_bits_per_deg2"} <= statistics.keys()
+
+
+def test_name_of_snr10_holds_for_any_snr() -> None:
+    """The SNR is a setting: words of a result that state 10 would be wrong for another one."""
+    assert METRICS["snr10_lx"].words == "illuminance for the SNR wanted"
