@@ -199,7 +199,8 @@ def metrics_against_pitch(curve: Curve) -> Plate:
             axes.plot(fit.optimum.pitch_um, fit.optimum.value, "v", ms=7, mfc="white", mec=LOOKS[0].colour)
         better = "less is better" if metric.better == "less" else "more is better"
         axes.set_title(f"{metric.label}: {better}", fontsize=8)
-        axes.set_ylim(0, HEADROOM * max(axes.get_ylim()[1], float(mean.max())))
+        if mean.min() >= 0:
+            axes.set_ylim(0, HEADROOM * max(axes.get_ylim()[1], float(mean.max())))
         axes.grid(alpha=0.25)
         table[metric.columns[0]], table[f"{metric.columns[0]}_ci95"] = mean.tolist(), half.tolist()
     for axes in panels[len(metrics) :]:

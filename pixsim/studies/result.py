@@ -170,6 +170,15 @@ class Curve:
         """
         return np.asarray(np.nanmean(self.delta_e if statistic is None else self.statistics[statistic], axis=1))
 
+    @checks_arguments
+    def typical(self, statistic: str) -> Array:
+        """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit; the least one of a worst case.
+
+        statistic : its column in results.csv
+        """
+        worst = any(statistic in metric.worst for metric in self.metrics)
+        return np.asarray(np.nanmin(self.statistics[statistic], axis=1)) if worst else self.mean(statistic)
+
     @cached_property
     def no_difference_um(self) -> tuple[float, float] | None:
         """Range of tested pitches around the best whose mean ΔE differ by less than 0.05, uncertainty included; None if narrow.
@@ -238,7 +247,7 @@ class Curve:
         names = columns_of_metrics(self.metrics)
         judges = agreement_of(self)
         told = {} if judges is None else {"judges": judges.as_dict()}
-        return {"optima": optima, "metrics": {name: self.mean(name).tolist() for name in names}} | told
+        return {"optima": optima, "metrics": {name: self.typical(name).tolist() for name in names}} | told
 
     def as_dict(self) -> dict[str, Any]:
         """Return the curve as in summary.json."""
@@ -621,7 +630,9 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row], metrics: tuple[
     found = {each.name: fit_of_metric(each, pitches, statistics[each.columns[0]], width_um) for each in metrics}
     fit = found.pop(metrics[0].name)
     if fit is None:
-        got = f"'{metrics[0].name}' first, which is 0 or below for some pixels of {label_of(technology)}"
+        got = (
+            f"'{metrics[0].name}' first, which is 0 or below for some pixels of {label_of(technology)}, as where their signal clips"
+        )
         raise invalid("metrics", got, "values above 0, of which a best size can be told", "Name another metric first.")
     process = technology_of(study, technology)
     return Curve(
@@ -759,7 +770,7 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
         mean, ci95 = mean_and_ci95(curve.delta_e)
         columns = {"technology": np.array([curve.label] * mean.size), "pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor}
         columns |= {"mean_delta_e": mean, "ci95_delta_e": ci95} if curve.judged_by_delta_e else {}
-        columns |= {name: curve.mean(name) for name in columns_of_metrics(curve.metrics) if name != DELTA_E.columns[0]}
+        columns |= {name: curve.typical(name) for name in columns_of_metrics(curve.metrics) if name != DELTA_E.columns[0]}
         if any(other.fresnel_number is not None for other in curves):
             columns["fresnel_number"] = np.full(mean.size, np.nan) if curve.fresnel_number is None else curve.fresnel_number
         for name, values in columns.items():

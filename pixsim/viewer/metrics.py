@@ -62,6 +62,7 @@ class Metric:
     has_optimum : whether a best pixel size may be told from it
     needs_light : whether it asks for the light of the scene beside the picture
     needs_frame : whether it asks for the frame and the sensor behind the picture
+    worst : columns of which the least value of all frames counts, not their mean
     code : hash of a function of the user's, on which its numbers depend; empty for one of pixsim's
     """
 
@@ -80,6 +81,7 @@ class Metric:
     has_optimum: bool = True
     needs_light: bool = False
     needs_frame: bool = True
+    worst: tuple[str, ...] = ()
     code: str = ""
 
     @property

@@ -113,6 +113,7 @@ DETECTABILITY = Metric(
     columns=("detectability", "least_detectability", "contrast_factor_at_threshold"),
     bounds=(0.0, FARTHEST),
     compute=_detectability,
+    worst=("least_detectability",),
     lacks=needs_target,
     needs_light=True,
 )
@@ -246,15 +247,16 @@ MTF50 = Metric(
 
 def _snr10_lx(judged: Judged) -> tuple[float]:
     chain, options, physics = judged.chain, judged.options.snr10_lx, judged.chain.physics
-    dot_um = chain.screen.dot_um or physics.read_pitch_um
+    across = max(1.0, (chain.screen.dot_um or physics.read_pitch_um) / physics.read_pitch_um)
     found = snr10_lx(
         chain.white_e_per_s * options.integration_s,
         white_cd_per_m2(chain.facts.mean, chain.screen.display),
         reflectance=options.reflectance,
         dark_variance_e2=float(variance_of_pixels_e2(chain, 0.0, options.integration_s))
-        + sum(float(np.mean(variance_e2(physics, along=along))) for along in ("column", "row")),
+        # A dot is the mean of as many offsets of rows, and of columns, as pixels along its side, not as pixels.
+        + across * sum(float(np.mean(variance_e2(physics, along=along))) for along in ("column", "row")),
         prnu=physics.prnu,
-        pixels_per_dot=(dot_um / physics.read_pitch_um) ** 2,
+        pixels_per_dot=across**2,
         snr=options.snr,
         saturation_e=physics.saturation_e,
     )

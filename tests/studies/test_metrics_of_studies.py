@@ -200,7 +200,10 @@ def test_detectability_takes_the_light_without_the_target(tmp_path: Path) -> Non
         scene = {"file": "target", "parameters": {"size_um": 40.0, "contrast": contrast, "luminance_cd_per_m2": 100.0}}
         study = tiny(metrics=["detectability"], scene=scene, exposure={"integration_s": 0.01})
         result = pixsim.study(study, tmp_path / str(contrast), jobs=1)
-        found.append(result.curves[0].mean("detectability"))
+        own = result.curves[0]
+        found.append(own.mean("detectability"))
+        least = own.as_dict()["metrics"]["least_detectability"]
+        assert least == own.statistics["least_detectability"].min(axis=1).tolist(), "the worst, not the mean of the worst"
     np.testing.assert_allclose(found[1] / found[0], 2.0, rtol=0.02)
 
 
