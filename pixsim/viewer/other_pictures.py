@@ -47,7 +47,7 @@ def score_pictures(
     ...     return abs(float((score.image - score.ideal).mean()))
     >>> score = score_pictures(even, 0.25 * even, Display(gamma=1.0, bits=16), metrics=["delta_e", mean_error])
     >>> {name: round(value, 3) for name, value in score.metrics.items()}
-    {'delta_e': 34.051, 'mean_error': 0.375}
+    {'delta_e': 34.069, 'mean_error': 0.375}
     """
     display, judging = display or Display(), Judging(metrics_named(metrics))
     ideal, image = np.asarray(ideal), np.asarray(image)
