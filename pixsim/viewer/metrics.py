@@ -146,7 +146,7 @@ class OwnFunction:
         return (float(value),)
 
 
-def content_of(value: Any, seen: list[Any]) -> str:
+def content_of(value: object, seen: list[object]) -> str:
     """Return what the results of a user's function depend on: its code, and the functions and values to which that refers.
 
     value : the function, or what it refers to
@@ -155,13 +155,13 @@ def content_of(value: Any, seen: list[Any]) -> str:
     if inspect.ismodule(value) or any(value is one for one in seen):
         return ""
     seen.append(value)
-    code = getattr(value, "__code__", None)
-    if code is None or code.co_filename.startswith(OF_VERSIONS):
+    function = getattr(value, "__func__", value)  # of a method
+    if not inspect.isfunction(function) or function.__code__.co_filename.startswith(OF_VERSIONS):
         try:
             return inspect.getsource(value) if inspect.isclass(value) else hashlib.blake2b(pickle.dumps(value)).hexdigest()
         except Exception:  # whatever a class of the user's raises
             return f"{type(value)} {getattr(value, '__qualname__', '')}"
-    codes = [code]
+    codes = [function.__code__]
     for each in codes:  # with those of functions inside
         codes += [constant for constant in each.co_consts if inspect.iscode(constant)]
     constants = [
@@ -170,9 +170,9 @@ def content_of(value: Any, seen: list[Any]) -> str:
     ]
     own = [(each.co_code, each.co_names, constant) for each, constant in zip(codes, constants, strict=True)]
     used = {step.argval for each in codes for step in dis.get_instructions(each) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
-    names = sorted(used & value.__globals__.keys())
-    cells = [cell.cell_contents for cell in value.__closure__ or () if cell != CellType()]
-    others = [*(value.__globals__[name] for name in names), *cells, value.__defaults__, value.__kwdefaults__]
+    names = sorted(used & function.__globals__.keys())
+    cells = [cell.cell_contents for cell in function.__closure__ or () if cell != CellType()]
+    others = [*(function.__globals__[name] for name in names), *cells, function.__defaults__, function.__kwdefaults__]
     return " ".join([repr(own), *(content_of(other, seen) for other in others)])
 
 
