@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -489,14 +490,15 @@ def compare(
     from pixsim.show.render import write
     from pixsim.studies.compare import run_prepared
     from pixsim.studies.comparison_cases import ComparedCases, prepare_cases
+    from pixsim.studies.lineup import prepare
 
     shared: dict[str, Any] = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
     tables = options.tables(**shared, resolution=resolution, window_mm=window_mm, **vars(judges))
     with collected_notes() as notes:
-        axes, cases, prepared = prepare_cases(
+        prepared_by = partial(
+            prepare,
             sensors,
             scene,
-            study,
             match=match,
             repeats=repeats,
             config=options.config or [],
@@ -505,6 +507,7 @@ def compare(
             variant=variant,
             uncertainty=uncertainty,
         )
+        axes, cases, prepared = prepare_cases(study, prepared_by)
         folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.cases)
         places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))
         if dry_run:

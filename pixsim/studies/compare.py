@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ from pixsim.studies.comparison_cases import ComparedCases, folders_of, prepare_c
 from pixsim.studies.cost import frame_cost
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import rows_of
-from pixsim.studies.lineup import ComparisonJob, Lineup
+from pixsim.studies.lineup import ComparisonJob, Lineup, prepare
 from pixsim.studies.matched_cameras import Match
 from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, rendered_light
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
@@ -120,10 +120,10 @@ def compare(
     options = plain_tables(settings)
     options |= {"scene": dict(parameters)} if parameters else {}
     with collected_notes():  # also of what is found before the comparison begins
-        axes, cases, prepared = prepare_cases(
+        prepared_by = partial(
+            prepare,
             files,
             scene,
-            study,
             match=match,
             repeats=repeats,
             config=[Path(path) for path in listed(config)],
@@ -132,6 +132,7 @@ def compare(
             variant=variant,
             uncertainty=uncertainty,
         )
+        axes, cases, prepared = prepare_cases(study, prepared_by)
         folders = folders_of(out, cases)
         results = [
             run_prepared(each, jobs=jobs, scheduler=scheduler, progress=progress, out=folder)

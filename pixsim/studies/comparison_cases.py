@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from pixsim.studies.averages import Averaged
 from pixsim.studies.axis import Axis
 from pixsim.studies.cases import BASE, Case, case_words, cases_of, combinations, values_at, with_range_ends
 from pixsim.studies.comparison import FIGURE_BORDER_IN, FIGURE_WIDTH_IN, ROW_IN, Comparison
-from pixsim.studies.lineup import ComparisonJob, prepare
+from pixsim.studies.lineup import ComparisonJob
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.varied import MAX_CASE_NAME
@@ -62,17 +62,17 @@ def cases_of_comparison(study: StatedStudy) -> tuple[tuple[Axis, ...], list[Case
 
 
 def prepare_cases(
-    files: Sequence[str | os.PathLike[str]], scene: str | os.PathLike[str] | None, study: StatedStudy, **asked: Any
+    study: StatedStudy, prepare: Callable[..., ComparisonJob]
 ) -> tuple[tuple[Axis, ...], list[Case[Study]], list[ComparisonJob]]:
     """Return `cases_of_comparison`, and a comparison that is prepared for each case, or the only one.
 
-    asked : further arguments of `prepare`
+    prepare : prepares one, of a `study`, which is its argument
 
     Raises PixsimError for invalid input.
     """
     axes, cases = cases_of_comparison(study)
     studies: list[StatedStudy] = [case.settings for case in cases]
-    return axes, cases, [prepare(files, scene, study=own, **asked) for own in studies or [study]]
+    return axes, cases, [prepare(study=own) for own in studies or [study]]
 
 
 def folders_of(out: str | os.PathLike[str] | None, cases: Sequence[Case[Study]]) -> list[Path | None]:
