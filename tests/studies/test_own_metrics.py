@@ -148,7 +148,7 @@ def with_direction(direction):
         ([returns(np.nan)], "nan of mine; allowed: a function that returns one finite number of a Score"),
         ([returns(None)], "None of mine; allowed: a function that returns one finite number"),
         ([returns(True)], "True of mine"),
-        ([returns(np.ones(2))], r"array\(\[1., 1.\]\) of mine"),
+        ([returns(np.ones(2))], r"array\(.*\) of mine"),  # other packages change how NumPy prints
         ([3], r"metrics.*got 3"),
         ([], "metrics: got none"),
     ],
