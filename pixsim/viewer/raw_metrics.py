@@ -75,7 +75,7 @@ def _d_prime(chain: ImagingChain, time_s: float) -> float:
     spread = float(np.mean(variance_e2(p, light_e=1.0, along="pixel"))) - float(np.mean(variance_e2(p, along="pixel")))
     variance = variance_of_pixels_e2(chain, (with_e + without_e) / 2, time_s)
     variance += spread / 4 * difference**2
-    sigma_dn = p.dn_per_e * math.sqrt(float(variance.min()))
+    sigma_dn = math.sqrt(max(p.dn_per_e**2 * float(variance.min()) - 1 / 12, 0.0))  # before it is rounded
     if sigma_dn < LEAST_SIGMA_DN:
         got = f"noise of {sigma_dn:.2g} DN in pixels of {p.pitch_um:g} µm, which the ADC rounds away"
         hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
