@@ -142,12 +142,12 @@ class Curve:
     @property
     def judged_by_delta_e(self) -> bool:
         """Whether ΔE is the first metric, which the curve is drawn of."""
-        return self.metrics[0] is DELTA_E
+        return self.metrics[0].name == DELTA_E.name  # a worker has a copy of it
 
     @property
     def has_delta_e(self) -> bool:
         """Whether ΔE is among the metrics."""
-        return DELTA_E in self.metrics
+        return any(metric.name == DELTA_E.name for metric in self.metrics)
 
     @property
     def delta_e(self) -> Array:
@@ -241,7 +241,7 @@ class Curve:
 
     def _further_metrics(self) -> dict[str, Any]:
         """Return what summary.json has of metrics beside ΔE alone."""
-        if self.metrics == (DELTA_E,):
+        if [metric.name for metric in self.metrics] == [DELTA_E.name]:
             return {}
         optima = {name: optimum.of_metric() for name, optimum in self.optima.items()}
         names = columns_of_metrics(self.metrics)

@@ -103,7 +103,7 @@ class Judged:
 
     def statistics(self) -> dict[str, float]:
         """Return the numbers of a row: of the pixel, of the frame, and of each metric by its columns."""
-        found = self.score.gamut if DELTA_E in self.judging.metrics else {}
+        found = self.score.gamut if any(metric.name == DELTA_E.name for metric in self.judging.metrics) else {}
         return frame_statistics(self.chain.physics, self.frame) | numbers_of(self.judging.metrics, self) | found
 
 

@@ -125,7 +125,7 @@ def test_write_report_equal_file_names_are_numbered(made: tuple[StudyResult, Pat
     names = {path.name for path in (tmp_path / "out/figures").iterdir()}
     for label in ("mine", "mine-2"):
         assert {f"contact_sheet_{label}.png", f"pictures_{label}.svg"} <= names
-        assert f"{label}: optimal pixel size" in " ".join(page.split())
+        assert f"{label.capitalize()}: optimal pixel size" in " ".join(page.split())
     assert str(tmp_path) not in page
     assert {f"figures/{name}" for name in names} <= report_files(study)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -281,3 +282,11 @@ def test_scene_without_the_target_lies_next_to_its_settings(tmp_path: Path, monk
     assert f'without = "{folder / "empty.xml"}"' in settings_text(stated, "again")
     with pytest.raises(PixsimError, match=r"without.*: scene: got 'none.xml'; allowed: an XML file, or one of csf"):
         prepare(tiny(metrics=["detectability"], metric={"detectability": {"without": "none.xml"}}))
+
+
+def test_curve_that_was_sent_to_a_worker_is_judged_by_delta_e() -> None:
+    """Figures are drawn in workers, where a metric is a copy."""
+    own = pickle.loads(pickle.dumps(curve(parabola(3.0), 50.0 / parabola(3.0))))
+    assert own.judged_by_delta_e
+    assert own.has_delta_e
+    assert list(own.optima) == ["delta_e", "information"]
