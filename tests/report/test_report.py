@@ -17,6 +17,7 @@ import pixsim
 from pixsim.report.study import plates_of_curves, report_files
 from pixsim.report.wording import blur_words
 from pixsim.sensor.labels import label_of
+from pixsim.show.sentences import capital
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.pixels import physics_of
 from pixsim.studies.result import StudyResult
@@ -125,7 +126,7 @@ def test_write_report_equal_file_names_are_numbered(made: tuple[StudyResult, Pat
     names = {path.name for path in (tmp_path / "out/figures").iterdir()}
     for label in ("mine", "mine-2"):
         assert {f"contact_sheet_{label}.png", f"pictures_{label}.svg"} <= names
-        assert f"{label.capitalize()}: optimal pixel size" in " ".join(page.split())
+        assert f"{capital(label)}: optimal pixel size" in " ".join(page.split())
     assert str(tmp_path) not in page
     assert {f"figures/{name}" for name in names} <= report_files(study)
 
