@@ -46,7 +46,7 @@ from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import elsewhere_note
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import (
     ImagingChain,
@@ -116,7 +116,7 @@ def compare(
     (['0.35um', '4t-bsi'], True)
     """
     if metrics:
-        settings["metrics"] = tuple(metric.name for metric in metrics_named(metrics))
+        settings["metrics"] = names_of(metrics)
     options = plain_tables(settings)
     options |= {"scene": dict(parameters)} if parameters else {}
     with collected_notes():  # also of what is found before the comparison begins

@@ -28,7 +28,7 @@ from pixsim.sensor.readout import Frame, Sensor, make_frame
 from pixsim.studies.cost import Cost, jobs_in_memory
 from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.keys import REPEATS_PER_TASK, block_key
-from pixsim.studies.results_file import ResultsFile, columns_of
+from pixsim.studies.results_file import ResultsFile, row_columns
 from pixsim.studies.rows import NO_ROWS, Row, RowStore, StoredRows
 from pixsim.studies.sampling import Sizes
 from pixsim.studies.series import Series
@@ -337,7 +337,7 @@ class Evaluations:
         more = (*series[0].columns, *((DOTS, DEGREE) if any(len(each.displays) > 1 for each in series) else ()))
         metrics = series[0].imaging.judging.metrics
         self._results = None if results is None else ResultsFile(results, more, metrics)
-        self._done = RowStore(columns_of(more, metrics))
+        self._done = RowStore(row_columns(more, metrics))
         self._left_out: dict[str, str] = {}
         self._batch = 0
         lights = {each.light_id for each in series}

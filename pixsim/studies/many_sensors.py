@@ -35,7 +35,7 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.judged import Judging
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.metrics import PIXEL_STATISTICS, Asked, Metric, columns_of_metrics
+from pixsim.viewer.metrics import PIXEL_STATISTICS, Metric, MetricContext, columns_of_metrics
 from pixsim.viewer.score import SceneCache, Score, Seen, warn_of_clipping, warn_of_other_camera, warn_of_unused_light, white_header
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 
@@ -145,7 +145,7 @@ def sweep(
         each: dict[Any, Imaging] = {}
         for name, pixel in by_name.items():
             with named(f"pixel {name}"):
-                judging.check(Asked(pixel.colour is not None, without is not None))
+                judging.check(MetricContext(pixel.colour is not None, without is not None))
                 check_develop(develop, pixel)
                 imaging = Imaging(camera, pixel, exposure, display, correction, develop, judging=judging, is_run=True)
                 read = imaging.physics.as_read

@@ -45,7 +45,7 @@ from pixsim.studies.unused import StudyConfiguration
 from pixsim.studies.varied import paths_of
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Asked, columns_of_metrics
+from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, MetricContext, columns_of_metrics
 from pixsim.viewer.raw_metrics import has_target
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.unused import warn_of_unused_settings
@@ -462,7 +462,7 @@ def check_metrics(settings: Setting, pixels: Sequence[PixelOptions], scene: Scen
             scene_path(stated)
     has_without = scene is not None and (isinstance(stated, str) or stated.keys() <= scene.names)
     for pixel in pixels:
-        judging.check(Asked(pixel.colour is not None, has_without))
+        judging.check(MetricContext(pixel.colour is not None, has_without))
 
 
 def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -> Prepared[Study]:

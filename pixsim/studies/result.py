@@ -155,7 +155,7 @@ class Curve:
 
         Of a study that judges by another metric first, that metric's `loss`.
         """
-        return loss_of(self.metrics[0], self.statistics[self.metrics[0].columns[0]])
+        return self.metrics[0].loss(self.statistics[self.metrics[0].columns[0]])
 
     @property
     def means(self) -> dict[str, Array]:
@@ -590,19 +590,12 @@ def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float]
     return causes_of(image.header, read, white_e, float(time_s), lightness, float(np.mean(full)))
 
 
-def loss_of(metric: Metric, values: Array) -> Array:
-    """Return what is least at the best size: the values of a metric of which less is better, else their reciprocals."""
-    if metric.better == "less":
-        return values
-    return np.divide(1.0, values, out=np.full(values.shape, np.nan), where=values > 0)
-
-
 def fit_of_metric(metric: Metric, pitch_um: Array, values: Array, width_um: Widths) -> FittedCurve | None:
     """Return the fitted curve of a metric's loss; None if it tells no best size, or not of these values.
 
     values : (pitches, sensors)
     """
-    loss = loss_of(metric, values)
+    loss = metric.loss(values)
     if not metric.has_optimum or not np.array_equal(np.isfinite(loss), np.isfinite(values)) or not np.nanmin(loss) >= 0:
         return None
     fit = fit_curve(pitch_um, loss, width_um)
@@ -659,7 +652,7 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     """Draw the mean ΔE of each pitch, the fitted curve and the optimum, all with their 95 % intervals."""
     colour, best = look.colour, curve.optimum
     mean, ci95 = shown_mean_and_ci95(curve)
-    low, high, fitted = (shown_values(curve, values) for values in (curve.fit.low, curve.fit.high, curve.fit.delta_e))
+    low, high, fitted = map(curve.metrics[0].of_loss, (curve.fit.low, curve.fit.high, curve.fit.delta_e))
     name = literal(curve.label)
     label = f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})" if best.inside else name
     axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
@@ -677,15 +670,10 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
             axes.axvline(edge_um, lw=0.7, **look.stroke)
 
 
-def shown_values(curve: Curve, loss: Array) -> Array:
-    """Return values of the first metric from its loss."""
-    return loss if curve.metrics[0].better == "less" else 1 / loss
-
-
 def shown_mean_and_ci95(curve: Curve) -> tuple[Array, Array]:
     """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 % interval."""
     mean, ci95 = mean_and_ci95(curve.delta_e)
-    return shown_values(curve, mean), ci95 if curve.metrics[0].better == "less" else ci95 / mean**2
+    return curve.metrics[0].of_loss(mean), ci95 if curve.metrics[0].better == "less" else ci95 / mean**2
 
 
 def closed_range(range_um: tuple[float | None, float | None], curve: Curve) -> tuple[float, float]:

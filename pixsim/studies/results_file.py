@@ -29,7 +29,7 @@ MAX_LINE = 1 << 14
 ROWS_AT_ONCE = 1 << 10  # that are written
 
 
-def columns_of(more: Sequence[str], metrics: Sequence[Metric] = (DELTA_E,)) -> tuple[str, ...]:
+def row_columns(more: Sequence[str], metrics: Sequence[Metric] = (DELTA_E,)) -> tuple[str, ...]:
     """Return the columns of rows, with further ones after the repeat, and those of some metrics at the end."""
     after = OF_PIXEL.index("repeat") + 1
     return *OF_PIXEL[:after], *more, *OF_PIXEL[after:], *columns_of_metrics(metrics)
@@ -46,7 +46,7 @@ class ResultsFile:
     def __init__(self, path: Path, more: Sequence[str] = (), metrics: Sequence[Metric] = (DELTA_E,)) -> None:
         self.path = path
         self.another_schema: str | None = None
-        self.columns, self.metrics = columns_of(more, metrics), tuple(metrics)
+        self.columns, self.metrics = row_columns(more, metrics), tuple(metrics)
 
     def read(self) -> RowStore:
         """Return complete rows by key; an incomplete last line is ignored."""

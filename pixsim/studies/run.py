@@ -46,7 +46,7 @@ from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError, cause_words
-from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.metric_registry import metrics_named, names_of
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import (
     FrameScore,
@@ -441,7 +441,7 @@ def run(
     ((64, 64), True)
     """
     if metrics:
-        settings["metrics"] = tuple(metric.name for metric in metrics_named(metrics))
+        settings["metrics"] = names_of(metrics)
     with collected_notes():  # also of what is found before the run begins
         own = {name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table}
         asked = run_settings(config, settings | own)

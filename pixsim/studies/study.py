@@ -41,7 +41,7 @@ from pixsim.studies.series import Series, judging_of, most_channels, scenes_of, 
 from pixsim.studies.settings_text import scene_table, settings_text
 from pixsim.studies.study_file import load_study, spreads_of_study, uncertainty_of
 from pixsim.studies.study_settings import Study
-from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.score import SceneCache, Score, warn_of_clipping
 
 if TYPE_CHECKING:
@@ -321,7 +321,7 @@ def study(
     ((5, 2), True)
     """
     if metrics:
-        settings["metrics"] = tuple(metric.name for metric in metrics_named(metrics))
+        settings["metrics"] = names_of(metrics)
     if isinstance(own := settings.get("camera"), Camera):
         settings["camera"] = own.options.model_dump(exclude_none=True)
     if light is not None and (names := [name for name, value in (("scene", scene), ("parameters", parameters)) if value]):

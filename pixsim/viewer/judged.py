@@ -12,7 +12,7 @@ from pixsim.base.errors import invalid
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, integration_time_s
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
-from pixsim.viewer.metrics import DELTA_E, Asked, Metric
+from pixsim.viewer.metrics import DELTA_E, Metric, MetricContext
 
 if TYPE_CHECKING:
     from pixsim.viewer.score import FrameScore, ImagingChain, Score
@@ -43,7 +43,7 @@ class Judging:
         tables = {name: None if options is None else options.model_dump(mode="json") for name, options in own.items()}
         return tables, [metric.code for metric in self.metrics], self.repeats if self.needs_light else 0
 
-    def check(self, asked: Asked) -> None:
+    def check(self, asked: MetricContext) -> None:
         """Raise PixsimError for a metric that means nothing in a configuration."""
         for metric in self.metrics:
             if lacking := metric.lacking(asked):

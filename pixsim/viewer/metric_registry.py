@@ -75,6 +75,14 @@ def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
     return tuple(found.values())
 
 
+def names_of(metrics: Sequence[NamedOrOwn]) -> tuple[str, ...]:
+    """Return the names of metrics for settings, and keep the functions among them for this process.
+
+    metrics : as of `metrics_named`
+    """
+    return tuple(metric.name for metric in metrics_named(metrics))
+
+
 def metric_known(name: str) -> Metric:
     """Return a metric by its name."""
     return metrics_named((name,))[0]

@@ -35,7 +35,7 @@ ROUNDING = 1e-5  # relative, of means in single precision
 OF_FRAMES = "the frame of a sensor, of which pixsim.evaluate and pixsim.run know the signal and the noise"
 
 
-def _lacks_nothing(asked: Asked) -> str:
+def _lacks_nothing(asked: MetricContext) -> str:
     return ""
 
 
@@ -76,7 +76,7 @@ class Metric:
     columns: tuple[str, ...]
     bounds: tuple[float, float]
     compute: Callable[[Any], tuple[float, ...]] = field(repr=False)
-    lacks: Callable[[Asked], str] = field(default=_lacks_nothing, repr=False)
+    lacks: Callable[[MetricContext], str] = field(default=_lacks_nothing, repr=False)
     is_possible: Callable[[tuple[float, ...]], bool] = field(default=_any_values, repr=False)
     has_optimum: bool = True
     needs_light: bool = False
@@ -94,11 +94,21 @@ class Metric:
         """Title and unit, for an axis of a figure."""
         return f"{self.title} ({self.unit})" if self.unit else self.title
 
+    def loss(self, values: Array) -> Array:
+        """Return what is least at the best size, (...): values where less is better, else reciprocals; NaN of 0 or less."""
+        if self.better == "less":
+            return values
+        return np.divide(1.0, values, out=np.full(values.shape, np.nan), where=values > 0)
+
+    def of_loss(self, loss: Array) -> Array:
+        """Return the values, (...), of a `loss`."""
+        return loss if self.better == "less" else 1 / loss
+
     def digest(self) -> str:
         """Return what tells the metric from others, in a report's key; the code is pixsim's, or hashed."""
         return f"{self.name} {self.columns} {self.code}"
 
-    def lacking(self, asked: Asked) -> str:
+    def lacking(self, asked: MetricContext) -> str:
         """Return what a configuration would need for the metric to mean something; empty if it has all."""
         return OF_FRAMES if self.needs_frame and not asked.has_frame else self.lacks(asked)
 
@@ -113,7 +123,7 @@ class Metric:
 
 
 @dataclass(frozen=True)
-class Asked:
+class MetricContext:
     """What decides whether a metric means something, as far as settings tell.
 
     is_colour : whether the pixel has colour filters

@@ -14,7 +14,7 @@ from pixsim.viewer.display import shown_luminance
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.judged import Judging
 from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.metrics import Asked
+from pixsim.viewer.metrics import MetricContext
 from pixsim.viewer.score import CLIPPED_WARNING, Score, Screen, fraction_beyond_white, perceived_lab, with_numbers
 
 
@@ -64,7 +64,7 @@ def score_pictures(
         if ideal.ndim != image.ndim:
             hint = "Grey light is that of three equal primaries: np.repeat(grey[..., None], 3, axis=2)."
         raise invalid("ideal and image", got, "equal shapes", hint)
-    judging.check(Asked(is_colour=ideal.ndim == 3, has_without=False, has_frame=False))
+    judging.check(MetricContext(is_colour=ideal.ndim == 3, has_without=False, has_frame=False))
     ideal, image = ideal.astype(float), image.astype(float)
     beyond = fraction_beyond_white(ideal if ideal.ndim == 2 else np.moveaxis(ideal, 2, 0))
     if beyond > CLIPPED_WARNING:

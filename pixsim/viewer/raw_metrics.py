@@ -20,7 +20,7 @@ from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
 from pixsim.viewer.judges.linear_observer import detectability
 from pixsim.viewer.judges.sharpness import mtf50
 from pixsim.viewer.judges.snr_illuminance import snr10_lx
-from pixsim.viewer.metrics import Asked, Metric
+from pixsim.viewer.metrics import Metric, MetricContext
 from pixsim.viewer.mtf import mtf_terms, of_sensor
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _detectability(judged: Judged) -> tuple[float, float, float]:
     return mean, min(each), min(options.threshold / mean, FARTHEST) if mean else FARTHEST
 
 
-def needs_target(asked: Asked) -> str:
+def needs_target(asked: MetricContext) -> str:
     """Return what a metric of a target lacks."""
     if asked.has_without:
         return ""
@@ -127,7 +127,7 @@ def has_target(metrics: Sequence[str]) -> bool:
     return any(name in metrics for name in OF_TARGETS)
 
 
-def grey(asked: Asked) -> str:
+def grey(asked: MetricContext) -> str:
     """Return what a metric of monochrome sensors lacks."""
     return "a pixel without colour filters (pixel.colour)" if asked.is_colour else ""
 

@@ -63,7 +63,7 @@ from pixsim.viewer.judged import DELTA_E_ONLY, Judged, Judging, frame_statistics
 from pixsim.viewer.judges.information_density import radial_spectrum
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
-from pixsim.viewer.metrics import DELTA_E, Asked, Metric, delta_e_statistics, percentiles
+from pixsim.viewer.metrics import DELTA_E, Metric, MetricContext, delta_e_statistics, percentiles
 from pixsim.viewer.raw_metrics import OF_TARGETS, has_target
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
@@ -981,7 +981,7 @@ def make_imaging_chain(
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
     if white := white_header([Seen(irradiance, camera, physics)], display):
         display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})
-    judging.check(Asked(physics.layout is not None, without is not None))
+    judging.check(MetricContext(physics.layout is not None, without is not None))
     keep = keep and not judging.needs_light
     key = _key_of_chain(irradiance, camera, physics, (exposure, display, correction, develop), full) if keep else None
     if key is None or key not in _kept_chains:
@@ -1102,7 +1102,7 @@ def judged_score(chain: ImagingChain, judging: Judging, key: tuple[object, ...])
 
 def with_numbers(score: S, metrics: Sequence[Metric], judged: Judged | Score) -> S:
     """Return a score with the numbers of metrics of what `numbers_of` takes."""
-    numbers = {name: value for name, value in numbers_of(metrics, judged).items() if name not in DELTA_E.columns}
+    numbers = numbers_of([metric for metric in metrics if metric.name != DELTA_E.name], judged)  # a score has ΔE
     first = {metric.name: numbers.get(metric.columns[0], score.mean_delta_e) for metric in metrics}
     return replace(score, metrics=first, further=numbers)
 

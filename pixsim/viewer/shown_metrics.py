@@ -12,7 +12,7 @@ from pixsim.base.arrays import Array, stream
 from pixsim.viewer.judges.non_prewhitening import npwe
 from pixsim.viewer.judges.sharpness import acutance
 from pixsim.viewer.judges.visible_noise import visual_noise
-from pixsim.viewer.metrics import Asked, Metric
+from pixsim.viewer.metrics import Metric, MetricContext
 from pixsim.viewer.mtf import mtf_terms
 from pixsim.viewer.raw_metrics import grey, needs_target, within_range_e
 
@@ -96,7 +96,7 @@ def _npwe(judged: Judged) -> tuple[float]:
     return (npwe(np.asarray(with_target - shown_light(chain.without_e_per_s), float), power, samples_per_deg),)
 
 
-def _needs_target_in_grey(asked: Asked) -> str:
+def _needs_target_in_grey(asked: MetricContext) -> str:
     return grey(asked) or needs_target(asked)
 
 
@@ -116,7 +116,7 @@ NPWE = Metric(
 )
 
 
-def _needs_flip(asked: Asked) -> str:
+def _needs_flip(asked: MetricContext) -> str:
     return "" if find_spec(FLIP_PACKAGE) else "the package of its authors: pip install 'pixsim[flip]'"
 
 

@@ -18,7 +18,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.studies.agreement import agreement_of, agreement_words, place_words, share_of_best
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.preparation import prepare
-from pixsim.studies.result import Curve, StudyResult, fit_of_metric, loss_of
+from pixsim.studies.result import Curve, StudyResult, fit_of_metric
 from pixsim.studies.settings_text import settings_text
 from pixsim.studies.study_file import load_study
 from pixsim.viewer.metric_options import MetricOptions
@@ -63,7 +63,7 @@ def test_optimum_of_more_is_that_of_the_reciprocal() -> None:
     assert fit.optimum.value == pytest.approx(50.0, rel=0.01)  # the scatter of 28 sensors of 1 %
     low, high = fit.optimum.value_interval
     assert low < fit.optimum.value < high
-    np.testing.assert_array_equal(loss_of(DELTA_E, loss), loss)
+    np.testing.assert_array_equal(DELTA_E.loss(loss), loss)
 
 
 @pytest.mark.parametrize(("name", "values"), [("information", [[1.0, 0.0]] * 7), ("mtf50", [[1.0, 1.1]] * 7)])
