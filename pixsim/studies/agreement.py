@@ -14,13 +14,13 @@ from pixsim.show.figures import LOOKS, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 from pixsim.show.sentences import interval, rounded
 from pixsim.studies.optimum import ROUNDING, FittedCurve, Optimum
+from pixsim.studies.paired import mean_interval
 from pixsim.viewer.metrics import Metric
 
 if TYPE_CHECKING:
     from pixsim.studies.result import Curve
 
 COUNTS = ("no", "one", "both", "all three", "all four", "all five", "all six", "all seven", "all eight")
-NORMAL_95 = 1.96
 HEADROOM = 1.05  # of an axis, so that no mark is cut
 WORTH_SAYING = 0.005  # of the best value, that is lost elsewhere
 
@@ -73,13 +73,10 @@ def agreement_of(curve: Curve) -> Agreement | None:
     lows = [-np.inf if each.interval_um[0] is None else each.interval_um[0] for each in optima.values()]
     highs = [np.inf if each.interval_um[1] is None else each.interval_um[1] for each in optima.values()]
     sizes = [each.pitch_um for each in optima.values()]
+    shares = {name: (fit.pitch_um, share_of_best(fit)) for name, fit in fits.items()}
     kept = {
-        name: {
-            other: float(np.interp(optimum.pitch_um, fit.pitch_um, share_of_best(fit)))
-            for other, optimum in optima.items()
-            if other != name
-        }
-        for name, fit in fits.items()
+        name: {other: float(np.interp(optimum.pitch_um, *share)) for other, optimum in optima.items() if other != name}
+        for name, share in shares.items()
     }
     together: bool | None = max(lows) <= min(highs)
     if together and any(tells_nothing(each) for each in optima.values()):
@@ -190,12 +187,11 @@ def metrics_against_pitch(curve: Curve) -> Plate:
     table: dict[str, Column] = {"pitch_um": curve.pitch_um.tolist()}
     for axes, metric in zip(panels, metrics, strict=False):
         values = curve.statistics[metric.columns[0]]
-        mean, count = np.nanmean(values, axis=1), np.isfinite(values).sum(axis=1)
-        half = NORMAL_95 * np.nanstd(values, axis=1, ddof=1) / np.sqrt(count)
+        low, mean, high = np.transpose([mean_interval(each[np.isfinite(each)]) for each in values])
+        half = (high - low) / 2
         axes.errorbar(curve.pitch_um, mean, half, fmt="o", ms=3, lw=1, capsize=2, color=LOOKS[0].colour)
         if fit := fits.get(metric.name):
-            fitted = fit.delta_e if metric.better == "less" else 1 / fit.delta_e
-            axes.plot(fit.pitch_um, fitted, lw=1.2, color=LOOKS[0].colour)
+            axes.plot(fit.pitch_um, metric.of_loss(fit.delta_e), lw=1.2, color=LOOKS[0].colour)
             axes.plot(fit.optimum.pitch_um, fit.optimum.value, "v", ms=7, mfc="white", mec=LOOKS[0].colour)
         better = "less is better" if metric.better == "less" else "more is better"
         axes.set_title(f"{metric.label}: {better}", fontsize=8)
