@@ -164,7 +164,7 @@ def scene_names() -> Iterable[str]:
 
 
 def variant_names() -> Iterable[str]:
-    from pixsim.scene.guard.variant import VARIANTS
+    from pixsim.scene.variants.variant import VARIANTS
 
     return VARIANTS
 
