@@ -19,7 +19,7 @@ def parts_table(result: StudyResult) -> dict[str, Column]:
     rows: list[dict[str, float | str]] = []
     for part in result.cases:
         for curve in part.curves:
-            pitch_um = float(curve.pitch_um[int(np.argmin(curve.mean()))])
+            pitch_um = float(curve.pitch_um[int(np.nanargmin(curve.mean()))])
             series = part.series[curve.technology]
             light, imaging = series.light(), series.imaging.at(pitch_um)
             physics = imaging.registered(0)

@@ -385,9 +385,6 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False, light
         whole = _checked(Case(with_view(fitted, view)), source_with_view(scene, view), camera)
         warn_of_unused([(study, whole.settings)], light)
         return StudyJob(asked=asked, study=whole.settings, source=whole.source, view=view, cases=(whole,), variant=variant)
-    if study.metrics[0] != DELTA_E.name:
-        hint = "Further metrics have an optimum of their own in each case."
-        raise invalid("metrics", f"'{study.metrics[0]}' first in a study with axes or conditions", "delta_e first", hint)
     # Display and chart are those of the study itself, so that all of its cases are comparable.
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."

@@ -96,15 +96,17 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
     chosen = dict(sampling)
     for curve in curves:
         sensors = sampling[curve.technology]
+        told = {um: sensors[um] for um in curve.pitch_um[curve.told].tolist() if um in sensors}
         sizes, most = len(study_pitches_um(study, curve.technology)), max(study.repeats, study.max_repeats)
         if study.target_ci_um is None:
             if not (refine and study.refine) or study.pitch.values_um is not None:
                 continue
-            more = next_where_open(curve.fit, sensors, sizes * study.repeats, most)
+            more = next_where_open(curve.fit, told, sizes * study.repeats, most)
         elif curve.optimum.half_width_um <= study.target_ci_um:
             continue
         else:
-            more = next_sensors(curve.fit, sensors, most)
+            more = next_sensors(curve.fit, told, most)
+        more = more if len(told) == len(sensors) else dict(sorted((sensors | more).items()))
         if study.max_evaluations is None:
             within = sum(more.values()) <= sizes * most
         else:
@@ -157,6 +159,7 @@ def evaluate_cases(
     curves: dict[int, Curve] = {}
     fitted: list[Sizes] = [{} for _ in series]  # of these curves
     left_out: list[dict[float, str]] = [{} for _ in series]
+    lacking: list[dict[tuple[str, float], str]] = [{} for _ in series]
     impossible: dict[int, str] = {}
     rounds = any(case.settings.target_ci_um is not None for case in cases)
     with evaluations.resumed(samplings):
@@ -172,6 +175,7 @@ def evaluate_cases(
                         place = case_of[number]
                         missing[place] -= 1
                         left_out[number] |= evaluations.left_out(number, samplings[number])
+                        lacking[number] |= evaluations.lacking(number, samplings[number])
                         try:
                             samplings[number] = evaluations.possible(number, samplings[number])
                             if fitted[number] != samplings[number]:
@@ -218,6 +222,7 @@ def evaluate_cases(
                 condition=case.condition,
                 alone=case.alone,
                 left_out=tuple(left_out[number].items()),
+                lacking=tuple((*which, reason) for which, reason in lacking[number].items()),
                 causes=causes_of_curve(series[number], curves[number], facts[number].lightness, rows[number]),
             )
             for number in numbers
@@ -240,7 +245,7 @@ def warn_of_left_out(cases: Sequence[Case[Study]], left_out: Sequence[Mapping[st
 
 
 def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:
-    """Warn of each axis whose values all give the same mean ΔE, bit for bit: something else decides on its setting.
+    """Warn of each axis whose values all give the same numbers, bit for bit: something else decides on its setting.
 
     All cases have the same random numbers, so that equal settings give equal numbers.
     """
@@ -251,7 +256,8 @@ def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:
             is_base = axis.alone and not curve.alone
             if curve.alone == (axis.name if axis.alone else "") or is_base:
                 others = () if axis.alone else [(name, value) for name, value in curve.at.items() if name != axis.name]
-                content = curve.pitch_um.tobytes() + curve.delta_e.tobytes()
+                judged = (curve.statistics[metric.columns[0]] for metric in curve.metrics)
+                content = b"".join(each.tobytes() for each in (curve.pitch_um, *judged))
                 groups.setdefault((curve.technology, curve.condition, *others), []).append(content)
         if any(len(group) > 1 for group in groups.values()) and all(len(set(group)) == 1 for group in groups.values()):
             settings = ", ".join(dict.fromkeys(".".join(path) for path in axis.paths))
