@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pixsim.base.arrays import Array
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
 from pixsim.report.pictures import size_words
@@ -451,11 +452,16 @@ def _metric_columns(curve: Curve) -> Iterator[tuple[str, list[str]]]:
     first, *others = curve.metrics
     form = ".4f" if curve.judged_by_delta_e else ".4g"
     mean, ci95 = shown_mean_and_ci95(curve)
-    yield first.words, [f"{value:{form}}" for value in mean]
-    yield "± 95 %", [f"{value:{form}}" for value in ci95]
+    yield first.words, _numbers(mean, form)
+    yield "± 95 %", _numbers(ci95, form)
     for metric in others:
         title = f"{metric.words} ({metric.unit})" if metric.unit else metric.words
-        yield title, [f"{each:.4g}" for each in curve.mean(metric.columns[0])]
+        yield title, _numbers(curve.mean(metric.columns[0]), ".4g")
+
+
+def _numbers(values: Array, form: str) -> list[str]:
+    """Return numbers as text; a dash where there is none."""
+    return [f"{value:{form}}" if np.isfinite(value) else "–" for value in values]
 
 
 def numbers_table(curve: Curve) -> Table:

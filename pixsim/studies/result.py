@@ -293,11 +293,12 @@ class Curve:
         names = columns_of_metrics(self.metrics)
         judges = agreement_of(self)
         told = {} if judges is None else {"judges": judges.as_dict()}
-        return {"optima": optima, "metrics": {name: self.typical(name).tolist() for name in names}} | told
+        means = {name: [value if math.isfinite(value) else None for value in self.typical(name).tolist()] for name in names}
+        return {"optima": optima, "metrics": means} | told
 
     def as_dict(self) -> dict[str, Any]:
         """Return the curve as in summary.json."""
-        mean, ci95 = mean_and_ci95(self.delta_e)
+        mean, ci95 = shown_mean_and_ci95(self)
         of_case = {name: value for name, value in (("at", self.at), ("condition", self.condition), ("alone", self.alone)) if value}
         return {
             "technology": self.technology,
@@ -838,7 +839,7 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
     """Return a table with a row for each curve and pitch."""
     table: dict[str, list[float | str]] = {}
     for curve in curves:
-        mean, ci95 = mean_and_ci95(curve.delta_e)
+        mean, ci95 = shown_mean_and_ci95(curve)
         columns = {"technology": np.array([curve.label] * mean.size), "pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor}
         columns |= {"mean_delta_e": mean, "ci95_delta_e": ci95} if curve.judged_by_delta_e else {}
         columns |= {name: curve.typical(name) for name in columns_of_metrics(curve.metrics) if name != DELTA_E.columns[0]}
@@ -882,13 +883,12 @@ def silent_notes(result: StudyResult) -> list[str]:
     for curve in result.curves:
         for metric in (each for each in curve.metrics if each.has_optimum):
             values = curve.statistics[metric.columns[0]]
-            silent = ~told_pitches(metric, values)
+            known, silent = set(curve.pitch_um.tolist()), set(curve.pitch_um[~told_pitches(metric, values)].tolist())
             reasons = {pitch_um: reason for name, pitch_um, reason in curve.lacking if name == metric.name}
-            named = [(um, reasons.get(um, "")) for um in curve.pitch_um[silent].tolist()]
-            for reason in dict.fromkeys(reason for _, reason in named):
-                sizes = ", ".join(f"{um:g}" for um, own in named if own == reason)
-                why = f"has no number at {sizes} µm: {reason}" if reason else f"is 0 or below at {sizes} µm, or beyond such sizes"
-                notes.append(f"{curve.label}: {metric.words} {why}; its fitted curve does without")
+            for why, which in (("has no number", reasons.keys()), ("is 0 or below, or beyond such sizes,", known - reasons.keys())):
+                if sizes := sorted(silent & which):
+                    words = f"{metric.words} {why} at {', '.join(f'{um:g}' for um in sizes)} µm, and its fitted curve does without"
+                    notes.append(": ".join(filter(None, (curve.label, words, reasons.get(sizes[0], "")))))
     return notes
 
 

@@ -184,7 +184,7 @@ def evaluate_cases(
                                 )
                             fitted[number] = samplings[number]
                         except TooFewSizesError as error:
-                            impossible[number] = str(error)
+                            impossible[number] = " ".join([str(error), *lacking[number].values()][:2])
                         if missing[place] or not impossible.keys().isdisjoint(members[place]):
                             continue
                         technologies = {series[own].name: own for own in members[place]}
