@@ -111,7 +111,7 @@ def test_headlines_of_compromises_are_short() -> None:
 @pytest.mark.parametrize("own_sd", [0.0, 0.1])
 def test_headlines_of_sensor_types_are_short(quantile: float | None, own_sd: float) -> None:
     optimum = SimpleNamespace(quantiles=dict.fromkeys(("p05", "p50", "p95"), quantile), own_sd=own_sd)
-    found = SimpleNamespace(label="data sheet, night", outcomes=range(200), optimum=optimum, verdicts={})
+    found = SimpleNamespace(label="data sheet, night", by="", outcomes=range(200), optimum=optimum, verdicts={})
     answer, *_ = uncertainty_blocks([found])  # type: ignore[list-item]
     assert isinstance(answer, Answer)
     assert len(plain_text(answer.head).split()) <= MOST_WORDS
