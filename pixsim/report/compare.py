@@ -436,12 +436,13 @@ def difference_cells(difference: float, interval: tuple[float, float], film: flo
 
 def _unknown(found: PairUncertainty) -> tuple[str, ...]:
     """Return a row of the page's table of what is not known of the sensors."""
-    better, ends = found.probability_a_better, found.difference.quantiles
+    better, ends, metric = found.probability_a_better, found.difference.quantiles, found.metric
+    form, judge = (".4f", "") if metric.is_delta_e else (".4g", f", {metric.words}{metric.unit and f' ({metric.unit})'}")
     return (
-        f"{found.names[1]} − {found.names[0]}",
+        f"{found.names[1]} − {found.names[0]}{judge}",
         str(better.draws),
         str(better),
-        *(f"{ends[name]:+.4f}" for name in ("p05", "p50", "p95")),
+        *(f"{ends[name]:+{form}}" for name in ("p05", "p50", "p95")),
         found.matters,
     )
 

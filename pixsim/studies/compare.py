@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -378,6 +379,8 @@ def differences_of_types(
 ) -> list[PairUncertainty]:
     """Evaluate the sensor types of both sensors of each pair under all conditions, and return what is known of their differences.
 
+    Those of ΔE come first for each pair, then those of further metrics.
+
     Warns of pairs without an unknown number, of which there is nothing to tell.
 
     result : with the sensors as they are
@@ -399,13 +402,18 @@ def differences_of_types(
     flat = [each for of_sensor in series for each in of_sensor]
     sizes: list[Sizes] = [{each.imaging.pixel.pitch_um: FEW_SENSORS} for each in flat]
     rows = rows_of(flat, sizes, [cost for cost in costs for _ in range(count)], file, workers, progress)
-    values = np.array([numbers_in(own, DELTA_E.columns[0]) for own in rows])
-    of_types = dict(zip(wanted, values.reshape(len(wanted), count, FEW_SENSORS).mean(axis=2), strict=True))
+    metrics = flat[0].imaging.judging.metrics if flat else ()
+    of_types: dict[str, dict[tuple[int, str], Array]] = {}
+    for metric in metrics:
+        values = np.array([numbers_in(own, metric.columns[0]) for own in rows])
+        of_types[metric.name] = dict(zip(wanted, values.reshape(len(wanted), count, FEW_SENSORS).mean(axis=2), strict=True))
     found = []
-    for pair, lit in unsure:
-        first, other = pair.names
+    for (pair, lit), metric in product(unsure, metrics):
+        (first, other), drawn_of = pair.names, of_types[metric.name]
         weighted = [(weight, each) for (weight, _), each in zip(pair.parts, lit, strict=True) if weight]
-        drawn = sum(weight * (of_types[id(each), other] - of_types[id(each), first]) for weight, each in weighted)
-        as_is = float((pair.delta_e[other] - pair.delta_e[first])[:FEW_SENSORS].mean())
-        found.append(PairUncertainty((first, other), types, pair.difference[other] + (np.asarray(drawn) - as_is)))
+        drawn = sum(weight * (drawn_of[id(each), other] - drawn_of[id(each), first]) for weight, each in weighted)
+        of_frames = pair.delta_e if metric.is_delta_e else pair.judged[metric.name]
+        differences = of_frames[other] - of_frames[first]
+        as_is = float(differences[:FEW_SENSORS].mean())
+        found.append(PairUncertainty((first, other), types, float(differences.mean()) + (np.asarray(drawn) - as_is), metric))
     return found

@@ -34,6 +34,7 @@ from pixsim.studies.uncertainty import (
     unknowns_of_sheet,
 )
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.score import SceneCache
 
 
@@ -91,9 +92,8 @@ class Types:
 def series_of_types(base: Series, types: Types) -> list[Series]:
     """Return the series of each type of a sensor, in the same light, on the first display of the sensor's own series."""
     imaging = base.imaging
-    scenes = SceneCache(
-        base.scenes.irradiance, imaging.camera, imaging.display, len(imaging.physics.channels), single=imaging.single
-    )
+    of_light = base.scenes.irradiance, imaging.camera, imaging.display, len(imaging.physics.channels)
+    scenes = SceneCache(*of_light, single=imaging.single, judging=imaging.judging, without=base.scenes.without)
     return [
         replace(base, imaging=of_type, scenes=scenes, columns={**base.columns, "draw": str(draw)})
         for draw, of_type in enumerate(types.imagings(base.name, imaging))
@@ -102,16 +102,18 @@ def series_of_types(base: Series, types: Types) -> list[Series]:
 
 @dataclass(frozen=True)
 class PairUncertainty:
-    """What is known of the difference of two sensors when their numbers are not.
+    """What is known of the difference of two sensors by a metric when their numbers are not.
 
     names : of the two sensors, a and b
     types : the sensor types
-    differences : ΔE(b) - ΔE(a) of each, (n,)
+    differences : ΔE(b) - ΔE(a) of each, (n,), or those of another metric in its unit
+    metric : that judges
     """
 
     names: tuple[str, str]
     types: Types
     differences: Array = field(repr=False)
+    metric: Metric = field(default=DELTA_E, repr=False)
 
     @cached_property
     def sample(self) -> Sample:
@@ -120,8 +122,8 @@ class PairUncertainty:
 
     @cached_property
     def probability_a_better(self) -> Probability:
-        """Share of the types with a lower mean ΔE of a, with its 95 % interval; an equal one counts half."""
-        return Probability.of((0.5 * (1.0 + np.sign(self.differences))).tolist())
+        """Share of the types with a lower mean ΔE of a, or a better value, with its 95 % interval; an equal one counts half."""
+        return Probability.of((0.5 * (1.0 + np.sign(self.metric.worse_by(self.differences, 0.0)))).tolist())
 
     @cached_property
     def difference(self) -> ResultDistribution:
@@ -147,9 +149,12 @@ class PairUncertainty:
         first, other = self.names
         found, ends = self.probability_a_better, self.difference.quantiles
         low, middle, high = (f"{ends[name]:+.2g}" for name in ("p05", "p50", "p95"))
+        judge, unit = (
+            ("", " ΔE") if self.metric.is_delta_e else (f"{self.metric.words}: ", self.metric.unit and f" {self.metric.unit}")
+        )
         return (
-            f"over {found.draws} sensor types {first} is better than {other} with the probability {found}; difference {middle} ΔE "
-            f"in the median, nine tenths from {low} to {high}; {self.matters}"
+            f"{judge}over {found.draws} sensor types {first} is better than {other} with the probability {found}; difference "
+            f"{middle}{unit} in the median, nine tenths from {low} to {high}; {self.matters}"
         )
 
     def as_dict(self) -> dict[str, Any]:
