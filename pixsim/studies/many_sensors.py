@@ -156,7 +156,8 @@ def sweep(
                 warn(f"pixel {name}: {text}")
             warn_of_stack_limits(imaging.physics, camera, light.wavelength_nm)
         own = exposure, correction, develop, display, camera
-        given = [Configuration(imaging.physics, imaging.pixel, *own, light=light) for imaging in each.values()]
+        asked: dict[str, Any] = {"metrics": tuple(one.name for one in judging.metrics), "metric": judging.options, "light": light}
+        given = [Configuration(imaging.physics, imaging.pixel, *own, **asked) for imaging in each.values()]
         warn_of_unused_settings({"": given})
         border_um = max(imaging.physics.as_read.border_um for imaging in each.values())
         seen = [Seen(light, camera, imaging.physics, border_um) for imaging in each.values()]

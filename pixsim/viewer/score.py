@@ -1072,11 +1072,12 @@ def evaluate(
     """
     exposure, display = exposure or Exposure(), display or Display()
     correction, develop = correction or NO_CORRECTION, develop or DEVELOP
-    given = Configuration(derive(pixel), pixel, exposure, correction, develop, display, camera, light=irradiance)
-    warn_of_unused_settings({"": [given]})
     from pixsim.viewer.metric_registry import metrics_named
 
     judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
+    asked: dict[str, Any] = {"metrics": tuple(each.name for each in judging.metrics), "metric": judging.options}
+    given = Configuration(derive(pixel), pixel, exposure, correction, develop, display, camera, light=irradiance, **asked)
+    warn_of_unused_settings({"": [given]})
     warn_of_unused_light(judging, without)
     own = irradiance, camera, pixel, exposure, display, full, correction, develop
     chain = make_imaging_chain(*own, keep=True, judging=judging, without=without)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ from pixsim.studies.unused import StudyConfiguration, rules_of
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
-from pixsim.viewer.metric_options import METRIC_OPTIONS
+from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.setting import Run
 from pixsim.viewer.unused import Configuration, unused_notes, unused_settings
 
@@ -351,6 +352,26 @@ def test_every_command_says_so(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         lineup.prepare(files, match="own", repeats=2, options={"camera": {"transmittance": 0.5}})
+
+
+def test_settings_of_metrics_in_calls_with_records_say_so() -> None:
+    """Of one sensor and of many; what is among the metrics is used, but for the scene without the target: its light is given."""
+    light, pixel = picture(np.arange(405.0, 700.0, 10.0)), Pixel(pitch_um=20.0)
+    metric = MetricOptions(
+        information={"contrast": 0.3}, snr10_lx={"snr": 5.0}, detectability={"without": {"contrast": 0.5}, "registrations": 4}
+    )
+    asked: dict[str, Any] = {"camera": Camera(), "display": Display(dots=32), "metric": metric}
+    snr = "metric.snr10_lx.snr is not used: snr10_lx is not among the metrics"
+    without = "metric.detectability.without is not used: the light of the scene without its target is given (without=…)"
+    judged = {"metrics": ["detectability", "information"], "without": light}
+    for call in (partial(pixsim.evaluate, light, pixel=pixel), partial(pixsim.sweep, light, [pixel], jobs=1)):
+        with warnings.catch_warnings(record=True) as notes:
+            warnings.simplefilter("always")
+            call(**asked, **judged)
+        found = {str(note.message) for note in notes if "metric." in str(note.message)}
+        assert found == {snr, without}
+        with pytest.warns(UserWarning, match=r"metric\.information\.contrast is not used: information is not among the metrics"):
+            call(**asked)
 
 
 def test_rules_name_settings_that_exist() -> None:
