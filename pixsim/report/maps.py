@@ -32,7 +32,6 @@ from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, clo
 from pixsim.studies.sampling import CUTOFF_NM, cutoff_pitch_um
 from pixsim.studies.study_settings import Study
 from pixsim.studies.varied import setting_path
-from pixsim.viewer.metrics import Metric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,6 +39,8 @@ if TYPE_CHECKING:
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
     from matplotlib.transforms import Transform
+
+    from pixsim.viewer.metrics import Metric
 
 Item = TypeVar("Item")
 MAX_LINES = 6  # of a figure: as many looks that a reader tells apart

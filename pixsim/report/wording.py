@@ -12,11 +12,11 @@ from pixsim.show.sentences import interval
 from pixsim.studies.conditions import Compromise
 from pixsim.studies.merit import detail_terms
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.metrics import Metric
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
     from pixsim.sensor.pixel import PixelPhysics
+    from pixsim.viewer.metrics import Metric
 
 DELTA_E = (
     "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the CIELAB colour difference after the "
