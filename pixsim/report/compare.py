@@ -240,7 +240,7 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
         lead=(*facts(result), *(Note(note) for note in result.notes if note not in warned)),
         about=(f"{DELTA_E} The mean over the picture is compared.",),
         data_file=JSON_FILE,
-        sources=[Path(sensor.case.source) for sensor in result.prepared.shown.cases],
+        sources=[Path(sensor.file) for sensor in result.prepared.shown.cases],
     )
 
 

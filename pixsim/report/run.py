@@ -344,5 +344,6 @@ def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     """Hash of everything that the files of a run are made from, but the wall times."""
     prepared, light = lit.prepared, lit.irradiance
     film = lit.rendered and lit.rendered.film.as_dict()
-    own = prepared.settings, prepared.camera, prepared.asked.camera, prepared.repeats, prepared.frames, prepared.settled is None
+    of_case = prepared.settings, prepared.camera, prepared.cases[0].settled is None
+    own = *of_case, prepared.asked.camera, prepared.repeats, prepared.frames
     return digest_of_content(files, run_settings_text(prepared, light), light, film, prepared.technology, own)

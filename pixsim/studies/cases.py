@@ -10,13 +10,15 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.notes import warn
 from pixsim.base.problems import explain
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.sensor.labels import labels_of
 from pixsim.studies.axis import Axis, AxisPoint
 from pixsim.studies.case_folders import case_folder, check_case_folders
@@ -24,6 +26,10 @@ from pixsim.studies.pixels import technology_of
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Setting
+
+if TYPE_CHECKING:
+    from pixsim.scene.scene import Scene
+    from pixsim.studies.budget import Settled
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
@@ -39,15 +45,48 @@ class Case(Generic[Settings]):
     at : axis -> value: the number, or its label; `BASE` where the study's own settings hold
     condition : its name; empty without conditions
     alone : the axis that is moved alone, or empty
-    sensor, source : of a comparison, the sensor's name, which is unique there, and its file or technology; else empty
+    name, file : of a comparison, the sensor's name, which is unique there, and its file or technology; else empty
+    found : the scene with its chart, or the picture of another program; and the camera of the window, or of the part of the field
+        that all sensors of a comparison see. None before they are looked for
+    settled : a calibration for its tolerance of ΔE, which chose the film and other settings
     """
 
     settings: Settings = field(repr=False)
     at: dict[str, float | int | str] = field(default_factory=dict)
     condition: str = ""
     alone: str = ""
-    sensor: str = ""
-    source: str = ""
+    name: str = ""
+    file: str = ""
+    found: tuple[Scene | SpectralImage, Camera] | None = field(default=None, repr=False)
+    settled: Settled | None = field(default=None, repr=False)
+
+    @property
+    def source(self) -> Scene | SpectralImage:
+        """The scene or the picture."""
+        assert self.found is not None
+        return self.found[0]
+
+    @property
+    def camera(self) -> Camera:
+        """The camera."""
+        assert self.found is not None
+        return self.found[1]
+
+    @property
+    def picture(self) -> SpectralImage | None:
+        """The picture of another program; None for a scene."""
+        return self.source if isinstance(self.source, SpectralImage) else None
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of a case without a picture."""
+        assert not isinstance(self.source, SpectralImage)
+        return self.source
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """What is known of its light before a render: the header of a picture, or the parameters of a scene."""
+        return {"parameters": self.scene.parameters} if self.picture is None else self.picture.header
 
     @property
     def words(self) -> str:

@@ -28,6 +28,7 @@ from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
 from pixsim.sensor.pixel_options import REGISTERED_BORDER
 from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.budget import without_warnings
+from pixsim.studies.cases import Case
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases, folders_of, prepare_cases
 from pixsim.studies.cost import frame_cost
@@ -37,7 +38,7 @@ from pixsim.studies.lineup import ComparisonJob, Lineup, prepare
 from pixsim.studies.matched_cameras import Match
 from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, rendered_light
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
-from pixsim.studies.prepared import Prepared, named
+from pixsim.studies.prepared import named
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import Sizes
@@ -310,7 +311,7 @@ def lights_on_one_film(lineup: Lineup, stage: Stage) -> tuple[list[Light], list[
             return made, plans
 
 
-def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], light: Light, repeats: int, pair: str = "") -> Series:
+def series_of_sensor(lineup: Lineup, sensor: Case[Run], light: Light, repeats: int, pair: str = "") -> Series:
     """Return the series of a sensor, which show and score the same part of the scene as those of the others.
 
     Its random streams do not name the sensor, so that equal sensors give equal frames.
@@ -344,7 +345,7 @@ def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], light: Light, repeat
         return series
 
 
-def steps_of(lineup: Lineup, sensor: Prepared[Run], light: Light, plan: Plan) -> FilmSteps:
+def steps_of(lineup: Lineup, sensor: Case[Run], light: Light, plan: Plan) -> FilmSteps:
     """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
     with without_warnings():  # the result itself warns
         imaging = Imaging.of(sensor.settings, sensor.camera)

@@ -124,7 +124,7 @@ def _summary_of(compared: Compared) -> dict[str, Any]:
     """Return a sensor's entry of compare.json; `statistics` are those of its first frame, as in score.json."""
     sensor, settings, score = compared.sensor, compared.sensor.settings, compared.score
     return {
-        "file": sensor.case.source,
+        "file": sensor.file,
         "pixels": list(pixels_of(sensor)),
         "statistics": score.statistics(),
         "camera": sensor.camera.model_dump(),

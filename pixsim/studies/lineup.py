@@ -41,7 +41,7 @@ from pixsim.studies.oversampling import Demand
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.preparation import ALLOWED_DOTS, check_metrics, choose_view, with_view
-from pixsim.studies.prepared import Job, Prepared, is_picture, loaded_scene, named
+from pixsim.studies.prepared import Job, is_picture, loaded_scene, named
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study, owner_of
 from pixsim.studies.varied import NOT_SETTINGS, paths_of
@@ -72,7 +72,7 @@ SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its 
 DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
 
 
-def pixels_of(sensor: Prepared[Run]) -> tuple[int, int]:
+def pixels_of(sensor: Case[Run]) -> tuple[int, int]:
     """Return the rows and columns of a sensor's pixels that see the common field."""
     return pixels_on(sensor.camera.die_um, sensor.settings.pixel.pitch_um)
 
@@ -106,9 +106,9 @@ class Lineup(Job[Run]):
         """Samples across the first film, the most that any of the sensors needs: with one film, all see the same picture."""
         return max(demand_of(sensor).shape[1] for sensor in self.cases)
 
-    def demand(self, sensor: Prepared[Run], width: int) -> Demand:
+    def demand(self, sensor: Case[Run], width: int) -> Demand:
         """Return what a sensor asks of its light on a film of so many samples across."""
-        return demand_of(replace(sensor, source=sensor.scene.with_resolution(width)))
+        return demand_of(replace(sensor, found=(sensor.scene.with_resolution(width), sensor.camera)))
 
     @property
     def scored_dots(self) -> tuple[int, int]:
@@ -137,7 +137,7 @@ class Lineup(Job[Run]):
         """Return the width of the border on a camera's die."""
         return self.border * camera.die_um[1]
 
-    def cost_of_frame(self, sensor: Prepared[Run]) -> Cost:
+    def cost_of_frame(self, sensor: Case[Run]) -> Cost:
         """Estimate a frame of a sensor, and its ΔE under all viewings."""
         cost = frame_cost(sensor.camera, sensor.settings.pixel.pitch_um, self.settings.display)
         displays = [each.display(self.settings.display) for each in dict.fromkeys(self.viewing.viewings[1:])]
@@ -464,8 +464,8 @@ def lineup_of(
         with named(name):
             dot_edges_um(camera.die_um, run.pixel.pitch_um, settings.display, border * camera.die_um[1])
         own = {"camera": camera.options, "lens": camera.lens_options, "pixel": run.pixel, "exposure": run.exposure}
-        case = Case(settings.model_copy(update=own), condition=stated.condition, sensor=name, source=source)
-        sensors.append(Prepared(case, of_sensor, camera))
+        of_run = settings.model_copy(update=own)
+        sensors.append(Case(of_run, condition=stated.condition, name=name, file=source, found=(of_sensor, camera)))
     viewing = _viewing(sensors, settings.display, of_viewing, border)
     if common is not None:
         viewing = common.viewing.under(settings.display, of_viewing)
@@ -483,7 +483,7 @@ def lineup_of(
     )
 
 
-def _viewing(sensors: Sequence[Prepared[Run]], display: Display, stated: Sequence[str], border: float) -> ViewingRange:
+def _viewing(sensors: Sequence[Case[Run]], display: Display, stated: Sequence[str], border: float) -> ViewingRange:
     """Return the range of viewing around a display, without displays that have no dot within the border."""
     low, high = ALLOWED_DOTS
     wished = ViewingRange.of(display, stated, [min(max(pixels_of(sensor)[1], low), high) for sensor in sensors])

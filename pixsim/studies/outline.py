@@ -82,8 +82,7 @@ def planned_study(job: StudyJob, jobs: int | None = None, types: int = 0) -> dic
     if types:
         planned["sensor_types"] = types
     if job.study.has_cases:
-        labels = [each.case for each in job.cases]
-        planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in labels]
+        planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in job.cases]
     elif cost.seconds > LONG_S and (window := window_within(job.asked, job.camera, demand.plan, demand.shape, jobs)):
         planned["window_within_a_minute_mm"] = window
     return planned | ({} if study.own_um is None else {"own_um": study.own_um})

@@ -37,7 +37,7 @@ from pixsim.sensor.technology import check_name
 from pixsim.studies.cases import BASE, Case, cases_of, with_range_ends
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
-from pixsim.studies.prepared import Job, Prepared, is_picture, loaded_scene, named
+from pixsim.studies.prepared import Job, is_picture, loaded_scene, named
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.series import judging_of
 from pixsim.studies.study_settings import Study
@@ -332,21 +332,20 @@ class StudyJob(Job[Study]):
     """A study that is prepared.
 
     asked : as it was given
-    study : with its pixel sizes, display and chart; one without axes and conditions is its own only case
+    base : with its display and chart, and its axes and conditions; None without any, where the study is its own only case
     source : scene of the study itself, or the light that is given
     uncertainty : of the study's [pixel] and data sheets, as its files state it
     """
 
     asked: Study
-    study: Study
+    base: Study | None = None
     source: Scene | SpectralImage
     uncertainty: Uncertainty = field(default_factory=dict)
 
     @property
-    def scene(self) -> Scene:
-        """The scene of a study without given light."""
-        assert not isinstance(self.source, SpectralImage)
-        return self.source
+    def study(self) -> Study:
+        """The study with its display and chart; without axes and conditions, with its pixel sizes too."""
+        return self.base or self.settings
 
     @property
     def evaluations(self) -> int:
@@ -384,7 +383,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False, light
         view = _chosen_view(fitted, scene, camera)
         whole = _checked(Case(with_view(fitted, view)), source_with_view(scene, view), camera)
         warn_of_unused([(study, whole.settings)], light)
-        return StudyJob(asked=asked, study=whole.settings, source=whole.source, view=view, cases=(whole,), variant=variant)
+        return StudyJob(asked=asked, source=whole.source, view=view, cases=(whole,), variant=variant)
     # Display and chart are those of the study itself, so that all of its cases are comparable.
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
@@ -395,7 +394,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False, light
     own = _without_axes(study)
     scene, camera = source_for(own)
     view = _chosen_view(own, scene, camera)
-    prepared: list[Prepared[Study]] = []
+    prepared: list[Case[Study]] = []
     cases = cases_of(study)
     for case in cases:
         with named(case.words or BASE):
@@ -408,7 +407,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False, light
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
     kept = view if all(_same_chart(each.settings, own) for each in prepared) else without_chart(view)
     study, scene = with_view(study, kept), source_with_view(scene, view)
-    return StudyJob(asked=asked, study=study, source=scene, view=view, cases=tuple(prepared), variant=variant)
+    return StudyJob(asked=asked, base=study, source=scene, view=view, cases=tuple(prepared), variant=variant)
 
 
 def warn_of_unused(cases: Sequence[tuple[Study, Study]], light: SpectralImage | None = None) -> None:
@@ -462,7 +461,7 @@ def check_metrics(settings: Setting, pixels: Sequence[PixelOptions], scene: Scen
         judging.check(MetricContext(pixel.colour is not None, has_without))
 
 
-def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -> Prepared[Study]:
+def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -> Case[Study]:
     """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not possible."""
     study = case.settings
     pixels = [study.options_of(name) for name in study.technologies]
@@ -471,4 +470,4 @@ def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
         dot_edges_um(camera.die_um, largest_um, study.display, study.border_um)
-    return Prepared(case, source, camera)
+    return replace(case, found=(source, camera))

@@ -1,4 +1,4 @@
-"""Jobs and their cases: what a command runs, with everything that it left open, found and checked before anything is rendered."""
+"""Jobs: what a command runs, with everything that it left open, found and checked before anything is rendered."""
 
 from __future__ import annotations
 
@@ -9,52 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
 from pixsim.base.errors import PixsimError
-from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.studies.cases import Case, Settings
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
-
-
-@dataclass(frozen=True)
-class Prepared(Generic[Settings]):
-    """A case whose scene and camera are found.
-
-    case : its settings are complete: with pixel sizes, display and chart
-    source : the scene with its chart, or the picture of another program
-    camera : of the window, or of the part of the field that all sensors of a comparison see
-    """
-
-    case: Case[Settings]
-    source: Scene | SpectralImage = field(repr=False)
-    camera: Camera
-
-    @property
-    def picture(self) -> SpectralImage | None:
-        """The picture of another program; None for a scene."""
-        return self.source if isinstance(self.source, SpectralImage) else None
-
-    @property
-    def scene(self) -> Scene:
-        """The scene of a case without a picture."""
-        assert not isinstance(self.source, SpectralImage)
-        return self.source
-
-    @property
-    def header(self) -> dict[str, Any]:
-        """What is known of its light before a render: the header of a picture, or the parameters of a scene."""
-        return {"parameters": self.scene.parameters} if self.picture is None else self.picture.header
-
-    @property
-    def settings(self) -> Settings:
-        """The complete settings."""
-        return self.case.settings
-
-    @property
-    def name(self) -> str:
-        """Name of its sensor in a comparison."""
-        return self.case.sensor
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,7 +25,7 @@ class Job(Generic[Settings]):
     sensor, variant : id of the scene's sensor, and variant of Mitsuba, as they were given
     """
 
-    cases: tuple[Prepared[Settings], ...]
+    cases: tuple[Case[Settings], ...]
     view: Mapping[str, Any] = field(default_factory=dict)
     sensor: str | None = None
     variant: str | None = None

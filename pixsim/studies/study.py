@@ -24,13 +24,14 @@ from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.labels import label_in
 from pixsim.show.sentences import few
 from pixsim.studies.allocation import next_sensors, next_where_open
+from pixsim.studies.budget import with_tolerance
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
 from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
 from pixsim.studies.keys import remember_evaluated
-from pixsim.studies.lights import given_light, lights_of_cases
+from pixsim.studies.lights import lights_of_cases
 from pixsim.studies.oversampling import GivenLight, Light
 from pixsim.studies.preparation import StudyJob, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of
@@ -45,7 +46,6 @@ from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.score import SceneCache, Score, warn_of_clipping
 
 if TYPE_CHECKING:
-    from pixsim.studies.budget import Settled
     from pixsim.studies.sensor_types import Asked
 
 FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
@@ -63,7 +63,7 @@ def repeated_settings(job: StudyJob, chosen: Study, image: SpectralImage, asked:
     if isinstance(job.source, SpectralImage):
         command = f"pixsim.study('{SETTINGS_FILE}', out, light=…), of the light of digest {image.header[DIGEST]}"
         return settings_text(job.study, command, spreads_of_study(job.study, job.uncertainty))
-    scene, kept = job.scene, without_clock(job.study, chosen, image)
+    scene, kept = job.source, without_clock(job.study, chosen, image)
     file = kept.scene.file
     of_scene = {
         "file": file if file in packaged_scenes() else str(scene.path),
@@ -368,27 +368,17 @@ def run_prepared(
 
         check_types(job.study, [case.settings for case in job.cases], asked, agreed)
 
-    chosen, cases = job.study, [each.case for each in job.cases]
     stage = progress or no_stage
-    settled: Settled | None = None
     if jobs is None and scheduler is None:
         jobs = jobs_in_memory(largest_frame_bytes([(case.settings, case.camera) for case in job.cases]))
     with collected_notes() as notes, ExitStack() as stack:
         ResultsFile(Path(out) / "results.csv").check_replaceable()
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
-        if chosen.tolerance_delta_e and not job.study.has_cases:
-            stage("calibrate")
-            from pixsim.studies.budget import settled_study
-
-            chosen, settled = settled_study(chosen, job.scene, job.camera)
-            job, cases = replace(job, study=chosen), [Case(chosen)]
-        lights: Sequence[Light | GivenLight | str]
-        if isinstance(job.source, SpectralImage):
-            lights = [given_light(each) for each in job.cases]
-        else:
-            lights = lights_of_cases(cases, job.variant, stage, workers, settled, store=PictureFile(folder).stored)
+        job = with_tolerance(job, stage)
+        chosen, settled = job.study, job.cases[0].settled
+        lights = lights_of_cases(job.cases, stage, workers, store=PictureFile(folder).stored)
         reasons = [light for light in lights if isinstance(light, str)]
-        lit = [(case, light) for case, light in zip(cases, lights, strict=True) if not isinstance(light, str)]
+        lit = [(case, light) for case, light in zip(job.cases, lights, strict=True) if not isinstance(light, str)]
         found: list[StudyResult] = []
         if lit:
             films = [light.image.shape[1] if isinstance(light, Light) else None for _, light in lit]
