@@ -203,7 +203,7 @@ def lit_lineup(lineup: Lineup, stage: Stage, repeats: int, pair: str = "") -> Li
     def part(name: str) -> Progress:
         return stage(": ".join(filter(None, (pair, lineup.condition, name))))
 
-    with named(lineup.words):
+    with named(f"condition {lineup.condition}" if lineup.condition else ""):
         lights = lights_on_one_film(lineup, part)
         sensors = zip(lineup.cases, lights, strict=True)
         series = [series_of_sensor(lineup, sensor, light, repeats, pair) for sensor, (light, _) in sensors]

@@ -20,6 +20,7 @@ from pixsim.sensor.labels import file_label, labels_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.spread import Spread, sheet_uncertainty
 from pixsim.sensor.technology import load_technology
+from pixsim.studies.cases import Case
 from pixsim.studies.indices import FirstOrder, first_order
 from pixsim.studies.sensor_types import Asked, sample_of
 from pixsim.studies.series import Series
@@ -36,6 +37,7 @@ from pixsim.studies.uncertainty import (
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.score import SceneCache
+from pixsim.viewer.setting import Run
 
 
 @dataclass(frozen=True)
@@ -54,22 +56,21 @@ class Types:
     seed: int
 
     @classmethod
-    def of(cls, draws: int, names: Sequence[str], sources: Sequence[str], pixels: Sequence[Pixel], seed: int) -> Types:
-        """Draw sensor types. Raises PixsimError for a number of types out of range, and if nothing is unknown.
-
-        names, sources, pixels : of each sensor, its name, its file or technology, and its numbers
-        """
+    def of(cls, draws: int, sensors: Sequence[Case[Run]]) -> Types:
+        """Draw sensor types. Raises PixsimError for a number of types out of range, and if nothing is unknown."""
         asked = Asked(draws).draws
-        spreads = tuple(sheet_uncertainty(Path(source)) if Path(source).is_file() else {} for source in sources)
-        files = list(dict.fromkeys(whole_path(pixel.technology) for pixel in pixels))
+        spreads = tuple(sheet_uncertainty(Path(each.file)) if Path(each.file).is_file() else {} for each in sensors)
+        files = list(dict.fromkeys(whole_path(each.settings.pixel.technology) for each in sensors))
         processes = dict(zip(files, labels_of([file_label(file) for file in files]), strict=True))
         unknowns: list[Unknown] = []
-        for name, pixel, own in zip(names, pixels, spreads, strict=True):
+        for each, own in zip(sensors, spreads, strict=True):
+            name, pixel = each.name, each.settings.pixel
             unknowns += unknowns_of_sheet(pixel, own, name)
             if pixel.technology != NO_TECHNOLOGY:
                 process = processes[whole_path(pixel.technology)]
                 of_process = unknowns_of_process(pixel, load_technology(pixel.technology), name)
                 unknowns += [replace(unknown, process=process) for unknown in of_process]
+        seed = sensors[0].settings.seed
         return cls(asked, spreads, sample_types(unknowns, draws, seed), seed)
 
     def imagings(self, name: str, imaging: Imaging) -> Iterator[Imaging]:
