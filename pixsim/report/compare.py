@@ -47,7 +47,7 @@ from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.condition import Condition
-from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
+from pixsim.studies.cost import PAGE_S, START_S, Cost, frame_cost, known_film, render_cost
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.lineup import OF_A_SENSOR, SHARED, ComparisonJob, Lineup, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
@@ -105,7 +105,7 @@ def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     for sensor in lineup.cases:
         demand = lineup.demand(sensor, lineup.film_width)
         render = render_cost(demand.plan, sensor.camera, *known_film(demand), processors().usable, begun=True)
-        frame = lineup.cost_of_frame(sensor)
+        frame = frame_cost(sensor.camera, sensor.settings.pixel.pitch_um, *lineup.displays.values())
         seconds += render.seconds + repeats * frame.seconds / processors().usable
         largest = max(largest, render.memory_bytes + frame.memory_bytes)
     return Cost(seconds, largest, 1)

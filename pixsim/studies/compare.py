@@ -31,7 +31,6 @@ from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Case
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases, folders_of, prepare_cases
-from pixsim.studies.cost import frame_cost
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import check_ideals, rows_of
 from pixsim.studies.lineup import ComparisonJob, Lineup, prepare
@@ -41,7 +40,6 @@ from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_ty
 from pixsim.studies.prepared import named
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import Row
-from pixsim.studies.sampling import Sizes
 from pixsim.studies.sensor_types import TYPES_FILE, sample_of
 from pixsim.studies.series import Series, judging_of
 from pixsim.studies.study_settings import Study
@@ -342,10 +340,7 @@ def observed_in(
     results : the file of the rows, from which an interrupted comparison goes on; None for none
     workers : None takes as many processes as are worth it
     """
-    series = [each for part in parts for each in part.series]
-    sizes: list[Sizes] = [{each.imaging.pixel.pitch_um: repeats} for each in series]
-    costs = [part.lineup.cost_of_frame(sensor) for part in parts for sensor in part.lineup.cases]
-    rows = iter(rows_of(series, sizes, costs, results, workers, progress))
+    rows = iter(rows_of([each for part in parts for each in part.series], repeats, results, workers, progress))
     return {part: observed_of(part, [next(rows) for _ in part.series]) for part in parts}
 
 
@@ -365,25 +360,21 @@ def differences_of_types(
 
     result : with the sensors as they are
     pairs : the light of each pair
-    file : as `results` of `evaluate_all`
+    file : as `results` of `observed_in`
     """
-    wanted: dict[tuple[int, str], tuple[Lit, Series]] = {}  # light and sensor
-    unsure = [(pair, lit) for pair, lit in zip(result.pairs, pairs, strict=True) if sample_of(types.sample, *pair.names).inputs]
-    for pair in result.pairs:
-        if all(pair is not each for each, _ in unsure):
+    unsure: list[tuple[Averaged, Sequence[Lit]]] = []
+    for pair, lit in zip(result.pairs, pairs, strict=True):
+        if sample_of(types.sample, *pair.names).inputs:
+            unsure.append((pair, lit))
+        else:
             warn(f"{' and '.join(pair.names)}: no number of these two is unknown, so that nothing is drawn for them")
-    for pair, lit in unsure:
-        for each in lit:
-            own = {series.name: series for series in each.series}
-            wanted |= {(id(each), name): (each, own[name]) for name in pair.names}
-    series = [series_of_types(own, types) for _, own in wanted.values()]
-    costs = [frame_cost(own.imaging.camera, own.imaging.pixel.pitch_um, own.imaging.display) for _, own in wanted.values()]
+    wanted = {
+        (each, series.name): series for pair, lit in unsure for each in lit for series in each.series if series.name in pair.names
+    }
     count = len(types.sample.quantiles)
-    flat = [each for of_sensor in series for each in of_sensor]
-    sizes: list[Sizes] = [{each.imaging.pixel.pitch_um: FEW_SENSORS} for each in flat]
-    rows = rows_of(flat, sizes, [cost for cost in costs for _ in range(count)], file, workers, progress)
-    metrics = flat[0].imaging.judging.metrics if flat else ()
-    of_types: dict[str, dict[tuple[int, str], Array]] = {}
+    series = [of_type for own in wanted.values() for of_type in series_of_types(own, types)]
+    rows, metrics = rows_of(series, FEW_SENSORS, file, workers, progress), series[0].imaging.judging.metrics
+    of_types: dict[str, dict[tuple[Lit, str], Array]] = {}
     for metric in metrics:
         values = np.array([numbers_in(own, metric.columns[0]) for own in rows])
         of_types[metric.name] = dict(zip(wanted, values.reshape(len(wanted), count, FEW_SENSORS).mean(axis=2), strict=True))
@@ -391,7 +382,7 @@ def differences_of_types(
     for (pair, lit), metric in product(unsure, metrics):
         (first, other), drawn_of = pair.names, of_types[metric.name]
         weighted = [(weight, each) for (weight, _), each in zip(pair.parts, lit, strict=True) if weight]
-        drawn = sum(weight * (drawn_of[id(each), other] - drawn_of[id(each), first]) for weight, each in weighted)
+        drawn = sum(weight * (drawn_of[each, other] - drawn_of[each, first]) for weight, each in weighted)
         of_frames = pair.delta_e if metric.is_delta_e else pair.judged[metric.name]
         differences = of_frames[other] - of_frames[first]
         as_is = float(differences[:FEW_SENSORS].mean())

@@ -25,7 +25,7 @@ from pixsim.base.records import content_hash
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.readout import Frame, Sensor, make_frame
-from pixsim.studies.cost import Cost, jobs_in_memory
+from pixsim.studies.cost import frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.keys import REPEATS_PER_TASK, block_key
 from pixsim.studies.results_file import ResultsFile, row_columns
@@ -537,17 +537,10 @@ class Evaluations:
 
 
 def rows_of(
-    series: Sequence[Series],
-    sizes: Sequence[Sizes],
-    costs: Sequence[Cost],
-    results: Path | None,
-    workers: Workers | None,
-    progress: Progress | None = None,
+    series: Sequence[Series], repeats: int, results: Path | None, workers: Workers | None, progress: Progress | None = None
 ) -> list[StoredRows]:
-    """Return the rows of all evaluations of each series.
+    """Return the rows of some frames of each series, each with pixels of one size.
 
-    sizes : the pixel sizes of each, and its frames
-    costs : of a frame of each
     results : the file of the rows, from which an interrupted command goes on; None for none
     workers : None takes as many processes as are worth it
 
@@ -556,13 +549,14 @@ def rows_of(
     told_by = [name for name in series[0].columns if any(each.columns[name] for each in series)]
     series = [replace(each, columns={name: each.columns[name] for name in told_by}) for each in series]
     if workers is None:
-        in_all_s = sum(sum(own.values()) * cost.seconds for own, cost in zip(sizes, costs, strict=True))
+        costs = [frame_cost(each.imaging.camera, each.imaging.pixel.pitch_um, *each.displays) for each in series]
+        in_all_s = repeats * sum(cost.seconds for cost in costs)
         workers = workers_here(1 if in_all_s < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for cost in costs)))
+    sizes: list[Sizes] = [{each.imaging.pixel.pitch_um: repeats} for each in series]
     evaluations = Evaluations(series, results, workers)
     rows = [NO_ROWS for _ in series]
     with evaluations.resumed(sizes):
-        for number, own in evaluations.rows(sizes, progress):
-            rows[number] = own
+        for number, rows[number] in evaluations.rows(sizes, progress):
             for reason in evaluations.left_out(number, sizes[number]).values():
                 raise AlikeChannelsError(f"{series[number].label}: {reason}")
             for reason in evaluations.lacking(number, sizes[number]).values():

@@ -32,7 +32,6 @@ from pixsim.sensor.technology import check_name
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Case
 from pixsim.studies.condition import Condition
-from pixsim.studies.cost import VIEWED_S_PER_DOT, Cost, dots_on, frame_cost
 from pixsim.studies.lights import demand_of
 from pixsim.studies.matched_cameras import Match, matched_cameras
 from pixsim.studies.oversampling import Demand
@@ -133,13 +132,6 @@ class Lineup(Job[Run]):
     def border_um(self, camera: Camera) -> float:
         """Return the width of the border on a camera's die."""
         return self.border * camera.die_um[1]
-
-    def cost_of_frame(self, sensor: Case[Run]) -> Cost:
-        """Estimate a frame of a sensor, and its ΔE under all viewings."""
-        cost = frame_cost(sensor.camera, sensor.settings.pixel.pitch_um, self.settings.display)
-        displays = [each.display(self.settings.display) for each in dict.fromkeys(self.viewing.viewings[1:])]
-        dots = sum(dots_on(sensor.camera, display) for display in displays)
-        return replace(cost, seconds=cost.seconds + dots * VIEWED_S_PER_DOT)
 
 
 @dataclass(frozen=True)
