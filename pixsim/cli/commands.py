@@ -234,8 +234,7 @@ def plan(
     """
     import_less()
     from pixsim.report.outline import plan_document
-    from pixsim.studies.preparation import plan_of
-    from pixsim.studies.prepared import loaded_scene
+    from pixsim.studies.preparation import loaded_scene, plan_of
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = loaded_scene(scene, chosen.scene, chosen.resolution, variant=variant, sensor=sensor)

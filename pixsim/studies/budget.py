@@ -47,7 +47,7 @@ from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
-from pixsim.studies.cases import Case, Settings
+from pixsim.studies.cases import Case, Job, Settings
 from pixsim.studies.film_error import (
     FINE,
     FINER,
@@ -62,7 +62,6 @@ from pixsim.studies.film_error import (
 )
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import imaging_of
-from pixsim.studies.prepared import Job
 from pixsim.studies.sampling import largest_pixel_um
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display

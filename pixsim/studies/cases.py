@@ -1,13 +1,14 @@
-"""Cases: the settings of a frame, or of frames of many pixel sizes, with what tells them from the other ones of a command.
+"""Cases and jobs: the settings of a frame, or of frames of many pixel sizes, with what tells them from the other ones of a command.
 
 The axes and conditions of a study make cases of it, each a study of pixel sizes without axes. A study without them is its own only
-case. In a comparison each sensor is a case, under each condition.
+case. In a comparison each sensor is a case, under each condition. A job is cases whose scenes and cameras are found and checked.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -103,6 +104,40 @@ class Case(Generic[Settings]):
         """Columns of a table that tell this case from the others, with its values."""
         values = {name: value if isinstance(value, str) else repr(value) for name, value in self.at.items()}
         return values | ({"condition": self.condition} if self.condition else {})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Job(Generic[Settings]):
+    """Cases that were found and checked: of a run, of a study, or of a comparison under one condition.
+
+    cases : a run has one, a study those of its axes and conditions, a comparison one for each sensor
+    view : display and chart that pixsim chose for the sensor of a data sheet, of `choose_view`
+    sensor, variant : id of the scene's sensor, and variant of Mitsuba, as they were given
+    """
+
+    cases: tuple[Case[Settings], ...]
+    view: Mapping[str, Any] = field(default_factory=dict)
+    sensor: str | None = None
+    variant: str | None = None
+
+    @property
+    def settings(self) -> Settings:
+        """The complete settings of the first case."""
+        return self.cases[0].settings
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the first case."""
+        return self.cases[0].camera
+
+
+@contextmanager
+def named(part: str) -> Iterator[None]:
+    """Name a case, a sensor or a condition in an error about its settings; nothing, if there is only one."""
+    try:
+        yield
+    except PixsimError as error:
+        raise PixsimError(f"{part}: {error}" if part else str(error)) from None
 
 
 def case_words(at: Mapping[str, float | int | str], condition: str, alone: str) -> str:

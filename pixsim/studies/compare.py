@@ -28,7 +28,7 @@ from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
 from pixsim.sensor.pixel_options import REGISTERED_BORDER
 from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.budget import without_warnings
-from pixsim.studies.cases import Case
+from pixsim.studies.cases import Case, named
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases, folders_of, prepare_cases
 from pixsim.studies.engine import Workers, workers_for
@@ -37,7 +37,6 @@ from pixsim.studies.lineup import ComparisonJob, Lineup, prepare
 from pixsim.studies.matched_cameras import Match
 from pixsim.studies.oversampling import Light, kept_steps, rendered_light
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
-from pixsim.studies.prepared import named
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import Row
 from pixsim.studies.sensor_types import TYPES_FILE, sample_of

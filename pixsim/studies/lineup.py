@@ -30,15 +30,14 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY, REGISTERED_BORDER
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.sensor.technology import check_name
 from pixsim.studies.budget import without_warnings
-from pixsim.studies.cases import Case
+from pixsim.studies.cases import Case, Job, named
 from pixsim.studies.condition import Condition
 from pixsim.studies.lights import demand_of
 from pixsim.studies.matched_cameras import Match, matched_cameras
 from pixsim.studies.oversampling import Demand
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
-from pixsim.studies.preparation import ALLOWED_DOTS, check_metrics, choose_view, with_view
-from pixsim.studies.prepared import Job, is_picture, loaded_scene, named
+from pixsim.studies.preparation import ALLOWED_DOTS, check_metrics, choose_view, is_picture, loaded_scene, with_view
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study, owner_of
 from pixsim.studies.varied import NOT_SETTINGS, paths_of

@@ -23,9 +23,9 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.document import Document, Table
 from pixsim.show.pages import dataframe_of, rows_csv
 from pixsim.show.render import notebook
+from pixsim.studies.cases import named
 from pixsim.studies.engine import workers_here
 from pixsim.studies.evaluations import check_ideals, rows_of
-from pixsim.studies.prepared import named
 from pixsim.studies.series import Series
 from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
 from pixsim.viewer.display import dot_edges_um, picture_size_um

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pixsim.base.caller import setting
@@ -25,7 +26,7 @@ from pixsim.optics.exchange import camera_of_light
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
-from pixsim.scene.scene import Scene
+from pixsim.scene.scene import Scene, load_scene
 from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
@@ -34,10 +35,9 @@ from pixsim.sensor.pixel import PixelPhysics, warn_of_disagreements, warn_of_imp
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
-from pixsim.studies.cases import BASE, Case, cases_of, with_range_ends
+from pixsim.studies.cases import BASE, Case, Job, cases_of, named, with_range_ends
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
-from pixsim.studies.prepared import Job, is_picture, loaded_scene, named
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.series import judging_of
 from pixsim.studies.study_settings import Study
@@ -287,6 +287,27 @@ def check_pitches(study: Study) -> None:
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"
         raise invalid("max_evaluations", study.max_evaluations, expected, "Raise it, or lower repeats or pitch.count.")
+
+
+def is_picture(file: str) -> bool:
+    """Return whether a file holds light that was rendered before, by its name."""
+    return Path(file).suffix.lower() in (".exr", ".npz", ".hdr")
+
+
+def loaded_scene(
+    file: str,
+    parameters: Mapping[str, float | int | str],
+    resolution: int | None,
+    *,
+    variant: str | None = None,
+    sensor: str | None = None,
+) -> Scene:
+    """Return a scene with its parameters, on a film of `resolution` samples across if that is set.
+
+    Raises PixsimError as `pixsim.load_scene`.
+    """
+    scene = load_scene(file, variant=variant, sensor=sensor, **parameters)
+    return scene.with_resolution(resolution) if resolution else scene
 
 
 GIVEN_LIGHT = "(given light)"  # in place of a scene's file

@@ -33,12 +33,11 @@ from pixsim.show.document import headline, pairs, plain_text
 from pixsim.show.pages import rows_csv
 from pixsim.show.render import cell_of
 from pixsim.studies.budget import with_tolerance
-from pixsim.studies.cases import Case
+from pixsim.studies.cases import Case, Job
 from pixsim.studies.lights import demand_of
 from pixsim.studies.oversampling import Demand, Light, rendered_light
 from pixsim.studies.paired import mean_interval
-from pixsim.studies.preparation import check_metrics, choose_view, scene_with_view, with_view
-from pixsim.studies.prepared import Job, is_picture, loaded_scene
+from pixsim.studies.preparation import check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
 from pixsim.studies.sentences import score_parts
 from pixsim.studies.series import judging_of
 from pixsim.studies.settings_text import scene_table

@@ -27,7 +27,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.render import write_files
 from pixsim.studies.budget import MAX_DOTS, ProbeDesign, calibrate, effects, pitches_around_optimum_um, probe
 from pixsim.studies.cases import Case
-from pixsim.studies.prepared import loaded_scene
+from pixsim.studies.preparation import loaded_scene
 from pixsim.studies.run import RunJob, RunResult
 from pixsim.verification import ladders, stability
 from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
