@@ -31,7 +31,7 @@ from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
 from pixsim.base.records import checked
 from pixsim.optics.glass import AIR, Glass
-from pixsim.optics.lens_options import LensOptions
+from pixsim.optics.lens_options import PrescriptionOptions
 from pixsim.optics.prescription import Prescription, Vignetting, read_prescription
 from pixsim.optics.pupil import Directions
 from pixsim.optics.quantities import AnyDistance, FNumberOrPinhole
@@ -151,10 +151,10 @@ def load_lens(
         "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
         "glass_catalogues": tuple(os.fspath(name) for name in glass_catalogues), "unknown_glass": unknown_glass,
     }  # fmt: skip
-    return read_lens(os.fspath(file), checked(LensOptions, [Layer({"file": os.fspath(file), **table})]))
+    return read_lens(os.fspath(file), checked(PrescriptionOptions, [Layer({"file": os.fspath(file), **table})]))
 
 
-def read_lens(file: str, options: LensOptions) -> Lens:
+def read_lens(file: str, options: PrescriptionOptions) -> Lens:
     """Return the lens of a file. Raises PixsimError as `load_lens` does.
 
     options : how to read the file; their `file` and how the lens is used are not looked at

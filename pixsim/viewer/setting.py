@@ -78,7 +78,9 @@ class Setting(Effort):
         default_factory=dict, description="scene; a run has its parameters here, and its file elsewhere"
     )
     camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
-    lens: LensOptions = Field(LensOptions(), description="real lens in place of the camera's thin one")
+    lens: LensOptions = Field(
+        LensOptions(), description="veil and fall-off of the lens, and a real one in place of the camera's thin one"
+    )
     pixel: Annotated[PixelOptions, OF_PIXEL] = Field(PixelOptions(), description="pixel, without technology and pitch")
     exposure: Exposure = Field(Exposure(), description="exposure of each frame")
     correction: Correction = Field(Correction(), description="correction of each frame by the camera")
