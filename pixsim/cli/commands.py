@@ -660,6 +660,10 @@ def lens(
         ),
     ] = None,
     unknown_glass: Annotated[str | None, field_option(LensOptions, "unknown_glass")] = None,
+    reflectance: Annotated[
+        float | None,
+        Parameter(help="Reflectance of the coating of surfaces in air, for light that they reflect twice [default: bare glass]."),
+    ] = None,
     figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
@@ -704,6 +708,7 @@ def lens(
             vignetting_factors=how.vignetting_factors,
             glass_catalogues=how.glass_catalogues,
             unknown_glass=how.unknown_glass,
+            reflectance=reflectance,
             progress=stage,
         )
         stage("report")

@@ -197,8 +197,14 @@ class Camera(Record):
         """The same without veiling glare, which no render and no blur depends on."""
         return self.model_copy(update=dict.fromkeys(OF_VEIL, 0.0)) if self.veiling_glare else self
 
+    @checks_arguments
     def with_light_of(self, chosen: LensOptions) -> Camera:
-        """The same with the veil and the fall-off that options of a lens state; what they leave open stays."""
+        """The same with the veil and the fall-off that options of a lens state; what they leave open stays.
+
+        chosen : options of a lens, whose file is not looked at
+
+        Raises PixsimError for a fall-off beside another one, or that ends before the corner of the die.
+        """
         given = {field: getattr(chosen, name) for name, field in OF_ANY_LENS.items() if getattr(chosen, name) is not None}
         return Camera(**dict(self) | given) if given else self
 
