@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
@@ -90,6 +90,15 @@ class Setting(Effort):
         ("delta_e",), description="metrics that judge each frame; a study looks for the best pixel by each, and reports the first"
     )
     metric: MetricOptions = Field(METRIC_OPTIONS, description="settings of the metrics")
+    noise_budget: bool = Field(
+        False, description="also tell electrons and ΔE by cause, of the first sensor, each cause switched off in turn"
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_off(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a noise budget settings are written, and hashed, as if there were no such field."""
+        table: dict[str, Any] = handler(self)
+        return table if self.noise_budget else {name: value for name, value in table.items() if name != "noise_budget"}
 
     @classmethod
     def _merged(cls, layers: Iterable[Layer]) -> dict[str, Any]:
