@@ -10,6 +10,7 @@ from typing import Any
 
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
+from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.study import (
     PARTS_FILE,
     agrees,
@@ -32,7 +33,7 @@ from pixsim.studies.conditions import Compromise, Regret
 from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.oversampling import FilmError
-from pixsim.studies.parts import parts_table
+from pixsim.studies.parts import noise_budgets, parts_table
 from pixsim.studies.result import CasesResult, StudyResult, shown_mean_and_ci95
 from pixsim.studies.sentences import film_words, optima_table, optimum_line
 from pixsim.studies.study_settings import Study
@@ -173,6 +174,7 @@ def axes_files(study: Study) -> set[str]:
     cases = cases_of(study)
     plates = [*plate_names(study), *(f"conditions_{number + 1}" for number in range(SHOWN_COMPROMISES))]
     own = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.settings)}
+    plates += [NAME] * study.noise_budget
     return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", PARTS_FILE, *figure_files(plates), *own}
 
 
@@ -194,7 +196,7 @@ def study_report(
     """
     draw = partial(study_page, seconds=seconds, workers=workers or Workers(), figures=figures)
     if not isinstance(result, CasesResult):
-        return with_files_of_study(draw(result, parts=parts_table(result)), result)
+        return with_files_of_study(draw(result, parts=parts_table(result), budgets=noise_budgets(result)), result)
     cases = shown_cases(
         [Case(part.study, curve.at, curve.condition, curve.alone) for part in result.parts for curve in part.curves[:1]]
     )
@@ -215,7 +217,7 @@ def axes_page(
     """
     figures = [Plot(partial(conditions_plate, found, number)) for number, found in enumerate(compromises[:SHOWN_COMPROMISES], 1)]
     others = [compromise_of_others(found) for found in compromises if found.others]
-    table, header = parts_table(result), result.irradiance.header
+    table, budgets, header = parts_table(result), noise_budgets(result), result.irradiance.header
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
     made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."
     listed = [
@@ -234,6 +236,7 @@ def axes_page(
             Section("claims", "The paper's statements", _claims(result)),
             Section("optima", "Optima", [optima_table(result.curves), best]),
             parts_section(table),
+            budgets_section(budgets),
             Section("cases", "Cases with pictures", [Listed(listed)]),
             Section("made", "Reproducibility", [made, made_with(pairs("seconds", seconds, ".2f"))]),
         ),

@@ -214,7 +214,8 @@ def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
     if scene := table.get("scene"):
         given = {"parameters": scene_table(folder, scene["parameters"])} if "parameters" in scene else {}
         table["scene"] = given | ({"file": whole_path(scene["file"])} if "file" in scene else {})
-    for part, name in (("pixel", "quantum_efficiency"), ("camera", "chief_ray_angle")):
+    of_lens = ("lens", "veiling_glare"), ("lens", "relative_illumination")
+    for part, name in (("pixel", "quantum_efficiency"), ("camera", "chief_ray_angle"), *of_lens):
         if isinstance(file := table.get(part, {}).get(name), str):
             table[part] = table[part] | {name: whole_path(file)}
     if isinstance(colour := table.get("pixel", {}).get("colour"), dict):

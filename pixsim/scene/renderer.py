@@ -74,7 +74,9 @@ def hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: int
     size = scene.film_shape(camera, state)
     margin = plan.margin(size, 1e3 * camera.die_mm / size[1])
     settings += [margin, *plan.ends] if margin else []
-    return content_hash([tree, size, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, settings, seed, version])
+    return content_hash(
+        [tree, size, scene.sensor_id, scene.choice.variant, camera.without_veil.model_dump(), lights, settings, seed, version]
+    )
 
 
 class CachedRenders:

@@ -46,6 +46,7 @@ from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.light_error import LightError, cause_words
 from pixsim.viewer.metric_registry import metrics_named, names_of
 from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 from pixsim.viewer.score import (
     FrameScore,
     ImagingChain,
@@ -290,6 +291,15 @@ class RunResult(LitRun):
         bound_e = self.plan.bound_e if self.plan.bounded else None
         return settled.budget(self.rendered.noise, bound_e, len(self.statistics))
 
+    @cached_property
+    def noise_budget(self) -> NoiseBudget | None:
+        """Electrons and ΔE of the first sensor's frame by cause; None where nobody asks."""
+        if not self.settings.noise_budget:
+            return None
+        imaging = Imaging.of(self.settings, self.camera)
+        of_pixel = imaging.physics, imaging.light(self.irradiance), self.chain
+        return noise_budget(self.irradiance, self.camera, *of_pixel, "evaluate", self.settings.seed)
+
     @property
     def shown_mean(self) -> str:
         """Mean ΔE as text, as it is known: over all sensors, with its error by the budget if there is one, else by its light."""
@@ -356,6 +366,7 @@ class RunResult(LitRun):
         if (colour := self.colour) is not None:
             more |= {"develop": settings.develop.model_dump(), "colour": colour}
         more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
+        more |= {"noise_budget": self.noise_budget.as_dict()} if self.noise_budget else {}
         return {
             **self.statistics[0],
             "pixels": list(score.frame.pixels),

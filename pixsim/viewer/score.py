@@ -1076,11 +1076,12 @@ def evaluate(
 
     judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
     asked: dict[str, Any] = {"metrics": tuple(each.name for each in judging.metrics), "metric": judging.options}
-    given = Configuration(derive(pixel), pixel, exposure, correction, develop, display, camera, light=irradiance, **asked)
+    own = pixel, exposure, correction, develop, display, camera, camera.lens_options
+    given = Configuration(derive(pixel), *own, light=irradiance, **asked)
     warn_of_unused_settings({"": [given]})
     warn_of_unused_light(judging, without)
-    own = irradiance, camera, pixel, exposure, display, full, correction, develop
-    chain = make_imaging_chain(*own, keep=True, judging=judging, without=without)
+    settings = irradiance, camera, pixel, exposure, display, full, correction, develop
+    chain = make_imaging_chain(*settings, keep=True, judging=judging, without=without)
     score = judged_score(chain, judging, ("evaluate", seed))
     time_s, saturated = score.frame.integration_s, score.frame.saturated_fraction
     of_frame = chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal), saturated

@@ -17,6 +17,8 @@ from pixsim.sensor.spread import without_uncertainty
 from pixsim.viewer.merging import merged
 from pixsim.viewer.setting import Run
 
+FILES_OF_LENS = "file", "veiling_glare", "relative_illumination"
+
 
 def settings_layer(path: Path) -> Layer:
     """Read a settings file; paths in it are resolved by `resolve_file`.
@@ -38,8 +40,8 @@ def settings_layer(path: Path) -> Layer:
     if isinstance(camera, dict) and "chief_ray_angle" in camera:
         table = {**table, "camera": camera | {"chief_ray_angle": resolve_file(path, camera["chief_ray_angle"])}}
     lens = table.get("lens")
-    if isinstance(lens, dict) and "file" in lens:
-        named: dict[str, Any] = {"file": resolve_file(path, lens["file"])}
+    if isinstance(lens, dict) and (files := [name for name in FILES_OF_LENS if name in lens]):
+        named: dict[str, Any] = {name: resolve_file(path, lens[name]) for name in files}
         if isinstance(catalogues := as_file_names(lens.get("glass_catalogues")), list):
             named["glass_catalogues"] = [resolve_file(path, name) for name in catalogues]
         table = {**table, "lens": lens | named}

@@ -207,7 +207,15 @@ def of_chief_rays(c: Configuration) -> str:
         return ""
     if len(rows[0]) < 3:
         return "pixels without a stack (pixel.stack) see light from every direction alike"
+    return of_fall_off(c)
+
+
+def of_fall_off(c: Configuration) -> str:
     return "the picture has its fall-off already" if c.light is not None and "camera" not in c.light.header else ""
+
+
+def of_outside(c: Configuration) -> str:
+    return "" if c.lens.veiling_glare else "lens.veiling_glare is 0"
 
 
 def of_die(c: Configuration, axis: int) -> str:
@@ -288,6 +296,8 @@ RULES = (
     Rule(("pixel.stack.enabled",), of_no_stack),
     Rule(fields_of("pixel.stack", StackOptions, "enabled"), lambda c: "" if c.physics.stack else "pixel.stack.enabled is false"),
     Rule(("camera.chief_ray_angle",), of_chief_rays),
+    Rule(("lens.relative_illumination",), of_fall_off),
+    Rule(("lens.veiling_glare_outside",), of_outside),
     Rule(("camera.die_height_mm",), lambda c: of_die(c, 0)),
     Rule(("camera.die_mm",), lambda c: of_die(c, 1)),
     Rule(

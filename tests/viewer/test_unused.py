@@ -19,7 +19,7 @@ from pixsim.base.toml import packaged
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens
-from pixsim.optics.lens_options import LensOptions
+from pixsim.optics.lens_options import OF_ANY_LENS, LensOptions
 from pixsim.sensor.colour_options import ColourOptions
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
@@ -125,6 +125,7 @@ MOVES: dict[str, Any] = {
     "lens.file": "singlet", "lens.focal_length_mm": 1.5, "lens.refocus": "paraxial", "lens.ideal": "undistorted",
     "lens.configuration": 2, "lens.semi_diameters": "clip", "lens.vignetting_factors": ("use", "ignore"),
     "lens.glass_catalogues": "no.agf", "lens.unknown_glass": "model",
+    "lens.veiling_glare": 0.2, "lens.veiling_glare_outside": 3.0, "lens.relative_illumination": [[0, 1], [0.07, 0.5]],
     "pixel.capacitance": ("paper", "mosis"), "pixel.well_limit": ("diode", "swing"), "pixel.conversion": ("junction", "linear"),
     "pixel.response": "literal", "pixel.quantum_efficiency": 0.3, "pixel.quantum_efficiency_includes": ("photodiode", "microlens"),
     "pixel.quantum_efficiency_f_number": 2.0, "pixel.quantum_efficiency_pitch_um": 3.0, "pixel.infrared_cut_nm": (650.0, 2000.0),
@@ -165,6 +166,7 @@ MOVES |= {  # numbers that need no value of their own here; a plausible one may 
     f"pixel.{name}": (number.example, 100 * number.example) for name, number in NUMBERS.items() if f"pixel.{name}" not in MOVES
 }
 BESIDE: dict[str, dict[str, Any]] = {
+    "lens.veiling_glare_outside": {"lens": {"veiling_glare": 0.2}},
     "pixel.hot_pixel_fraction": {"pixel": {"hot_pixel_median": 90.0}},
     "pixel.hot_pixel_median": {"pixel": HOT},
     "pixel.hot_pixel_spread": {"pixel": HOT},
@@ -191,10 +193,9 @@ def scored(table: dict[str, Any]) -> Outcome:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            lens, light = LensOptions(**tables.get("lens", {})), LIGHT
-            camera = Camera(**tables["camera"])
-            if lens.file:
-                camera, light = camera_with_lens(camera, CameraOptions(**table.get("camera", {})), lens), BEHIND_LENS
+            lens = LensOptions(**tables.get("lens", {}))
+            camera = camera_with_lens(Camera(**tables["camera"]), CameraOptions(**table.get("camera", {})), lens)
+            light = BEHIND_LENS if lens.file else LIGHT
             records: dict[str, Any] = {
                 name: IN_RECORDS[name](**tables.get(name, {})) for name in ("exposure", "display", "correction", "develop")
             }
@@ -238,9 +239,9 @@ def test_every_setting_acts_or_a_message_names_it(configuration: str) -> None:
 
 
 def test_every_setting_of_a_frame_is_moved() -> None:
-    """But `Camera.lens`, which comes from [lens]."""
+    """But the fields of `Camera` that come from [lens]."""
     fields = {f"{table}.{name}" for table, record in IN_RECORDS.items() for name in record.model_fields}
-    assert MOVES.keys() == fields - {"camera.lens"}
+    assert MOVES.keys() == fields - {"camera.lens", *(f"camera.{name}" for name in OF_ANY_LENS.values())}
 
 
 def said(command: Run | Study, technology: str = "") -> set[str]:
