@@ -43,6 +43,7 @@ from pixsim.studies.series import judging_of
 from pixsim.studies.settings_text import scene_table
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError, cause_words
 from pixsim.viewer.metric_registry import metrics_named, names_of
 from pixsim.viewer.metrics import DELTA_E
