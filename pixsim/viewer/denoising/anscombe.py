@@ -39,9 +39,12 @@ def forward(signal_e: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     >>> float(forward(100.0, 0.0)).__round__(3)
     20.037
     """
-    values = np.add(signal_e, OFFSET_E + gaussian_variance_e2, dtype=float)
+    values = np.array(signal_e, float)
+    values += OFFSET_E + gaussian_variance_e2
     np.maximum(values, 0.0, out=values)
-    return np.asarray(2 * np.sqrt(values))
+    np.sqrt(values, out=values)
+    values *= 2
+    return values
 
 
 @checks_arguments

@@ -28,7 +28,7 @@ Named = Literal["nlm", "wavelet"]
 PACKAGES = ("skimage", "pywt")
 NLM_PATCH, NLM_DISTANCE = 5, 6  # side of a patch, and how far its likes are looked for, in pixels
 NLM_CUT_OFF = 0.8  # of the noise: scikit-image's advice where it is known
-WAVELET = "db2"
+WAVELET, WAVELET_LEVELS = "db2", 4  # whatever the size of the plane, from 48 pixels on: scikit-image's default grows with it
 LEAST_SIDE: dict[str, int] = {"nlm": 2 * NLM_DISTANCE + NLM_PATCH, "wavelet": 8}
 
 
@@ -88,18 +88,21 @@ def non_local_means(plane: Array, sigma: float) -> Array:
 def wavelet_shrinkage(plane: Array, sigma: float) -> Array:
     """Return the mean of scikit-image's `denoise_wavelet` of a plane (H, W), and of it shifted by a pixel down, across, and both.
 
-    One alone would depend on where the picture lies on the wavelets' grid. Borders are reflected.
+    One alone would depend on where the picture lies on the wavelets' grid. Borders are reflected. Waves of up to 16 pixels are
+    shrunk, and in planes of less than 48 pixels fewer.
 
     sigma : standard deviation of the white noise
     """
+    from pywt import dwt_max_level
     from skimage.restoration import denoise_wavelet
 
-    padded = np.pad(plane, 1, mode="symmetric")
+    levels = min(WAVELET_LEVELS, dwt_max_level(min(plane.shape), WAVELET))
+    how: dict[str, Any] = {"wavelet": WAVELET, "wavelet_levels": levels, "method": "BayesShrink", "mode": "soft"}
+    (height, width), padded = plane.shape, np.pad(plane, 1, mode="symmetric")
     total = np.zeros(plane.shape)
     for down, across in product((0, 1), repeat=2):
-        part = padded[down : padded.shape[0] - 1 + down, across : padded.shape[1] - 1 + across]
-        whole = denoise_wavelet(part, sigma=sigma, wavelet=WAVELET, method="BayesShrink", mode="soft", rescale_sigma=True)
-        total += whole[1 - down : 1 - down + plane.shape[0], 1 - across : 1 - across + plane.shape[1]]
+        part = denoise_wavelet(padded[down : height + 1 + down, across : width + 1 + across], sigma=sigma, **how)
+        total += part[1 - down : 1 - down + height, 1 - across : 1 - across + width]
     return total / 4
 
 
