@@ -13,7 +13,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from pixsim.base.arguments import NotNegative, checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, NotNegativeArray
 from pixsim.base.errors import invalid
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import variance_e2
@@ -169,21 +169,21 @@ class Residual:
     gain : what is left of PRNU
     """
 
-    temporal: float
-    offsets: float
-    flat: float
-    gain: float
+    temporal: Array | float
+    offsets: Array | float
+    flat: Array | float
+    gain: Array | float
 
     @property
-    def total(self) -> float:
+    def total(self) -> Array | float:
         return self.temporal + self.offsets + self.flat + self.gain
 
 
 @checks_arguments
 def residual_variance_e2(
-    signal_e: NotNegative, integration_s: NotNegative, physics: PixelPhysics, correction: Correction
+    signal_e: NotNegativeArray | NotNegative, integration_s: NotNegative, physics: PixelPhysics, correction: Correction
 ) -> Residual:
-    """Return the closed form of the variance that a correction leaves in even light, without defects.
+    """Return the closed form of the variance that a correction leaves in even light, without defects, in the shape of the signal.
 
     With T = reset² + read² + dark charge + rounding (LSB²/12) the variance of a dark pixel over frames, s the signal, L that of
     the flat frames, n_d, n_f and n_c the numbers of dark frames, flat frames and dark rows, and V the variance of offsets and
@@ -209,10 +209,11 @@ def residual_variance_e2(
     dark_variance = float(variance_e2(p, is_temporal=True)) + dark_e + ROUNDING_VARIANCE_DN2 / p.dn_per_e**2
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
     fixed = partial(variance_e2, p, dark_e=dark_e, is_temporal=False)
-    offsets = float(fixed(along="pixel")) * (1 + rows) + (0.0 if correction.column_clamp else float(fixed(along="column")))
+    offsets: Array | float = float(fixed(along="pixel")) * (1 + rows) + (0.0 if correction.column_clamp else float(fixed(along="column")))
     if correction.dark_frames:
         offsets = dark_variance * (1 + rows) / correction.dark_frames
-    flat, gain = 0.0, (p.prnu * signal_e) ** 2
+    flat: Array | float = 0.0
+    gain: Array | float = (p.prnu * signal_e) ** 2
     if correction.flat_frames:
         level_e = flat_light_e(p, correction, integration_s)
         part = signal_e / level_e

@@ -333,6 +333,7 @@ def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], light: Light, repeat
             others=others,
             judging=judging,
             without=light.without,
+            develop=imaging.develop,
         )
         columns = {"pair": pair, "condition": lineup.condition}
         series = Series(sensor.name, imaging, scenes, ("compare", sensor.settings.seed), False, columns, lineup.condition, False)

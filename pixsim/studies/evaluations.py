@@ -238,7 +238,7 @@ def shown_chain(task: Task, light: SharedLight, repeat: int, known: cache.Arrays
 
     known : of `kept_frames`
     """
-    if not isinstance(light, PreparedScene):
+    if not isinstance(light, PreparedScene) or task.imaging.develop.denoise == "wiener_bound":  # which knows the light
         return None
     imaging, physics = task.imaging, task.imaging.registered(repeat)
     rows, columns = pixels_on(light.array_um, physics.as_read.read_pitch_um, physics.registration)

@@ -92,7 +92,12 @@ def series_of_types(base: Series, types: Types) -> list[Series]:
     """Return the series of each type of a sensor, in the same light, on the first display of the sensor's own series."""
     imaging = base.imaging
     scenes = SceneCache(
-        base.scenes.irradiance, imaging.camera, imaging.display, len(imaging.physics.channels), single=imaging.single
+        base.scenes.irradiance,
+        imaging.camera,
+        imaging.display,
+        len(imaging.physics.channels),
+        single=imaging.single,
+        develop=imaging.develop,
     )
     return [
         replace(base, imaging=of_type, scenes=scenes, columns={**base.columns, "draw": str(draw)})
