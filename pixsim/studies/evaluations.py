@@ -246,7 +246,7 @@ def shown_chain(task: Task, light: SharedLight, repeat: int, known: cache.Arrays
     found = kept_frame(known, repeat, whole, imaging.correction.is_on)
     if found is None:
         return None
-    exposed = imaging.exposure.model_copy(update={TIME: float(found[TIME])})
+    exposed = imaging.exposure.lasting(float(found[TIME]))
     return chain_of_frames(light, physics, exposed, imaging.correction, imaging.develop, whole)
 
 

@@ -493,7 +493,7 @@ def _mean_delta_e(
 
     in_threads(prepare, range(len(parts)), cells)
     brightest = max(float(chain.signal_e_per_s.max()) for chain in chains.values())
-    exposure = own.exposure.model_copy(update={"integration_s": integration_time_s(own.exposure, physics, brightest)})
+    exposure = own.exposure.lasting(integration_time_s(own.exposure, physics, brightest))
     in_threads(score, range(len(parts)), cells)
     return delta_e
 

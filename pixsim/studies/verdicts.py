@@ -10,6 +10,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
+from pixsim.sensor.stages import stage_words
 from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline
 from pixsim.show.sentences import with_error
 from pixsim.studies.averages import Averaged, shown_delta_e
@@ -178,10 +179,13 @@ def exposure_words(lineup: Lineup) -> str:
     exposures = [sensor.settings.exposure for sensor in lineup.cases]
     if any(exposure != exposures[0] for exposure in exposures):
         return "each sensor's own exposure rule"
-    if exposures[0].integration_s is not None:
-        return f"each exposed for {1e3 * exposures[0].integration_s:.3g} ms"
-    target, longest_ms = exposures[0].well_target, 1e3 * exposures[0].max_integration_s
-    return f"each exposed to {100 * target:.3g} % of its own well, at most {longest_ms:.3g} ms"
+    exposure, stages = exposures[0], stage_words(lineup.cases[0].settings)
+    if exposure.integration_s is not None:
+        words = f"each exposed for {1e3 * exposure.times * exposure.integration_s:.3g} ms"
+    else:
+        longest_ms = 1e3 * exposure.times * exposure.max_integration_s
+        words = f"each exposed to {100 * exposure.well_target:.3g} % of its own well, at most {longest_ms:.3g} ms"
+    return ", ".join([words, *stages])
 
 
 def conditions_line(prepared: ComparisonJob) -> str:

@@ -51,8 +51,8 @@ class Imaging:
 
     @cached_property
     def physics(self) -> PixelPhysics:
-        """Physical properties of the pixel, at the gain of the exposure."""
-        return derive(self.pixel, self.process).at_gain(self.exposure.gain_db)
+        """Physical properties of the pixel, as its exposure reads it."""
+        return derive(self.pixel, self.process).at_exposure(self.exposure)
 
     def at(self, pitch_um: float) -> Imaging:
         """Return the same with pixels of another size."""

@@ -100,7 +100,7 @@ def delta_e_parts(
 
 def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
     """Return the frame of the mean electrons, without noise, fixed pattern and rounding; as of a well without end."""
-    exposure = chain.exposure.model_copy(update={"integration_s": integration_s})
+    exposure = chain.exposure.lasting(integration_s)
     empty = np.zeros(chain.signal_e_per_s.shape, np.int32)
     frame = make_frame(empty, 0.0, chain.signal_e_per_s, chain.physics, exposure)
     return replace(frame, corrected_e=(chain.signal_e_per_s * integration_s).astype(np.float32))

@@ -985,8 +985,8 @@ def chain_at_pitch(
     signal, collections = array_signal(light.lights, light.sample_pitch_um, physics, light.array_um)
     if light.exposed_for is not None and exposure.integration_s is None:
         calm, _ = array_signal(light.exposed_for, light.sample_pitch_um, physics, light.array_um)
-        time_s = integration_time_s(exposure, physics.as_read.at_gain(exposure.gain_db), float(calm.max()))
-        exposure = exposure.model_copy(update={"integration_s": time_s})
+        time_s = integration_time_s(exposure, physics.as_read, float(calm.max()))
+        exposure = exposure.lasting(time_s)
     return _chain(light, physics, exposure, correction, develop, signal, collections)
 
 
@@ -1032,7 +1032,7 @@ def _chain(
     signal: Array,
     collections: Sequence[Collection],
 ) -> ImagingChain:
-    read, rendition = physics.as_read.at_gain(exposure.gain_db), light.rendition
+    read, rendition = physics.as_read.at_exposure(exposure), light.rendition
     check_whole_cell(read, signal.shape)
     collection: Collection | ColourCollection | None = collections[0] if collections else None
     if collections and rendition is not None:
@@ -1220,6 +1220,8 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     at 0 DN. Rounding and clipping raise their mean by Σ Φ((-½ - j - µ)/σ) over j = 0, 1, …, which is σφ(µ/σ) - µΦ(-µ/σ) if σ is
     many DN.
 
+    Of a burst the spread and `too_bright_e` are those of the frame, all else that of each exposure.
+
     white_e : mean electrons of the scene's white in this time
 
     spread_e, spread_dn : `dark_spread_e`
@@ -1236,6 +1238,12 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     >>> round(clip["at_zero_fraction"], 2), round(clip["too_bright_e"]), clip["least_black_level_dn"]
     (0.54, 71, 15)
     """
+    count = physics.exposures
+    if count > 1:
+        clip = dark_clip(physics.burst(1), integration_s / count, white_e / count)
+        spread_e = dark_spread_e(physics, integration_s)
+        of_frame = {"spread_e": spread_e, "spread_dn": physics.dn_per_e * spread_e, "too_bright_e": count * clip["too_bright_e"]}
+        return clip | of_frame
     p, gain = physics, physics.dn_per_e
     noise_dn = gain * math.sqrt(variance_e2(p))
     ordinary_e = p.dark_current_e_per_s * integration_s * p.dark_spread.ordinary_mean

@@ -60,7 +60,7 @@ def _visual_noise(judged: Judged) -> tuple[float]:
     even = np.full(chain.signal_e_per_s.shape, GREY * chain.white_e_per_s)
     if chain.even is not None and (chain.shading is not None or chain.correction.flat_frames):
         even *= chain.even  # by which the picture is divided
-    patch = replace(chain, signal_e_per_s=even, exposure=chain.exposure.model_copy(update={"integration_s": time_s}))
+    patch = replace(chain, signal_e_per_s=even, exposure=chain.exposure.lasting(time_s))
     key = (*judged.stream, judged.number, "visual noise")
     frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
     return (visual_noise(patch.light(frame), chain.screen.display.samples_per_deg),)

@@ -288,6 +288,7 @@ RULES = (
         ("exposure.max_integration_s", "exposure.well_target"),
         lambda c: "exposure.integration_s states the time" if c.exposure.integration_s else "",
     ),
+    Rule(("exposure.frame_time",), lambda c: "" if c.exposure.frames > 1 else "exposure.frames is 1"),
     Rule(("correction.flat_level",), lambda c: "" if c.correction.flat_frames else "correction.flat_frames is 0"),
     Rule(fields_of("develop", Develop, "demosaic"), of_colour),
     Rule(("develop.demosaic",), of_mosaic),

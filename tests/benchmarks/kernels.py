@@ -104,6 +104,11 @@ def targets() -> None:
         capture_from_rates(signal, sample_sensor(physics, shape, stream(1)), EXPOSURE, stream(2))
 
     row("noise of a sensor and a frame, 512²", 0.03, noise)
+    whole = np.kron(signal, np.ones((2, 2)))
+    sensor = sample_sensor(physics, whole.shape, stream(1))
+    for frames in (1, 8):
+        burst = EXPOSURE.model_copy(update={"frames": frames})
+        row(f"frame of {frames} exposures, 1024²", None, partial(capture_from_rates, whole, sensor, burst, stream(2)))
     show = partial(frame_luminance, frame, chain.screen.size_um, white_e, DISPLAY, chain.screen.dot_edges_um)
     row("display of a frame, 512² on 512 dots", None, show)
 

@@ -149,6 +149,7 @@ MOVES: dict[str, Any] = {
     "pixel.colour.quantum_efficiencies": bells(0.45), "pixel.colour.transmittances": bells(0.45),
     "pixel.colour.peak_quantum_efficiency": 0.2,
     "exposure.integration_s": 1e-4, "exposure.max_integration_s": 1e-6, "exposure.well_target": 0.5, "exposure.gain_db": 6.0,
+    "exposure.frames": 3, "exposure.frame_time": "each",
     "correction.dark_frames": 3, "correction.flat_frames": 3, "correction.flat_level": 0.3, "correction.column_clamp": 3,
     "correction.defects": True,
     "develop.white_balance": [1.3, 1.0, 2.0], "develop.demosaic": ("malvar2004", "interpolate"),
@@ -171,6 +172,7 @@ BESIDE: dict[str, dict[str, Any]] = {
     "pixel.follower_area_um2": {"pixel": {"a_vt_mv_um": 4.0}},
     **{f"pixel.dark_current.{name}": {"pixel": {"dark_current": AT_20}} for name in DarkCurrent.model_fields},
     "pixel.colour": QUICK_FIT,
+    "exposure.frame_time": {"exposure": {"frames": 3, "integration_s": 1e-4}},
     "correction.defects": {"correction": {"dark_frames": 2}, "pixel": HOT},
 }
 IN_RECORDS = {"camera": Camera, "lens": LensOptions, "pixel": Pixel, "pixel.dark_current": DarkCurrent, "pixel.stack": StackOptions}
