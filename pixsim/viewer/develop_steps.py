@@ -25,7 +25,7 @@ from pixsim.base.arrays import Array, mixed
 from pixsim.base.errors import invalid
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.colour_options import binned_cell
-from pixsim.sensor.correction import ROUNDING_VARIANCE_DN2, residual_variance_e2
+from pixsim.sensor.correction import residual_variance_e2
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
@@ -205,7 +205,7 @@ def white_noise_e2(physics: PixelPhysics, integration_s: float, correction: Corr
     Reset and read noise and rounding; and, as white, what dark frames and dark rows leave of theirs. Row noise and fixed patterns are
     none of it: no camera that has one frame knows them.
     """
-    own_e2 = float(variance_e2(physics, is_temporal=True, along="pixel")) + ROUNDING_VARIANCE_DN2 / physics.dn_per_e**2
+    own_e2 = float(variance_e2(physics, is_temporal=True, along="pixel")) + physics.rounding_variance_dn2 / physics.dn_per_e**2
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
     of_dark = (own_e2 + physics.dark_current_e_per_s * integration_s) * (1 + rows)
     return own_e2 * (1 + rows) + (of_dark / correction.dark_frames if correction.dark_frames else 0.0)
