@@ -30,7 +30,7 @@ class RecordType(ModelMetaclass):
             hint = "Of a file: tomllib.loads(Path('sensor.toml').read_text())['pixel'], after ** in the brackets."
             raise invalid(cls.__name__, repr(args[0])[:MAX_VALUE], "fields by name, as pitch_um=3.45", hint)
         try:
-            return super().__call__(*args, **cls._of_python(fields))
+            return super().__call__(*args, **cls._of_python(fields))  # type: ignore[attr-defined]
         except ValidationError as error:
             raise PixsimError(explain(error)) from None
 

@@ -208,7 +208,9 @@ def residual_variance_e2(
     dark_variance = float(variance_e2(p, is_temporal=True)) + dark_e + p.rounding_variance_dn2 / p.dn_per_e**2
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
     fixed = partial(variance_e2, p, dark_e=dark_e, is_temporal=False)
-    offsets: Array | float = float(fixed(along="pixel")) * (1 + rows) + (0.0 if correction.column_clamp else float(fixed(along="column")))
+    offsets: Array | float = float(fixed(along="pixel")) * (1 + rows) + (
+        0.0 if correction.column_clamp else float(fixed(along="column"))
+    )
     if correction.dark_frames:
         offsets = dark_variance * (1 + rows) / correction.dark_frames
     flat: Array | float = 0.0

@@ -82,6 +82,7 @@ class Curve:
     causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
     metrics : that judge it; the first one is that of `fit`
     fits : fitted curve of each further metric that tells a best size, by its name
+    developed : what is on of the development, as `Develop.words`
     """
 
     technology: str
@@ -104,6 +105,7 @@ class Curve:
     causes: tuple[Cause, ...] = field(default=(), repr=False)
     metrics: tuple[Metric, ...] = field(default=(DELTA_E,), repr=False)
     fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
+    developed: str = ""
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -639,6 +641,7 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row], metrics: tuple[
         from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
         metrics=metrics,
         fits={name: each for name, each in found.items() if each is not None},
+        developed=study.develop.words,
     )
 
 

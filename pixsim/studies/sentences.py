@@ -48,7 +48,7 @@ def optimum_parts(curve: Curve) -> list[Text]:
     """
     first, *others = _optimum_parts(curve)
     viewed = (viewed_words(curve, inside) for inside in (True, False))
-    return [joined([f"{curve.label}: ", first], ""), *others, *filter(None, viewed)]
+    return [joined([f"{curve.label}: ", first], ""), *filter(None, (curve.developed,)), *others, *filter(None, viewed)]
 
 
 def optimum_line(curve: Curve) -> str:
@@ -315,6 +315,8 @@ def score_parts(result: RunResult) -> list[Text]:
     parts: list[Text] = [first, exposed] if has_room([first]) else [delta_e, pixels, exposed]
     if has_room([whole := (*first, f", {exposed}")]):
         parts = [whole]
+    if developed := settings.develop.words:
+        parts.insert(1, developed)
     shown = ", ".join(filter(None, (border, *run_view_words(result))))
     film = film_words(result.film) if result.film else result.light.unmeasured
     noise = "" if result.rendered is None else noise_words(result.rendered.noise.fraction)

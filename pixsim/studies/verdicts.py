@@ -154,7 +154,8 @@ def answer(result: Averaged, other: str) -> Answer:
         begin, others = ["the conditions disagree", f"weighted mean: {first}"], [*others, *_answers_of_conditions(pair, other)]
     first, *more = begin
     unsure = next((words for words in found if words.startswith(NOT_CONVERGED)), "")
-    found_words = headline([(Strong(first),), *more, *causes, *others], unsure)
+    developed = result.shown.lineup.settings.develop.words
+    found_words = headline([(Strong(first),), *more, developed, *causes, *others], unsure)
     return replace(found_words, named=first.startswith(result.names))
 
 

@@ -7,9 +7,9 @@ Bayer pattern. A flat field stays flat up to the edge.
 * malvar2004: linear filters of 5 × 5 pixels. H. S. Malvar, L.-W. He and R. Cutler, ICASSP (2004) III-485. Bayer patterns only.
 * menon2007: along the direction with the smaller differences of colour, with refinement. D. Menon, S. Andriani and
   G. Calvagno, IEEE Trans. Image Process. 16 (2007) 132. Bayer patterns only, and not linear.
-* remosaic, before one of these: a quad pattern (2 × 2 equal pixels each) becomes the pattern of single pixels. A pixel keeps its
-  sample where it has the channel already. Else it is the mean, linear in the distance, of the nearest samples of the channel on either
-  side: in its row, in its column, or in both, and where neither has the channel, in the rows and columns around that do.
+* remosaic, before one of these: a quad pattern (2 × 2 equal pixels each) becomes that of single pixels. A pixel keeps its sample
+  where it has the channel already. Else it is a linear interpolation of the nearest samples of the channel on either side: in its
+  row, in its column, or the mean of both; and where neither has the channel, in the rows and columns around that do.
 * interpolate: for any pattern. A pixel keeps the sample of its own channel. The other channels are normalised convolutions
   (H. Knutsson and C.-F. Westin, CVPR (1993) 515): the mean of a channel's samples around, weighted by a tent that falls to zero
   one unit cell away along y and x. On a Bayer pattern this is bilinear.
@@ -110,8 +110,8 @@ def demosaic_covariance(
     interpolation : between pixel centres, for dots
     remosaiced : whether the quad pattern becomes one of single pixels first, as by `remosaic`, which the method then takes
     products : autocorrelation of a filter of the demosaiced channels, as of `pixsim.viewer.sharpening.unsharp_products`
-    correlations : for each place of the unit cell, row by row, of the pixels there with one another: (2m + 1, 2n + 1), whose middle is
-        the variance that is left of one; None for independent pixels
+    correlations : for each place of the unit cell, row by row, of the pixels there with one another: (2m + 1, 2n + 1), whose middle
+        is the variance that is left of one; None for independent pixels
 
     Raises PixsimError as `demosaic` does, for menon2007, for a variance of another shape or below 0, and for a dot of no size.
 
@@ -233,15 +233,15 @@ def single_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
 def remosaic(mosaic: Picture, pattern: str | Sequence[str]) -> Array:
     """Return a mosaic (H, W) of a quad pattern as one of single pixels, whose pattern is `single_cell`, in its precision and unit.
 
-    Each pixel keeps its sample, or is a linear interpolation of the nearest ones of its new channel. At the edges those inside count.
+    Each pixel keeps its sample, or is interpolated from the nearest ones of its new channel; at the edges from those inside.
 
     pattern : rows of the unit cell, such as ("RRGG", "RRGG", "GGBB", "GGBB")
 
     Raises PixsimError for another pattern, and for a mosaic smaller than the unit cell.
 
-    >>> remosaic(np.tile([[1.0, 1, 2, 2], [1, 1, 2, 2], [2, 2, 3, 3], [2, 2, 3, 3]], (2, 2)), ("RRGG", "RRGG", "GGBB", "GGBB"))[:2, :4]
-    array([[1., 2., 1., 2.],
-           [2., 3., 2., 3.]])
+    >>> quad = np.kron([[1.0, 2.0], [2.0, 3.0]], np.ones((2, 2)))  # the number of the channel
+    >>> remosaic(quad, ("RRGG", "RRGG", "GGBB", "GGBB"))[:2].tolist()
+    [[1.0, 2.0, 1.0, 2.0], [2.0, 3.0, 2.0, 3.0]]
     """
     cell = unit_cell(pattern)
     single_cell(cell)
@@ -340,7 +340,7 @@ def _weights_behind(cell: tuple[str, ...], method: Method, remosaiced: bool) -> 
     for y, x, c, i, j in np.ndindex(rows, columns, *single.shape[2:]):
         share = single[y % high, x % wide, c, i, j]
         at = (y + i - ry) % rows, (x + j - rx) % columns
-        for (dy, dx), part in (taps[at].items() if share else ()):
+        for (dy, dx), part in taps[at].items() if share else ():
             weights[y, x, c, i + reach + dy, j + reach + dx] += share * part
     weights.flags.writeable = False
     return weights
@@ -456,7 +456,7 @@ def _covariance_per_variance(
 
 
 def _left(cell: tuple[str, ...], method: Method, remosaiced: bool) -> Array:
-    """Return what a pixel at each place of the unit cell leaves in the channels of the pixels around, (rows, columns, C, ky, kx)."""
+    """Return what a pixel at each place of the unit cell leaves in the channels around it, (rows, columns, C, ky, kx)."""
     weights = _weights_behind(cell, method, remosaiced)
     rows, columns, _, ky, kx = weights.shape
     y, x, dy, dx = np.ogrid[:rows, :columns, :ky, :kx]
@@ -479,7 +479,9 @@ def _correlated(
     for place, (letter, correlation) in enumerate(zip(letters, correlations, strict=True)):
         own = left[divmod(place, columns)]
         for factor, taps in products:
-            reach = len(taps) // 2 + (0 if dot_px is None else int(np.ceil(dot_px)) + (2 * SPLINE_REACH if interpolation == "cubic" else 2))
+            reach = len(taps) // 2 + (
+                0 if dot_px is None else int(np.ceil(dot_px)) + (2 * SPLINE_REACH if interpolation == "cubic" else 2)
+            )
             sides = []
             for axis, size, step in ((0, ky, rows), (1, kx, columns)):
                 middle = correlation.shape[axis] // 2

@@ -1,8 +1,8 @@
 """What the channels of a colour sensor see under the scene's lamp, the matrix from it, and the picture of an ideal camera.
 
 One matrix leads from the camera's channels to XYZ under the scene's lamp, to the display's white (adaptation) and to its primaries.
-The matrix from the channels to XYZ is fitted to patches 1-18 of ISO 17321 under the lamp, with its course within the bands. The steps
-that make a picture of a frame, of which it is one, are in `pixsim.viewer.develop_steps`.
+The matrix from the channels to XYZ is fitted to patches 1-18 of ISO 17321 under the lamp, with its course within the bands.
+It is one of the steps that make a picture of a frame, in `pixsim.viewer.develop_steps`.
 
 The ideal picture has the scene's own XYZ (CIE 1931, 2°), under the same adaptation and on the same display.
 """
@@ -12,38 +12,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
-import scipy  # whose parts are imported when they are used
-from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, mixed
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.light.spectral import SpectralImage, colour_matching
 from pixsim.light.standard import CHROMATIC_PATCHES, patch_reflectance
 from pixsim.optics.camera import Camera
-from pixsim.sensor.colour import Layout, of_channels
+from pixsim.sensor.colour import Layout
 from pixsim.sensor.colour_options import BAYER
 from pixsim.sensor.integration import response_within
-from pixsim.sensor.noise import constant_e
 from pixsim.sensor.pixel import PixelPhysics
-from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.colour_matrix import RANK_TOLERANCE, Fit, check_noise_gains, colour_errors, fit_matrix
-from pixsim.viewer.demosaic import Method, demosaic, demosaic_column_covariance, demosaic_covariance, demosaic_row_covariance
+from pixsim.viewer.demosaic import Method
 from pixsim.viewer.develop_options import Develop
-from pixsim.viewer.display import (
-    RGB_FROM_XYZ,
-    WHITE_XYZ,
-    ElectronsOfChannels,
-    fits_single,
-    means_on_dots,
-    on_dots,
-    white_light,
-    white_lx,
-)
+from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, means_on_dots, white_light, white_lx
 from pixsim.viewer.display_options import Display
 
 SATURATED = 0.99  # of the saturation level

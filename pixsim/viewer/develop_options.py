@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from itertools import pairwise
@@ -16,6 +15,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, mo
 from pixsim.base.arguments import brief
 from pixsim.base.errors import invalid, one_line
 from pixsim.base.records import Record, as_float, as_list
+from pixsim.base.user_code import by_value, code_hash
 from pixsim.light.curves import MAX_FILE_BYTES
 from pixsim.light.tables import as_number, read_cells
 from pixsim.sensor.colour_options import BAYER, binned_cell, channels_of
@@ -51,10 +51,7 @@ class OwnDenoiser:
         return self.function(plane, strength)
 
     def __reduce__(self) -> tuple[type[OwnDenoiser], tuple[object, str]]:
-        """By value: the workers of a study do not have the script or the notebook of the function."""
-        from joblib import wrap_non_picklable_objects
-
-        return OwnDenoiser, (wrap_non_picklable_objects(self.function, keep_wrapper=False), self.text)
+        return OwnDenoiser, (by_value(self.function), self.text)
 
 
 _functions: dict[str, OwnDenoiser] = {}  # that this process was given, by their texts, as which settings are handed on
@@ -62,11 +59,8 @@ _functions: dict[str, OwnDenoiser] = {}  # that this process was given, by their
 
 def own_denoiser(function: Callable[[Any, float], Any]) -> OwnDenoiser:
     """Return the denoiser of a function, which this process knows from now on."""
-    from pixsim.viewer.metrics import content_of
-
-    code = hashlib.blake2b(content_of(function, []).encode(), digest_size=8).hexdigest()
     name = getattr(function, "__qualname__", type(function).__qualname__)
-    found = OwnDenoiser(function, f"{getattr(function, '__module__', '')}:{name}#{code}")
+    found = OwnDenoiser(function, f"{getattr(function, '__module__', '')}:{name}#{code_hash(function)}")
     _functions[found.text] = found
     return found
 
@@ -92,8 +86,14 @@ def function_of(text: str) -> OwnDenoiser:
 def with_functions(develop: Any) -> Any:
     """Return fields of [develop] that stand in Python, whose 'module:function' has become the function; all else as it is."""
     text = develop.get("denoise") if isinstance(develop, dict) else None
-    is_new = isinstance(text, str) and ":" in text and text not in _functions
-    return {**develop, "denoise": function_of(text)} if is_new else develop
+    if isinstance(text, str) and ":" in text and text not in _functions:
+        return {**develop, "denoise": function_of(text)}
+    return develop
+
+
+def of_python(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return tables of settings that stand in Python, with functions as of `with_functions`."""
+    return {name: with_functions(table) if name == "develop" else table for name, table in settings.items()}
 
 
 def _as_denoiser(value: object) -> object:
@@ -170,6 +170,11 @@ def _checked_tone(rows: ToneTable, source: str) -> ToneTable:
     return rows
 
 
+def has_tone_file(develop: dict[str, Any]) -> bool:
+    """Return whether fields of [develop] name a file with the tone curve."""
+    return "tone_curve" in develop and develop["tone_curve"] not in TONE_CURVES
+
+
 ToneCurve = Annotated[
     Literal["none", "gamma", "srgb", "reinhard"] | ToneTable,
     BeforeValidator(as_tone_curve),
@@ -239,8 +244,8 @@ class Develop(Record):
     tone_curve: ToneCurve = Field(
         "none",
         description="of the sensor's and the ideal picture alike: 'none', light as it is; 'gamma' and 'srgb' (IEC 61966-2-1), "
-        "values that the camera hands to the display, or a CSV file of light and value; 'reinhard', an operator for scenes brighter "
-        "than the display: L(1 + L/w²)/(1 + L) of the luminance",
+        "values that the camera hands to the display, or a CSV file of light and value; 'reinhard', for scenes brighter than the "
+        "display: L(1 + L/w²)/(1 + L) of the luminance",
     )
     tone_gamma: Annotated[float, Field(ge=0.1, le=10)] = Field(2.2, description="of 'gamma': value = light^(1/tone_gamma)")
     tone_white: Annotated[float, Field(ge=1, le=1e6)] = Field(

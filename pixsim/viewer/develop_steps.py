@@ -5,8 +5,8 @@ Black level and expected dark charge are off the frame, and `[correction]` is do
 * raw planes, of pixels as they are read: `denoise` (each channel at each place of the unit cell by itself), `white_balance` (each
   channel is divided by the electrons of the scene's white, and by the shading), `remosaic`, `demosaic`;
 * developed planes, one for each channel at every pixel: `highlights` (what a saturated pixel tells is shown as white), `sharpen`;
-* the shown picture, on the display's dots (`pixsim.viewer.display.on_dots`): `matrix`, to the display's primaries, and `tone_curve`,
-  which the ideal picture has too.
+* the shown picture, on the display's dots (`pixsim.viewer.display.on_dots`): `matrix`, to the display's primaries, and
+  `tone_curve`, which the ideal picture has too.
 
 A step that is off, or means nothing for the frame, costs nothing. A new one is a function and its entry in `STEPS`.
 """
@@ -30,8 +30,6 @@ from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, frame_variance_dn2
-from pixsim.viewer.denoising import wiener
-from pixsim.viewer.denoising.filters import denoised_plane
 from pixsim.viewer.demosaic import (
     WHITE,
     Method,
@@ -42,6 +40,8 @@ from pixsim.viewer.demosaic import (
     demosaic_row_covariance,
     remosaic,
 )
+from pixsim.viewer.denoising import wiener
+from pixsim.viewer.denoising.filters import denoised_plane
 from pixsim.viewer.develop import balance, demosaic_method
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import fits_single, relative_to_white
@@ -117,8 +117,8 @@ class PixelNoise:
     method : of the interpolation; None before it, and without one
     remosaiced : whether a quad pattern becomes one of single pixels before
     products : autocorrelation of filters of the developed planes
-    correlations : of the pixels of a channel at each place of the unit cell, or of each plane, (2m + 1, 2n + 1) with the middle at the
-        distance 0, as a filter of the raw planes leaves it; None where pixels are independent
+    correlations : of the pixels of a channel at each place of the unit cell, or of each plane, as a filter of the raw planes leaves
+        them, (2m + 1, 2n + 1) with the middle at the distance 0; None where pixels are independent
     matrix : (3, C) that the channels are multiplied with; None for none
     """
 
@@ -181,8 +181,8 @@ class Step:
 
     name : as settings have it
     works_on : what it takes; the last one of a kind may make the next kind of it
-    apply : takes a raw frame (rows, columns), a list of planes (rows, columns), or of means over dots, or light of the dots, (H, W) or
-        (3, H, W); it may write to it
+    apply : takes a raw frame (rows, columns), a list of planes (rows, columns), or of means over dots, or light of the dots, (H, W)
+        or (3, H, W); it may write to it
     is_on : whether it does anything to a frame
     is_linear : whether it is linear in the picture, but for saturated pixels
     of_noise : what it makes of noise; None if that has no closed form, so that frames tell it
@@ -202,8 +202,8 @@ class Step:
 def white_noise_e2(physics: PixelPhysics, integration_s: float, correction: Correction) -> float:
     """Return the variance of a raw pixel's noise that does not grow with the light, and is another in each pixel and each frame.
 
-    Reset and read noise and rounding; and, as white, what dark frames and dark rows leave of theirs. Row noise and fixed patterns are
-    none of it: no camera that has one frame knows them.
+    Reset and read noise and rounding; and, as white, what dark frames and dark rows leave of theirs. Row noise and fixed patterns
+    are none of it: they are not white, or not known.
     """
     own_e2 = float(variance_e2(physics, is_temporal=True, along="pixel")) + physics.rounding_variance_dn2 / physics.dn_per_e**2
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
@@ -275,6 +275,7 @@ def _denoise(picture: Array, c: Developing) -> Array:
         for part, factors in zip(c.parts(picture), wiener_responses(c), strict=True):
             part[...] = wiener.filtered(part, factors)
         return picture
+    assert develop.denoise != "none"
     variance_e2_of_frame = white_noise_e2(c.physics, frame.integration_s, c.correction)
     for part in c.parts(picture):
         filtered = denoised_plane(part + frame.mean_dark_e, variance_e2_of_frame, develop.denoise, develop.denoise_strength)
@@ -303,9 +304,12 @@ def _white_balance(picture: Array, c: Developing) -> Array:
 
 def _balanced_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
     by_channel = c.white_e if c.layout is None else balance(c.develop, c.layout, c.white_e)
-    return replace(
-        noise, variance=noise.variance / by_channel**2, columns=noise.columns / by_channel, rows=noise.rows / by_channel
-    )
+    return replace(noise, variance=noise.variance / by_channel**2, columns=noise.columns / by_channel, rows=noise.rows / by_channel)
+
+
+def _remosaic(picture: Array, c: Developing) -> Array:
+    assert c.layout is not None
+    return remosaic(picture, c.layout.cell)
 
 
 def _demosaic(picture: Array, c: Developing) -> list[Array]:
@@ -373,7 +377,7 @@ STEPS: Mapping[str, Step] = {
             name="remosaic",
             works_on=RAW,
             is_on=lambda c: is_remosaiced(c.develop, c.layout),
-            apply=lambda picture, c: remosaic(picture, c.layout.cell),
+            apply=_remosaic,
             of_noise=lambda noise, c: replace(noise, remosaiced=True),
         ),
         Step(
@@ -383,7 +387,13 @@ STEPS: Mapping[str, Step] = {
             is_linear=lambda develop: develop.demosaic != "menon2007",
             of_noise=lambda noise, c: replace(noise, method=c.method),  # of menon2007 that of malvar2004
         ),
-        Step(name="highlights", works_on=PLANES, is_on=lambda c: c.full is not None and bool(c.full.any()), apply=_highlights, of_noise=_unchanged),
+        Step(
+            name="highlights",
+            works_on=PLANES,
+            is_on=lambda c: c.full is not None and bool(c.full.any()),
+            apply=_highlights,
+            of_noise=_unchanged,
+        ),
         Step(name="sharpen", works_on=PLANES, is_on=lambda c: c.develop.sharpens, apply=_sharpen, of_noise=_sharpened_noise),
         Step(name="matrix", works_on=SHOWN, apply=_matrix, of_noise=lambda noise, c: replace(noise, matrix=c.matrix)),
         Step(
@@ -420,9 +430,7 @@ def developed_planes(c: Developing) -> list[Array]:
     return planes
 
 
-def noise_covariance(
-    c: Developing, levels: Array, dot_um: float | None, works_on: Sequence[str] = (RAW, PLANES)
-) -> Array:
+def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_on: Sequence[str] = (RAW, PLANES)) -> Array:
     """Return the covariance of the channels on even patches, (P, C, C), as means over a dot, behind the linear steps of some kinds.
 
     It is that of the pixels over frames and sensors in closed form, through the weights of each step; for menon2007, whose

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.arguments import NotNegative, Whole, checks_arguments, checks_fields, made
-from pixsim.base.arrays import Array, mixed, stream
+from pixsim.base.arrays import Array, stream
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
@@ -478,7 +478,7 @@ class ImagingChain:
         dot_um = screen.dot_um or pitch_um
         side = cell * math.ceil(min(max(DOTS_OF_PATCH * dot_um / pitch_um, LEAST_PATCH), MOST_PATCH) / cell)
         count = max(2, math.floor(side * pitch_um / dot_um) - 2)  # but those at the edges
-        edges_um = side * pitch_um / 2 + (np.arange(count + 1) - count / 2) * min(dot_um, side * pitch_um / count)
+        edges_um = side * pitch_um / 2 + (np.arange(count + 1.0) - count / 2) * min(dot_um, side * pitch_um / count)
         rates = np.maximum(self.rendition.responses, 0.0) * np.array(self.whites_e_per_s)
         exposure = self.exposure.model_copy(update={"integration_s": integration_s})
         whole = replace(self.screen, size_um=(side * pitch_um, side * pitch_um), dot_edges_um=(edges_um, edges_um))
@@ -491,10 +491,12 @@ class ImagingChain:
             key = "covariance of patches", number
             frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
             planes = developed_planes(replace(patch.developing(frame, matrix=None), shading=None))
-            dots = np.stack([
-                displays.on_dots(plane, pitch_um, whole.size_um, display, whole.dot_edges_um, frame.registration).ravel()
-                for plane in planes
-            ])
+            dots = np.stack(
+                [
+                    displays.on_dots(plane, pitch_um, whole.size_um, display, whole.dot_edges_um, frame.registration).ravel()
+                    for plane in planes
+                ]
+            )
             away = dots - dots.mean(axis=1, keepdims=True)
             found.append((away[:, None] * away).mean(axis=2))
         return np.array(found)
@@ -531,6 +533,11 @@ class ImagingChain:
             got = f"{develop.sharpen_radius_cy_per_deg:g}, a blur of {pixels:.3g} pixels of {pitch_um:g} µm"
             raise invalid("develop.sharpen_radius_cy_per_deg", got, f"up to {MAX_RADIUS_PX:g} pixels", "Raise it.")
         return max(pixels, MIN_RADIUS_PX)
+
+    @property
+    def sharpening_noise_gain(self) -> float:
+        """By how much sharpening amplifies the standard deviation of noise that is independent from pixel to pixel."""
+        return noise_gain(self.develop.sharpen_amount, self.sharpen_px)
 
     def developing(self, frame: Frame, matrix: Array | None) -> Developing:
         """Return a frame with all that the steps of its development know.
@@ -827,15 +834,7 @@ def prepare_scene(
     channels = physics.channels
     rendition = None if physics.layout is None else rendition_of(irradiance, channels, display)
     make_screen = partial(
-        screen_of,
-        irradiance,
-        camera,
-        physics,
-        border_um=border_um,
-        rendition=rendition,
-        full=full,
-        single=single,
-        develop=develop,
+        screen_of, irradiance, camera, physics, border_um=border_um, rendition=rendition, full=full, single=single, develop=develop
     )
     screen, beyond_white = make_screen(display)
     of_dots, screens = {display.dots: screen}, [screen]

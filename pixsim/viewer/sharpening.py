@@ -29,7 +29,7 @@ def gaussian_taps(sigma_px: Positive) -> Array:
 
 @checks_arguments
 def unsharp_mask(picture: Picture, amount: NotNegative, sigma_px: Positive) -> Array:
-    """Return p + a(p - blur of p), (rows, columns), in the precision of the picture p, which goes on by reflection beyond its edges.
+    """Return p + a(p - blur of p), (rows, columns), in the precision of the picture p, which is reflected beyond its edges.
 
     amount : a
     sigma_px : of the Gaussian blur, in pixels

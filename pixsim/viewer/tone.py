@@ -1,8 +1,8 @@
 """Tone curves: light, 1 for the scene's white → light that the display shows, 1 for its white.
 
-A curve of values ('gamma', 'srgb', a table) is what a camera does: it hands a value to the display, which shows value^γ. The light is
-then that of the display, so that 'none' stands for the display's own inverse. A global operator ('reinhard') makes light of light.
-A curve of values holds for each primary, the operator for the luminance, whose factor all primaries have.
+A curve of values ('gamma', 'srgb', a table) is what a camera does: it hands a value to the display, which shows value^γ. The light
+is then that of the display, so that 'none' stands for the display's own inverse. A global operator ('reinhard') makes light of
+light. A curve of values holds for each primary, the operator for the luminance, whose factor all primaries have.
 
 sRGB: IEC 61966-2-1. Operator: E. Reinhard, M. Stark, P. Shirley & J. Ferwerda, "Photographic tone reproduction for digital images",
 ACM Trans. Graph. 21 (2002) 267, equation 4.
@@ -62,7 +62,7 @@ def luminance_of(light: Array) -> Array:
 
 
 def toned(light: Array, develop: Develop, display: Display) -> Array:
-    """Return light behind the tone curve, (H, W) or (3, H, W) as it is given, in its precision; the light itself without a curve."""
+    """Return light behind the tone curve, (H, W) or (3, H, W) as it is, in its precision; the light itself without a curve."""
     if not develop.tone:
         return light
     curve = develop.tone_curve

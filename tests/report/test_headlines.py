@@ -62,7 +62,7 @@ def curves() -> Iterator[Any]:
         yield SimpleNamespace(
             label="data sheet", optimum=best, pitch_um=pitch_um, light=LightError.of(header, film, causes), fit_swings=swings,
             no_difference_um=alike, alike_um=None, mean=lambda: np.full(8, 76.5), from_smallest=True, viewed=[view, view],
-            fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True,
+            fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True, developed="",
         )  # fmt: skip
     for film, causes in product(FILMS, NAMED):
         light = LightError.of({}, film, causes)

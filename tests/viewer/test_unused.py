@@ -152,8 +152,11 @@ MOVES: dict[str, Any] = {
     "exposure.frames": 3, "exposure.frame_time": "each",
     "correction.dark_frames": 3, "correction.flat_frames": 3, "correction.flat_level": 0.3, "correction.column_clamp": 3,
     "correction.defects": True,
+    "develop.denoise": ("wiener_bound", "wavelet"), "develop.denoise_strength": 0.5, "develop.remosaic": True,
     "develop.white_balance": [1.3, 1.0, 2.0], "develop.demosaic": ("malvar2004", "interpolate"),
-    "develop.matrix": ("least_squares", "noise_aware"),
+    "develop.matrix": ("least_squares", "noise_aware"), "develop.sharpen_amount": 2.0, "develop.sharpen_radius_px": 0.7,
+    "develop.sharpen_radius_cy_per_deg": 5.0, "develop.tone_curve": ("srgb", [[0, 0], [0.3, 0.6], [1, 1]]), "develop.tone_gamma": 3.0,
+    "develop.tone_white": 2.0,
     "display.raster": ("one_to_one", "fixed_size"), "display.dots": 20, "display.samples_per_deg": 40.0,
     "display.interpolation": "cubic", "display.gamma": 1.8, "display.bits": 5, "display.white_cd_per_m2": 1.2e5,
     "display.shading_correction": False, "display.filters": "zhang1996", "display.delta_e": "2000", "display.adaptation": "none",
@@ -173,6 +176,10 @@ BESIDE: dict[str, dict[str, Any]] = {
     **{f"pixel.dark_current.{name}": {"pixel": {"dark_current": AT_20}} for name in DarkCurrent.model_fields},
     "pixel.colour": QUICK_FIT,
     "exposure.frame_time": {"exposure": {"frames": 3, "integration_s": 1e-4}},
+    "develop.denoise_strength": {"develop": {"denoise": "wavelet"}},
+    **dict.fromkeys(("develop.sharpen_radius_px", "develop.sharpen_radius_cy_per_deg"), {"develop": {"sharpen_amount": 2.0}}),
+    "develop.tone_gamma": {"develop": {"tone_curve": "gamma"}},
+    "develop.tone_white": {"develop": {"tone_curve": "reinhard"}},
     "correction.defects": {"correction": {"dark_frames": 2}, "pixel": HOT},
 }
 IN_RECORDS = {"camera": Camera, "lens": LensOptions, "pixel": Pixel, "pixel.dark_current": DarkCurrent, "pixel.stack": StackOptions}
