@@ -19,6 +19,7 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, make_frame
+from pixsim.studies.settings_text import settings_text
 from pixsim.viewer.demosaic import remosaic
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.develop_steps import PLANES, RAW, SHOWN, STEPS, developed_planes, noise_covariance, white_noise_e2
@@ -431,8 +432,7 @@ def test_axis_over_the_development_of_a_study_shares_its_frames(tmp_path: Any) -
     least = {at: float(curve.mean().min()) for at, curve in found.items()}
     assert len(set(least.values())) == 4
     assert "denoised (wavelet), sharpened by 0.5 at 1 px, tone curve reinhard" in found[1.0, "reinhard"].developed
-    text = (tmp_path / "study" / "settings.toml").read_text()
-    assert 'denoise = "wavelet"' in text
+    assert 'denoise = "wavelet"' in settings_text(plan, "study")
 
 
 @pytest.mark.filterwarnings("ignore:.*")
@@ -447,4 +447,4 @@ def test_function_denoises_in_the_workers_of_a_study(tmp_path: Any) -> None:
     rows = [pixsim.study(plan, folder, jobs=int(folder.name)).to_csv() for folder in folders]
     assert rows[0] == rows[1]
     assert rows[0] != pixsim.study(tiny(), tmp_path / "plain").to_csv()
-    assert "local#" in (tmp_path / "1" / "settings.toml").read_text()
+    assert "local#" in settings_text(plan, "study")
