@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, mo
 
 from pixsim.base.arguments import brief
 from pixsim.base.errors import invalid, one_line
-from pixsim.base.records import Record, as_float, as_list
+from pixsim.base.records import Record, UnitInterval, as_float, as_list
 from pixsim.base.user_code import by_value, code_hash
 from pixsim.light.curves import MAX_FILE_BYTES
 from pixsim.light.tables import as_number, read_cells
@@ -24,9 +24,11 @@ from pixsim.sensor.pixel_options import PixelOptions
 Gain = Annotated[float, Field(ge=1e-6, le=1e6)]
 DENOISERS = ("none", "wiener_bound", "nlm", "wavelet")
 TONE_CURVES = ("none", "gamma", "srgb", "reinhard")
-ToneTable = tuple[tuple[float, float], ...]  # (light, 1 for white, and value, 1 for the top code), both rising
 ALLOWED_TONE = f"{', '.join(TONE_CURVES)}, or a CSV file of light (1 for white) and value (0 to 1)"
 MAX_TONE_LIGHT, MAX_TONE_ROWS = 1e6, 4096
+# Light, 1 for white, and value, 1 for the top code; both rise.
+ToneRow = tuple[Annotated[float, Field(ge=0, le=MAX_TONE_LIGHT)], UnitInterval]
+ToneTable = tuple[ToneRow, ...]
 OF_FUNCTIONS = "the function of one's own is given in Python: develop={'denoise': my_function}, or 'module:function' there"
 
 

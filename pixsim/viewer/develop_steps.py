@@ -50,6 +50,7 @@ from pixsim.viewer.sharpening import unsharp_mask, unsharp_products
 from pixsim.viewer.tone import toned
 
 SATURATED = 0.99  # of the saturation level
+MAX_LAGS = 256  # pixels of a plane between which a covariance is known
 
 
 @dataclass(frozen=True)
@@ -257,16 +258,28 @@ def _denoised_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
 
 
 def autocorrelation(factors: Array) -> Array:
-    """Return the correlation of white noise behind a filter of DCT-II coefficients, (2H - 1, 2W - 1), far from the borders.
+    """Return the covariance of white noise of variance 1 behind factors of its DCT-II coefficients, (2m + 1, 2n + 1).
 
-    Its middle, at the distance 0, is the mean of the squared factors (H, W).
+    In the mean over the picture, exactly; of pixels -m … m apart along y, and -n … n along x.
+
+    factors : (H, W), of the coefficients
     """
-    height, width = factors.shape
-    even = np.zeros((2 * height, 2 * width))  # the spectrum of a picture and its reflections
-    even[:height, :width] = factors**2
-    even[height + 1 :] = even[height - 1 : 0 : -1]
-    even[:, width + 1 :] = even[:, width - 1 : 0 : -1]
-    return np.asarray(np.fft.fftshift(np.fft.ifft2(even).real)[1:, 1:])
+    down, across = map(_lag_products, factors.shape)
+    # Not by BLAS, whose rounding depends on the number of threads.
+    along = np.einsum("ul,yl->yu", across, np.square(factors), optimize=False)
+    quadrant = np.einsum("vy,yu->vu", down, along, optimize=False)
+    half = np.concatenate([quadrant[:0:-1], quadrant])
+    return np.concatenate([half[:, :0:-1], half], axis=1)
+
+
+def _lag_products(count: int) -> Array:
+    """Return the mean products of each orthonormal function of the DCT-II with itself, 0, 1, … samples apart, (lags, count).
+
+    The mean of cos θ(x + ½) cos θ(x + d + ½) over n - d places is ½ (cos dθ - sin dθ/((n - d) sin θ)), with θ = πk/n.
+    """
+    lags, theta = np.arange(min(count, MAX_LAGS))[:, None], np.pi * np.arange(1, count) / count
+    products = (np.cos(lags * theta) - np.sin(lags * theta) / ((count - lags) * np.sin(theta))) / count
+    return np.concatenate([np.full((len(lags), 1), 1 / count), products], axis=1)
 
 
 def _denoise(picture: Array, c: Developing) -> Array:

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -89,7 +90,8 @@ S = TypeVar("S", bound="Score")
 CLIPPED_WARNING = 0.01
 ROUNDING = 1e-6  # of white, in the luminance of a dot
 MIN_RADIUS_PX, MAX_RADIUS_PX = 0.1, 100.0  # of the blur of sharpening
-DOTS_OF_PATCH, LEAST_PATCH, MOST_PATCH = 48, 64, 256  # of even frames that tell of noise: dots across, and pixels
+PHASES_PX = (-1 / 3, 0.0, 1 / 3)  # of dots on pixels
+DOTS_OF_PATCH, LEAST_PATCH, MOST_PATCH = 48, 96, 256  # of even frames that tell of noise: dots across, and pixels
 PANEL_IN = 3.1  # width of each picture of a figure
 SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
 WHITE_PERCENTILE = 99.0  # of the ideal image of a scene whose white is unknown
@@ -491,14 +493,14 @@ class ImagingChain:
             key = "covariance of patches", number
             frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
             planes = developed_planes(replace(patch.developing(frame, matrix=None), shading=None))
-            dots = np.stack(
-                [
-                    displays.on_dots(plane, pitch_um, whole.size_um, display, whole.dot_edges_um, frame.registration).ravel()
-                    for plane in planes
-                ]
-            )
-            away = dots - dots.mean(axis=1, keepdims=True)
-            found.append((away[:, None] * away).mean(axis=2))
+            each = []
+            for at in product(PHASES_PX, repeat=2):  # in the mean over where the dots lie on the pixels
+                places = [edges_um + phase * pitch_um for phase in at]
+                own = whole.size_um, display, (places[0], places[1]), frame.registration
+                dots = np.stack([displays.on_dots(plane, pitch_um, *own).ravel() for plane in planes])
+                away = dots - dots.mean(axis=1, keepdims=True)
+                each.append((away[:, None] * away).mean(axis=2))
+            found.append(np.mean(each, axis=0))
         return np.array(found)
 
     def colour_facts(self, integration_s: float) -> dict[str, Any]:

@@ -66,7 +66,7 @@ def curves() -> Iterator[Any]:
         )  # fmt: skip
     for film, causes in product(FILMS, NAMED):
         light = LightError.of({}, film, causes)
-        own = {"light": light, "mean": lambda: np.full(8, 76.5), "viewed": [], "judged_by_delta_e": True}
+        own = {"light": light, "mean": lambda: np.full(8, 76.5), "viewed": [], "judged_by_delta_e": True, "developed": ""}
         yield SimpleNamespace(label="4t-bsi", alike_um=(0.47, 15.0), **own)
 
 
