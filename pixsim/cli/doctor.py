@@ -78,6 +78,7 @@ OPTIONAL = {  # package -> extra of pixsim that installs it, and its purpose
     "distributed": ("cluster", "studies on a cluster"),
     "spectral": ("envi", "ENVI cubes"),
     "flip-evaluator": ("flip", "the metric flip"),
+    "scikit-image": ("denoise", "the denoisers nlm and wavelet"),
 }
 
 

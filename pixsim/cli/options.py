@@ -108,7 +108,8 @@ def value_name(annotation: object) -> str:
     if origin is Literal:
         return "|".join(map(str, inner))
     if origin in (Union, UnionType):
-        return "|".join(dict.fromkeys(value_name(kind) for kind in inner if kind is not type(None)))
+        of_texts = (kind for kind in inner if kind is not type(None) and not is_dataclass(kind))  # others stand in Python only
+        return "|".join(dict.fromkeys(map(value_name, of_texts)))
     if origin is dict:
         return "FILE"
     if origin is tuple:

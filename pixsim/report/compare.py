@@ -58,6 +58,7 @@ from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.varied import paths_of
 from pixsim.studies.verdicts import answers, conditions_line, facts, sensor_words, shown_probability
 from pixsim.studies.viewing import OF_VIEWING, Viewed
+from pixsim.viewer.develop_options import TONE_CURVES
 from pixsim.viewer.setting import Run
 
 JSON_FILE = "compare.json"
@@ -214,9 +215,9 @@ def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
     if scene := table.get("scene"):
         given = {"parameters": scene_table(folder, scene["parameters"])} if "parameters" in scene else {}
         table["scene"] = given | ({"file": whole_path(scene["file"])} if "file" in scene else {})
-    of_lens = ("lens", "veiling_glare"), ("lens", "relative_illumination")
-    for part, name in (("pixel", "quantum_efficiency"), ("camera", "chief_ray_angle"), *of_lens):
-        if isinstance(file := table.get(part, {}).get(name), str):
+    others = ("lens", "veiling_glare"), ("lens", "relative_illumination"), ("develop", "tone_curve")
+    for part, name in (("pixel", "quantum_efficiency"), ("camera", "chief_ray_angle"), *others):
+        if isinstance(file := table.get(part, {}).get(name), str) and file not in TONE_CURVES:
             table[part] = table[part] | {name: whole_path(file)}
     if isinstance(colour := table.get("pixel", {}).get("colour"), dict):
         files = {name: whole_path(colour[name]) for name in RESPONSES if isinstance(colour.get(name), str)}
@@ -471,8 +472,8 @@ def _settings(result: Comparison) -> Iterator[Table]:
     light = LightLevel.of(first.irradiance, display, [compared.score.frame.integration_s for compared in result.sensors])
     yield settings_table("scene", scene_rows(first.irradiance, first.sensor.settings.scene, light))
     yield settings_table("display", record_rows("display", display, False, coloured=coloured))
-    if coloured:
-        yield settings_table("develop", record_rows("develop", lineup.settings.develop, False))
+    if coloured or lineup.settings.develop.words:
+        yield settings_table("develop", record_rows("develop", lineup.settings.develop, False, coloured=coloured))
     for compared in result.sensors:
         sensor = compared.sensor
         pixel, exposure = sensor.settings.pixel, sensor.settings.exposure

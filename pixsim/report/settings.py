@@ -12,6 +12,7 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.show.document import Table
 from pixsim.show.sentences import setting_value
+from pixsim.viewer.develop_options import OF_COLOUR_FRAMES
 from pixsim.viewer.setting import Setting
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 # Pixel options that select models of a process; a sensor given by its data sheet uses none of them.
 OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})
-OF_COLOUR = frozenset({"adaptation"})  # options of the display for coloured pictures
+OF_COLOUR = frozenset({"adaptation", *OF_COLOUR_FRAMES})  # options of display and development for coloured pictures
 Row = tuple[str, Any, str, str]  # setting, value, meaning, source
 
 
@@ -83,7 +84,7 @@ def settings_tables(
     from_data_sheet, sources : of `record_rows`
     """
     records = {"camera": camera, "pixel": pixel, "exposure": settings.exposure, "correction": settings.correction}
-    records |= {"develop": settings.develop if coloured else None, "display": settings.display}
+    records |= {"develop": settings.develop if coloured or settings.develop.words else None, "display": settings.display}
     used = {
         name: record_rows(name, record, from_data_sheet, sources, coloured=coloured)
         for name, record in records.items()

@@ -304,7 +304,7 @@ def noise_of(
         rates = [[integrate_pixels(_rate(job, half, physics, part), job.pitch_um, *side) for part in parts] for half in halves]
         even, odd = (np.concatenate([rate.ravel() for rate in half]) / weight for half in rates)
         rate, error_rate = np.maximum((even + odd) / 2, 0.0), (even - odd) / 2
-        time_s, p = integration_time_s(exposure, physics, float(rate.max())), physics.at_gain(exposure.gain_db)
+        time_s, p = integration_time_s(exposure, physics, float(rate.max())), physics.at_exposure(exposure)
         variance_e2 = frame_variance_dn2(rate * time_s, time_s, p, fixed_pattern=False) / p.dn_per_e**2
         error_e = error_rate * time_s
         worst = max(worst, math.sqrt(float(np.mean(error_e**2 / variance_e2))))

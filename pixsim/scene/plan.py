@@ -492,13 +492,13 @@ def make_plan(
     """
     camera, pixel = camera or scene.camera(), pixel or Pixel()
     exposure = exposure or Exposure()
-    physics = derive(pixel).at_gain(exposure.gain_db)
+    physics = derive(pixel).at_exposure(exposure)
     options: dict[str, Any] = {"tolerance_e": tolerance_e, "full": full, "exact": display is not None}
     plan = make_render_plan(scene, rendered_camera(camera), pixel, **options)  # the film does not depend on a real lens's blur
     resolution, sampling = decide_oversampling(scene, plan, camera, physics, display, full)
     if resolution or camera.lens is not None:
         plan = make_render_plan(scene.with_resolution(resolution) if resolution else scene, camera, pixel, **options)
-    longest_s = exposure.integration_s or exposure.max_integration_s
+    longest_s = exposure.times * (exposure.integration_s or exposure.max_integration_s) / exposure.frames  # of each exposure
     after = (
         decide_saturation(physics, longest_s),
         decide_noise(physics, full),
@@ -599,7 +599,7 @@ def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:
     conversion = "; V(Q) of the junction at every level" if bent else ""
     if pixel.well_limit == "swing" or diode is None:
         clips = "at the well" if physics.full_well_e <= physics.adc_range_e else "by the ADC"
-        reason = f"linear charge up to a hard clip {clips}, {physics.saturation_e:.3g} e-{conversion}"
+        reason = f"linear charge up to a hard clip {clips}, {physics.burst(1).saturation_e:.3g} e-{conversion}"
         return Decision("saturation", True, reason)
     limit_e = linear_limit_e(diode, physics.full_well_e, integration_s)
     limit = f"{limit_e:.3g} e- in {integration_s:.3g} s ({limit_e / physics.full_well_e:.0%} of the well)"

@@ -13,7 +13,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from pixsim.base.arguments import NotNegative, checks_arguments
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, NotNegativeArray
 from pixsim.base.errors import invalid
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import variance_e2
@@ -23,7 +23,6 @@ from pixsim.sensor.readout import Frame, Sensor, read_out, sample_sensor
 DEFECT_SIGMAS = 6.0  # of a normal distribution: 2e-9 of sound pixels
 MAD_OF_SIGMA = 0.6744897501960817  # median absolute deviation of a normal distribution over its standard deviation
 LEAST_RESPONSE = 0.05  # of the mean; a pixel below it has no gain to correct
-ROUNDING_VARIANCE_DN2 = 1 / 12
 
 
 @checks_arguments
@@ -53,7 +52,7 @@ def correct(
     """
     # Each has a stream, so that one kind of correction does not change the noise of another.
     rows_rng, above_picture, dark_rng, above_dark, flat_rng, above_flat = rng.spawn(6)
-    physics, time_s = sensor.physics.at_gain(frame.gain_db), frame.integration_s
+    physics, time_s = sensor.physics.at_gain(frame.gain_db).burst(frame.exposures), frame.integration_s
     sensor = replace(sensor, physics=physics)
     rows = _dark_rows(sensor, correction.column_clamp, rows_rng)
 
@@ -132,7 +131,7 @@ def flat_light_e(physics: PixelPhysics, correction: Correction, integration_s: N
 
 def rounding_e(physics: PixelPhysics, frames: int) -> float:
     """Return the standard deviation, in electrons, that rounding alone leaves in a mean of frames."""
-    return float(np.sqrt(ROUNDING_VARIANCE_DN2 / frames) / physics.dn_per_e)
+    return float(np.sqrt(physics.rounding_variance_dn2 / frames) / physics.dn_per_e)
 
 
 def outliers(values: Array, least_spread: float) -> NDArray[np.bool_]:
@@ -169,21 +168,21 @@ class Residual:
     gain : what is left of PRNU
     """
 
-    temporal: float
-    offsets: float
-    flat: float
-    gain: float
+    temporal: Array | float
+    offsets: Array | float
+    flat: Array | float
+    gain: Array | float
 
     @property
-    def total(self) -> float:
+    def total(self) -> Array | float:
         return self.temporal + self.offsets + self.flat + self.gain
 
 
 @checks_arguments
 def residual_variance_e2(
-    signal_e: NotNegative, integration_s: NotNegative, physics: PixelPhysics, correction: Correction
+    signal_e: NotNegativeArray | NotNegative, integration_s: NotNegative, physics: PixelPhysics, correction: Correction
 ) -> Residual:
-    """Return the closed form of the variance that a correction leaves in even light, without defects.
+    """Return the closed form of the variance that a correction leaves in even light, without defects, in the shape of the signal.
 
     With T = reset² + read² + dark charge + rounding (LSB²/12) the variance of a dark pixel over frames, s the signal, L that of
     the flat frames, n_d, n_f and n_c the numbers of dark frames, flat frames and dark rows, and V the variance of offsets and
@@ -206,13 +205,16 @@ def residual_variance_e2(
     40000.0
     """
     p, dark_e = physics, physics.dark_current_e_per_s * integration_s
-    dark_variance = float(variance_e2(p, is_temporal=True)) + dark_e + ROUNDING_VARIANCE_DN2 / p.dn_per_e**2
+    dark_variance = float(variance_e2(p, is_temporal=True)) + dark_e + p.rounding_variance_dn2 / p.dn_per_e**2
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
     fixed = partial(variance_e2, p, dark_e=dark_e, is_temporal=False)
-    offsets = float(fixed(along="pixel")) * (1 + rows) + (0.0 if correction.column_clamp else float(fixed(along="column")))
+    offsets: Array | float = float(fixed(along="pixel")) * (1 + rows) + (
+        0.0 if correction.column_clamp else float(fixed(along="column"))
+    )
     if correction.dark_frames:
         offsets = dark_variance * (1 + rows) / correction.dark_frames
-    flat, gain = 0.0, (p.prnu * signal_e) ** 2
+    flat: Array | float = 0.0
+    gain: Array | float = (p.prnu * signal_e) ** 2
     if correction.flat_frames:
         level_e = flat_light_e(p, correction, integration_s)
         part = signal_e / level_e

@@ -1,6 +1,8 @@
-"""Gain and time of a frame."""
+"""Gain and time of a frame, and from how many exposures it is."""
 
 from __future__ import annotations
+
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -8,9 +10,15 @@ from pixsim.base.records import Record
 from pixsim.light.quantities import Fraction
 from pixsim.sensor.quantities import GainDb, Seconds
 
+MAX_FRAMES = 1024
+
 
 class Exposure(Record):
-    """Gain and time: manual if `integration_s` is given, else such that the brightest pixel reaches `well_target` of saturation."""
+    """Gain and time: manual if `integration_s` is given, else such that the brightest pixel reaches `well_target` of saturation.
+
+    A burst is one frame: the sum of `frames` exposures, each with its own noise, well and codes. They share its time, or each has
+    all of it.
+    """
 
     integration_s: Seconds | None = Field(None, description="exposure time (absent: automatic exposure)")
     max_integration_s: Seconds = Field(0.1, description="longest exposure time of the automatic exposure")
@@ -24,3 +32,19 @@ class Exposure(Record):
         description="amplification before the ADC; at 0 dB the codes above the black level span the full well, unless pixel gives "
         "gain_e_per_dn, dn_per_e or adc_full_scale_e",
     )
+    frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = Field(
+        1, description="exposures that are summed to one frame; each saturates, is read out and is rounded by itself"
+    )
+    frame_time: Literal["shared", "each"] = Field(
+        "shared",
+        description="what integration_s and max_integration_s are about: all exposures of a frame together, or each of them",
+    )
+
+    @property
+    def times(self) -> int:
+        """How many of the stated times a frame takes: 1, but for exposures that have it each."""
+        return self.frames if self.frame_time == "each" else 1
+
+    def lasting(self, total_s: float) -> Exposure:
+        """Return the exposure with a time that its exposures share."""
+        return self.model_copy(update={"integration_s": total_s, "frame_time": "shared"})

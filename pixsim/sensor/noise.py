@@ -39,6 +39,17 @@ class NoiseSource:
     grows_with: Literal["", "light", "dark"] = ""
     is_rare: bool = False
 
+    def of_frame(self, physics: PixelPhysics) -> float:
+        """Return the deviation in a frame, which may be the sum of several exposures.
+
+        What is another value in each adds up by squares, what is the same in each by itself; what grows with the charge of all
+        exposures together does so already.
+        """
+        own, count = self.deviation(physics), physics.exposures
+        if count == 1 or self.grows_with:
+            return own
+        return own * (math.sqrt(count) if self.is_temporal else count)
+
 
 SOURCES = (
     NoiseSource("reset noise", lambda p: p.reset_noise_e, is_temporal=True),
@@ -71,7 +82,7 @@ def constant_e(physics: PixelPhysics, *, is_temporal: bool | None = None, along:
     >>> constant_e(pixel, is_temporal=True)
     2.0
     """
-    return math.hypot(*(each.deviation(physics) for each in chosen(physics, is_temporal, along) if not each.grows_with))
+    return math.hypot(*(each.of_frame(physics) for each in chosen(physics, is_temporal, along) if not each.grows_with))
 
 
 def variance_e2(
@@ -91,7 +102,7 @@ def variance_e2(
     """
     charge = {"": 1.0, "light": light_e, "dark": dark_e}
     for each in chosen(physics, is_temporal, along):
-        start = start + (each.deviation(physics) * charge[each.grows_with]) ** 2
+        start = start + (each.of_frame(physics) * charge[each.grows_with]) ** 2
     return start
 
 

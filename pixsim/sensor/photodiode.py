@@ -277,24 +277,31 @@ def level_table(diode: Diode, full_well_e: float, integration_s: float | None, b
 
 
 def saturation_level_e(integration_s: float, physics: PixelPhysics) -> float:
-    """Return the generated charge (e-) at which saturation begins: the full well of a hard clip, or `linear_limit_e`.
+    """Return the generated charge (e-) of a frame at which saturation begins: the full well of a hard clip, or `linear_limit_e`.
+
+    Of a burst it is that of all exposures together, if they have the same light.
 
     At that limit a soft saturation has lost 1e-6 of the well, at 0.7 to 0.95 of the full well in the packaged processes (1 s
     to 0.1 ms). It is infinite without a diode current.
     """
     if physics.diode is None or physics.pixel.well_limit == "swing":
-        return physics.full_well_e
-    return linear_limit_e(physics.diode, physics.full_well_e, integration_s)
+        return physics.exposures * physics.full_well_e
+    return physics.exposures * linear_limit_e(physics.diode, physics.full_well_e, integration_s / physics.exposures)
+
+
+def responds_linearly(physics: PixelPhysics) -> bool:
+    """Return whether the signal is the charge below saturation: with a linear conversion, or a constant capacitance."""
+    return physics.pixel.conversion != "junction" or physics.diode is None or physics.diode.constant
 
 
 def stored_signal_e(generated_e: Array, integration_s: float, physics: PixelPhysics) -> Array:
     """Return the signal level in electrons of each pixel's generated charge (light and dark).
 
     It follows the pixel's well limit and conversion. With a linear conversion, a picture whose brightest pixel stays below
-    `linear_limit_e` is returned unchanged.
+    `linear_limit_e` is returned unchanged. Of one exposure.
     """
     diode, pixel = physics.diode, physics.pixel
-    bent = pixel.conversion == "junction" and diode is not None and not diode.constant
+    bent = not responds_linearly(physics)
     swing = pixel.well_limit == "swing"
     if diode is None or (swing and not bent):
         return np.minimum(generated_e, physics.full_well_e)

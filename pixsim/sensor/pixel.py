@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import NotNegative, Positive, Whole, check_broadcast, checks_arguments, checks_fields
+from pixsim.base.arguments import Count, NotNegative, Positive, Whole, check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, PositiveArray, Positives
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
@@ -27,6 +27,7 @@ from pixsim.optics.stack import LOWEST_LENS, Stack
 from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.colour_options import BIN, channels_of, efficiencies_of
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.mismatch import (
     E_PER_FC,
     ELECTRON_C,
@@ -46,9 +47,10 @@ from pixsim.sensor.pixel_options import (
     Pixel,
     PixelOptions,
 )
-from pixsim.sensor.quantities import WELL_RANGE_E, GainDb, HotMedian, HotSpread
+from pixsim.sensor.quantities import MAX_CODE_BITS, WELL_RANGE_E, GainDb, HotMedian, HotSpread
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
+from pixsim.sensor.stages import acting_on
 from pixsim.sensor.technology import Junction, Technology, load_technology, number_of, with_fill_factor_law
 
 # The public names; everything else is internal.
@@ -393,6 +395,8 @@ class PixelPhysics:
     hot_pixel_fraction, hot_pixel_median, hot_pixel_spread : of the pixels that are hot, median of their dark current over the
         mean of the others, and standard deviation of its logarithm
     gain_db : amplification with which the pixel is read; `at_gain` sets it
+    exposures : that are summed to a frame; `burst` sets it. Numbers of the pixel are those of one exposure, those of charges and
+        codes, such as `saturation_e`, of a frame
     channel : letter of the channel whose quantum efficiency this is; empty: of the whole pixel, of a colour sensor the mean
     bin_side : pixels along a side of those that are read as one
     stack : between the surface and the photodiode; None: a pixel collects the light on its photodiode, from every direction alike
@@ -420,6 +424,7 @@ class PixelPhysics:
     hot_pixel_median: HotMedian = 1.0
     hot_pixel_spread: HotSpread = 0.0
     gain_db: GainDb = 0.0
+    exposures: Count = 1
     stack: Stack | None = None
     charge: StackOptions | None = None
     channel: str = ""
@@ -513,6 +518,51 @@ class PixelPhysics:
         """
         return self if gain_db == self.gain_db else replace(self, gain_db=gain_db)
 
+    @checks_arguments
+    def burst(self, exposures: Count) -> PixelPhysics:
+        """Return the pixel of frames that are the sum of so many exposures.
+
+        Raises PixsimError if the codes of the sum have more than 31 bits.
+
+        >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, read_noise_e=1.5))
+        >>> pixel.burst(4).noise_floor_e, pixel.burst(4).saturation_e / pixel.saturation_e
+        (3.0, 4.0)
+        """
+        if exposures == self.exposures:
+            return self
+        found = replace(self, exposures=exposures)
+        if found.code_bits > MAX_CODE_BITS:
+            got = f"{exposures} exposures of {self.pixel.bits} bits, whose sum has {found.code_bits}"
+            raise invalid("exposure.frames", got, f"sums of at most {MAX_CODE_BITS} bits", "Take fewer exposures or bits.")
+        return found
+
+    def at_exposure(self, exposure: Exposure) -> PixelPhysics:
+        """Return the pixel as an exposure reads it: at its gain, in as many exposures. Raises PixsimError as `burst`."""
+        read = self.at_gain(exposure.gain_db)
+        for stage in acting_on("frame"):
+            read = stage.act(read, exposure)
+        return read
+
+    @property
+    def black_level_dn(self) -> float:
+        """DN of a frame without light and dark charge."""
+        return self.exposures * self.pixel.black_level_dn
+
+    @property
+    def top_code_dn(self) -> int:
+        """Highest DN of a frame."""
+        return self.exposures * (2**self.pixel.bits - 1)
+
+    @property
+    def code_bits(self) -> int:
+        """Bits that hold the DN of a frame: those of the ADC, or of a sum."""
+        return self.top_code_dn.bit_length()
+
+    @property
+    def rounding_variance_dn2(self) -> float:
+        """Variance of a frame by the rounding of each exposure, LSB²/12."""
+        return self.exposures / 12
+
     @property
     def amplification(self) -> float:
         """10^(gain_db/20), a ratio of voltages."""
@@ -600,8 +650,8 @@ class PixelPhysics:
 
     @property
     def saturation_e(self) -> float:
-        """Signal that saturates: the lower of the full well and of the ADC's range."""
-        return min(self.full_well_e, self.adc_range_e)
+        """Signal that saturates a frame: the lower of the full well and of the ADC's range, in each exposure."""
+        return self.exposures * min(self.full_well_e, self.adc_range_e)
 
     @property
     def dark_doubling_k(self) -> float:

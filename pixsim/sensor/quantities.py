@@ -33,6 +33,7 @@ Crosstalk = Annotated[float, Field(ge=0, le=0.8)]  # at 0.8 a pixel has no more 
 HalfPitch = Annotated[float, Field(ge=-5e5, le=5e5)]  # of the largest pitch: a lens that is displaced further is the neighbour's
 GainDb = Annotated[float, Field(ge=0, le=60)]
 # Of functions alone.
+MAX_CODE_BITS = 31  # codes are stored in 32 bits with a sign
 FrameBits = Annotated[int, Field(ge=1, le=32)]
 Aspect = Annotated[float, Field(ge=1e-6, le=1e6)]
 SaturatedFraction = Annotated[float, Bounds(0, 1, unknown=True)]

@@ -109,8 +109,9 @@ def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     layout = {} if frame.layout is None else {LAYOUT: str(frame.layout)}
     if isinstance(frame, RawFrame):
         return layout | {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
-    facts = {name: float(getattr(frame, name, 2**frame.bits - 1)) for name in FACTS}  # the white level of a Frame is its top code
-    return layout | facts | {"bits": int(frame.bits)}
+    facts = {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
+    top = {"white_level_dn": 2**frame.bits - 1} | facts  # the white level of a Frame is its top code
+    return layout | {name: float(top[name]) for name in FACTS} | {"bits": int(frame.bits)}
 
 
 @checks_arguments

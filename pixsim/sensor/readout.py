@@ -19,16 +19,18 @@ from pixsim.sensor.colour import Layout
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_on
 from pixsim.sensor.noise import constant_e, variance_e2
-from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
+from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.quantities import Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
+from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
 POISSON_LIMIT_E = 1e9
 BLACK_SIGMAS = 6.0  # of the dark signal, below the black level: clipping at 0 DN would bias dark statistics
-MAX_CODE_BITS = 31
+# Of bursts: what is farther from both ends clips 1e-12 of a normal signal, and some electrons more of few Poisson counts; and the
+# noise that makes rounding a noise.
+CLIP_SIGMAS, FEW_E, LEAST_DITHER_DN = 7.0, 10.0, 0.6
 BLOCK_PIXELS = 1 << 23  # of larger frames, drawn with a generator of their own
 MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 
@@ -40,15 +42,17 @@ MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_per_s: NotNegative) -> float:
     """Return the manual integration time, or the time that exposes the brightest pixel to the target, up to the maximum.
 
-    The target is a share of `PixelPhysics.saturation_e` at the gain of the exposure, for the mean charge with dark charge.
+    It is that of all exposures of a frame together. The target is a share of `PixelPhysics.saturation_e` in the exposure, for the
+    mean charge with dark charge.
 
     brightest_e_per_s : mean photo-electrons per second of the brightest pixel
     """
     if exposure.integration_s is not None:
-        return exposure.integration_s
+        return exposure.times * exposure.integration_s
     brightest = brightest_e_per_s + physics.dark_current_e_per_s
-    target_e = exposure.well_target * physics.at_gain(exposure.gain_db).saturation_e
-    return exposure.max_integration_s if brightest * exposure.max_integration_s <= target_e else target_e / brightest
+    target_e = exposure.well_target * physics.at_exposure(exposure).saturation_e
+    longest_s = exposure.times * exposure.max_integration_s
+    return longest_s if brightest * longest_s <= target_e else target_e / brightest
 
 
 # --- fixed pattern ----------------------------------------------------------------------------------------------------
@@ -82,7 +86,7 @@ def sample_sensor(physics: PixelPhysics, shape: tuple[Count, Count], rng: np.ran
     PRNU is normal, clipped at zero. DSNU is gamma-distributed, since a normal distribution would have negative currents; hot
     pixels (`pixsim.sensor.mismatch`) have a stream of their own, so that all other maps are those of a sensor without them.
     """
-    p, dark_spread = physics, physics.dark_spread
+    p, dark_spread = physics.burst(1), physics.dark_spread
     uneven_dark = p.dark_current_e_per_s > 0 and not dark_spread.is_even
     of_pixels_e, of_columns_e = (constant_e(p, is_temporal=False, along=along) for along in ("pixel", "column"))
     gain, dark_gain, offset_e = (np.empty(shape) if uneven else None for uneven in (p.prnu, uneven_dark, of_pixels_e))
@@ -103,7 +107,7 @@ def sample_sensor(physics: PixelPhysics, shape: tuple[Count, Count], rng: np.ran
     column_offset_e = np.empty((1, shape[1])) if of_columns_e else None
     if column_offset_e is not None:
         _draw_gaussian(of_columns_e, column_offset_e, rng)
-    return made(Sensor, p, shape, gain, dark_gain, offset_e, column_offset_e)
+    return made(Sensor, physics, shape, gain, dark_gain, offset_e, column_offset_e)
 
 
 def _rows_of(picture: Array) -> Iterator[Array]:
@@ -144,22 +148,24 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: Whole = 0, *, aspect: Aspect
 @checks_fields
 @dataclass(frozen=True)
 class Frame:
-    """The digital numbers of one exposure, with the quantities behind them.
+    """The digital numbers of one frame, with the quantities behind them; of a burst, the sums over its exposures.
 
     dn : (rows, columns) int32, 0 … 2^bits - 1
     mean_e : (rows, columns) mean photo-electrons, before non-uniformity, dark charge and noise
-    integration_s : integration time
+    integration_s : integration time, of all exposures together
     dn_per_e : gain, DN per electron
     black_level_dn : DN without light and dark charge
-    mean_dark_e : mean dark charge of a pixel in this exposure
+    mean_dark_e : mean dark charge of a pixel in this frame
     pitch_um : centre-to-centre distance of pixels
-    bits : of the ADC
+    bits : of the codes: of the ADC, or of the sum
     gain_db : amplification of the exposure, which `dn_per_e` includes
     saturated_fraction : fraction of pixels whose charge reached `saturation_level_e` (light and dark, with shot noise,
-        before reset noise and offsets) or whose DN is the top code
+        before reset noise and offsets) or whose DN is the top code, in any exposure
     corrected_e : (rows, columns) photo-electrons as the camera's correction estimates them; None without one
     layout : which channel each value belongs to; None for a monochrome sensor. A stacked one has its planes one below the other
     registration : of its pixels on the die, as of `PixelPhysics`
+    exposures : that are summed
+    white_level_dn : highest code; None: all bits set
     """
 
     dn: NDArray[np.int32] = field(repr=False)
@@ -175,6 +181,8 @@ class Frame:
     gain_db: GainDb = 0.0
     layout: Layout | None = None
     registration: Registration = CENTRED
+    exposures: Count = 1
+    white_level_dn: float | None = None
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -246,7 +254,8 @@ def read_out(mean_e: NotNegativeArray, integration_s: NotNegative, sensor: Senso
     The gain is that of the sensor's `physics`: `at_gain` sets it, as `capture_from_rates` does for an exposure.
 
     PRNU and dark charge → Poisson → well and conversion (`pixsim.sensor.photodiode`) → reset and read noise (one normal) → row
-    noise → fixed offsets → gain → black level → ADC. Closed forms are `frame_mean_dn` and `frame_variance_dn2`.
+    noise → fixed offsets → gain → black level → ADC. Closed forms are `frame_mean_dn` and `frame_variance_dn2`. Of a burst
+    (`PixelPhysics.burst`) mean and time are those of all its exposures, and the frame is the sum of their codes.
 
     Raises PixsimError if `mean_e` has not the shape of the sensor.
     """
@@ -258,6 +267,8 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
 
     A few rows at a time, which keeps the work arrays small; all shot noise of a block is drawn before its read noise.
     """
+    if sensor.physics.exposures > 1:
+        return _expose_burst(mean_e, integration_s, sensor, rng)
     if mean_e.shape != sensor.shape:
         raise invalid("mean_e", f"an array of shape {mean_e.shape}", f"the pixels of the sensor, {sensor.shape}")
     p, generated, dn = sensor.physics, np.empty(mean_e.shape), np.empty(mean_e.shape, np.int32)
@@ -300,6 +311,64 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
     return dn, sum(saturated) / max(dn.size, 1)
 
 
+def _expose_burst(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.int32], float]:
+    """Return `_expose` of a burst, for the mean electrons and the time of all its exposures.
+
+    The sum of the codes of pixels that no exposure clips, and whose noise makes rounding a noise (`quantise`), is drawn at once:
+    the sum of Poisson counts is one, that of normals and of all roundings but the last is a normal. Of all other pixels each
+    exposure is read out.
+    """
+    if mean_e.shape != sensor.shape:
+        raise invalid("mean_e", f"an array of shape {mean_e.shape}", f"the pixels of the sensor, {sensor.shape}")
+    p, count = sensor.physics.burst(1), sensor.physics.exposures
+    time_s, gain, black_dn, top_dn = integration_s / count, p.dn_per_e, p.pixel.black_level_dn, 2**p.pixel.bits - 1
+    mean_dark_e, full_e = p.dark_current_e_per_s * time_s, saturation_level_e(time_s, p)
+    of_pixels_e, of_rows_e = (constant_e(p, is_temporal=True, along=along) for along in ("pixel", "row"))
+    is_linear, last_roundings_e = responds_linearly(p), math.sqrt((count - 1) / 12) / gain
+    dn, saturated = np.empty(mean_e.shape, np.int32), []
+
+    def expose(block: slice, rng: np.random.Generator) -> None:
+        for part in strips(block.stop - block.start, dn.shape[1]):
+            rows = slice(block.start + part.start, block.start + part.stop)
+            mean = mean_e[rows] * ((1.0 if sensor.gain is None else sensor.gain[rows]) / count)  # of each exposure, from here on
+            if mean_dark_e:
+                mean += mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain[rows]
+            offset_e = np.zeros(mean.shape)
+            for added_e in (None if sensor.offset_e is None else sensor.offset_e[rows], sensor.column_offset_e):
+                if added_e is not None:
+                    offset_e += added_e
+            of_row_e = of_rows_e * rng.standard_normal((count, len(mean), 1)) if of_rows_e else np.zeros((count, len(mean), 1))
+            spread_e = np.sqrt(mean + of_pixels_e**2)
+            reach_e = CLIP_SIGMAS * spread_e + FEW_E
+            low_dn, high_dn = (
+                gain * (mean + offset_e + edge_e + sign * reach_e) + black_dn
+                for sign, edge_e in ((-1, of_row_e.min(axis=0)), (1, of_row_e.max(axis=0)))
+            )
+            free = (low_dn > 0) & (high_dn < top_dn) & (gain * spread_e >= LEAST_DITHER_DN)
+            free &= mean + CLIP_SIGMAS * np.sqrt(mean) + FEW_E < (full_e if is_linear else 0.0)
+            level = np.asarray(_shot_noise(count * mean, rng), float)
+            level += math.hypot(math.sqrt(count) * of_pixels_e, last_roundings_e) * rng.standard_normal(mean.shape)
+            level += count * offset_e + of_row_e.sum(axis=0)
+            level = np.rint(gain * level + count * black_dn)
+            clipped, full = np.nonzero(~free), 0
+            if clipped[0].size:
+                total, is_full = np.zeros(clipped[0].size), np.zeros(clipped[0].size, bool)
+                for row_e in of_row_e:
+                    generated = np.asarray(_shot_noise(mean[clipped], rng), float)
+                    is_full |= generated >= full_e
+                    one = stored_signal_e(generated, time_s, p) + of_pixels_e * rng.standard_normal(generated.size)
+                    one += offset_e[clipped] + row_e[clipped[0], 0]
+                    codes = np.clip(np.rint(gain * one + black_dn), 0, top_dn)
+                    is_full |= codes >= top_dn
+                    total += codes
+                level[clipped], full = total, int(np.count_nonzero(is_full))
+            np.copyto(dn[rows], level, casting="unsafe")  # whole numbers
+            saturated.append(full)
+
+    by_block(expose, mean_e.shape, rng)
+    return dn, sum(saturated) / max(dn.size, 1)
+
+
 def by_block(draw: Callable[[slice, np.random.Generator], None], shape: tuple[int, int], rng: np.random.Generator) -> None:
     """Call a function for each block of rows, with a generator of its own: large frames take several threads.
 
@@ -318,7 +387,7 @@ def frame_mean_dn(mean_e: NotNegativeArray | NotNegative, integration_s: NotNega
     `linear_limit_e`, and not with `conversion = "junction"`.
     """
     dark_e = physics.dark_current_e_per_s * integration_s
-    return (np.asarray(mean_e, float) + dark_e) * physics.dn_per_e + physics.pixel.black_level_dn
+    return (np.asarray(mean_e, float) + dark_e) * physics.dn_per_e + physics.black_level_dn
 
 
 @checks_arguments
@@ -334,8 +403,9 @@ def frame_variance_dn2(
     dark_e = p.dark_current_e_per_s * integration_s
     of_frames_e2 = variance_e2(p, signal_e + dark_e, is_temporal=True)
     if not fixed_pattern:
-        return np.asarray(of_frames_e2 * p.dn_per_e**2 + 1 / 12)
-    return np.asarray(variance_e2(p, of_frames_e2, light_e=signal_e, dark_e=dark_e, is_temporal=False) * p.dn_per_e**2 + 1 / 12)
+        return np.asarray(of_frames_e2 * p.dn_per_e**2 + p.rounding_variance_dn2)
+    of_all_e2 = variance_e2(p, of_frames_e2, light_e=signal_e, dark_e=dark_e, is_temporal=False)
+    return np.asarray(of_all_e2 * p.dn_per_e**2 + p.rounding_variance_dn2)
 
 
 @checks_arguments
@@ -354,8 +424,10 @@ def dark_spread_e(physics: PixelPhysics, integration_s: NotNegative) -> float:
 def least_black_level_dn(physics: PixelPhysics, integration_s: NotNegative) -> int:
     """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and one LSB above 0 DN.
 
-    Without a given gain a range F spans the codes M - b above the black level b, so that b = 6σ(M - b)/F, solved for b.
+    Without a given gain a range F spans the codes M - b above the black level b, so that b = 6σ(M - b)/F, solved for b. Of a
+    burst it is that of each exposure.
     """
+    physics, integration_s = physics.burst(1), integration_s / physics.exposures
     top, spread = 2**physics.pixel.bits - 1, BLACK_SIGMAS * dark_spread_e(physics, integration_s)
     if physics.gain_e_per_dn is not None:
         return math.ceil(spread * physics.amplification / physics.gain_e_per_dn) + 1
@@ -368,7 +440,7 @@ def capture_from_rates(signal_e_per_s: NotNegativePicture, sensor: Sensor, expos
 
     Raises PixsimError if the shape is not that of the sensor, or if the electrons are too many for the numbers of the rates.
     """
-    p = sensor.physics.at_gain(exposure.gain_db)
+    p = sensor.physics.at_exposure(exposure)
     if signal_e_per_s.shape != sensor.shape:
         hint = "Make the sensor with the camera and aspect of the irradiance: make_sensor(pixel, camera, aspect=…)."
         raise invalid("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", hint)
@@ -411,7 +483,8 @@ def _mean_e(signal_e_per_s: Array, brightest_e_per_s: float, time_s: float, phys
 def _frame(
     dn: NDArray[np.int32], saturated_fraction: float, mean_e: Array, time_s: float, physics: PixelPhysics, exposure: Exposure
 ) -> Frame:
-    dn_per_e = physics.at_gain(exposure.gain_db).dn_per_e
+    physics = physics.at_exposure(exposure)
+    dn_per_e = physics.dn_per_e
     if not dn_per_e < math.inf:
         raise invalid("dn_per_e", f"{dn_per_e}", "a finite number", "Take a larger full well, or more electrons per DN.")
     return made(
@@ -420,14 +493,16 @@ def _frame(
         mean_e=mean_e,
         integration_s=time_s,
         dn_per_e=dn_per_e,
-        black_level_dn=physics.pixel.black_level_dn,
+        black_level_dn=physics.black_level_dn,
         mean_dark_e=physics.dark_current_e_per_s * time_s,
         pitch_um=physics.read_pitch_um,
-        bits=physics.pixel.bits,
+        bits=physics.code_bits,
         saturated_fraction=saturated_fraction,
         gain_db=exposure.gain_db,
         layout=physics.layout,
         registration=physics.registration,
+        exposures=physics.exposures,
+        white_level_dn=None if physics.exposures == 1 else float(physics.top_code_dn),
     )
 
 

@@ -228,7 +228,8 @@ def chains_of(image: SpectralImage, design: ProbeDesign, pitches_um: Sequence[fl
     The pitches share a scored frame. The design's pixel has its own frame unless it is at the optimum.
     """
     imaging = design.imaging
-    scenes, pixel_um = SceneCache(image, imaging.camera, imaging.display, len(imaging.physics.channels)), imaging.pixel.pitch_um
+    channels, pixel_um = len(imaging.physics.channels), imaging.pixel.pitch_um
+    scenes = SceneCache(image, imaging.camera, imaging.display, channels, develop=imaging.develop)
     widest_um = imaging.border_um or max(pitches_um, default=pixel_um)
     centred = replace(imaging, border_um=None)  # where dots are pixels, each has a frame of its own
 

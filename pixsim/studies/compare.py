@@ -44,6 +44,7 @@ from pixsim.studies.series import Series, judging_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.verdicts import elsewhere_note
+from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.metrics import DELTA_E
@@ -106,7 +107,7 @@ def compare(
     """
     if metrics:
         settings["metrics"] = names_of(metrics)
-    options = plain_tables(settings)
+    options = plain_tables(of_python(settings))
     options |= {"scene": dict(parameters)} if parameters else {}
     with collected_notes():  # also of what is found before the comparison begins
         prepared_by = partial(
@@ -286,6 +287,7 @@ def series_of_sensor(lineup: Lineup, sensor: Case[Run], light: Light, repeats: i
             others=others,
             judging=judging,
             without=light.without,
+            develop=imaging.develop,
         )
         columns = {"pair": pair, "condition": lineup.condition}
         series = Series(sensor.name, imaging, scenes, ("compare", sensor.settings.seed), False, columns, lineup.condition, False)

@@ -242,7 +242,7 @@ def shown_chain(task: Task, light: SharedLight, repeat: int, known: cache.Arrays
 
     known : of `kept_frames`
     """
-    if not isinstance(light, PreparedScene):
+    if not isinstance(light, PreparedScene) or task.imaging.develop.denoise == "wiener_bound":  # which knows the light
         return None
     imaging, physics = task.imaging, task.imaging.registered(repeat)
     rows, columns = pixels_on(light.array_um, physics.as_read.read_pitch_um, physics.registration)
@@ -250,7 +250,7 @@ def shown_chain(task: Task, light: SharedLight, repeat: int, known: cache.Arrays
     found = kept_frame(known, repeat, whole, imaging.correction.is_on)
     if found is None:
         return None
-    exposed = imaging.exposure.model_copy(update={TIME: float(found[TIME])})
+    exposed = imaging.exposure.lasting(float(found[TIME]))
     return chain_of_frames(light, physics, exposed, imaging.correction, imaging.develop, whole)
 
 

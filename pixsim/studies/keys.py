@@ -124,7 +124,7 @@ class Fingerprints:
 def frames_fit_in_cache(study: Study, camera: Camera) -> bool:
     """Return whether all frames of a study fit in the cache without displacing most of it."""
     bits = max(study.options_of(technology).bits for technology in study.technologies)
-    code_bytes = np.min_scalar_type(2**bits - 1).itemsize + (4 if study.correction.is_on else 0)
+    code_bytes = np.min_scalar_type(study.exposure.frames * (2**bits - 1)).itemsize + (4 if study.correction.is_on else 0)
     sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
     pitches = [pitch_um for sensors in first_sampling(study).values() for pitch_um in sensors]
     pixels = sum(math.prod(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches)

@@ -163,7 +163,7 @@ def sweep(
         if white := white_header(seen, display):
             display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})
         channels = max(len(imaging.physics.channels) for imaging in each.values())
-        scenes = SceneCache(light.identified, camera, display, channels, judging=judging, without=without)
+        scenes = SceneCache(light.identified, camera, display, channels, judging=judging, without=without, develop=develop)
         series = []
         for name, imaging in each.items():
             shown = replace(imaging, display=display, border_um=border_um)

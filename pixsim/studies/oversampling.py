@@ -299,7 +299,7 @@ def kept_steps(
 
     Its header states everything that the picture depends on.
     """
-    size_um = largest_um or imaging.physics.as_read.read_pitch_um
+    imaging, size_um = _of_parts(imaging), largest_um or imaging.physics.as_read.read_pitch_um
     places = [measured_places(image, size_um, imaging.display, most) for most in (None, MEASURED_FINER)]
     of_parts = [[[side.start, side.stop] for place in own for side in place] for own in places]
     records = imaging.pixel, imaging.camera, imaging.exposure, imaging.correction, imaging.develop, imaging.display
@@ -314,6 +314,16 @@ def kept_steps(
     )
 
 
+def _of_parts(imaging: Imaging) -> Imaging:
+    """Return the settings for parts of a picture: with the linear bound in place of a denoiser that adapts.
+
+    It leaves as little noise to hide an error of the film, and takes parts that are smaller than a filter's window.
+    """
+    if not imaging.develop.adapts:
+        return imaging
+    return replace(imaging, develop=imaging.develop.model_copy(update={"denoise": "wiener_bound"}))
+
+
 def film_steps(
     image: SpectralImage, imaging: Imaging, chart: Chart | None, largest_um: float | None = None, progress: Progress | None = None
 ) -> FilmSteps:
@@ -324,6 +334,7 @@ def film_steps(
 
     largest_um : pitch that sets the size of the parts; None means that of the pixel
     """
+    imaging = _of_parts(imaging)
     size_um, display = largest_um or imaging.physics.as_read.read_pitch_um, imaging.display
     image = with_veil_of_whole(image, imaging.camera)
     parts = list(parts_of(image, size_um, display))
@@ -495,7 +506,7 @@ def _mean_delta_e(
 
     in_threads(prepare, range(len(parts)), cells)
     brightest = max(float(chain.signal_e_per_s.max()) for chain in chains.values())
-    exposure = own.exposure.model_copy(update={"integration_s": integration_time_s(own.exposure, physics, brightest)})
+    exposure = own.exposure.lasting(integration_time_s(own.exposure, physics, brightest))
     in_threads(score, range(len(parts)), cells)
     return delta_e
 

@@ -55,7 +55,7 @@ def imaging_of(study: Study, camera: Camera, technology: str, pitch_um: float) -
 
 @checks_arguments
 def physics_of(study: Study, technology: str, pitch_um: Pitch, process: Technology | None = None) -> PixelPhysics:
-    """Return the physical properties of a study's pixel, with the process numbers of `Study.process`, at the study's gain.
+    """Return the physical properties of a study's pixel, with the process numbers of `Study.process`, as it is exposed.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def physics_of(study: Study, technology: str, pitch_um: Pitch, process: Technolo
     Raises PixsimError as `derive` and `technology_of` do.
     """
     physics = derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
-    return physics.at_gain(study.exposure.gain_db)
+    return physics.at_exposure(study.exposure)
 
 
 @checks_arguments

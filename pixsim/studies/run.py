@@ -42,6 +42,7 @@ from pixsim.studies.sentences import score_parts
 from pixsim.studies.series import judging_of
 from pixsim.studies.settings_text import scene_table
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
+from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError, cause_words
@@ -366,6 +367,10 @@ class RunResult(LitRun):
             more["metrics"] = {name: float(values.mean()) for name, values in self.judged.items()}
         if (colour := self.colour) is not None:
             more |= {"develop": settings.develop.model_dump(), "colour": colour}
+        elif settings.develop.words:
+            more |= {"develop": settings.develop.model_dump()}
+        if settings.develop.sharpens:
+            more["sharpening_noise_gain"] = self.chain.sharpening_noise_gain
         more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
         more |= {"noise_budget": self.noise_budget.as_dict()} if self.noise_budget else {}
         return {
@@ -453,7 +458,7 @@ def run(
         settings["metrics"] = names_of(metrics)
     with collected_notes():  # also of what is found before the run begins
         own = {name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table}
-        asked = run_settings(config, settings | own)
+        asked = run_settings(config, of_python(settings) | own)
         prepared = prepare(
             str(scene), asked, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units
         )

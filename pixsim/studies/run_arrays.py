@@ -19,8 +19,9 @@ Irradiance = Literal["reduced", "full", "factors", "none"]  # what irradiance.ex
 
 def check_raw(settings: Run, suffixes: Sequence[str]) -> None:
     """Raise PixsimError for raw frames of too many bits for their format."""
-    if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(suffixes):
-        got = f"tiff or png for an ADC of {settings.pixel.bits} bits"
+    bits = (settings.exposure.frames * (2**settings.pixel.bits - 1)).bit_length()
+    if bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(suffixes):
+        got = f"tiff or png for frames of {bits} bits"
         raise invalid("--raw", got, f"at most {BITS_OF_PICTURES} bits; use npz for more")
 
 

@@ -15,6 +15,7 @@ from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import told_apart
 from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
+from pixsim.sensor.stages import stage_words
 from pixsim.show.document import Fact, Strong, Table, Text, has_room, headline, joined, plain_text
 from pixsim.show.sentences import few, interval, span, with_ends, with_error
 from pixsim.studies.agreement import agreement_words, value_words
@@ -22,6 +23,7 @@ from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.paired import mean_interval
 from pixsim.viewer.causes import SATURATED_SHOWN
+from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.metric_registry import metric_known
@@ -47,7 +49,7 @@ def optimum_parts(curve: Curve) -> list[Text]:
     """
     first, *others = _optimum_parts(curve)
     viewed = (viewed_words(curve, inside) for inside in (True, False))
-    return [joined([f"{curve.label}: ", first], ""), *others, *filter(None, viewed)]
+    return [joined([f"{curve.label}: ", first], ""), *filter(None, (curve.developed,)), *others, *filter(None, viewed)]
 
 
 def optimum_line(curve: Curve) -> str:
@@ -305,14 +307,17 @@ def score_parts(result: RunResult) -> list[Text]:
     border_um = result.score.border_um[1] if settings.display.raster == "fixed_size" else 0.0
     border = f"{border_um:.3g} µm on each side not scored" if border_um else ""
     exposure, time_s, saturated = settings.exposure, frame.integration_s, frame.saturated_fraction
-    longest = " (the maximum)" if exposure.integration_s is None and time_s >= exposure.max_integration_s else ""
+    is_longest = exposure.integration_s is None and time_s >= exposure.times * exposure.max_integration_s
+    longest = " (the maximum)" if is_longest else ""
     full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
     pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
-    exposed = f"exposed for {1e3 * time_s:.3g} ms{longest}{full}"
+    exposed = ", ".join([f"exposed for {1e3 * time_s:.3g} ms{longest}{full}", *stage_words(settings)])
     first = (*delta_e, f"{',' * (NOT_CONVERGED in result.shown_mean)} with {pixels}")
     parts: list[Text] = [first, exposed] if has_room([first]) else [delta_e, pixels, exposed]
     if has_room([whole := (*first, f", {exposed}")]):
         parts = [whole]
+    if developed := developed_words(settings.develop, [settings.pixel]):
+        parts.insert(1, developed)
     shown = ", ".join(filter(None, (border, *run_view_words(result))))
     film = film_words(result.film) if result.film else result.light.unmeasured
     noise = "" if result.rendered is None else noise_words(result.rendered.noise.fraction)
@@ -402,7 +407,8 @@ def study_light_words(result: StudyResult) -> list[str]:
         whites.append(part.light_level)
     light = whites[0]._replace(shortest_s=min(w.shortest_s for w in whites), longest_s=max(w.longest_s for w in whites))
     shown = str(light) if len({each.white_cd_per_m2 for each in whites}) == 1 else f"exposed for {light.exposure}"
-    return ["; ".join([*(lenses[:1] if len(set(lenses)) == 1 else []), shown])]
+    stages = [words for words in stage_words(parts[0].study) if all(words in stage_words(part.study) for part in parts)]
+    return ["; ".join([*(lenses[:1] if len(set(lenses)) == 1 else []), shown, *stages])]
 
 
 def study_facts(result: StudyResult) -> list[Fact]:

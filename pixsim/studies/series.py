@@ -130,6 +130,7 @@ def scenes_of(
         others=others,
         judging=judging_of(study, study.repeats),
         without=without,
+        develop=study.develop,
     )
 
 

@@ -94,7 +94,7 @@ class Sight:
                 for p in pixels
             ],
         }
-        noise = [(p.dark_current_e_per_s, *(source.deviation(p) for source in SOURCES)) for p in pixels]
+        noise = [(p.dark_current_e_per_s, *(source.of_frame(p) for source in SOURCES)) for p in pixels]
         areas_um2 = [collecting_area_um2(image, camera, p) for p in pixels]
         white_e_per_s = [white * area for each, area in zip(whites, areas_um2, strict=True) for white in each]
         return cls(content_hash(what), camera.f_number if by_lens else 0.0, tuple(white_e_per_s), tuple(noise))

@@ -139,7 +139,7 @@ def evaluate_cases(
         of_light = [irradiance.header, irradiance.shape, irradiance.pitch_um, camera.model_dump()]
         judging = judging_of(case.settings, case.settings.repeats)
         of_light.append(None if light.without is None else light.without.header)
-        key = content_hash([*of_light, case.settings.display.content_hash, judging.content])
+        key = content_hash([*of_light, case.settings.display.content_hash, judging.content, case.settings.develop.tone])
         scenes = caches.setdefault(key, scenes_of(case.settings, irradiance, camera, without=light.without))
         scenes.channels = max(scenes.channels, most_channels(case.settings))
         lit.append(scenes)

@@ -18,6 +18,7 @@ from pixsim.studies.settings_text import FILES
 from pixsim.studies.study_layers import study_layers
 from pixsim.studies.study_settings import Study, owner_of
 from pixsim.studies.varied import paths_of
+from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.merging import merge
 
 
@@ -164,7 +165,7 @@ def load_study(
     scene : XML file or name of a packaged scene
     settings : other fields of `Study`, tables as dicts: camera={"f_number": 2.8}, pitch={"min_um": 2.0}, window_mm=1.0
     """
-    options = plain_tables(settings)
+    options = plain_tables(of_python(settings))
     of_scene = {"file": None if scene is None else str(scene), "parameters": dict(parameters) if parameters else None}
     options |= {"scene": {name: value for name, value in of_scene.items() if value is not None}} if scene or parameters else {}
     options |= {"pixel": dict(pixel)} if pixel else {}

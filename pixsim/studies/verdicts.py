@@ -10,6 +10,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
+from pixsim.sensor.stages import stage_words
 from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline
 from pixsim.show.sentences import with_error
 from pixsim.studies.averages import Averaged, shown_delta_e
@@ -19,6 +20,7 @@ from pixsim.studies.lineup import ComparisonJob, Lineup, pixels_of
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.viewing import Viewed, range_words, where_words
+from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.setting import Run
 
@@ -153,7 +155,8 @@ def answer(result: Averaged, other: str) -> Answer:
         begin, others = ["the conditions disagree", f"weighted mean: {first}"], [*others, *_answers_of_conditions(pair, other)]
     first, *more = begin
     unsure = next((words for words in found if words.startswith(NOT_CONVERGED)), "")
-    found_words = headline([(Strong(first),), *more, *causes, *others], unsure)
+    developed = developed_words(result.shown.lineup.settings.develop, [each.sensor.settings.pixel for each in result.shown.sensors])
+    found_words = headline([(Strong(first),), *more, developed, *causes, *others], unsure)
     return replace(found_words, named=first.startswith(result.names))
 
 
@@ -178,10 +181,13 @@ def exposure_words(lineup: Lineup) -> str:
     exposures = [sensor.settings.exposure for sensor in lineup.cases]
     if any(exposure != exposures[0] for exposure in exposures):
         return "each sensor's own exposure rule"
-    if exposures[0].integration_s is not None:
-        return f"each exposed for {1e3 * exposures[0].integration_s:.3g} ms"
-    target, longest_ms = exposures[0].well_target, 1e3 * exposures[0].max_integration_s
-    return f"each exposed to {100 * target:.3g} % of its own well, at most {longest_ms:.3g} ms"
+    exposure, stages = exposures[0], stage_words(lineup.cases[0].settings)
+    if exposure.integration_s is not None:
+        words = f"each exposed for {1e3 * exposure.times * exposure.integration_s:.3g} ms"
+    else:
+        longest_ms = 1e3 * exposure.times * exposure.max_integration_s
+        words = f"each exposed to {100 * exposure.well_target:.3g} % of its own well, at most {longest_ms:.3g} ms"
+    return ", ".join([words, *stages])
 
 
 def conditions_line(prepared: ComparisonJob) -> str:

@@ -34,6 +34,7 @@ from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Sub
 from pixsim.verification.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
 from pixsim.verification.result import Accuracy
 from pixsim.verification.solvers import Solved, solvers
+from pixsim.viewer.develop_options import with_functions
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import Seen, white_header
 from pixsim.viewer.setting import Run
@@ -141,7 +142,7 @@ def accuracy(
     (True, True)
     """
     tables = {"camera": camera, "lens": lens, "pixel": pixel, "exposure": exposure, "correction": correction}
-    tables |= {"develop": develop, "display": display, "scene": parameters}
+    tables |= {"develop": with_functions(develop), "display": display, "scene": parameters}
     settings = run_settings(config, {name: value for name, value in (tables | {"seed": seed}).items() if value is not None})
     stage = progress or no_stage
     return survey(os.fspath(scene), settings, quick=quick, sensor=sensor, variant=variant, progress=stage)

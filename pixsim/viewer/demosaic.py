@@ -7,6 +7,9 @@ Bayer pattern. A flat field stays flat up to the edge.
 * malvar2004: linear filters of 5 × 5 pixels. H. S. Malvar, L.-W. He and R. Cutler, ICASSP (2004) III-485. Bayer patterns only.
 * menon2007: along the direction with the smaller differences of colour, with refinement. D. Menon, S. Andriani and
   G. Calvagno, IEEE Trans. Image Process. 16 (2007) 132. Bayer patterns only, and not linear.
+* remosaic, before one of these: a quad pattern (2 × 2 equal pixels each) becomes that of single pixels. A pixel keeps its sample
+  where it has the channel already. Else it is a linear interpolation of the nearest samples of the channel on either side: in its
+  row, in its column, or the mean of both; and where neither has the channel, in the rows and columns around that do.
 * interpolate: for any pattern. A pixel keeps the sample of its own channel. The other channels are normalised convolutions
   (H. Knutsson and C.-F. Westin, CVPR (1993) 515): the mean of a channel's samples around, weighted by a tent that falls to zero
   one unit cell away along y and x. On a Bayer pattern this is bilinear.
@@ -26,10 +29,13 @@ from numpy.typing import ArrayLike
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, Picture, empty_planes
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.sensor.colour_options import BAYER, channels_of
+from pixsim.sensor.colour_options import BAYER, binned_cell, channels_of
 from pixsim.viewer.display import SPLINE_DEGREE, average_axis
 
 Method = Literal["bilinear", "malvar2004", "menon2007", "interpolate"]
+# A filter's autocorrelation: factors of products of weights along either axis, (2n + 1,) each.
+Products = tuple[tuple[float, tuple[float, ...]], ...]
+WHITE: Products = ((1.0, (1.0,)),)  # of no filter
 MAX_VALUE = 1e300  # sums of these do not overflow
 MAX_CELL = 16  # pixels along a side of the unit cell
 MENON_REACH = 8  # pixels: 4 that decide on the direction, 2 for green and for red or blue, 2 of the refinement
@@ -87,6 +93,10 @@ def demosaic_covariance(
     variance: ArrayLike,
     dot_px: float | None = None,
     interpolation: Literal["nearest", "linear", "cubic"] = "linear",
+    *,
+    remosaiced: bool = False,
+    products: Products = WHITE,
+    correlations: Sequence[Array] | None = None,
 ) -> Array:
     """Return the covariance of the demosaiced channels, (..., C, C), if the noise of the pixels is independent.
 
@@ -98,14 +108,22 @@ def demosaic_covariance(
     dot_px : side, in pixels, of the display's dots over which the channels are averaged as in `frame_luminance`; None for the
         pixels themselves
     interpolation : between pixel centres, for dots
+    remosaiced : whether the quad pattern becomes one of single pixels first, as by `remosaic`, which the method then takes
+    products : autocorrelation of a filter of the demosaiced channels, as of `pixsim.viewer.sharpening.unsharp_products`
+    correlations : for each place of the unit cell, row by row, of the pixels there with one another: (2m + 1, 2n + 1), whose middle
+        is the variance that is left of one; None for independent pixels
 
     Raises PixsimError as `demosaic` does, for menon2007, for a variance of another shape or below 0, and for a dot of no size.
 
     >>> np.diag(demosaic_covariance("rggb", "bilinear", [1.0, 1.0, 1.0])).tolist()
     [0.5625, 0.625, 0.5625]
     """
-    cell, values = _checked_noise("variance", variance, pattern, method, dot_px)
-    return np.asarray(np.einsum("cdk,...k->...cd", _covariance_per_variance(cell, method, dot_px, interpolation), values))
+    cell, values = _checked_noise("variance", variance, pattern, method, dot_px, remosaiced)
+    if correlations is not None:
+        own = _correlated(cell, method, dot_px, interpolation, remosaiced, products, correlations)
+    else:
+        own = _covariance_per_variance(cell, method, dot_px, interpolation, remosaiced, products)
+    return np.asarray(np.einsum("cdk,...k->...cd", own, values))
 
 
 @checks_arguments
@@ -115,6 +133,9 @@ def demosaic_column_covariance(
     deviation: ArrayLike,
     dot_px: float | None = None,
     interpolation: Literal["nearest", "linear", "cubic"] = "linear",
+    *,
+    remosaiced: bool = False,
+    products: Products = WHITE,
 ) -> Array:
     """Return the covariance of the demosaiced channels, (..., C, C), if each column of pixels has one offset, unlike the others'.
 
@@ -128,9 +149,9 @@ def demosaic_column_covariance(
     >>> demosaic_column_covariance("rggb", "bilinear", np.ones(3)).diagonal().tolist()  # G at R has 1/2, 1/4, 1/4 of three columns
     [0.75, 0.6875, 0.75]
     """
-    cell, values = _checked_noise("deviation", deviation, pattern, method, dot_px)
-    products = _column_products(cell, method, dot_px, interpolation)
-    return np.asarray(np.einsum("cdkl,...k,...l->...cd", products, values, values))
+    cell, values = _checked_noise("deviation", deviation, pattern, method, dot_px, remosaiced)
+    own = _column_products(cell, method, dot_px, interpolation, remosaiced, products)
+    return np.asarray(np.einsum("cdkl,...k,...l->...cd", own, values, values))
 
 
 @checks_arguments
@@ -140,24 +161,28 @@ def demosaic_row_covariance(
     deviation: ArrayLike,
     dot_px: float | None = None,
     interpolation: Literal["nearest", "linear", "cubic"] = "linear",
+    *,
+    remosaiced: bool = False,
+    products: Products = WHITE,
 ) -> Array:
     """Return the covariance of the demosaiced channels, (..., C, C), if each row of pixels has one offset, unlike the others'.
 
     The arguments and the errors are those of `demosaic_column_covariance`, of which it is the transpose.
     """
-    cell, values = _checked_noise("deviation", deviation, pattern, method, dot_px)
+    cell, values = _checked_noise("deviation", deviation, pattern, method, dot_px, remosaiced)
     turned = tuple("".join(letters) for letters in zip(*cell, strict=True))
     place = [channels_of(turned).index(channel) for channel in channels_of(cell)]
-    found = demosaic_column_covariance(turned, method, values[..., np.argsort(place)], dot_px, interpolation)
+    own = method, values[..., np.argsort(place)], dot_px, interpolation
+    found = demosaic_column_covariance(turned, *own, remosaiced=remosaiced, products=products)
     return np.asarray(found[..., place, :][..., place])
 
 
 def _checked_noise(
-    name: str, noise: ArrayLike, pattern: str | Sequence[str], method: Method, dot_px: float | None
+    name: str, noise: ArrayLike, pattern: str | Sequence[str], method: Method, dot_px: float | None, remosaiced: bool
 ) -> tuple[tuple[str, ...], Array]:
     """The unit cell, and the noise of its channels (..., C), checked."""
     cell = unit_cell(pattern)
-    check_method(cell, method)
+    check_method(single_cell(cell) if remosaiced else cell, method)
     if method == "menon2007":
         hint = "Take the covariance of malvar2004 or bilinear in its place."
         raise invalid("method", "'menon2007', which has no covariance in closed form", "bilinear, malvar2004, interpolate", hint)
@@ -194,6 +219,81 @@ def unit_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
 
 
 @checks_arguments
+def single_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
+    """Return the unit cell that `remosaic` makes of a quad pattern. Raises PixsimError for a pattern that is not one."""
+    cell = unit_cell(pattern)
+    single = binned_cell(cell)
+    if not single:
+        hint = "It is for pixels of 2 × 2 equal filters, as quad_rggb has them."
+        raise invalid("pattern", f"{list(cell)}, to be remosaiced", "a pattern of 2 × 2 equal pixels", hint)
+    return single
+
+
+@checks_arguments
+def remosaic(mosaic: Picture, pattern: str | Sequence[str]) -> Array:
+    """Return a mosaic (H, W) of a quad pattern as one of single pixels, whose pattern is `single_cell`, in its precision and unit.
+
+    Each pixel keeps its sample, or is interpolated from the nearest ones of its new channel; at the edges from those inside.
+
+    pattern : rows of the unit cell, such as ("RRGG", "RRGG", "GGBB", "GGBB")
+
+    Raises PixsimError for another pattern, and for a mosaic smaller than the unit cell.
+
+    >>> quad = np.kron([[1.0, 2.0], [2.0, 3.0]], np.ones((2, 2)))  # the number of the channel
+    >>> remosaic(quad, ("RRGG", "RRGG", "GGBB", "GGBB"))[:2].tolist()
+    [[1.0, 2.0, 1.0, 2.0], [2.0, 3.0, 2.0, 3.0]]
+    """
+    cell = unit_cell(pattern)
+    single_cell(cell)
+    (rows, columns), (height, width) = (len(cell), len(cell[0])), mosaic.shape
+    if height < rows or width < columns:
+        raise invalid("mosaic", f"{height} × {width} pixels", f"at least the unit cell of {rows} × {columns} pixels")
+    taps, reach = _remosaic_taps(cell), max(rows, columns)
+    padded, inside = np.pad(mosaic, reach), np.pad(np.ones_like(mosaic), reach)
+    result = mosaic.copy()
+    for y, x in np.ndindex(rows, columns):
+        if set(taps[y, x]) == {(0, 0)}:
+            continue
+        into = result[y::rows, x::columns]
+        total, weight = np.zeros_like(into), np.zeros_like(into)
+        for (dy, dx), share in taps[y, x].items():
+            at = np.s_[reach + y + dy :: rows, reach + x + dx :: columns]
+            total += share * padded[at][: into.shape[0], : into.shape[1]]
+            weight += share * inside[at][: into.shape[0], : into.shape[1]]
+        into[...] = total / weight
+    return result
+
+
+@lru_cache(maxsize=16)
+def _remosaic_taps(cell: tuple[str, ...]) -> dict[tuple[int, int], dict[tuple[int, int], float]]:
+    """Return the places of samples around (dy, dx) with their weights, for each place (y, x) of a quad's unit cell."""
+    single = binned_cell(cell)
+
+    def beside(line: Sequence[str], at: int, channel: str) -> dict[int, float]:
+        """Return the nearest samples on either side along a line that repeats, with weights linear in their distances."""
+        if channel not in line:
+            return {}
+        before = next(d for d in range(1, len(line) + 1) if line[(at - d) % len(line)] == channel)
+        after = next(d for d in range(1, len(line) + 1) if line[(at + d) % len(line)] == channel)
+        return {-before: after / (before + after), after: before / (before + after)}
+
+    found = {}
+    for y, x in np.ndindex(len(cell), len(cell[0])):
+        channel, row, column = single[y % len(single)][x % len(single[0])], cell[y], [line[x] for line in cell]
+        in_row, in_column = beside(row, x, channel), beside(column, y, channel)
+        ways = [{(0, dx): share for dx, share in in_row.items()}, {(dy, 0): share for dy, share in in_column.items()}]
+        ways = [way for way in ways if way]
+        if cell[y][x] == channel:
+            ways = [{(0, 0): 1.0}]
+        elif not ways:
+            down = beside([channel if channel in line else "" for line in cell], y, channel)
+            across = {dy: beside(cell[(y + dy) % len(cell)], x, channel) for dy in down}
+            ways = [{(dy, dx): share * part for dy, share in down.items() for dx, part in across[dy].items()}]
+        found[y, x] = {place: sum(way.get(place, 0.0) for way in ways) / len(ways) for way in ways for place in way}
+    return found
+
+
+@checks_arguments
 def check_method(cell: Sequence[str], method: Method) -> None:
     """Raise PixsimError if a method cannot demosaic a unit cell."""
     if method != "interpolate" and tuple(cell) not in BAYER.values():
@@ -224,6 +324,24 @@ def _weights(cell: tuple[str, ...], method: Method) -> Array:
             around = letters[np.arange(y - ry, y + ry + 1)[:, None] % rows, np.arange(x - rx, x + rx + 1) % columns]
             tent = (around == channel) * np.multiply.outer(_tent(rows), _tent(columns))
             weights[y, x, c] = tent / tent.sum()
+    weights.flags.writeable = False
+    return weights
+
+
+@lru_cache(maxsize=16)
+def _weights_behind(cell: tuple[str, ...], method: Method, remosaiced: bool) -> Array:
+    """Return `_weights`, of the samples of a quad pattern that is remosaiced first."""
+    if not remosaiced:
+        return _weights(cell, method)
+    taps, single = _remosaic_taps(cell), _weights(binned_cell(cell), method)
+    (high, wide), (ry, rx), reach = single.shape[:2], (single.shape[3] // 2, single.shape[4] // 2), max(len(cell), len(cell[0]))
+    rows, columns = len(cell), len(cell[0])
+    weights = np.zeros((rows, columns, single.shape[2], 2 * (ry + reach) + 1, 2 * (rx + reach) + 1))
+    for y, x, c, i, j in np.ndindex(rows, columns, *single.shape[2:]):
+        share = single[y % high, x % wide, c, i, j]
+        at = (y + i - ry) % rows, (x + j - rx) % columns
+        for (dy, dx), part in taps[at].items() if share else ():
+            weights[y, x, c, i + reach + dy, j + reach + dx] += share * part
     weights.flags.writeable = False
     return weights
 
@@ -314,21 +432,22 @@ def _menon(mosaic: Array, cell: tuple[str, ...]) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _covariance_per_variance(cell: tuple[str, ...], method: Method, dot_px: float | None, interpolation: str) -> Array:
+def _covariance_per_variance(
+    cell: tuple[str, ...], method: Method, dot_px: float | None, interpolation: str, remosaiced: bool, products: Products
+) -> Array:
     """Return the covariance of the channels for a variance of 1 in the pixels of each channel, (C, C, C); the last axis is theirs.
 
     A pixel of the mosaic leaves its noise in the pixels around, with weights that depend on its place in the unit cell. With dots,
     neighbours weigh with the mean product of their weights in a dot.
     """
-    weights, channels = _weights(cell, method), channels_of(cell)
-    rows, columns, _, ky, kx = weights.shape
-    y, x, dy, dx = np.ogrid[:rows, :columns, :ky, :kx]
-    left = weights[(y - dy + ky // 2) % rows, (x - dx + kx // 2) % columns, :, dy, dx]  # (rows, columns, ky, kx, C)
-    left = np.moveaxis(left, -1, 2)
+    channels, left = channels_of(cell), _left(cell, method, remosaiced)
+    rows, columns, _, ky, kx = left.shape
     shared = left
-    if dot_px is not None:
-        products = _dot_products(dot_px, interpolation, max(ky, kx))
-        shared = _toeplitz(products[:ky]) @ left @ _toeplitz(products[:kx])
+    if dot_px is not None or products != WHITE:
+        shared = np.zeros_like(left)
+        for factor, taps in products:
+            along = _filtered_products(dot_px, interpolation, max(ky, kx), taps)
+            shared += factor * (_toeplitz(along[:ky]) @ left @ _toeplitz(along[:kx]))
     each = np.einsum("yxcij,yxdij->yxcd", left, shared) / (rows * columns)
     letters = np.array([list(row) for row in cell])
     covariance = np.stack([each[letters == channel].sum(axis=0) for channel in channels], axis=-1)
@@ -336,14 +455,56 @@ def _covariance_per_variance(cell: tuple[str, ...], method: Method, dot_px: floa
     return covariance
 
 
+def _left(cell: tuple[str, ...], method: Method, remosaiced: bool) -> Array:
+    """Return what a pixel at each place of the unit cell leaves in the channels around it, (rows, columns, C, ky, kx)."""
+    weights = _weights_behind(cell, method, remosaiced)
+    rows, columns, _, ky, kx = weights.shape
+    y, x, dy, dx = np.ogrid[:rows, :columns, :ky, :kx]
+    return np.moveaxis(weights[(y - dy + ky // 2) % rows, (x - dx + kx // 2) % columns, :, dy, dx], -1, 2)
+
+
+def _correlated(
+    cell: tuple[str, ...],
+    method: Method,
+    dot_px: float | None,
+    interpolation: str,
+    remosaiced: bool,
+    products: Products,
+    correlations: Sequence[Array],
+) -> Array:
+    """Return `_covariance_per_variance` of pixels that are correlated with those at the same place of other unit cells."""
+    left, letters = _left(cell, method, remosaiced), "".join(cell)
+    rows, columns, count, ky, kx = left.shape
+    found = np.zeros((count, count, count))
+    for place, (letter, correlation) in enumerate(zip(letters, correlations, strict=True)):
+        own = left[divmod(place, columns)]
+        for factor, taps in products:
+            reach = len(taps) // 2 + (
+                0 if dot_px is None else int(np.ceil(dot_px)) + (2 * SPLINE_REACH if interpolation == "cubic" else 2)
+            )
+            sides = []
+            for axis, size, step in ((0, ky, rows), (1, kx, columns)):
+                middle = correlation.shape[axis] // 2
+                cells = np.arange(-min(middle, (size + reach) // step + 1), min(middle, (size + reach) // step + 1) + 1)
+                along = _filtered_products(dot_px, interpolation, size + reach + step * int(cells.max()) + 1, taps)
+                at = np.arange(size)
+                sides.append((middle + cells, along[np.abs(at[:, None] - at + step * cells[:, None, None])]))
+            (down, of_rows), (across, of_columns) = sides
+            shared = np.einsum("uv,uij,cjk,vlk->cil", correlation[np.ix_(down, across)], of_rows, own, of_columns, optimize=True)
+            found[:, :, channels_of(cell).index(letter)] += factor * np.einsum("cil,dil->cd", own, shared)
+    return found / (rows * columns)
+
+
 @lru_cache(maxsize=64)
-def _column_products(cell: tuple[str, ...], method: Method, dot_px: float | None, interpolation: str) -> Array:
+def _column_products(
+    cell: tuple[str, ...], method: Method, dot_px: float | None, interpolation: str, remosaiced: bool, products: Products
+) -> Array:
     """Return the covariance (C, C) of the channels for column offsets with the deviations 1 in two channels, (C, C, C, C).
 
     The last two axes are theirs. Rows at one place of the unit cell have the same weights for the columns; a dot has a share of
     its rows at each place.
     """
-    weights, channels = _weights(cell, method), channels_of(cell)
+    weights, channels = _weights_behind(cell, method, remosaiced), channels_of(cell)
     rows, columns, _, ky, kx = weights.shape
     letters = np.array([list(row) for row in cell])
     y, x, dy, dx = np.ogrid[:rows, :columns, :ky, :kx]
@@ -351,14 +512,33 @@ def _column_products(cell: tuple[str, ...], method: Method, dot_px: float | None
     own = np.stack([(weights * (source == channel)[:, :, None]).sum(axis=3) for channel in channels], axis=-1)
     u, at = np.ogrid[:columns, :kx]
     left = own[:, (u - at + kx // 2) % columns, :, at]  # from each column to those around, (columns, kx, rows, C, C)
-    along_x, between = left, np.eye(rows) / rows
-    if dot_px is not None:
-        products = _dot_products(dot_px, interpolation, int(np.ceil(dot_px)) + 2 * SPLINE_REACH)
-        along_x = np.einsum("ij,ujpck->uipck", _toeplitz(products[:kx]), left)
-        apart = np.arange(1 - products.size, products.size)
-        shares = np.bincount(apart % rows, products[np.abs(apart)], rows) / rows
+    if dot_px is None and products == WHITE:
+        return np.asarray(np.einsum("uipck,uiqdl,pq->cdkl", left, left, np.eye(rows) / rows) / columns)
+    found = np.zeros((len(channels),) * 4)
+    for factor, taps in products:
+        reach = len(taps) // 2 + (0 if dot_px is None else int(np.ceil(dot_px)) + 2 * SPLINE_REACH)
+        along = _filtered_products(dot_px, interpolation, max(kx, reach if taps == (1.0,) else reach + 1), taps)
+        along_x = np.einsum("ij,ujpck->uipck", _toeplitz(along[:kx]), left)
+        apart = np.arange(1 - along.size, along.size)
+        shares = np.bincount(apart % rows, along[np.abs(apart)], rows) / rows
         between = shares[np.arange(rows)[:, None] - np.arange(rows)]
-    return np.asarray(np.einsum("uipck,uiqdl,pq->cdkl", along_x, left, between) / columns)
+        found += factor * np.einsum("uipck,uiqdl,pq->cdkl", along_x, left, between) / columns
+    return found
+
+
+def _filtered_products(dot_px: float | None, interpolation: str, count: int, taps: tuple[float, ...]) -> Array:
+    """Return `_dot_products` behind a symmetric filter along the axis; without dots, the filter alone."""
+    reach = len(taps) // 2
+    if dot_px is None:
+        own = np.zeros(count + reach)
+        own[0] = 1.0
+    else:
+        own = _dot_products(dot_px, interpolation, count + reach)
+    if not reach:
+        return own * taps[0]
+    both = np.concatenate([own[:0:-1], own])
+    middle = own.size - 1
+    return np.asarray(np.convolve(both, taps, mode="same")[middle : middle + count])
 
 
 def _toeplitz(values: Array) -> Array:

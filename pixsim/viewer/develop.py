@@ -1,9 +1,8 @@
-"""Frames of colour sensors → light of the display's primaries; and the picture of an ideal camera.
+"""What the channels of a colour sensor see under the scene's lamp, the matrix from it, and the picture of an ideal camera.
 
-In this order: black level and expected dark charge are subtracted, each channel is divided by the electrons of the scene's white
-(white balance), the mosaic is interpolated, saturated high lights are made white, means over the display's dots are taken, and one
-matrix leads from the camera's channels to XYZ under the scene's lamp, to the display's white (adaptation) and to its primaries.
+One matrix leads from the camera's channels to XYZ under the scene's lamp, to the display's white (adaptation) and to its primaries.
 The matrix from the channels to XYZ is fitted to patches 1-18 of ISO 17321 under the lamp, with its course within the bands.
+It is one of the steps that make a picture of a frame, in `pixsim.viewer.develop_steps`.
 
 The ideal picture has the scene's own XYZ (CIE 1931, 2°), under the same adaptation and on the same display.
 """
@@ -13,38 +12,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
-import scipy  # whose parts are imported when they are used
-from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, mixed
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.light.spectral import SpectralImage, colour_matching
 from pixsim.light.standard import CHROMATIC_PATCHES, patch_reflectance
 from pixsim.optics.camera import Camera
-from pixsim.sensor.colour import Layout, of_channels
+from pixsim.sensor.colour import Layout
 from pixsim.sensor.colour_options import BAYER
 from pixsim.sensor.integration import response_within
-from pixsim.sensor.noise import constant_e
 from pixsim.sensor.pixel import PixelPhysics
-from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
 from pixsim.viewer.colour_matrix import RANK_TOLERANCE, Fit, check_noise_gains, colour_errors, fit_matrix
-from pixsim.viewer.demosaic import Method, demosaic, demosaic_column_covariance, demosaic_covariance, demosaic_row_covariance
+from pixsim.viewer.demosaic import Method
 from pixsim.viewer.develop_options import Develop
-from pixsim.viewer.display import (
-    RGB_FROM_XYZ,
-    WHITE_XYZ,
-    ElectronsOfChannels,
-    fits_single,
-    means_on_dots,
-    on_dots,
-    white_light,
-    white_lx,
-)
+from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, means_on_dots, white_light, white_lx
 from pixsim.viewer.display_options import Display
 
 SATURATED = 0.99  # of the saturation level
@@ -216,121 +200,3 @@ def balance(develop: Develop, layout: Layout, white_e: Array) -> Array:
 def demosaic_method(develop: Develop, layout: Layout) -> Method:
     """Return the method of interpolation for a layout."""
     return develop.demosaic or ("bilinear" if layout.cell in BAYER.values() else "interpolate")
-
-
-@checks_arguments
-def balanced_planes(
-    frame: Frame,
-    develop: Develop,
-    white_e: ElectronsOfChannels,
-    saturation_e: float,
-    shading: Array | None = None,
-    *,
-    single: bool = False,
-) -> list[Array]:
-    """Return the channels of a frame at each of its pixels, [(rows, columns)] each, 1 for the scene's white in every one.
-
-    white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure
-    saturation_e : electrons at which a pixel saturates
-    shading : by which each value of the frame is divided
-    single : return them in float32, except by menon2007, if `fits_single`
-
-    Where a channel is saturated, or interpolated from a saturated pixel, nothing is known of the colour: it is shown as white.
-
-    Raises PixsimError for a frame without colour filters.
-    """
-    layout = frame.layout
-    if layout is None:
-        raise invalid("frame", "one without colour filters", "a frame of a pixel with [pixel.colour]")
-    picture, by_channel = frame.electrons, balance(develop, layout, white_e)
-    full = picture >= SATURATED * saturation_e - frame.mean_dark_e
-    if shading is not None:
-        picture /= shading
-    if layout.is_stacked:
-        picture /= of_channels(by_channel, layout, (len(picture), 1))
-    else:  # whole rows, which take a third of the time of pixels apart
-        height = layout.period[0]
-        for row, divisors in enumerate(of_channels(by_channel, layout, (height, picture.shape[1]))):
-            picture[row::height] /= divisors
-    method = None if layout.is_stacked else demosaic_method(develop, layout)
-    # menon2007 compares sums: rounding would decide where they are nearly equal.
-    if single and method != "menon2007" and fits_single(frame, float(by_channel.min())):
-        picture = picture.astype(np.float32)
-    if method is None:
-        planes = np.split(picture, layout.planes)
-    else:
-        channels = demosaic(picture, layout.cell, method)
-        planes = [channels[:, :, channel] for channel in range(channels.shape[2])]
-    if full.any():
-        _whiten(planes, full, layout)
-    return planes
-
-
-def _whiten(planes: Sequence[Array], full: NDArray[np.bool_], layout: Layout) -> None:
-    """Make the pixels neutral, in place, that know a channel from a saturated one: as bright as their brightest channel."""
-    if layout.is_stacked:
-        near = np.any(np.split(full, layout.planes), axis=0)
-    else:
-        near = scipy.ndimage.maximum_filter(full, [2 * len(part) - 1 for part in (layout.cell, layout.cell[0])])
-    brightest = np.max([plane[near] for plane in planes], axis=0)
-    for plane in planes:
-        plane[near] = brightest
-
-
-def frame_rgb(
-    planes: Sequence[Array],
-    frame: Frame,
-    matrix: Array,
-    size_um: tuple[float, float],
-    display: Display,
-    edges_um: tuple[Array, Array],
-) -> Array:
-    """Return the light of the display's primaries on its dots, (3, H, W), 1 for white, of the channels at each pixel.
-
-    matrix : (3, C) from balanced channels, of `Rendition.matrix`
-    size_um, edges_um : as of `frame_luminance`
-    """
-    return mixed(matrix, [on_dots(plane, frame.pitch_um, size_um, display, edges_um, frame.registration) for plane in planes])
-
-
-def noise_covariance(
-    rendition: Rendition,
-    physics: PixelPhysics,
-    develop: Develop,
-    display: Display,
-    white_e: Array,
-    integration_s: float,
-    dot_um: float | None,
-) -> Array:
-    """Return the covariance of the balanced channels on each patch, (P, C, C), as means over a dot.
-
-    It is that of the pixels over frames and sensors in closed form, through the weights of the interpolation; for menon2007, whose
-    weights depend on the picture, through those of malvar2004. The offsets of columns are the same in all rows. Fixed pattern
-    counts as in a frame without correction.
-
-    white_e : (C,) electrons of the white in this exposure
-    dot_um : side of a dot on the sensor; None: dots are pixels
-    """
-    layout = physics.layout
-    assert layout is not None
-    by_channel = balance(develop, layout, white_e)
-    electrons = np.maximum(rendition.responses, 0.0) * white_e
-    of_columns_e, of_rows_e = (constant_e(physics, along=along) for along in ("column", "row"))
-    pixels = frame_variance_dn2(electrons, integration_s, physics) / physics.dn_per_e**2 - of_columns_e**2 - of_rows_e**2
-    variance = np.maximum(pixels, 0.0) / by_channel**2
-    columns, rows = of_columns_e / by_channel, of_rows_e / by_channel
-    dot_px = None if dot_um is None else min(max(dot_um / physics.read_pitch_um, 1e-3), 1e3)
-    method: Any = "interpolate" if layout.is_stacked else demosaic_method(develop, layout)
-    linear: Any = "malvar2004" if method == "menon2007" else method
-    if layout.is_stacked:  # the layers of a pixel are read by one column
-        of_pixels, of_columns = (
-            float(each(["R"], linear, np.ones(1), dot_px, display.interpolation)[0, 0])
-            for each in (demosaic_covariance, demosaic_column_covariance)
-        )
-        # A line of columns averages as one of rows; the rows of each layer are read by themselves.
-        own = of_pixels * variance[:, :, None] * np.eye(columns.size) + of_columns * np.diag(rows**2)
-        return own + of_columns * np.multiply.outer(columns, columns)
-    independent = demosaic_covariance(layout.cell, linear, variance, dot_px, display.interpolation)
-    if rows.any():
-        independent = independent + demosaic_row_covariance(layout.cell, linear, rows, dot_px, display.interpolation)
-    return independent + demosaic_column_covariance(layout.cell, linear, columns, dot_px, display.interpolation)

@@ -1,30 +1,226 @@
-"""How the camera makes a picture of a frame with colour filters."""
+"""How the camera makes a picture of a raw frame: its steps, in the order in which they stand in `pixsim.viewer.develop_steps`."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
-from pixsim.base.errors import invalid
-from pixsim.base.records import Record, as_list
+from pixsim.base.arguments import brief
+from pixsim.base.errors import invalid, one_line
+from pixsim.base.records import Record, UnitInterval, as_float, as_list
+from pixsim.base.user_code import by_value, code_hash
+from pixsim.light.curves import MAX_FILE_BYTES
+from pixsim.light.tables import as_number, read_cells
 from pixsim.sensor.colour_options import BAYER, binned_cell, channels_of
 from pixsim.sensor.pixel_options import PixelOptions
 
 Gain = Annotated[float, Field(ge=1e-6, le=1e6)]
+DENOISERS = ("none", "wiener_bound", "nlm", "wavelet")
+TONE_CURVES = ("none", "gamma", "srgb", "reinhard")
+ALLOWED_TONE = f"{', '.join(TONE_CURVES)}, or a CSV file of light (1 for white) and value (0 to 1)"
+MAX_TONE_LIGHT, MAX_TONE_ROWS = 1e6, 4096
+# Light, 1 for white, and value, 1 for the top code; both rise.
+ToneRow = tuple[Annotated[float, Field(ge=0, le=MAX_TONE_LIGHT)], UnitInterval]
+ToneTable = tuple[ToneRow, ...]
+OF_FUNCTIONS = "the function of one's own is given in Python: develop={'denoise': my_function}, or 'module:function' there"
 
 
 def _as_gains(value: object) -> object:
     return value if value == "known" else as_list(value)
 
 
-class Develop(Record):
-    """How the camera makes a picture of a frame with colour filters; a monochrome frame needs none of it."""
+# --- a function of the user's that denoises --------------------------------------------------------------------------------------
 
+
+@dataclass(frozen=True)
+class OwnDenoiser:
+    """A user's function of a plane, whose noise has variance 1, and of the strength, that returns the plane with less noise.
+
+    text : its module and name, with a hash of its code, on which results depend
+    """
+
+    function: Callable[[Any, float], Any] = field(repr=False)
+    text: str
+
+    def __call__(self, plane: Any, strength: float) -> Any:
+        return self.function(plane, strength)
+
+    def __reduce__(self) -> tuple[type[OwnDenoiser], tuple[object, str]]:
+        return OwnDenoiser, (by_value(self.function), self.text)
+
+
+_functions: dict[str, OwnDenoiser] = {}  # that this process was given, by their texts, as which settings are handed on
+
+
+def own_denoiser(function: Callable[[Any, float], Any]) -> OwnDenoiser:
+    """Return the denoiser of a function, which this process knows from now on."""
+    name = getattr(function, "__qualname__", type(function).__qualname__)
+    found = OwnDenoiser(function, f"{getattr(function, '__module__', '')}:{name}#{code_hash(function)}")
+    _functions[found.text] = found
+    return found
+
+
+def function_of(text: str) -> OwnDenoiser:
+    """Return the denoiser of 'module:function', which is imported: for texts of Python, never for those of a file.
+
+    Raises PixsimError if there is no such function.
+    """
+    module, _, name = text.partition(":")
+    try:
+        found: Any = import_module(module)
+        for part in name.split("."):
+            found = getattr(found, part)
+    except Exception as error:  # whatever the module raises
+        got = f"'{text}' ({type(error).__name__}: {one_line(str(error), 200)})"
+        raise invalid("develop.denoise", got, "'module:function' of a module that can be imported") from None
+    if not callable(found):
+        raise invalid("develop.denoise", f"'{text}', which is no function", "a function of a plane and the strength")
+    return own_denoiser(found)
+
+
+def with_functions(develop: Any) -> Any:
+    """Return fields of [develop] that stand in Python, whose 'module:function' has become the function; all else as it is."""
+    text = develop.get("denoise") if isinstance(develop, dict) else None
+    if isinstance(text, str) and ":" in text and text not in _functions:
+        return {**develop, "denoise": function_of(text)}
+    return develop
+
+
+def of_python(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return tables of settings that stand in Python, with functions as of `with_functions`."""
+    return {name: with_functions(table) if name == "develop" else table for name, table in settings.items()}
+
+
+def _as_denoiser(value: object) -> object:
+    if callable(value):
+        return value if isinstance(value, OwnDenoiser) else own_denoiser(value)
+    if isinstance(value, str) and value not in DENOISERS:
+        if value in _functions:
+            return _functions[value]
+        ways = ", ".join(DENOISERS)
+        if ":" in value:
+            raise ValueError(f"got {brief(value)} in a file or an option; allowed: {ways}; {OF_FUNCTIONS}")
+        raise ValueError(f"got {brief(value)}; allowed: {ways}; {OF_FUNCTIONS}")
+    return value
+
+
+def _text_of(value: object) -> object:
+    return value.text if isinstance(value, OwnDenoiser) else value
+
+
+Denoise = Annotated[
+    Literal["none", "wiener_bound", "nlm", "wavelet"] | OwnDenoiser,
+    BeforeValidator(_as_denoiser),
+    PlainSerializer(_text_of),
+    WithJsonSchema({"enum": [*DENOISERS], "type": "string"}),
+]
+
+
+# --- a tone curve in a file ------------------------------------------------------------------------------------------------------
+
+
+def as_tone_curve(value: Any) -> object:
+    """Return the name of a tone curve, or rows of light and value, from rows or from the path of a CSV file.
+
+    ValueError if it is neither, or if a value falls as the light rises.
+    """
+    if isinstance(value, str | Path):
+        return value if value in TONE_CURVES else _read_tone_table(Path(value))
+    try:
+        rows = tuple((as_float(light), as_float(out)) for light, out in value)
+    except (TypeError, ValueError):
+        got = "got neither a name, nor a file, nor a list of pairs"
+        raise ValueError(f"{got}; allowed: {ALLOWED_TONE}, or [[0, 0], [0.2, 0.5], [1, 1]]") from None
+    return _checked_tone(rows, "a list")
+
+
+def _read_tone_table(path: Path) -> ToneTable:
+    cells = read_cells(path, "tone curve", ALLOWED_TONE, MAX_FILE_BYTES)
+    rows = []
+    for place, (number, row) in enumerate(cells.rows):
+        found = [as_number(cell, cells.decimal) for cell in row[:2]]
+        if len(found) == 2 and None not in found:
+            rows.append((float(found[0] or 0), float(found[1] or 0)))
+        elif place:  # the first row may have titles
+            raise ValueError(f"got no two numbers in line {number} of '{path}'; allowed: {ALLOWED_TONE}")
+    return _checked_tone(tuple(rows), f"'{path}'")
+
+
+def _checked_tone(rows: ToneTable, source: str) -> ToneTable:
+    if not 2 <= len(rows) <= MAX_TONE_ROWS:
+        raise ValueError(f"got {source} of {len(rows)} rows; allowed: 2 to {MAX_TONE_ROWS} rows of light and value")
+    for light, value in rows:
+        if not (0 <= light <= MAX_TONE_LIGHT and 0 <= value <= 1):  # NaN neither
+            hint = " Divide values of codes by the top code." if 1 < value < math.inf else ""
+            got = f"got {source} with light {light:g} and value {value:g}"
+            raise ValueError(f"{got}; allowed: light of 0 to {MAX_TONE_LIGHT:g}, 1 for white, and values of 0 to 1.{hint}")
+    for (low, under), (high, over) in pairwise(rows):
+        if not low < high:
+            raise ValueError(f"got {source} with light {low:g} followed by {high:g}; allowed: light that rises")
+        if over < under:
+            got = f"got {source} whose value falls from {under:g} to {over:g} between light {low:g} and {high:g}"
+            raise ValueError(f"{got}; allowed: values that never fall, so that brighter stays brighter")
+    if rows[0][1] == rows[-1][1]:
+        raise ValueError(f"got {source} of one value, {rows[0][1]:g}; allowed: values that rise")
+    return rows
+
+
+def has_tone_file(develop: dict[str, Any]) -> bool:
+    """Return whether fields of [develop] name a file with the tone curve."""
+    return "tone_curve" in develop and develop["tone_curve"] not in TONE_CURVES
+
+
+ToneCurve = Annotated[
+    Literal["none", "gamma", "srgb", "reinhard"] | ToneTable,
+    BeforeValidator(as_tone_curve),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"enum": [*TONE_CURVES], "type": "string"},
+                {"type": "string", "description": f"{ALLOWED_TONE}, next to the TOML file"},
+                {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}},
+            ]
+        }
+    ),
+]
+
+SAME_RADIUS = ("sharpen_radius_px", "sharpen_radius_cy_per_deg")
+
+
+def develop_excluded_by(names: Iterable[str]) -> set[str]:
+    """Return the fields of [develop] that cannot be given together with those of `names`."""
+    given = set(names)
+    return set(SAME_RADIUS) - given if given & set(SAME_RADIUS) else set()
+
+
+class Develop(Record):
+    """How the camera makes a picture of a raw frame; what is about colours is for frames with colour filters only."""
+
+    denoise: Denoise = Field(
+        "none",
+        description="noise reduction on the raw planes, before demosaicing: 'nlm', non-local means, and 'wavelet', both of "
+        "scikit-image behind a transform that makes the known noise even; or 'wiener_bound', the linear shift-invariant filter of "
+        "least mean square error, which knows the picture; in Python also a function, or 'module:function'",
+    )
+    denoise_strength: Annotated[float, Field(ge=0, le=100)] = Field(
+        1.0, description="of 'nlm', 'wavelet' and a function: the noise that is taken away, relative to the known one"
+    )
     white_balance: Annotated[Literal["known"] | tuple[Gain, ...], BeforeValidator(_as_gains)] = Field(
         "known",
         description="'known': by the electrons that the scene's white gives in each channel; or a gain for each channel, in the "
         "order R, G, B and then the other letters of the unit cell, of which only the ratios count",
+    )
+    remosaic: bool = Field(
+        False,
+        description="turn the mosaic of a quad cell, as quad_rggb at full resolution, into a mosaic of single pixels, which all "
+        "methods of demosaic take",
     )
     demosaic: Literal["bilinear", "malvar2004", "menon2007", "interpolate"] | None = Field(
         None,
@@ -36,9 +232,97 @@ class Develop(Record):
         description="fit of the matrix from camera to XYZ, for patches 1-18 of ISO 17321 under the scene's lamp: 'least_squares' "
         "of XYZ; 'least_delta_e', least mean ΔE with an exact white; 'noise_aware', that with the noise of this exposure",
     )
+    sharpen_amount: Annotated[float, Field(ge=0, le=20)] = Field(
+        0.0, description="unsharp mask: how much of the difference from a Gaussian blur is added (0: none)"
+    )
+    sharpen_radius_px: Annotated[float, Field(ge=0.1, le=100)] | None = Field(
+        None, description="standard deviation of that blur in pixels of the frame (absent: 1, unless it is given in cy/deg)"
+    )
+    sharpen_radius_cy_per_deg: Annotated[float, Field(ge=1e-3, le=1e4)] | None = Field(
+        None,
+        description="in place of sharpen_radius_px: the frequency on the display at which that blur passes e^(-1/2), for pixels of "
+        "any size",
+    )
+    tone_curve: ToneCurve = Field(
+        "none",
+        description="of the sensor's and the ideal picture alike: 'none', light as it is; 'gamma' and 'srgb' (IEC 61966-2-1), "
+        "values that the camera hands to the display, or a CSV file of light and value; 'reinhard', for scenes brighter than the "
+        "display: L(1 + L/w²)/(1 + L) of the luminance",
+    )
+    tone_gamma: Annotated[float, Field(ge=0.1, le=10)] = Field(2.2, description="of 'gamma': value = light^(1/tone_gamma)")
+    tone_white: Annotated[float, Field(ge=1, le=1e6)] = Field(
+        4.0, description="of 'reinhard': w, the luminance, 1 for the scene's white, that the display shows as its white"
+    )
+
+    @classmethod
+    def _of_python(cls, fields: dict[str, Any]) -> dict[str, Any]:
+        found: dict[str, Any] = with_functions(fields)
+        return found
+
+    @model_validator(mode="after")
+    def _radius_is_stated_once(self) -> Self:
+        if self.sharpen_radius_px is not None and self.sharpen_radius_cy_per_deg is not None:
+            raise ValueError(f"{' and '.join(SAME_RADIUS)} state the same quantity; give one of them")
+        return self
+
+    @property
+    def denoiser(self) -> str:
+        """Name of the noise reduction, without the hash of a function."""
+        return self.denoise.text.partition("#")[0] if isinstance(self.denoise, OwnDenoiser) else self.denoise
+
+    @property
+    def denoises(self) -> bool:
+        """Whether any noise is taken away."""
+        return self.denoise == "wiener_bound" or (self.denoise != "none" and self.denoise_strength > 0)
+
+    @property
+    def adapts(self) -> bool:
+        """Whether the noise reduction depends on the noise itself, so that its effect on noise has no closed form."""
+        return self.denoises and self.denoise != "wiener_bound"
+
+    @property
+    def sharpens(self) -> bool:
+        """Whether the picture is sharpened."""
+        return self.sharpen_amount > 0
+
+    @property
+    def tone(self) -> dict[str, Any]:
+        """What the tone curve depends on, on which the ideal picture depends too; empty without one."""
+        if self.tone_curve == "none":
+            return {}
+        own = {"gamma": {"tone_gamma": self.tone_gamma}, "reinhard": {"tone_white": self.tone_white}}
+        return {"tone_curve": self.tone_curve} | (own.get(self.tone_curve, {}) if isinstance(self.tone_curve, str) else {})
+
+    @property
+    def words(self) -> str:
+        """What is on for frames of all kinds, for a headline; empty where they are shown as they are."""
+        strength = f" of strength {self.denoise_strength:g}" if self.adapts and self.denoise_strength != 1 else ""
+        radius = (
+            f"{self.sharpen_radius_px or 1.0:g} px"
+            if self.sharpen_radius_cy_per_deg is None
+            else f"{self.sharpen_radius_cy_per_deg:g} cy/deg"
+        )
+        tone = {"gamma": f"gamma {self.tone_gamma:g}", "reinhard": f"reinhard to {self.tone_white:g} × white"}
+        curve = "of a table" if not isinstance(self.tone_curve, str) else tone.get(self.tone_curve, self.tone_curve)
+        parts = (
+            f"denoised ({self.denoiser}{strength})" if self.denoises else "",
+            f"sharpened by {self.sharpen_amount:g} at {radius}" if self.sharpens else "",
+            f"tone curve {curve}" if self.tone else "",
+        )
+        return ", ".join(filter(None, parts))
 
 
 DEVELOP = Develop()
+
+
+def developed_words(develop: Develop, pixels: Iterable[PixelOptions]) -> str:
+    """Return what is on of the development of frames of some pixels, for a headline; empty where they are shown as they are."""
+    colours = [pixel.colour for pixel in pixels if pixel.colour is not None and not pixel.colour.is_stacked]
+    remosaics = develop.remosaic and any(binned_cell(colour.cell) for colour in colours)
+    return ", ".join(filter(None, ("remosaiced" if remosaics else "", develop.words)))
+
+
+OF_COLOUR_FRAMES = ("white_balance", "remosaic", "demosaic", "matrix")  # fields of Develop
 
 
 def check_develop(develop: Develop, pixel: PixelOptions) -> None:
@@ -46,12 +330,15 @@ def check_develop(develop: Develop, pixel: PixelOptions) -> None:
     colour = pixel.colour
     if colour is None:
         return
-    channels = channels_of(colour.cell)
-    if develop.demosaic in ("bilinear", "malvar2004", "menon2007") and not colour.is_bayer:
-        cell = "stacked channels" if colour.is_stacked else f"the unit cell {', '.join(colour.cell)}"
-        hint = "For 'quad_rggb', set pixel.colour.binning = true." if binned_cell(colour.cell) else ""
+    channels, cell = channels_of(colour.cell), colour.cell
+    if develop.remosaic and (single := () if colour.is_stacked else binned_cell(cell)):
+        cell = single
+    is_bayer = not colour.is_stacked and cell in BAYER.values()
+    if develop.demosaic in ("bilinear", "malvar2004", "menon2007") and not is_bayer:
+        words = "stacked channels" if colour.is_stacked else f"the unit cell {', '.join(cell)}"
+        hint = "For 'quad_rggb', set pixel.colour.binning = true or develop.remosaic = true." if binned_cell(cell) else ""
         allowed = f"'{develop.demosaic}' for the unit cells {', '.join(BAYER)}; 'interpolate' for any other"
-        raise invalid("develop.demosaic", f"'{develop.demosaic}' for {cell}", allowed, hint)
+        raise invalid("develop.demosaic", f"'{develop.demosaic}' for {words}", allowed, hint)
     if develop.white_balance != "known" and len(develop.white_balance) != len(channels):
         got = f"{len(develop.white_balance)} gains for {len(channels)} channels"
         raise invalid("develop.white_balance", got, f"'known', or a gain for each of {', '.join(channels)}")

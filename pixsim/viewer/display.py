@@ -335,18 +335,31 @@ def frame_luminance(
     shading : (rows, columns) by which the frame is divided: mean collection of the pixels relative to one on axis; None for none
     single : compute the means in float32, if `fits_single`
 
-    Raises PixsimError if the edges do not increase, or if the shading is not one of positive numbers for the frame's pixels.
+    Raises PixsimError if the edges do not increase, and as `relative_to_white` does.
     """
-    picture = frame.electrons
+    picture = relative_to_white(frame.electrons, frame, white_e, shading, single=single)
+    return on_dots(picture, frame.pitch_um, size_um, display, edges_um, frame.registration)
+
+
+@checks_arguments
+def relative_to_white(
+    picture: Picture, frame: Frame, white_e: Electrons, shading: Array | None = None, *, single: bool = False
+) -> Array:
+    """Return electrons over those of white, without shading, (rows, columns), in which the given ones are overwritten.
+
+    picture : (rows, columns) electrons of a frame's pixels
+    frame : of which they are
+    white_e, shading, single : as of `frame_luminance`
+
+    Raises PixsimError if the shading is not one of positive numbers for the frame's pixels.
+    """
     picture /= white_e
     if shading is not None:
         if shading.shape != picture.shape or not np.all(shading > 0):
             got = f"an array {shading.shape}" + (" with values that are not above 0" if shading.shape == picture.shape else "")
             raise invalid("shading", got, f"positive values for each of the {picture.shape} pixels")
         picture /= shading
-    if single and fits_single(frame, white_e):
-        picture = picture.astype(np.float32)
-    return on_dots(picture, frame.pitch_um, size_um, display, edges_um, frame.registration)
+    return picture.astype(np.float32) if single and fits_single(frame, white_e) else picture
 
 
 @checks_arguments

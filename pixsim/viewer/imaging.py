@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -50,8 +51,8 @@ class Imaging:
 
     @cached_property
     def physics(self) -> PixelPhysics:
-        """Physical properties of the pixel, at the gain of the exposure."""
-        return derive(self.pixel, self.process).at_gain(self.exposure.gain_db)
+        """Physical properties of the pixel, as its exposure reads it."""
+        return derive(self.pixel, self.process).at_exposure(self.exposure)
 
     def at(self, pitch_um: float) -> Imaging:
         """Return the same with pixels of another size."""
@@ -81,9 +82,8 @@ class Imaging:
         without : irradiance of the scene without its target, if a metric asks for it
         """
         own = irradiance, self.camera, physics or self.physics, self.display
-        return prepare_scene(
-            *own, border_um=self.border_um, single=self.single, lights=lights, judging=self.judging, without=without
-        )
+        more: dict[str, Any] = {"judging": self.judging, "without": without, "develop": self.develop}
+        return prepare_scene(*own, border_um=self.border_um, single=self.single, lights=lights, **more)
 
     def prepared(self, light: SharedLight, physics: PixelPhysics) -> PreparedScene:
         """Return light that a series shares, prepared for its pixels."""

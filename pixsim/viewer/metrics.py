@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import dis
-import hashlib
-import inspect
 import math
-import pickle
-import sysconfig
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
-from types import CellType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.user_code import by_value, code_hash
 
 if TYPE_CHECKING:
     from pixsim.viewer.judged import Judged
@@ -27,8 +21,6 @@ if TYPE_CHECKING:
 # Columns of rows beside those of metrics.
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
 OF_PIXEL = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)
-# Code that versions tell, not results: of pixsim, of Python and of installed packages.
-OF_VERSIONS = (str(Path(__file__).parents[1]), *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")))
 HISTOGRAM_BINS = 1 << 14
 COUNTED = 1 << 18  # values at a time, many more than bins
 ROUNDING = 1e-5  # relative, of means in single precision
@@ -165,10 +157,7 @@ class OwnFunction:
     function: Callable[[Score], float]
 
     def __reduce__(self) -> tuple[type[OwnFunction], tuple[object]]:
-        """By value: the workers of a study do not have the script or the notebook of the function."""
-        from joblib import wrap_non_picklable_objects
-
-        return OwnFunction, (wrap_non_picklable_objects(self.function, keep_wrapper=False),)
+        return OwnFunction, (by_value(self.function),)
 
     def __call__(self, score: Score) -> tuple[float]:
         value = self.function(score)
@@ -176,36 +165,6 @@ class OwnFunction:
             got = f"{value!r:.80} of {self.function.__name__}"
             raise invalid("metrics", got, "a function that returns one finite number of a Score")
         return (float(value),)
-
-
-def content_of(value: object, seen: list[object]) -> str:
-    """Return what the results of a user's function depend on: its code, and the functions and values to which that refers.
-
-    value : the function, or what it refers to
-    seen : such values that were met before, to which this one is added
-    """
-    if inspect.ismodule(value) or any(value is one for one in seen):
-        return ""
-    seen.append(value)
-    function = getattr(value, "__func__", value)  # of a method
-    if not inspect.isfunction(function) or function.__code__.co_filename.startswith(OF_VERSIONS):
-        try:
-            return inspect.getsource(value) if inspect.isclass(value) else hashlib.blake2b(pickle.dumps(value)).hexdigest()
-        except Exception:  # whatever a class of the user's raises
-            return f"{type(value)} {getattr(value, '__qualname__', '')}"
-    codes = [function.__code__]
-    for each in codes:  # with those of functions inside
-        codes += [constant for constant in each.co_consts if inspect.iscode(constant)]
-    constants = [
-        [sorted(map(repr, one)) if isinstance(one, frozenset) else repr(one) for one in each.co_consts if not inspect.iscode(one)]
-        for each in codes
-    ]
-    own = [(each.co_code, each.co_names, constant) for each, constant in zip(codes, constants, strict=True)]
-    used = {step.argval for each in codes for step in dis.get_instructions(each) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
-    names = sorted(used & function.__globals__.keys())
-    cells = [cell.cell_contents for cell in function.__closure__ or () if cell != CellType()]
-    others = [*(function.__globals__[name] for name in names), *cells, function.__defaults__, function.__kwdefaults__]
-    return " ".join([repr(own), *(content_of(other, seen) for other in others)])
 
 
 def own_metric(function: Callable[[Score], float], name: str = "") -> Metric:
@@ -234,7 +193,7 @@ def own_metric(function: Callable[[Score], float], name: str = "") -> Metric:
         bounds=(-math.inf, math.inf),
         compute=OwnFunction(function),
         needs_frame=False,
-        code=hashlib.blake2b(content_of(function, []).encode(), digest_size=8).hexdigest(),
+        code=code_hash(function),
     )
 
 

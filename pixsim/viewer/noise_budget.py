@@ -36,8 +36,10 @@ from pixsim.sensor.integration import (
 )
 from pixsim.sensor.noise import variances_e2, without_source
 from pixsim.sensor.pixel import PixelPhysics
-from pixsim.sensor.readout import MAX_CODE_BITS, Frame
-from pixsim.viewer.develop import frame_rgb, white_y, xyz_weights
+from pixsim.sensor.quantities import MAX_CODE_BITS
+from pixsim.sensor.readout import Frame
+from pixsim.viewer.develop import white_y, xyz_weights
+from pixsim.viewer.develop_steps import PLANES, developed
 from pixsim.viewer.display import means_on_dots, white_rate
 from pixsim.viewer.parts import Parts, at_every_pixel, delta_e_parts, noiseless_frame
 from pixsim.viewer.score import ImagingChain, PreparedScene, shown
@@ -124,7 +126,7 @@ def variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]:
     of_sources = {name: float(np.mean(value)) for name, value in variances_e2(p, light_e=light_e, dark_e=dark_e).items()}
     of_dark = {DARK: dark_e} if dark_e > 0 else {}
     found = {name: value for name, value in reversed(of_sources.items()) if value > 0} | of_dark
-    return {ROUNDING: 1 / 12 / p.dn_per_e**2} | found | {SHOT: float(np.mean(light_e))}
+    return {ROUNDING: p.rounding_variance_dn2 / p.dn_per_e**2} | found | {SHOT: float(np.mean(light_e))}
 
 
 def finer_adc(physics: PixelPhysics) -> PixelPhysics:
@@ -139,7 +141,7 @@ def delta_e_of_noise(
     chain: ImagingChain, frame: Frame, parts: Parts, variances: dict[str, float], key: tuple[object, ...]
 ) -> dict[str, float]:
     """Return what each cause of noise takes off the mean ΔE, in the order of `variances`; together `Parts.noise`."""
-    exposure = chain.exposure.model_copy(update={"integration_s": frame.integration_s})
+    exposure = chain.exposure.lasting(frame.integration_s)
     physics, steps = chain.physics, [parts.mean_delta_e]
     for name in variances:
         if name == SHOT:
@@ -178,13 +180,13 @@ def delta_e_of_blur(
     collection = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
     matrix = np.ones((1, 1)) if rendition is None else rendition.to_display
 
-    def delta_e_on(dots: Array) -> float:
-        picture = shown(dots[0] if rendition is None else dots, screen.display)
-        return float(screen.delta_e_of(picture).mean())
+    def delta_e_on(light: Array) -> float:
+        return float(screen.delta_e_of(shown(chain.toned(light), screen.display)).mean())
 
     def of_pixels(rates: list[Array], shares: bool) -> float:
         planes = [at_every_pixel(rate, light, physics, collection, shares=shares) / white for rate in rates]
-        return delta_e_on(frame_rgb(planes, still, matrix, screen.size_um, screen.display, screen.dot_edges_um))
+        c = chain.developing(still, None if rendition is None else matrix)
+        return delta_e_on(chain.mixed_on_dots(developed(planes, c, PLANES), c))
 
     names: list[str] = []
     steps = [whole]
@@ -214,6 +216,6 @@ def delta_e_of_blur(
 
 
 def on_dots(rates: list[Array], light: PreparedScene, chain: ImagingChain, matrix: Array, white: float) -> Array:
-    """Return the light of the display's dots, (C, H, W), of rates (H, W) that no pixel samples, 1 for white."""
+    """Return the light of the display's dots, (H, W) or (3, H, W), of rates (H, W) that no pixel samples, 1 for white."""
     means = [means_on_dots(rate, light.sample_pitch_um, chain.screen.dot_edges_um) / white for rate in rates]
-    return mixed(matrix, means)
+    return means[0] if chain.rendition is None else mixed(matrix, means)

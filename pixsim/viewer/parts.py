@@ -34,7 +34,8 @@ from pixsim.sensor.integration import (
 )
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, integration_time_s, make_frame
-from pixsim.viewer.develop import frame_rgb, white_y, xyz_weights
+from pixsim.viewer.develop import white_y, xyz_weights
+from pixsim.viewer.develop_steps import PLANES, developed
 from pixsim.viewer.score import ImagingChain, PreparedScene, shown
 
 
@@ -87,7 +88,8 @@ def delta_e_parts(
         # Without a stack, channels record their own light only.
         recorded = (_mixed_at_every_pixel(light, physics, chain), chain.matrix) if chain.collection else (planes, own.matrix)
         for channels, matrix in (recorded, (planes, own.matrix), (observed, light.rendition.to_display)):
-            picture = frame_rgb(channels, still, matrix, screen.size_um, screen.display, screen.dot_edges_um)
+            c = own.developing(still, matrix)
+            picture = own.toned(own.mixed_on_dots(developed(list(channels), c, PLANES), c))
             steps.append(float(screen.delta_e_of(shown(picture, screen.display)).mean()))
     else:
         steps += [steps[-1]] * 3
@@ -98,7 +100,7 @@ def delta_e_parts(
 
 def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
     """Return the frame of the mean electrons, without noise, fixed pattern and rounding; as of a well without end."""
-    exposure = chain.exposure.model_copy(update={"integration_s": integration_s})
+    exposure = chain.exposure.lasting(integration_s)
     empty = np.zeros(chain.signal_e_per_s.shape, np.int32)
     frame = make_frame(empty, 0.0, chain.signal_e_per_s, chain.physics, exposure)
     return replace(frame, corrected_e=(chain.signal_e_per_s * integration_s).astype(np.float32))

@@ -44,15 +44,15 @@ def variance_of_pixels_e2(chain: ImagingChain, signal_e: Array | float, time_s: 
     p = chain.physics
     dark_e = p.dark_current_e_per_s * time_s
     alone = variance_e2(p, signal_e + dark_e, light_e=signal_e, dark_e=dark_e, along="pixel")
-    return np.asarray(alone + 1 / (12 * p.dn_per_e**2))
+    return np.asarray(alone + p.rounding_variance_dn2 / p.dn_per_e**2)
 
 
 def range_e(chain: ImagingChain, time_s: float) -> tuple[float, float]:
     """Return the ends of the signals that neither the well nor the codes clip, in electrons."""
     p = chain.physics
     dark_e = p.dark_current_e_per_s * time_s
-    top_e = (2**p.pixel.bits - 1 - p.pixel.black_level_dn) / p.dn_per_e - dark_e  # `frame_mean_dn` is linear
-    return -p.pixel.black_level_dn / p.dn_per_e - dark_e, min(saturation_level_e(time_s, p) - dark_e, top_e)
+    top_e = (p.top_code_dn - p.black_level_dn) / p.dn_per_e - dark_e  # `frame_mean_dn` is linear
+    return -p.black_level_dn / p.dn_per_e - dark_e, min(saturation_level_e(time_s, p) - dark_e, top_e)
 
 
 def clips(chain: ImagingChain, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
@@ -75,7 +75,8 @@ def _d_prime(chain: ImagingChain, time_s: float) -> float:
     spread = float(np.mean(variance_e2(p, light_e=1.0, along="pixel"))) - float(np.mean(variance_e2(p, along="pixel")))
     variance = variance_of_pixels_e2(chain, (with_e + without_e) / 2, time_s)
     variance += spread / 4 * difference**2
-    sigma_dn = math.sqrt(max(p.dn_per_e**2 * float(variance.min()) - 1 / 12, 0.0))  # before it is rounded
+    unrounded_dn2 = p.dn_per_e**2 * float(variance.min()) - p.rounding_variance_dn2
+    sigma_dn = math.sqrt(max(unrounded_dn2, 0.0) / p.exposures)  # of an exposure, before it is rounded
     if sigma_dn < LEAST_SIGMA_DN:
         got = f"noise of {sigma_dn:.2g} DN in pixels of {p.pitch_um:g} µm, which the ADC rounds away"
         hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
@@ -275,7 +276,7 @@ SNR10_LX = Metric(
     better="less",
     judges="shown picture",
     source="Alakarhu, International Image Sensor Workshop (2007), per dot of the display",
-    unseen="sharpness, colour, corrections of the frame, and all levels but one",
+    unseen="sharpness, colour, corrections and development of the frame, and all levels but one",
     columns=("snr10_lx",),
     bounds=(0.0, 1e15),
     compute=_snr10_lx,

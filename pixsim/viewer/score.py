@@ -7,13 +7,14 @@ import os
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.arguments import NotNegative, Whole, checks_arguments, checks_fields, made
-from pixsim.base.arrays import Array, mixed, stream
+from pixsim.base.arrays import Array, stream
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
@@ -45,6 +46,7 @@ from pixsim.sensor.readout import (
     dark_spread_e,
     integration_time_s,
     least_black_level_dn,
+    make_frame,
     sample_sensor,
 )
 from pixsim.show.document import pairs
@@ -56,8 +58,9 @@ from pixsim.show.sentences import rounded, sentence, settings_line
 from pixsim.viewer import display as displays
 from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.colour_matrix import metamerism_index
-from pixsim.viewer.develop import Rendition, balanced_planes, frame_rgb, ideal_rgb, noise_covariance, rendition_of
+from pixsim.viewer.develop import Rendition, ideal_rgb, rendition_of
 from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
+from pixsim.viewer.develop_steps import SHOWN, Developing, developed, developed_planes, noise_covariance
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.judged import DELTA_E_ONLY, Judged, Judging, frame_statistics, numbers_of
 from pixsim.viewer.judges.information_density import radial_spectrum
@@ -74,6 +77,8 @@ from pixsim.viewer.scielab import (
     grey_delta_e_map,
     xyz_to_lab,
 )
+from pixsim.viewer.sharpening import noise_gain
+from pixsim.viewer.tone import luminance_of, toned
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 
 if TYPE_CHECKING:
@@ -84,6 +89,9 @@ T = TypeVar("T")
 S = TypeVar("S", bound="Score")
 CLIPPED_WARNING = 0.01
 ROUNDING = 1e-6  # of white, in the luminance of a dot
+MIN_RADIUS_PX, MAX_RADIUS_PX = 0.1, 100.0  # of the blur of sharpening
+PHASES_PX = (-1 / 3, 0.0, 1 / 3)  # of dots on pixels
+DOTS_OF_PATCH, LEAST_PATCH, MOST_PATCH = 48, 96, 256  # of even frames that tell of noise: dots across, and pixels
 PANEL_IN = 3.1  # width of each picture of a figure
 SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
 WHITE_PERCENTILE = 99.0  # of the ideal image of a scene whose white is unknown
@@ -305,11 +313,6 @@ class Screen:
         display = self.display.model_copy(update={"samples_per_deg": samples_per_deg})
         return replace(self, display=display, ideal_lab=perceived_lab(self.ideal, display, self.full, self.single))
 
-    def luminance(self, frame: Frame, white_e: float, shading: Array | None = None) -> Array:
-        """Return `displays.frame_luminance` on these dots."""
-        own = self.size_um, white_e, self.display, self.dot_edges_um, shading
-        return displays.frame_luminance(frame, *own, single=self.single)
-
     def delta_e_of(self, image: Array) -> Array:
         """Return the S-CIELAB difference between a shown picture and the ideal one, (H, W)."""
         if self.display.delta_e != "1976" or self.full:
@@ -453,9 +456,52 @@ class ImagingChain:
         if self.develop.matrix != "noise_aware":
             return self.rendition.matrix(self.develop)
         time_s = integration_time_s(self.exposure, self.physics, float(self.signal_e_per_s.max()))
-        white_e, screen = time_s * np.array(self.whites_e_per_s), self.screen
-        own = self.rendition, self.physics, self.develop, screen.display, white_e, time_s
-        return self.rendition.matrix(self.develop, noise_covariance(*own, screen.dot_um))
+        return self.rendition.matrix(self.develop, self.channel_covariance(time_s))
+
+    def channel_covariance(self, integration_s: float) -> Array:
+        """Return the covariance of the balanced channels on each patch of the chart, (P, C, C), as means over a dot.
+
+        In closed form, or, of noise reduction that adapts to the picture, of simulated frames.
+        """
+        assert self.rendition is not None
+        if self.develop.adapts:
+            return self._covariance_of_frames(integration_s)
+        empty = np.zeros(self.signal_e_per_s.shape, np.int32)
+        exposure = self.exposure.lasting(integration_s)
+        frame = make_frame(empty, 0.0, self.signal_e_per_s, self.physics, exposure)
+        return noise_covariance(self.developing(frame, matrix=None), self.rendition.responses, self.screen.dot_um)
+
+    def _covariance_of_frames(self, integration_s: float) -> Array:
+        """Estimate `channel_covariance` by a frame of an even patch each, of a sensor of its own, without correction."""
+        layout, screen, physics = self.physics.layout, self.screen, self.physics
+        assert self.rendition is not None
+        assert layout is not None
+        pitch_um, cell = physics.read_pitch_um, max(layout.period)
+        dot_um = screen.dot_um or pitch_um
+        side = cell * math.ceil(min(max(DOTS_OF_PATCH * dot_um / pitch_um, LEAST_PATCH), MOST_PATCH) / cell)
+        count = max(2, math.floor(side * pitch_um / dot_um) - 2)  # but those at the edges
+        edges_um = side * pitch_um / 2 + (np.arange(count + 1.0) - count / 2) * min(dot_um, side * pitch_um / count)
+        rates = np.maximum(self.rendition.responses, 0.0) * np.array(self.whites_e_per_s)
+        exposure = self.exposure.lasting(integration_s)
+        whole = replace(self.screen, size_um=(side * pitch_um, side * pitch_um), dot_edges_um=(edges_um, edges_um))
+        display = screen.display.model_copy(update={"dots": max(8, count)})  # decides on the order of the axes alone
+        physics = replace(physics, pixel=physics.pixel.model_copy(update={"registration": None}))
+        found = []
+        for number, own in enumerate(rates):
+            signal = of_channels(own, layout, (side * layout.planes, side))
+            patch = replace(self, signal_e_per_s=signal, physics=physics, exposure=exposure, screen=whole, correction=NO_CORRECTION)
+            key = "covariance of patches", number
+            frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
+            planes = developed_planes(replace(patch.developing(frame, matrix=None), shading=None))
+            each = []
+            for at in product(PHASES_PX, repeat=2):  # in the mean over where the dots lie on the pixels
+                places = [edges_um + phase * pitch_um for phase in at]
+                own = whole.size_um, display, (places[0], places[1]), frame.registration
+                dots = np.stack([displays.on_dots(plane, pitch_um, *own).ravel() for plane in planes])
+                away = dots - dots.mean(axis=1, keepdims=True)
+                each.append((away[:, None] * away).mean(axis=2))
+            found.append(np.mean(each, axis=0))
+        return np.array(found)
 
     def colour_facts(self, integration_s: float) -> dict[str, Any]:
         """Return what score.json has of a colour sensor: its channels, matrix and noise in an exposure."""
@@ -477,27 +523,79 @@ class ImagingChain:
             "dots_per_pixel": 1.0 if dot_um is None else pitch_um / dot_um,
         }
 
+    @property
+    def sharpen_px(self) -> float:
+        """Standard deviation, in pixels, of the blur of sharpening. Raises PixsimError for one that is too wide."""
+        develop, pitch_um = self.develop, self.physics.read_pitch_um
+        if develop.sharpen_radius_cy_per_deg is None:
+            return develop.sharpen_radius_px or 1.0
+        dots = self.screen.display.samples_per_deg / (2 * math.pi * develop.sharpen_radius_cy_per_deg)
+        pixels = dots * (self.screen.dot_um or pitch_um) / pitch_um
+        if not pixels <= MAX_RADIUS_PX:
+            got = f"{develop.sharpen_radius_cy_per_deg:g}, a blur of {pixels:.3g} pixels of {pitch_um:g} µm"
+            raise invalid("develop.sharpen_radius_cy_per_deg", got, f"up to {MAX_RADIUS_PX:g} pixels", "Raise it.")
+        return max(pixels, MIN_RADIUS_PX)
+
+    @property
+    def sharpening_noise_gain(self) -> float:
+        """By how much sharpening amplifies the standard deviation of noise that is independent from pixel to pixel."""
+        return noise_gain(self.develop.sharpen_amount, self.sharpen_px)
+
+    def developing(self, frame: Frame, matrix: Array | None) -> Developing:
+        """Return a frame with all that the steps of its development know.
+
+        matrix : from the channels to the display's primaries; None leaves it out
+        """
+        develop, time_s = self.develop, frame.integration_s
+        return Developing(
+            frame,
+            develop,
+            self.screen.display,
+            np.array(self.whites_e_per_s) * time_s,
+            self.physics,
+            self.correction,
+            self.shading,
+            self.screen.single,
+            self.signal_e_per_s * time_s if develop.denoise == "wiener_bound" else None,
+            self.sharpen_px if develop.sharpens else 1.0,
+            matrix,
+        )
+
     def light(self, frame: Frame, window: Callable[[Array], Array] | None = None) -> Array:
         """Return what a frame asks of the display's dots: luminance (H, W), or light of the primaries (3, H, W), 1 for white.
 
         window : selects a part of the dots; None takes all
         """
-        screen, whites_e = self.screen, np.array(self.whites_e_per_s) * frame.integration_s
-        if self.rendition is None:
-            luminance = screen.luminance(frame, float(whites_e[0]), self.shading)
-            return luminance if window is None else window(luminance)
-        planes = balanced_planes(frame, self.develop, whites_e, self.physics.saturation_e, self.shading, single=screen.single)
-        own = screen.size_um, screen.display, screen.dot_edges_um
-        light = frame_rgb(planes, frame, self.matrix, *own)
-        return light if window is None else np.stack([window(plane) for plane in light])
+        return self.toned(self.light_before_tone(frame, window))
+
+    def toned(self, light: Array) -> Array:
+        """Return light behind the tone curve."""
+        return toned(light, self.develop, self.screen.display)
+
+    def light_before_tone(self, frame: Frame, window: Callable[[Array], Array] | None = None) -> Array:
+        """Return `light` without the tone curve."""
+        c = self.developing(frame, None if self.rendition is None else self.matrix)
+        return self.mixed_on_dots(developed_planes(c), c, window)
+
+    def mixed_on_dots(self, planes: Sequence[Array], c: Developing, window: Callable[[Array], Array] | None = None) -> Array:
+        """Return the light of developed planes on the dots, before the tone curve.
+
+        c : with the matrix
+        """
+        screen, frame = self.screen, c.frame
+        own = screen.size_um, screen.display, screen.dot_edges_um, frame.registration
+        light: Array = developed([displays.on_dots(plane, frame.pitch_um, *own) for plane in planes], c, SHOWN, but=("tone_curve",))
+        if window is None:
+            return light
+        return window(light) if light.ndim == 2 else np.stack([window(plane) for plane in light])
 
     def score_frame(self, frame: Frame) -> FrameScore:
         """Return the score of a frame as shown on the screen, with ΔE alone."""
         screen = self.screen
-        light, gamut = self.light(frame), None
+        light, gamut = self.light_before_tone(frame), None
         if light.ndim == 3:
             gamut = screen.ideal_out_of_gamut, displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
-        image = shown(light, screen.display, in_place=True)
+        image = shown(self.toned(light), screen.display, in_place=True)
         # Pixels that fill the picture exactly may begin at -1e-18 µm.
         border_um = max(0.0, float(screen.dot_edges_um[0][0])), max(0.0, float(screen.dot_edges_um[1][0]))
         delta_e = screen.delta_e_of(image)
@@ -625,11 +723,6 @@ def check_one_ideal(grey: Sequence[str], coloured: Mapping[str, Array]) -> None:
         raise invalid("sensors", got, "a scene that has one ideal image for all", hint)
 
 
-def luminance_of(light: Array) -> Array:
-    """Return the luminance, (H, W), 1 for white, of what an ideal image asks of the dots, (H, W) or (3, H, W)."""
-    return light if light.ndim == 2 else mixed(displays.XYZ_FROM_RGB[1:2] / displays.WHITE_XYZ[1], list(light))[0]
-
-
 def fraction_beyond_white(light: Array) -> float:
     """Return the fraction of dots of an ideal image, (H, W) or (3, H, W), that are brighter than display white."""
     return float(np.mean(luminance_of(light) > 1 + ROUNDING))
@@ -723,6 +816,7 @@ def prepare_scene(
     others: Sequence[Display] = (),
     judging: Judging = DELTA_E_ONLY,
     without: SpectralImage | None = None,
+    develop: Develop = DEVELOP,
 ) -> PreparedScene:
     """Return the light behind the lens and the screens. They depend on the pitch only if the raster is one_to_one.
 
@@ -732,6 +826,7 @@ def prepare_scene(
     lights : behind the lens, of a part of a picture whose blur depends on its place; None computes them
     judging : what is asked of the judges
     without : the irradiance of the scene without its target, if a metric asks for it
+    develop : whose tone curve the ideal image has, too
 
     Raises PixsimError if the irradiance is negative or not finite, or without the target has other samples.
     """
@@ -741,7 +836,7 @@ def prepare_scene(
     channels = physics.channels
     rendition = None if physics.layout is None else rendition_of(irradiance, channels, display)
     make_screen = partial(
-        screen_of, irradiance, camera, physics, border_um=border_um, rendition=rendition, full=full, single=single
+        screen_of, irradiance, camera, physics, border_um=border_um, rendition=rendition, full=full, single=single, develop=develop
     )
     screen, beyond_white = make_screen(display)
     of_dots, screens = {display.dots: screen}, [screen]
@@ -773,17 +868,19 @@ def screen_of(
     rendition: Rendition | None = None,
     full: bool = False,
     single: bool = False,
+    develop: Develop = DEVELOP,
 ) -> tuple[Screen, float]:
     """Return the screen for a display, and the fraction of the ideal image's dots that are brighter than display white.
 
-    border_um, full, single : as of `prepare_scene`
+    border_um, full, single, develop : as of `prepare_scene`
     rendition : of a colour sensor
     """
     border_um = physics.as_read.border_um if border_um is None else border_um
     edges_um, light = ideal_on_dots(irradiance, camera, physics, display, border_um, rendition)
+    gamut = 0.0 if rendition is None else displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
+    light = toned(light, develop, display)
     ideal, single = shown(light, display), single and not full
     lab = perceived_lab(ideal, display, full, single)
-    gamut = 0.0 if rendition is None else displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
     screen = Screen(display, displays.picture_size_um(irradiance), edges_um, ideal, lab, full, single, gamut)
     return screen, fraction_beyond_white(light)
 
@@ -811,7 +908,7 @@ class SceneCache:
     """Prepared scenes of one irradiance, camera and display, made on first use and stored while memory allows.
 
     channels : of the pixels, the most of those that share the cache
-    single, others, judging, without : of `prepare_scene`
+    single, others, judging, without, develop : of `prepare_scene`
     """
 
     def __init__(
@@ -825,9 +922,11 @@ class SceneCache:
         others: Sequence[Display] = (),
         judging: Judging = DELTA_E_ONLY,
         without: SpectralImage | None = None,
+        develop: Develop = DEVELOP,
     ) -> None:
         self.irradiance, self.camera, self.display, self.channels = irradiance, camera, display, channels
         self.single, self.others, self.judging, self.without = single, tuple(others), judging, without
+        self.develop = develop
         self._scenes: dict[object, PreparedScene] = {}
         self._facts: dict[object, IdealFacts] = {}
 
@@ -839,9 +938,8 @@ class SceneCache:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
             own = self.irradiance, self.camera, physics, self.display
-            scene = prepare_scene(
-                *own, border_um=border_um, single=self.single, others=self.others, judging=self.judging, without=self.without
-            )
+            more: dict[str, Any] = {"judging": self.judging, "without": self.without, "develop": self.develop}
+            scene = prepare_scene(*own, border_um=border_um, single=self.single, others=self.others, **more)
             self._scenes[key], self._facts[key] = scene, IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal))
         return self._scenes[key]
 
@@ -853,9 +951,10 @@ class SceneCache:
         return IdealFacts(fraction_beyond_white(light), lightness_range(shown(light, self.display)))
 
     def ideal(self, physics: PixelPhysics, border_um: float) -> Array:
-        """Return what the ideal image of a pixel asks of the dots, as `ideal_on_dots`."""
+        """Return what the ideal image of a pixel asks of the dots, as `ideal_on_dots`, behind the tone curve."""
         rendition = None if physics.layout is None else rendition_of(self.irradiance, physics.channels, self.display)
-        return ideal_on_dots(self.irradiance, self.camera, physics, self.display, border_um, rendition)[1]
+        light = ideal_on_dots(self.irradiance, self.camera, physics, self.display, border_um, rendition)[1]
+        return toned(light, self.develop, self.display)
 
     @cached_property
     def content(self) -> str:
@@ -887,8 +986,8 @@ def chain_at_pitch(
     signal, collections = array_signal(light.lights, light.sample_pitch_um, physics, light.array_um)
     if light.exposed_for is not None and exposure.integration_s is None:
         calm, _ = array_signal(light.exposed_for, light.sample_pitch_um, physics, light.array_um)
-        time_s = integration_time_s(exposure, physics.as_read.at_gain(exposure.gain_db), float(calm.max()))
-        exposure = exposure.model_copy(update={"integration_s": time_s})
+        time_s = integration_time_s(exposure, physics.as_read, float(calm.max()))
+        exposure = exposure.lasting(time_s)
     return _chain(light, physics, exposure, correction, develop, signal, collections)
 
 
@@ -934,7 +1033,7 @@ def _chain(
     signal: Array,
     collections: Sequence[Collection],
 ) -> ImagingChain:
-    read, rendition = physics.as_read.at_gain(exposure.gain_db), light.rendition
+    read, rendition = physics.as_read.at_exposure(exposure), light.rendition
     check_whole_cell(read, signal.shape)
     collection: Collection | ColourCollection | None = collections[0] if collections else None
     if collections and rendition is not None:
@@ -985,7 +1084,7 @@ def make_imaging_chain(
     keep = keep and not judging.needs_light
     key = _key_of_chain(irradiance, camera, physics, (exposure, display, correction, develop), full) if keep else None
     if key is None or key not in _kept_chains:
-        light = prepare_scene(irradiance, camera, physics, display, full, judging=judging, without=without)
+        light = prepare_scene(irradiance, camera, physics, display, full, judging=judging, without=without, develop=develop)
         found = chain_at_pitch(light, physics, exposure, correction, develop), light.beyond_white
     else:
         found = _kept_chains.pop(key)
@@ -1052,7 +1151,7 @@ def evaluate(
     camera : the one that the irradiance was rendered with
     exposure, display : None means the defaults
     correction : of the frame by the camera; None means none
-    develop : of a frame of a colour sensor; None means the default
+    develop : of a frame into a picture; None means the default
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
     metrics : names of metrics, or functions of a Score, each a number in its own unit; they are the score's `metrics`
@@ -1124,6 +1223,8 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     at 0 DN. Rounding and clipping raise their mean by Σ Φ((-½ - j - µ)/σ) over j = 0, 1, …, which is σφ(µ/σ) - µΦ(-µ/σ) if σ is
     many DN.
 
+    Of a burst the spread and `too_bright_e` are those of the frame, all else that of each exposure.
+
     white_e : mean electrons of the scene's white in this time
 
     spread_e, spread_dn : `dark_spread_e`
@@ -1140,6 +1241,12 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     >>> round(clip["at_zero_fraction"], 2), round(clip["too_bright_e"]), clip["least_black_level_dn"]
     (0.54, 71, 15)
     """
+    count = physics.exposures
+    if count > 1:
+        clip = dark_clip(physics.burst(1), integration_s / count, white_e / count)
+        spread_e = dark_spread_e(physics, integration_s)
+        of_frame = {"spread_e": spread_e, "spread_dn": physics.dn_per_e * spread_e, "too_bright_e": count * clip["too_bright_e"]}
+        return clip | of_frame
     p, gain = physics, physics.dn_per_e
     noise_dn = gain * math.sqrt(variance_e2(p))
     ordinary_e = p.dark_current_e_per_s * integration_s * p.dark_spread.ordinary_mean

@@ -14,6 +14,7 @@ from pixsim.base.toml import read_toml, resolve_file
 from pixsim.light.curves import RESPONSES
 from pixsim.optics.lens_options import as_file_names
 from pixsim.sensor.spread import without_uncertainty
+from pixsim.viewer.develop_options import has_tone_file
 from pixsim.viewer.merging import merged
 from pixsim.viewer.setting import Run
 
@@ -39,6 +40,9 @@ def settings_layer(path: Path) -> Layer:
     camera = table.get("camera")
     if isinstance(camera, dict) and "chief_ray_angle" in camera:
         table = {**table, "camera": camera | {"chief_ray_angle": resolve_file(path, camera["chief_ray_angle"])}}
+    develop = table.get("develop")
+    if isinstance(develop, dict) and has_tone_file(develop):
+        table = {**table, "develop": develop | {"tone_curve": resolve_file(path, develop["tone_curve"])}}
     lens = table.get("lens")
     if isinstance(lens, dict) and (files := [name for name in FILES_OF_LENS if name in lens]):
         named: dict[str, Any] = {name: resolve_file(path, lens[name]) for name in files}

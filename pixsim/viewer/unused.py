@@ -19,7 +19,7 @@ from pixsim.base.records import Record
 from pixsim.light.spectral import HIGH_NM, SpectralImage
 from pixsim.optics.camera import OF_DIE, Camera, CameraOptions
 from pixsim.optics.lens_options import LensOptions
-from pixsim.sensor.colour_options import efficiencies_of
+from pixsim.sensor.colour_options import binned_cell, efficiencies_of
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import PixelPhysics
@@ -239,6 +239,19 @@ def of_mosaic(c: Configuration) -> str:
     return of_colour(c) or ("stacked pixels have every channel" if c.pixel.colour and c.pixel.colour.is_stacked else "")
 
 
+def of_quad(c: Configuration) -> str:
+    colour = c.pixel.colour
+    if colour is None or colour.is_stacked:
+        return of_mosaic(c)
+    return "" if binned_cell(colour.cell) else "what is read has no unit cell of 2 x 2 equal pixels, as quad_rggb without binning"
+
+
+def of_denoise(c: Configuration) -> str:
+    if c.develop.denoise == "none":
+        return "develop.denoise is 'none'"
+    return "'wiener_bound' knows the noise, and has no strength" if c.develop.denoise == "wiener_bound" else ""
+
+
 def of_shading(c: Configuration) -> str:
     return of_stack(c) or ("flat frames (correction.flat_frames) remove the shading" if c.correction.flat_frames else "")
 
@@ -308,9 +321,19 @@ RULES = (
         ("exposure.max_integration_s", "exposure.well_target"),
         lambda c: "exposure.integration_s states the time" if c.exposure.integration_s else "",
     ),
+    Rule(("exposure.frame_time",), lambda c: "" if c.exposure.frames > 1 else "exposure.frames is 1"),
     Rule(("correction.flat_level",), lambda c: "" if c.correction.flat_frames else "correction.flat_frames is 0"),
-    Rule(fields_of("develop", Develop, "demosaic"), of_colour),
+    Rule(("develop.white_balance", "develop.matrix"), of_colour),
     Rule(("develop.demosaic",), of_mosaic),
+    Rule(("develop.remosaic",), of_quad),
+    Rule(("develop.denoise",), lambda c: "" if c.develop.denoises else "develop.denoise_strength is 0"),
+    Rule(("develop.denoise_strength",), of_denoise),
+    Rule(
+        ("develop.sharpen_radius_px", "develop.sharpen_radius_cy_per_deg"),
+        lambda c: "" if c.develop.sharpens else "develop.sharpen_amount is 0",
+    ),
+    Rule(("develop.tone_gamma",), lambda c: "" if c.develop.tone_curve == "gamma" else "develop.tone_curve is not 'gamma'"),
+    Rule(("develop.tone_white",), lambda c: "" if c.develop.tone_curve == "reinhard" else "develop.tone_curve is not 'reinhard'"),
     Rule(("display.adaptation",), of_colour),
     Rule(
         ("display.dots", "display.interpolation"),

@@ -40,6 +40,8 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture_from_rates, sample_sensor
 from pixsim.viewer import scielab
 from pixsim.viewer.demosaic import demosaic
+from pixsim.viewer.denoising.filters import denoised_plane
+from pixsim.viewer.denoising.wiener import wiener_plane
 from pixsim.viewer.display import WHITE_XYZ, frame_luminance
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import ImagingChain, PreparedScene, chain_at_pitch, prepare_scene, shown
@@ -83,6 +85,11 @@ def targets() -> None:
     mosaic = np.random.default_rng(2).uniform(0, 1, (1024, 1024))
     for method, target in (("bilinear", 0.12), ("malvar2004", 0.25), ("menon2007", None)):
         row(f"demosaicing, {method}, 1024²", target, partial(demosaic, mosaic, "rggb", method))
+    expected_e = 20 + 1000 * mosaic
+    raw_e = expected_e + 3 * np.random.default_rng(3).standard_normal(mosaic.shape)
+    row("denoising, wiener_bound, 1024²", 0.1, partial(wiener_plane, raw_e, expected_e, expected_e))
+    for method, target in (("wavelet", 0.5), ("nlm", 4.0)):
+        row(f"denoising, {method}, 1024²", target, partial(denoised_plane, raw_e, 9.0, method), 3)
     film, physics, general = chart(1024), derive(Pixel(pitch_um=5.3)), bands(1024)
     row("diffraction, 31 bands of one spectrum, 1024²", 0.15, partial(diffracted_rate, film, CAMERA, physics))
     row("diffraction, 31 bands, general, 1024²", 3.0, partial(diffracted_rate, general, CAMERA, physics), 3)
@@ -97,6 +104,11 @@ def targets() -> None:
         capture_from_rates(signal, sample_sensor(physics, shape, stream(1)), EXPOSURE, stream(2))
 
     row("noise of a sensor and a frame, 512²", 0.03, noise)
+    whole = np.kron(signal, np.ones((2, 2)))
+    sensor = sample_sensor(physics, whole.shape, stream(1))
+    for frames in (1, 8):
+        burst = EXPOSURE.model_copy(update={"frames": frames})
+        row(f"frame of {frames} exposures, 1024²", None, partial(capture_from_rates, whole, sensor, burst, stream(2)))
     show = partial(frame_luminance, frame, chain.screen.size_um, white_e, DISPLAY, chain.screen.dot_edges_um)
     row("display of a frame, 512² on 512 dots", None, show)
 

@@ -63,11 +63,11 @@ def curves() -> Iterator[Any]:
         yield SimpleNamespace(
             label="data sheet", optimum=best, pitch_um=pitch_um, light=LightError.of(header, film, causes), fit_swings=swings,
             no_difference_um=alike, alike_um=None, mean=lambda: np.full(8, 76.5), from_smallest=True, viewed=[view, view],
-            fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True, fitted_range_um=(0.47, 15.0),
+            fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True, fitted_range_um=(0.47, 15.0), developed="",
         )  # fmt: skip
     for film, causes in product(FILMS, NAMED):
         light = LightError.of({}, film, causes)
-        own = {"light": light, "mean": lambda: np.full(8, 76.5), "viewed": [], "judged_by_delta_e": True}
+        own = {"light": light, "mean": lambda: np.full(8, 76.5), "viewed": [], "judged_by_delta_e": True, "developed": ""}
         yield SimpleNamespace(label="4t-bsi", alike_um=(0.47, 15.0), **own)
 
 

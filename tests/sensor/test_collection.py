@@ -211,7 +211,7 @@ def test_shading_correction_divides_frame_and_noise() -> None:
     frame = off.capture("x")
     np.testing.assert_array_equal(frame.dn, on.capture("x").dn)
     assert off.even is not None
-    shown, raw = (item.screen.luminance(frame, 1e4, item.shading) for item in (on, off))
+    shown, raw = (item.light(frame) for item in (on, off))
     np.testing.assert_allclose(shown, raw / off.even, rtol=1e-6)
     assert off.even.min() < 0.9
 

@@ -189,7 +189,7 @@ def test_run_writes_frames_of_equal_sfr(tmp_path: Path, capsys: pytest.CaptureFi
         message.add(capsys.readouterr().out)
     assert len(message) == 1
     assert run(f"run slanted_edge {small} --pixel.bits 20 --raw png --out {tmp_path}/deep") == 2
-    assert "--raw: got tiff or png for an ADC of 20 bits" in capsys.readouterr().err
+    assert "--raw: got tiff or png for frames of 20 bits" in capsys.readouterr().err
     assert not (tmp_path / "deep").exists()
 
 

@@ -9,9 +9,10 @@ import pytest
 
 import pixsim
 from pixsim import Camera, Display, Pixel, PixsimError, SpectralImage, compare, evaluate, run, score_pictures, study
+from pixsim.base.user_code import content_of
 from pixsim.viewer import metric_registry
 from pixsim.viewer.metric_registry import METRICS, metrics_named
-from pixsim.viewer.metrics import content_of, own_metric
+from pixsim.viewer.metrics import own_metric
 
 SMALL = """name = "small"
 repeats = 2

@@ -1,0 +1,56 @@
+"""Functions of the user's: what their results depend on, and how they travel to workers."""
+
+from __future__ import annotations
+
+import dis
+import hashlib
+import inspect
+import pickle
+import sysconfig
+from pathlib import Path
+from types import CellType
+
+# Code that versions tell, not results: of pixsim, of Python and of installed packages.
+OF_VERSIONS = (str(Path(__file__).parents[1]), *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")))
+
+
+def code_hash(function: object) -> str:
+    """Return a hash of what the results of a user's function depend on, 16 hexadecimal digits."""
+    return hashlib.blake2b(content_of(function, []).encode(), digest_size=8).hexdigest()
+
+
+def by_value(function: object) -> object:
+    """Return a function that is pickled by value: the workers of a study do not have the script or the notebook of it."""
+    from joblib import wrap_non_picklable_objects
+
+    return wrap_non_picklable_objects(function, keep_wrapper=False)
+
+
+def content_of(value: object, seen: list[object]) -> str:
+    """Return what the results of a user's function depend on: its code, and the functions and values to which that refers.
+
+    value : the function, or what it refers to
+    seen : such values that were met before, to which this one is added
+    """
+    if inspect.ismodule(value) or any(value is one for one in seen):
+        return ""
+    seen.append(value)
+    function = getattr(value, "__func__", value)  # of a method
+    if not inspect.isfunction(function) or function.__code__.co_filename.startswith(OF_VERSIONS):
+        try:
+            return inspect.getsource(value) if inspect.isclass(value) else hashlib.blake2b(pickle.dumps(value)).hexdigest()
+        except Exception:  # whatever a class of the user's raises
+            return f"{type(value)} {getattr(value, '__qualname__', '')}"
+    codes = [function.__code__]
+    for each in codes:  # with those of functions inside
+        codes += [constant for constant in each.co_consts if inspect.iscode(constant)]
+    constants = [
+        [sorted(map(repr, one)) if isinstance(one, frozenset) else repr(one) for one in each.co_consts if not inspect.iscode(one)]
+        for each in codes
+    ]
+    own = [(each.co_code, each.co_names, constant) for each, constant in zip(codes, constants, strict=True)]
+    used = {step.argval for each in codes for step in dis.get_instructions(each) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    names = sorted(used & function.__globals__.keys())
+    cells = [cell.cell_contents for cell in function.__closure__ or () if cell != CellType()]
+    others = [*(function.__globals__[name] for name in names), *cells, function.__defaults__, function.__kwdefaults__]
+    return " ".join([repr(own), *(content_of(other, seen) for other in others)])

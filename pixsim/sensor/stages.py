@@ -1,0 +1,68 @@
+"""Signal stages: what lies between the light on a sensor and its frame and may be left out. A stage that is off does nothing.
+
+To add one: write its `Stage` beside its physics, and name it in `STAGES`, in the order of the flow. `act` takes what its kind says
+and returns the like: the very same object where the stage is off, so that off costs nothing and leaves all numbers equal to the
+bit. Its settings are fields of the records of their rooms (`[lens]`, `[exposure]`), from which template, help, schema and
+keys follow; `words` are what headlines and notes say of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pixsim.sensor.exposure import Exposure
+
+# What a stage acts on: the irradiance before the lens's blur, the light of the pixels, or how a frame is read.
+Acts = Literal["irradiance", "light", "frame"]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage.
+
+    name : as messages have it
+    acts_on : what `act` takes first, and returns
+    settings : dotted names of those that shape it
+    act : takes what it acts on and the record of its settings
+    words : what a headline says of the record of its settings; empty where the stage is off
+    """
+
+    name: str
+    acts_on: Acts
+    settings: tuple[str, ...]
+    act: Callable[..., Any]
+    words: Callable[..., str]
+
+    @property
+    def table(self) -> str:
+        """The table of its settings, of a `Setting` or a record like it."""
+        return self.settings[0].split(".")[0]
+
+
+def burst_words(exposure: Exposure) -> str:
+    """Return what a frame is the sum of, in words; empty for one exposure."""
+    return f"each frame the sum of {exposure.frames} exposures" if exposure.frames > 1 else ""
+
+
+MERGING = Stage(
+    name="merging of exposures",
+    acts_on="frame",
+    settings=("exposure.frames", "exposure.frame_time"),
+    act=lambda physics, exposure: physics.burst(exposure.frames),
+    words=burst_words,
+)
+
+STAGES = {"merging": MERGING}
+
+
+def acting_on(what: Acts) -> list[Stage]:
+    """Return the stages that act on something, in the order of the flow."""
+    return [stage for stage in STAGES.values() if stage.acts_on == what]
+
+
+def stage_words(settings: object, names: Iterable[str] = STAGES) -> list[str]:
+    """Return what headlines say of the stages of a setting of a frame that are on."""
+    stages = [STAGES[name] for name in names]
+    return [words for stage in stages if (words := stage.words(getattr(settings, stage.table)))]
