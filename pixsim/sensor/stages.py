@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.motion_options import VELOCITIES, motion_words
 
 # What a stage acts on: the irradiance before the lens's blur, the light of the pixels, or how a frame is read.
 Acts = Literal["irradiance", "light", "frame"]
@@ -54,7 +55,22 @@ MERGING = Stage(
     words=burst_words,
 )
 
-STAGES = {"merging": MERGING}
+MOTION = Stage(
+    name="motion",
+    acts_on="light",
+    settings=tuple(f"motion.{name}" for name in (*VELOCITIES, "distance_m", "margin_um")),
+    act=lambda um_per_s, motion, camera, pitch_um: motion.um_per_s(camera, pitch_um),
+    words=motion_words,
+)
+SHUTTER = Stage(
+    name="rolling shutter",
+    acts_on="light",
+    settings=("exposure.shutter", "exposure.line_time_us"),
+    act=lambda um_per_s, exposure: um_per_s,
+    words=lambda exposure: f"rolling shutter, {exposure.line_time_us:g} µs a row" if exposure.line_time_s else "",
+)
+
+STAGES = {"motion": MOTION, "shutter": SHUTTER, "merging": MERGING}
 
 
 def acting_on(what: Acts) -> list[Stage]:

@@ -38,7 +38,7 @@ from pixsim.sensor.technology import check_name
 from pixsim.studies.cases import BASE, Case, Job, cases_of, named, with_range_ends
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
-from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
+from pixsim.studies.sampling import BYTES_PER_PIXEL, border_on_um, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.series import judging_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.unused import StudyConfiguration
@@ -482,5 +482,5 @@ def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
-        dot_edges_um(camera.die_um, largest_um, study.display, study.border_um)
+        dot_edges_um(camera.die_um, largest_um, study.display, border_on_um(study, camera))
     return replace(case, found=(source, camera))

@@ -80,7 +80,7 @@ class Sight:
             "brightest": [f"{values.max():.{DIGITS}g}" for values in light],
             "camera": camera.model_dump(exclude={"f_number"} if by_lens else set()),
             "display": display.model_dump(exclude={"white_cd_per_m2"}),
-            "exposure": [exposure.model_dump(), first.correction.model_dump(), first.develop.model_dump()],
+            "exposure": [each.model_dump() for each in (exposure, first.motion, first.correction, first.develop)],
             # In a time that is set, bright light saturates pixels; an automatic one leaves them below their well.
             "whites": None if exposure.integration_s is None else whites,
             "pixels": [
