@@ -703,7 +703,8 @@ def _integrate_moving(
         integral *= sample_pitch_um**2
         return integral
     moved_um = shift[0] * sample_pitch_um
-    down = integrate_axis(moves.spectrum.blurred(path), sample_pitch_um, y_um[0] - moved_um, y_um[1] - moved_um, 0)
+    blurred = np.maximum(moves.spectrum.blurred(path), min(0.0, float(moves.spectrum.samples.min())))
+    down = integrate_axis(blurred, sample_pitch_um, y_um[0] - moved_um, y_um[1] - moved_um, 0)
     return integrate_axis(shifted_rows(down, shift[1]), sample_pitch_um, *x_um, 1)
 
 
@@ -801,8 +802,8 @@ def pixel_signal(
     _, pixels_um, first_um = array_on(picture_um, size_um, physics)
     collection = collection_of(physics, light, centred_pixels(size_um or picture_um, physics))
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
-    own = rate, sample_pitch_um, physics.pitch_um, side_um, running, pixels_um
-    signal = integrate_pixels(*own, first_um=first_um, moves=moves)
+    of_array = running, pixels_um, None, first_um, moves
+    signal = integrate_pixels(rate, sample_pitch_um, physics.pitch_um, side_um, *of_array)
     signal = np.maximum(signal, 0.0, order="C")  # frames are made row by row
     if collection is not None:
         signal *= (physics.pitch_um / side_um) ** 2
@@ -894,6 +895,24 @@ def array_signal(
         signal *= (physics.pitch_um / side_um) ** 2
         signal = shared(signal, [one.shares for one in collections], layout)
     return read_as_one(signal, physics.as_read.bin_side), collections
+
+
+def moved_signals(
+    lights: Sequence[ChannelLight],
+    sample_pitch_um: float,
+    physics: PixelPhysics,
+    size_um: tuple[float, float] | None,
+    moving: Moving,
+    exposures: int,
+) -> tuple[Array, tuple[Array, ...]]:
+    """Return `array_signal` of light that moves, and that of each exposure of a burst, if they differ.
+
+    moving : in the whole frame
+    exposures : that are summed to it
+    """
+    each = moving.of_exposures(exposures) if exposures > 1 and any(moving.path_um) else []
+    whole, *parts = (array_signal(lights, sample_pitch_um, physics, size_um, one)[0] for one in (moving, *each))
+    return whole, tuple(parts)
 
 
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:

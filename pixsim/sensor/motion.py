@@ -41,12 +41,6 @@ class Moving:
         """Whether anything moves."""
         return any((*self.path_um, *self.row_um, *self.shift_um))
 
-    @classmethod
-    def of(cls, um_per_s: tuple[float, float], time_s: float, line_time_s: float) -> Moving:
-        """Return that of a velocity [x, y] in an exposure time."""
-        x, y = um_per_s
-        return cls((y * time_s, x * time_s), (y * line_time_s, x * line_time_s))
-
     def of_exposures(self, count: int) -> list[Moving]:
         """Return that of each exposure of a burst, which follow one another at once."""
         down, across = (path / count for path in self.path_um)

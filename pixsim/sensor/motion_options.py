@@ -96,7 +96,8 @@ def border_with_room_um(border_um: float, motion: Motion, exposure: Exposure, ca
     if room_um and 2 * (border_um + room_um) >= least_um:
         got = f"a path of up to {2 * room_um:.4g} µm on the sensor" if motion.margin_um is None else f"a margin of {room_um:g} µm"
         allowed = f"one that leaves something to score, a path below {max(0.0, least_um - 2 * border_um):.4g} µm, twice its margin"
-        raise invalid("motion", got, allowed, "Shorten exposure.max_integration_s, or state it as exposure.integration_s.")
+        hint = f"Shorten exposure.max_integration_s, state exposure.integration_s, or slow it down ({', '.join(VELOCITIES)})."
+        raise invalid("motion", got, allowed, hint)
     return border_um + room_um
 
 

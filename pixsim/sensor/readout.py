@@ -17,12 +17,22 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_on
+from pixsim.sensor.integration import (
+    array_signal,
+    array_size_um,
+    check_pixel_count,
+    lights_of,
+    mean_signal_rate,
+    moved_signals,
+    pixels_on,
+)
+from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
+from pixsim.sensor.stages import moving_in
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
@@ -518,13 +528,20 @@ def _frame(
 
 @checks_arguments
 def capture(
-    irradiance: SpectralImage, camera: Camera, sensor: Sensor, exposure: Exposure | None = None, *, rng: np.random.Generator
+    irradiance: SpectralImage,
+    camera: Camera,
+    sensor: Sensor,
+    exposure: Exposure | None = None,
+    *,
+    motion: Motion | None = None,
+    rng: np.random.Generator,
 ) -> Frame:
     """Take one picture: diffraction, pixel integration, exposure, temporal noise from `rng`, ADC.
 
     camera : that of the irradiance
     sensor : from `make_sensor`, for the same camera
     exposure : None takes the default, automatic exposure
+    motion : of the scene; None means that it stands still. Light from beyond the picture is taken as reflected at its borders
     rng : for temporal noise only; the sensor has the fixed pattern
 
     Raises PixsimError if the picture does not fill the sensor, or if the light is negative or not finite.
@@ -537,5 +554,13 @@ def capture(
     >>> round(float(frame.mean_e.mean() / photons / derive(pixel).quantum_efficiency(550.0)), 6)
     1.0
     """
-    rate = mean_signal_rate(irradiance, camera, sensor.physics)
-    return capture_from_rates(rate, sensor, exposure or Exposure(), rng)
+    exposure, physics = exposure or Exposure(), sensor.physics
+    if motion is None or not motion.is_on:
+        return capture_from_rates(mean_signal_rate(irradiance, camera, physics), sensor, exposure, rng)
+    irradiance.validate()
+    lights, size_um = lights_of(irradiance, camera, physics), array_size_um(irradiance, camera)
+    still, _ = array_signal(lights, irradiance.pitch_um, physics, size_um)
+    time_s = integration_time_s(exposure, physics, float(still.max()))
+    moving = moving_in(motion.um_per_s(camera, physics.pitch_um), time_s, exposure)
+    signal, each = moved_signals(lights, irradiance.pitch_um, physics, size_um, moving, exposure.frames)
+    return capture_from_rates(signal, sensor, exposure.lasting(time_s), rng, each)

@@ -34,9 +34,17 @@ from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, centred_pixels, electrons_per_joule, lights_of
+from pixsim.sensor.integration import (
+    ChannelLight,
+    array_signal,
+    array_size_um,
+    centred_pixels,
+    electrons_per_joule,
+    lights_of,
+    moved_signals,
+)
 from pixsim.sensor.motion import STANDING, Moving
-from pixsim.sensor.motion_options import STILL, Motion, border_with_room_um
+from pixsim.sensor.motion_options import STILL, VELOCITIES, Motion, border_with_room_um
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.pixel_options import Pixel
@@ -51,6 +59,7 @@ from pixsim.sensor.readout import (
     make_frame,
     sample_sensor,
 )
+from pixsim.sensor.stages import moving_in
 from pixsim.show.document import pairs
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import rows_csv
@@ -1017,22 +1026,20 @@ def _moved(still: ImagingChain, light: PreparedScene, physics: PixelPhysics, um_
     """
     exposure = still.exposure
     time_s = integration_time_s(exposure, still.physics, float(still.signal_e_per_s.max()))
-    moving = Moving.of(um_per_s, time_s, exposure.line_time_s)
+    moving = moving_in(um_per_s, time_s, exposure)
     check_room(still, moving, light.array_um)
 
-    def signal(lights: Sequence[ChannelLight], moving: Moving) -> Array:
-        return array_signal(lights, light.sample_pitch_um, physics, light.array_um, moving)[0]
-
-    exposures = moving.of_exposures(exposure.frames) if exposure.frames > 1 and any(um_per_s) else []
+    pixels = light.sample_pitch_um, physics, light.array_um, moving
+    signal, each = moved_signals(light.lights, *pixels, exposure.frames)
     without = None if still.without_e_per_s is None or light.facts is None else light.facts.without
     return replace(
         still,
-        signal_e_per_s=signal(light.lights, moving),
+        signal_e_per_s=signal,
         exposure=exposure.lasting(time_s),
-        without_e_per_s=None if without is None else signal(without, moving),
+        without_e_per_s=None if without is None else array_signal(without, *pixels)[0],
         um_per_s=um_per_s,
         moving=moving,
-        each_e_per_s=tuple(signal(light.lights, each) for each in exposures),
+        each_e_per_s=each,
     )
 
 
@@ -1046,9 +1053,10 @@ def check_room(chain: ImagingChain, moving: Moving, array_um: tuple[float, float
         room_um = max(0.0, min(float(edges[0]), size_um - float(edges[-1])) - own_um)
         if needed_um > room_um * (1 + ROUNDING):
             got = f"a path of {2 * needed_um:.4g} µm on the sensor in {1e3 * (chain.exposure.integration_s or 0):.4g} ms"
-            hint = f"Raise {setting('motion.margin_um')}, or shorten {setting('exposure.max_integration_s')}."
+            slower = f"slow it down ({', '.join(VELOCITIES)})"
+            hint = f"Raise {setting('motion.margin_um')}, shorten {setting('exposure.max_integration_s')}, or {slower}."
             if screen.display.raster == "one_to_one":
-                hint = "With display.raster = 'one_to_one' all pixels are scored; take 'fixed_size'."
+                hint = f"With display.raster = 'one_to_one' all pixels are scored; take 'fixed_size', or {slower}."
             raise invalid("motion", got, f"at most {2 * room_um:.4g} µm, twice what is left on each side of what is scored", hint)
 
 
