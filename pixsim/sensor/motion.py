@@ -16,9 +16,10 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from pixsim.base.arrays import Array, dct, empty_planes, transposed
+from pixsim.base.arrays import Array, dct, empty_planes, strips, transposed
 from pixsim.base.machine import threads
 
+MAX_KEPT_SAMPLES = 1 << 22  # of a light whose transforms are kept, 32 MiB each: a film of 2048²
 REACH = 3  # cells beyond an interval that its weights reach
 OF_SAMPLES = 66 / 120, 52 / 120, 2 / 120  # quintic B-spline at 0, ±1 and ±2: means of the quartic one over cells
 
@@ -59,6 +60,9 @@ class LightSpectrum:
     """
 
     samples: Array = field(repr=False)
+    _back: dict[tuple[int, tuple[float, float]], tuple[Array, Array | None]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @cached_property
     def of_samples(self) -> Array:
@@ -76,10 +80,21 @@ class LightSpectrum:
             filters.append(OF_SAMPLES[0] + OF_SAMPLES[1] * np.cos(angle) + OF_SAMPLES[2] * np.cos(2 * angle))
         return self.of_samples / filters[0][:, None] / filters[1]
 
-    @cached_property
-    def still_down(self) -> Array:
-        """`of_spline`, back down the columns, (H, W)."""
-        return _cosines(self.of_spline, 0)
+    def back(self, axis: int, path_cells: tuple[float, float] = (0.0, 0.0)) -> tuple[Array, Array | None]:
+        """Return `of_spline` of the picture averaged along a path, back down the columns (0) or along the rows: cosines and sines.
+
+        None in place of sines that are 0. The pixels of one exposure time share those of its path.
+        """
+        key = axis, path_cells
+        if (found := self._back.get(key)) is not None:
+            return found
+        even, odd = _kept_along(self.of_spline, path_cells)
+        found = _cosines(even, axis), None if odd is None else _sines(odd, axis)
+        if self.samples.size <= MAX_KEPT_SAMPLES:
+            for other in [other for other in self._back if any(path_cells) and any(other[1])]:  # the still ones stay
+                del self._back[other]
+            self._back[key] = found
+        return found
 
     def blurred(self, path_cells: tuple[float, float]) -> Array:
         """Return the samples averaged along a path, (H, W); isolated points ring, also below zero.
@@ -88,9 +103,9 @@ class LightSpectrum:
         """
         if not any(path_cells):
             return self.samples
-        even, odd = _along_path(self.samples.shape, path_cells)
-        total = _cosines(_cosines(self.of_samples * even, 0), 1)
-        return total if odd is None else total + _sines(_sines(self.of_samples * odd, 0), 1)
+        even, odd = _kept_along(self.of_samples, path_cells)
+        total = _cosines(_cosines(even, 0), 1)
+        return total if odd is None else total + _sines(_sines(odd, 0), 1)
 
     def integrals(
         self, y_cells: tuple[Array, Array], x_cells: tuple[Array, Array], path_cells: tuple[float, float], shift_cells: Array
@@ -100,21 +115,19 @@ class LightSpectrum:
         shift_cells : (2, rows) displacement of the light in each row, down and across
         """
         down, across = path_cells
-        sines = None
-        if down:
-            even, odd = _along_path(self.samples.shape, path_cells)
-            cosines = _cosines(self.of_spline * even, 0)
-            sines = None if odd is None else _sines(self.of_spline * odd, 0)
-        else:
-            cosines = self.still_down
         height, width = self.samples.shape
         rows = cell_weights(y_cells[0] - shift_cells[0], y_cells[1] - shift_cells[0], height)
+        columns = cell_weights(*x_cells, width)
+        if down and not across and not shift_cells[1].any():
+            light = transposed(columns @ transposed(self.back(1)[0])) * np.sinc(_cycles(height) * down)[:, None]
+            return np.asarray(rows @ _cosines(light, 0))
+        cosines, sines = self.back(0, path_cells if down else (0.0, 0.0))
         cosines, sines = rows @ cosines, None if sines is None else rows @ sines
         if across and not down:
             cosines = cosines * np.sinc(_cycles(width) * across)
         cosines, sines = _shifted(cosines, sines, shift_cells[1])
         light = _cosines(cosines, 1) if sines is None else _cosines(cosines, 1) + _sines(sines, 1)
-        return transposed(cell_weights(*x_cells, width) @ transposed(light))
+        return transposed(columns @ transposed(light))
 
 
 def shifted_rows(picture: Array, shift_cells: Array) -> Array:
@@ -133,21 +146,27 @@ def _cycles(count: int) -> Array:
     return np.arange(count) / (2 * count)
 
 
-def _along_path(shape: tuple[int, ...], path_cells: tuple[float, float]) -> tuple[Array, Array | None]:
-    """Return what is left of each product of cosines, (H, W), and what becomes a product of sines; None for nothing."""
-    down, across = (_cycles(count) * path for count, path in zip(shape, path_cells, strict=True))
-    if not (path_cells[0] and path_cells[1]):
-        return np.sinc(down)[:, None] * np.sinc(across), None
-    # By sines and cosines of each axis alone: those of all sums would take longer than the transforms.
-    one, other = (np.sin(math.pi * each) for each in (down, across)), (np.cos(math.pi * each) for each in (down, across))
-    (sin_down, sin_across), (cos_down, cos_across) = one, other
-    first, second = np.multiply.outer(sin_down, cos_across), np.multiply.outer(cos_down, sin_across)
-    plus = _over(first + second, math.pi * (down[:, None] + across))
-    minus = _over(first - second, math.pi * (down[:, None] - across))
-    return (plus + minus) / 2, (minus - plus) / 2
-
-
 NEAR = 1e-6  # of an angle, below which its sine over it is 1 to 2e-13
+
+
+def _kept_along(spectrum: Array, path_cells: tuple[float, float]) -> tuple[Array, Array | None]:
+    """Return what a path leaves of a spectrum (H, W) as products of cosines, and what becomes products of sines; None for none."""
+    down, across = (math.pi * _cycles(count) * path for count, path in zip(spectrum.shape, path_cells, strict=True))
+    if not any(path_cells):
+        return spectrum, None
+    if not all(path_cells):
+        return spectrum * np.sinc(down / math.pi)[:, None] * np.sinc(across / math.pi), None
+    even, odd = empty_planes(*spectrum.shape), empty_planes(*spectrum.shape)
+    # By the sines and cosines of each axis alone: those of all sums would take longer than the transforms.
+    (sin_down, cos_down), (sin_across, cos_across) = ((np.sin(each), np.cos(each)) for each in (down, across))
+    for rows in strips(*spectrum.shape):
+        first, second = np.multiply.outer(sin_down[rows], cos_across), np.multiply.outer(cos_down[rows], sin_across)
+        plus = _over(first + second, down[rows, None] + across)
+        minus = _over(first - second, down[rows, None] - across)
+        half = spectrum[rows] / 2
+        np.multiply(half, plus + minus, out=even[rows])
+        np.multiply(half, minus - plus, out=odd[rows])
+    return even, odd
 
 
 def _over(sine: Array, angle: Array) -> Array:
