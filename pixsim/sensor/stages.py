@@ -12,12 +12,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from pixsim.optics.lens_options import LensOptions
+from pixsim.optics.veil import veil_of
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion import STANDING, Moving
 from pixsim.sensor.motion_options import VELOCITIES, motion_words
 
-# What a stage acts on, and what `act` takes beside it: the irradiance before the lens's blur, with the camera; how the light moves
-# over the pixels (`Moving`), with its velocity, the time of the frame and the exposure; the pixel as it is read, with the exposure.
+# What a stage acts on, and what `act` takes beside it: the irradiance before the lens's blur, with the camera, of which it returns
+# what strays (`Veil`); how the light moves over the pixels (`Moving`), with its velocity, the time of the frame and the exposure;
+# the pixel as it is read, with the exposure.
 Acts = Literal["irradiance", "light", "frame"]
 
 
@@ -42,6 +45,14 @@ class Stage:
     def table(self) -> str:
         """The table of its settings, of a `Setting` or a record like it."""
         return self.settings[0].split(".")[0]
+
+
+def veil_words(lens: LensOptions) -> str:
+    """Return how much light strays, in words; empty if none is stated."""
+    share = lens.veiling_glare
+    if not share:
+        return ""
+    return f"veiling glare {100 * share:.3g} %" if isinstance(share, float) else "veiling glare by wavelength"
 
 
 def burst_words(exposure: Exposure) -> str:
@@ -79,7 +90,15 @@ SHUTTER = Stage(
     words=lambda exposure: f"rolling shutter, {exposure.line_time_us:g} µs a row" if exposure.line_time_s else "",
 )
 
-STAGES = {"motion": MOTION, "shutter": SHUTTER, "merging": MERGING}
+VEIL = Stage(
+    name="veiling glare",
+    acts_on="irradiance",
+    settings=("lens.veiling_glare", "lens.veiling_glare_outside"),
+    act=veil_of,
+    words=veil_words,
+)
+
+STAGES = {"veil": VEIL, "motion": MOTION, "shutter": SHUTTER, "merging": MERGING}
 
 
 def moving_in(um_per_s: tuple[float, float], time_s: float, exposure: Exposure) -> Moving:
