@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.tiny import tiny
 from scipy.optimize import brentq
 from scipy.special import erf
 
@@ -25,6 +27,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, make_sensor
 from pixsim.sensor.stages import STAGES, moving_in, stage_words
 from pixsim.studies.many_sensors import sweep
+from pixsim.studies.preparation import prepare
 from pixsim.studies.sampling import border_on_um
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display
@@ -227,6 +230,19 @@ def test_scored_frame_leaves_half_of_the_longest_path() -> None:
     assert np.diff(found, prepend=found[0]).tolist() == pytest.approx([0, 20, 30, 4 / 2 * (1 + 160 * 0.01) - 50], abs=1.0)
     study = Study(name="a", exposure=fast, motion=Motion(image_um_per_s=(4e4, 0.0)), camera=DIE, pitch={"max_um": 20.0})
     assert border_on_um(study, CAMERA) == study.border_um + 20.0
+
+
+@pytest.mark.parametrize("margin_um", [None, 60.0])
+def test_cases_that_score_other_parts_are_told(margin_um: float | None) -> None:
+    axis = {"name": "time", "set": "exposure.max_integration_s", "values": [0.001, 0.01]}
+    motion = {"image_um_per_s": (1e4, 0.0)} | ({} if margin_um is None else {"margin_um": margin_um})
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        job = prepare(tiny(axis=[axis], motion=motion))
+    told = [str(each.message) for each in caught if "motion.margin_um = 50 lets all score the same" in str(each.message)]
+    assert len(told) == (0 if margin_um else 1)
+    borders = [border_on_um(case.settings, case.camera) - case.settings.border_um for case in job.cases]
+    assert borders == pytest.approx([60.0, 60.0] if margin_um else [5.0, 50.0], rel=1e-9)
 
 
 ERRORS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = {
