@@ -428,10 +428,8 @@ def _warn_of_other_parts(cases: Sequence[Case[Study]]) -> None:
     """Warn if what moves leaves other parts of the frame to score in one case than in another."""
     rooms_um = {border_on_um(each.settings, each.camera) - each.settings.border_um for each in cases}
     if len(rooms_um) > 1:
-        widest = f"motion.margin_um = {math.ceil(max(rooms_um)):g}"
-        warn(
-            f"what moves leaves other parts of the frame to score in other cases; {widest} in all of them lets them score the same"
-        )
+        margin = f"motion.margin_um = {math.ceil(max(rooms_um)):g}"
+        warn(f"what moves leaves other parts of the frame to score in other cases; {margin} lets all score the same")
 
 
 def warn_of_unused(cases: Sequence[tuple[Study, Study]], light: SpectralImage | None = None) -> None:
