@@ -70,7 +70,7 @@ class Sight:
             for channel, white in zip(physics.channels, of_channels, strict=True)
         ]
         # A chart without the light's fall-off, which has no detail; a stack collects light by its angle.
-        is_thin = all(value is None for name, value in camera if name not in THIN_LENS)
+        is_thin = not any(value for name, value in camera if name not in THIN_LENS)
         by_lens = chart is not None and is_thin and not any(p.stack for p in pixels)
         picture = chart.digest if chart and by_lens else np.ascontiguousarray(image.planes).data
         what: dict[str, Any] = {
