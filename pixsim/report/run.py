@@ -358,4 +358,5 @@ def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     film = lit.rendered and lit.rendered.film.as_dict()
     of_case = prepared.settings, prepared.camera, prepared.cases[0].settled is None
     own = *of_case, prepared.asked.camera, prepared.repeats, prepared.frames
-    return digest_of_content(files, run_settings_text(prepared, light), light, film, prepared.technology, own)
+    without = prepared.cases[0].without
+    return digest_of_content(files, run_settings_text(prepared, light), light, film, prepared.technology, own, without)

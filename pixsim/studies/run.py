@@ -161,7 +161,7 @@ def prepare(
             raise invalid(setting("units"), f"'{source}', a scene", allowed)
         scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
         whole = scene.camera(settings.camera, settings.lens)
-    check_metrics(settings, [settings.pixel], scene)
+    without = check_metrics(settings, [settings.pixel], picture if scene is None else scene, units=units)
     warn_of_unused_settings({"": [given]})
     camera = whole.window(settings.window_mm)
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
@@ -169,7 +169,7 @@ def prepare(
     check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
     dot_edges_um(camera.die_um, pitch_um, settings.display, pitch_um)
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
-    case = Case(complete, found=(picture if scene is None else scene_with_view(scene, view), camera))
+    case = Case(complete, found=(picture if scene is None else scene_with_view(scene, view), camera), without=without)
     job = RunJob(
         source=source,
         asked=settings,
@@ -494,7 +494,7 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
         scored = stage("sense and score")
         of_sensor = settings.pixel, settings.exposure, settings.display, prepared.full, settings.correction, settings.develop
         judging = judging_of(settings)
-        without = None if lit.rendered is None else lit.rendered.without
+        without = prepared.cases[0].without if lit.rendered is None else lit.rendered.without
         with watched(share_of(scored, 0.0, BEFORE_FRAME)):
             chain = make_imaging_chain(image, prepared.camera, *of_sensor, judging=judging, without=without)
         scored(BEFORE_FRAME)

@@ -101,7 +101,8 @@ def needs_target(asked: MetricContext) -> str:
     """Return what a metric of a target lacks."""
     if asked.has_without:
         return ""
-    return f"light of the scene without its target: {setting('metric.detectability.without')}, or without=… of evaluate and sweep"
+    stated = setting("metric.detectability.without")
+    return f"light of the scene without its target: {stated}, or without=… of evaluate, sweep and study"
 
 
 DETECTABILITY = Metric(

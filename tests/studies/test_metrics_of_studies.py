@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import pickle
 import re
 from dataclasses import replace
@@ -207,6 +208,19 @@ def test_detectability_takes_the_light_without_the_target(tmp_path: Path) -> Non
         least = own.as_dict()["metrics"]["least_detectability"]
         assert least == own.statistics["least_detectability"].min(axis=1).tolist(), "the worst, not the mean of the worst"
     np.testing.assert_allclose(found[1] / found[0], 2.0, rtol=0.02)
+
+
+def test_command_line_leaves_the_target_out_by_values_of_parameters(tmp_path: Path) -> None:
+    """As a table of a file does: twice the target less one of its contrast is one."""
+    words = "run target -D size_um=300 -D luminance_cd_per_m2=100 --resolution 64 --display.dots 32 --metric detectability"
+    found = []
+    for contrast, without in ((0.02, "contrast=0"), (0.04, "contrast = 0.02"), (0.04, "size_um=100,contrast=0.04")):
+        out = tmp_path / without
+        code, _, err = command(f"{words} -D contrast={contrast}", "--out", out, "--metric.detectability.without", without)
+        assert code == 0, err
+        found.append(json.loads((out / "score.json").read_text())["detectability"])
+    assert found[1] == pytest.approx(found[0], rel=0.02), "a brighter one is noisier by its contrast"
+    assert found[2] == pytest.approx(math.sqrt(8 / 9) * 2 * found[0], rel=0.05), "a disc less one of a third of its width"
 
 
 @pytest.mark.parametrize(
