@@ -492,15 +492,17 @@ def check_metrics(
         if without is not None:
             check_without(without, source)
         has_without = without is not None
+        known = settings.camera.object_distance_m, settings.metric.niirs.ground_distance_m, source.header.get("camera")
+        has_distance = any(each is not None for each in known)
     else:
         if isinstance(stated, str) and has_target(settings.metrics):
             from pixsim.scene.scene import scene_path
 
             with named(name):
                 scene_path(stated)
-        has_without = isinstance(stated, str) or stated.keys() <= source.names
+        has_without, has_distance = isinstance(stated, str) or stated.keys() <= source.names, True
     for pixel in pixels:
-        judging.check(MetricContext(pixel.colour is not None, has_without))
+        judging.check(MetricContext(pixel.colour is not None, has_without, has_distance=has_distance))
     return None if without is None else without.identified
 
 

@@ -16,7 +16,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
-from pixsim.base.notes import collected_notes
+from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Stage, no_stage, share_of, watched
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -30,7 +30,7 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.show.document import headline, pairs, plain_text
-from pixsim.show.pages import rows_csv
+from pixsim.show.pages import plain, rows_csv
 from pixsim.show.render import cell_of
 from pixsim.studies.budget import with_tolerance
 from pixsim.studies.cases import Case, Job
@@ -364,7 +364,7 @@ class RunResult(LitRun):
             more |= {"repeats": len(self.statistics), "delta_e": self.delta_e.tolist(), "sensors_mean_delta_e": self.mean_delta_e}
             more |= {"interval_delta_e": list(self.interval_delta_e)}
         if self.judged:
-            more["metrics"] = {name: float(values.mean()) for name, values in self.judged.items()}
+            more["metrics"] = plain({name: float(values.mean()) for name, values in self.judged.items()})
         if (colour := self.colour) is not None:
             more |= {"develop": settings.develop.model_dump(), "colour": colour}
         elif settings.develop.words:
@@ -374,7 +374,7 @@ class RunResult(LitRun):
         more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
         more |= {"noise_budget": self.noise_budget.as_dict()} if self.noise_budget else {}
         return {
-            **self.statistics[0],
+            **plain(self.statistics[0]),
             "pixels": list(score.frame.pixels),
             "scored_dots": list(score.delta_e.shape),
             "border_um": list(score.border_um),
@@ -498,12 +498,15 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
         with watched(share_of(scored, 0.0, BEFORE_FRAME)):
             chain = make_imaging_chain(image, prepared.camera, *of_sensor, judging=judging, without=without)
         scored(BEFORE_FRAME)
-        score = judged_score(chain, judging, ("evaluate", settings.seed))
+        lacking: dict[str, str] = {}
+        score = judged_score(chain, judging, ("evaluate", settings.seed), lacking)
         statistics = [score.statistics()]
         sensors = max(prepared.repeats, settled.choice.sensors if settled else 1)
         for number in range(1, sensors):
-            statistics.append(judged_score(chain, judging, ("evaluate", settings.seed, number)).statistics())
+            statistics.append(judged_score(chain, judging, ("evaluate", settings.seed, number), lacking).statistics())
             scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
+        for reason in lacking.values():
+            warn(reason)
     warned = tuple(dict.fromkeys([*lit.warned, *notes]))
     of_light = prepared, image, lit.rendered, lit.plan, warned
     result = RunResult(*of_light, chain=chain, score=score, statistics=tuple(statistics))

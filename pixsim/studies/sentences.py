@@ -267,6 +267,9 @@ def judged_lines(result: RunResult) -> list[str]:
     lines = []
     for name, values in result.judged.items():
         metric, mean = metric_known(name), float(values.mean())
+        if math.isnan(mean):  # a note says why
+            lines.append(f"{metric.words} is not given")
+            continue
         low, high = mean_interval(values)[::2] if values.size > 1 else (mean, mean)
         value = with_error(mean, (high - low) / 2) if high > low else f"{mean:.4g}"
         seen = _threshold_words(result, mean) if metric is DETECTABILITY and mean else ""

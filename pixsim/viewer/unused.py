@@ -274,7 +274,7 @@ def of_target(c: Configuration) -> str:
 
 def of_registrations(c: Configuration) -> str:
     centred = "with display.raster = 'one_to_one' the array is centred" if c.display.raster == "one_to_one" else ""
-    return of_metric(c, "detectability") or centred
+    return of_target(c) or centred
 
 
 def of_natural_spectrum(c: Configuration) -> str:

@@ -135,6 +135,7 @@ def test_axes_and_conditions_vary_the_sensor_in_a_given_light(folder):
         ({"variant": "scalar_spectral"}, "variant: got a value in a study whose light is given"),
         ({"camera": {"die_mm": 5.0}}, "pitch of 'the light that is given': got"),
         ({"metrics": ["delta_e", "detectability"]}, "'detectability'; allowed: light of the scene without its target"),
+        ({"metrics": ["niirs"]}, r"'niirs'; allowed: the distance of the ground: .*object_distance_m.*ground_distance_m"),
     ],
 )
 def test_what_given_light_does_not_have_says_so(folder, more, message):
