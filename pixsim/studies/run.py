@@ -41,6 +41,7 @@ from pixsim.studies.preparation import check_metrics, choose_view, is_picture, l
 from pixsim.studies.sentences import score_parts
 from pixsim.studies.series import judging_of
 from pixsim.studies.settings_text import scene_table
+from pixsim.studies.threshold import Threshold, start_of, threshold_of
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
@@ -162,6 +163,7 @@ def prepare(
         scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
         whole = scene.camera(settings.camera, settings.lens)
     without = check_metrics(settings, [settings.pixel], picture if scene is None else scene, units=units)
+    start_of(settings, scene)
     warn_of_unused_settings({"": [given]})
     camera = whole.window(settings.window_mm)
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
@@ -212,11 +214,13 @@ class RunResult(LitRun):
     chain : from the light to frames and scores of further sensors of the kind
     score : of the first frame of the first sensor, with its pictures
     statistics : `Score.statistics` of the first frame of each sensor
+    threshold : where the target is just seen, if the settings ask for it
     """
 
     chain: ImagingChain = field(repr=False)
     score: FrameScore = field(repr=False)
     statistics: tuple[dict[str, float], ...] = field(repr=False)
+    threshold: Threshold | None = field(default=None, repr=False)
 
     @property
     def settings(self) -> Run:
@@ -365,6 +369,8 @@ class RunResult(LitRun):
             more |= {"interval_delta_e": list(self.interval_delta_e)}
         if self.judged:
             more["metrics"] = plain({name: float(values.mean()) for name, values in self.judged.items()})
+        if self.threshold is not None:
+            more["at_threshold"] = self.threshold.as_dict()
         if (colour := self.colour) is not None:
             more |= {"develop": settings.develop.model_dump(), "colour": colour}
         elif settings.develop.words:
@@ -509,5 +515,9 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
             warn(reason)
     warned = tuple(dict.fromkeys([*lit.warned, *notes]))
     of_light = prepared, image, lit.rendered, lit.plan, warned
-    result = RunResult(*of_light, chain=chain, score=score, statistics=tuple(statistics))
+    threshold = None
+    if lit.rendered is not None and start_of(settings, prepared.cases[0].scene) is not None:
+        of_target = prepared.demand, lit.rendered, statistics[0]["detectability"]
+        threshold = threshold_of(prepared, *of_target, stage("look for the threshold"))
+    result = RunResult(*of_light, chain=chain, score=score, statistics=tuple(statistics), threshold=threshold)
     return replace(result, score=replace(score, light=result.light))

@@ -40,6 +40,11 @@ class Detectability(Record):
     threshold: Annotated[float, Field(ge=1e-3, le=1e3)] = Field(
         5.0, description="d′ at which a target counts as seen; Rose (1948) has 5"
     )
+    solve_for: Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$", max_length=60)] | None = Field(
+        None,
+        description="parameter of the scene, as contrast, size_mm or lux, whose value at this threshold a run looks for, from its "
+        "own on (absent: none)",
+    )
 
 
 class Information(Record):

@@ -277,6 +277,11 @@ def of_registrations(c: Configuration) -> str:
     return of_target(c) or centred
 
 
+def of_one_run(c: Configuration) -> str:
+    axis = "only a run looks for it; a study has an axis over scene.parameters, and the contrast factor of every pixel"
+    return of_metric(c, "detectability") or ("" if isinstance(c.command, Run) and not c.lens_of else axis)
+
+
 def of_natural_spectrum(c: Configuration) -> str:
     natural = c.judges[1].information.spectrum == "natural"
     return of_metric(c, "information") or ("" if natural else "the spectrum is that of the scene (metric.information.spectrum)")
@@ -348,8 +353,9 @@ RULES = (
     Rule(("metric.information.contrast", "metric.information.corner_cy_per_mm"), of_natural_spectrum),
     Rule(("metric.detectability.without",), of_target),
     Rule(("metric.detectability.registrations",), of_registrations),
+    Rule(("metric.detectability.solve_for",), of_one_run),
     *(
-        Rule(fields_of(f"metric.{name}", type(options), "without", "registrations"), partial(of_metric, name=name))
+        Rule(fields_of(f"metric.{name}", type(options), "without", "registrations", "solve_for"), partial(of_metric, name=name))
         for name, options in METRIC_OPTIONS
     ),
 )

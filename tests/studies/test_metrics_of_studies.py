@@ -223,6 +223,59 @@ def test_command_line_leaves_the_target_out_by_values_of_parameters(tmp_path: Pa
     assert found[2] == pytest.approx(math.sqrt(8 / 9) * 2 * found[0], rel=0.05), "a disc less one of a third of its width"
 
 
+TARGET: dict[str, Any] = {"size_um": 200.0, "contrast": -0.05, "lux": 50.0}
+SMALL: dict[str, Any] = {
+    "resolution": 96,
+    "display": {"dots": 32},
+    "exposure": {"integration_s": 0.01},
+    "metrics": ["detectability"],
+}
+
+
+@pytest.mark.parametrize("name", TARGET)
+@pytest.mark.parametrize("threshold", [2.0, 10.0])
+def test_run_finds_the_contrast_the_size_and_the_light_at_which_a_target_is_seen(name: str, threshold: float) -> None:
+    """With the value that it says, d′ is the threshold: a search that ends within 1e-3 of the value."""
+    options = {"detectability": {"solve_for": name, "threshold": threshold, "registrations": 2}}
+    found = pixsim.run("target", parameters=TARGET, metric=options, **SMALL)
+    assert found.threshold is not None
+    assert found.as_dict()["at_threshold"]["value"] == found.threshold.value
+    assert found.threshold.value is not None
+    at = TARGET | {name: found.threshold.value}
+    again = pixsim.run("target", parameters=at, metric={"detectability": {"registrations": 2}}, **SMALL)
+    assert again.statistics[0]["detectability"] == pytest.approx(threshold, rel=3e-3)
+
+
+def test_command_says_at_which_value_a_target_is_seen_or_that_it_is_at_none(tmp_path: Path) -> None:
+    words = "run target -D size_um=200 -D lux=50 --resolution 96 --display.dots 32 --metric detectability --metric.detectability"
+    (tmp_path / "find.toml").write_text('[metric.detectability]\nsolve_for = "lux"\n')
+    code, out, err = command(f"{words}.threshold 10 --config {tmp_path / 'find.toml'} --out {tmp_path / 'lux'}")
+    assert code == 0, err
+    value = json.loads((tmp_path / "lux" / "score.json").read_text())["at_threshold"]["value"]
+    assert f"10 is reached at lux = {value:.4g}" in out
+    code, out, err = command(f"{words}.threshold 1000 {words.split()[-1]}.solve-for contrast --out {tmp_path / 'none'}")
+    assert code == 0, err
+    assert "1000 is not reached at contrast of -" in out
+    assert "contrast" in out.split("1000 is not reached")[1]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "name", "message"),
+    [
+        ({"size_um": 200.0}, "lux", r"got 'lux', of which no value is stated; allowed: a parameter of target\.xml with a number"),
+        ({"size_um": 200.0}, "shape", "got 'shape', of which the value disc is stated"),
+    ],
+)
+def test_search_for_a_threshold_starts_from_a_number(parameters: dict[str, Any], name: str, message: str) -> None:
+    with pytest.raises(PixsimError, match=message):
+        pixsim.run("target", parameters=parameters, metric={"detectability": {"solve_for": name}}, **SMALL)
+
+
+def test_study_says_that_only_a_run_searches() -> None:
+    with pytest.warns(UserWarning, match=r"solve_for is not used: only a run looks for it; a study has an axis"):
+        prepare(tiny(metrics=["detectability"], metric={"detectability": {"solve_for": "contrast"}}, scene={"file": "target"}))
+
+
 @pytest.mark.parametrize(
     ("over", "message"),
     [
