@@ -16,7 +16,7 @@ from pixsim.base.errors import invalid
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.photodiode import saturation_level_e
 from pixsim.viewer.display import white_cd_per_m2
-from pixsim.viewer.judges.information_density import folded_spectrum, information_bits_per_mm2, natural_spectrum
+from pixsim.viewer.judges.information_density import folded_spectrum, information_bits_per_mm2, natural_spectrum, neq
 from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
 from pixsim.viewer.judges.linear_observer import detectability
 from pixsim.viewer.judges.sharpness import mtf50
@@ -304,6 +304,20 @@ def _information(judged: Judged) -> tuple[float, float]:
     noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
     bits = float(told.mean()) * information_bits_per_mm2(axis, mean_e**2 * power, noise, mean_e**2 * folded)
     return bits, bits * (chain.facts.camera.image_distance_mm * math.radians(1.0)) ** 2
+
+
+def neq_along(chain: ImagingChain, time_s: float) -> tuple[Array, Array]:
+    """Return frequencies along an axis up to Nyquist, in cycles/mm, and the NEQ of the mean level there, in mm⁻².
+
+    Signal, noise and MTF are those of the metric information, of the pixels that do not clip; NaN where all of them do.
+    """
+    frequency, signal_e = np.linspace(0.0, 500.0 / chain.physics.read_pitch_um, POINTS), chain.signal_e_per_s * time_s
+    told = ~clips(chain, signal_e, time_s)
+    if not told.any():
+        return frequency, np.full(POINTS, np.nan)
+    mean_e, variance_e2 = level_e(chain, float(signal_e[told].mean()), time_s)
+    noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
+    return frequency, neq(np.abs(sensor_mtf(chain, frequency, np.zeros(1))), noise, mean_e)
 
 
 INFORMATION = Metric(

@@ -157,6 +157,27 @@ def test_delta_e_of_a_study_does_not_depend_on_other_metrics(judged: tuple[Study
     assert "optima" not in alone.as_dict()["curves"][0]
 
 
+def test_reports_have_the_noise_equivalent_quanta_beside_information(judged: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    """At the best size by information up to its Nyquist frequency; of a run, at its own. Without that metric there are none."""
+    pixsim.write_report(judged[0], tmp_path / "study")
+    found = rows(tmp_path / "study" / "figures" / "neq.csv")
+    own = judged[0].curves[0]
+    best_um = own.optima["information"].pitch_um
+    assert {row["sensor"] for row in found} == {own.label}
+    assert float(found[-1]["frequency_cy_per_mm"]) == pytest.approx(500 / best_um, rel=1e-6)
+    assert float(found[0]["neq_per_mm2"]) > float(found[-1]["neq_per_mm2"]) > 0
+    assert "Noise-equivalent quanta" in (tmp_path / "study" / "report.html").read_text()
+    for metric, has_quanta in (("information", True), ("mtf50", False)):
+        out = tmp_path / metric
+        code, _, err = command(f"run flat -D resolution=48 --display.dots 32 --metric delta_e --metric {metric} --out {out}")
+        assert code == 0, err
+        assert (out / "figures" / "neq.csv").is_file() == has_quanta
+        assert ("Noise-equivalent quanta" in (out / "report.html").read_text()) == has_quanta
+        code, _, err = command(f"run flat -D resolution=48 --display.dots 32 --metric mtf50 --out {out}")
+        assert code == 0, err
+        assert not (out / "figures" / "neq.csv").exists(), "a file of the run before"
+
+
 def test_study_resumes_rows_of_the_same_metrics_only(judged: tuple[StudyResult, Path], tmp_path: Path) -> None:
     whole = (judged[1] / "results.csv").read_text()
     lines = whole.splitlines(keepends=True)

@@ -26,7 +26,7 @@ from pixsim.viewer.judges.sharpness import edge_mtf
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import NoNumberError, own_metric
-from pixsim.viewer.raw_metrics import codes_of_0, sensor_mtf
+from pixsim.viewer.raw_metrics import codes_of_0, neq_along, sensor_mtf
 from pixsim.viewer.score import ImagingChain, make_imaging_chain
 
 CELL_UM, WHITE = 2.0, 100.0
@@ -307,6 +307,19 @@ def test_information_of_a_flat_spectrum_is_its_closed_form() -> None:
     )
     wanted = 0.5 * 250.0**2 * float(np.log2(1 + seen / (noise + folded)).mean())
     assert bits == pytest.approx(wanted, rel=5e-3)  # of the means over points in place of Simpson's rule
+
+
+def test_neq_is_the_quanta_less_noise_and_blur() -> None:
+    """q²/(q + 16 + quantisation) a pixel, times the squared MTF: of shot noise alone the quanta. To rounding."""
+    chain = chain_of(EVEN)
+    frequency, neq = neq_along(chain, 0.02)
+    quanta = 0.02 * float(chain.signal_e_per_s.mean())
+    at_0 = quanta**2 / (quanta + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)) / 0.004**2
+    assert frequency[[0, -1]].tolist() == [0.0, 125.0]
+    np.testing.assert_allclose(neq, at_0 * sensor_mtf(chain, frequency, np.zeros(1)) ** 2, rtol=1e-9)
+    lens = float(pixsim.optics.diffraction_otf(125.0, 550.0, CAMERA.effective_f_number))
+    assert neq[-1] == pytest.approx(at_0 * (lens * 2 / math.pi) ** 2, rel=1e-4), "and the sinc of a pixel at Nyquist"
+    assert np.isnan(neq_along(chain, 1e3)[1]).all(), "all pixels are full"
 
 
 def test_information_of_the_scene_is_that_of_another_film() -> None:
