@@ -267,9 +267,11 @@ def of_metric(c: Configuration, name: str) -> str:
 
 
 def of_target(c: Configuration) -> str:
-    if not has_target(c.judges[0]):
-        return f"neither {' nor '.join(OF_TARGETS)} is among the metrics"
-    return "" if c.command else "the light of the scene without its target is given (without=…)"
+    return "" if has_target(c.judges[0]) else f"neither {' nor '.join(OF_TARGETS)} is among the metrics"
+
+
+def of_without(c: Configuration) -> str:
+    return of_target(c) or ("" if c.command else "the light of the scene without its target is given (without=…)")
 
 
 def of_registrations(c: Configuration) -> str:
@@ -351,7 +353,7 @@ RULES = (
     ),
     Rule(("tolerance_e", "render_noise", "repeats"), of_calibration),
     Rule(("metric.information.contrast", "metric.information.corner_cy_per_mm"), of_natural_spectrum),
-    Rule(("metric.detectability.without",), of_target),
+    Rule(("metric.detectability.without",), of_without),
     Rule(("metric.detectability.registrations",), of_registrations),
     Rule(("metric.detectability.solve_for",), of_one_run),
     *(
