@@ -89,6 +89,28 @@ def test_detectability_of_a_target_is_its_signal_over_the_noise(contrast: float)
     assert found.metrics == {"detectability": found.further["detectability"]}
 
 
+def test_column_noise_of_a_pixel_hides_bars_along_its_columns_alone() -> None:
+    """Offsets of columns of 20 times the noise of a pixel: of 100 rows each, vertical bars lose √(1 + 100 · 400), horizontal none.
+
+    Bars of a whole number of pixels fill the frame, and cancel along the other axis.
+    """
+    bars = np.tile(np.repeat([1.0, 0.8], 4), 25)  # 2 pixels each
+    own = {"metrics": ["detectability"], "metric": MetricOptions(detectability={"registrations": 1})}
+    found = {}
+    for fpn in (0.0, 20 * 16.0 / 20_000):
+        pixel = PIXEL.model_copy(update={"column_fpn": fpn, "read_noise_e": 16.0})
+        dim = pixsim.Exposure(integration_s=1e-4)  # 10 e- of light: the noise is that of reading
+        for name, picture in (("vertical", np.tile(bars, (200, 1))), ("horizontal", np.tile(bars[:, None], 200))):
+            without = light(np.full((200, 200), 0.9))
+            found[name, bool(fpn)] = pixsim.evaluate(light(picture), CAMERA, pixel, dim, DISPLAY, without=without, **own).metrics[
+                "detectability"
+            ]
+    assert found["horizontal", True] == pytest.approx(found["horizontal", False], rel=1e-6)
+    lost = found["vertical", False] / found["vertical", True]
+    assert lost == pytest.approx(math.sqrt(1 + 100 * 400), rel=0.05), "shot noise and rounding are 4 % of the variance"
+    assert found["vertical", False] == pytest.approx(found["horizontal", False], rel=1e-6)
+
+
 def test_detectability_is_the_mean_over_registrations_and_the_worst() -> None:
     """A target of one pixel is shared by four where they meet on it: registrations differ, and 16 are asked for by default."""
     image = with_disc(0.5, 1.0)
@@ -320,6 +342,17 @@ def test_neq_is_the_quanta_less_noise_and_blur() -> None:
     lens = float(pixsim.optics.diffraction_otf(125.0, 550.0, CAMERA.effective_f_number))
     assert neq[-1] == pytest.approx(at_0 * (lens * 2 / math.pi) ** 2, rel=1e-4), "and the sinc of a pixel at Nyquist"
     assert np.isnan(neq_along(chain, 1e3)[1]).all(), "all pixels are full"
+
+
+def test_information_of_a_stated_spectrum_does_not_depend_on_the_film() -> None:
+    """An even field in cells of 0.8 to 4 µm: the spectrum is that of natural scenes, and the level the same to rounding."""
+    found = []
+    for count in (100, 200, 500):
+        data = np.full((count, count, 1), 2e-4, np.float32)
+        image = SpectralImage([550.0], 10.0, 400.0 / count, data=data, header={"diffraction": False})
+        score = pixsim.evaluate(image, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=["information"])
+        found.append(score.metrics["information"])
+    assert found == pytest.approx([found[0]] * 3, rel=1e-9)
 
 
 def test_information_of_the_scene_is_that_of_another_film() -> None:
