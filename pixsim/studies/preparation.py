@@ -506,9 +506,7 @@ def check_metrics(
     return None if without is None else without.identified
 
 
-def _checked(
-    case: Case[Study], source: Scene | SpectralImage, camera: Camera, without: SpectralImage | None = None
-) -> Case[Study]:
+def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera, without: SpectralImage | None = None) -> Case[Study]:
     """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not possible.
 
     without : light without the target, beside light that is given

@@ -14,9 +14,9 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.progress import Progress
 from pixsim.scene.scene import Scene
 from pixsim.studies.budget import without_warnings
+from pixsim.studies.cases import Job
 from pixsim.studies.oversampling import Demand, Light, without_target
-from pixsim.studies.preparation import scene_with_view
-from pixsim.studies.prepared import Job, loaded_scene
+from pixsim.studies.preparation import loaded_scene, scene_with_view
 from pixsim.viewer.judged import Judged, Judging
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.raw_metrics import DETECTABILITY
