@@ -397,7 +397,7 @@ def warn_of_unused(conditions: Sequence[Sequence[Case[Run]]], match: Match) -> N
             if lens_of:  # what is the first one's too is used
                 shared |= {table: differing(getattr(run, table), getattr(first, table)) for table in ("camera", "lens")}
             given = Configuration.of(run.model_copy(update=shared), derive(run.pixel))
-            found.setdefault(sensor.name, []).append(replace(given, lens_of=lens_of))
+            found.setdefault(sensor.name, []).append(replace(given, lens_of=lens_of, is_compared=True))
     warn_of_unused_settings(found)
 
 

@@ -44,6 +44,7 @@ class Configuration:
     command : the run or the study, whose fields above all tables these are; None for a call with records
     light : of a picture, with bands and a size of its own; None for light that is rendered
     lens_of : the sensor whose lens this one has in a comparison; empty for its own
+    is_compared : whether it is one of a comparison's
     metrics, metric : names of the metrics that judge, and their settings, of a call with records
     """
 
@@ -58,6 +59,7 @@ class Configuration:
     command: Effort | None = None
     light: SpectralImage | None = field(default=None, repr=False)
     lens_of: str = ""
+    is_compared: bool = False
     metrics: tuple[str, ...] = ()
     metric: MetricOptions = METRIC_OPTIONS
     motion: Motion = STILL
@@ -292,8 +294,8 @@ def of_registrations(c: Configuration) -> str:
 
 
 def of_one_run(c: Configuration) -> str:
-    axis = "only a run looks for it; a study has an axis over scene.parameters, and the contrast factor of every pixel"
-    return of_metric(c, "detectability") or ("" if isinstance(c.command, Run) and not c.lens_of else axis)
+    axis = "only a run looks for it; a study has an axis over scene.parameters, and the contrast factor of every pixel size"
+    return of_metric(c, "detectability") or ("" if isinstance(c.command, Run) and not c.is_compared else axis)
 
 
 def of_natural_spectrum(c: Configuration) -> str:

@@ -292,9 +292,14 @@ def test_search_for_a_threshold_starts_from_a_number(parameters: dict[str, Any],
         pixsim.run("target", parameters=parameters, metric={"detectability": {"solve_for": name}}, **SMALL)
 
 
-def test_study_says_that_only_a_run_searches() -> None:
-    with pytest.warns(UserWarning, match=r"solve_for is not used: only a run looks for it; a study has an axis"):
-        prepare(tiny(metrics=["detectability"], metric={"detectability": {"solve_for": "contrast"}}, scene={"file": "target"}))
+def test_study_and_comparison_say_that_only_a_run_searches() -> None:
+    message = r"^metric\.detectability\.solve_for is not used: only a run looks for it; a study has an axis"
+    sought: dict[str, Any] = {"metrics": ["detectability"], "metric": {"detectability": {"solve_for": "contrast"}}}
+    with pytest.warns(UserWarning, match=message):
+        prepare(tiny(scene={"file": "target"}, **sought))
+    large = {"pixel": {"pitch_um": 60.0, "bits": 16}, "camera": {"die_mm": 2.7}, "display": {"dots": 32}, "resolution": 96}
+    with pytest.warns(UserWarning, match=message):
+        pixsim.compare(["0.35um", "4t-bsi"], scene="target", parameters=TARGET, repeats=2, jobs=1, **sought, **large)
 
 
 @pytest.mark.parametrize(
