@@ -220,18 +220,8 @@ def test_version_is_consistent() -> None:
     assert pixsim.__version__ == tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
 
 
-# What the rest of scene/ may take from scene/guard: an inspected scene and its files, what traces it, and the variant that works.
-DOORS = {
-    "scene.guard.inspector": {"open_scene", "SceneText"},
-    "scene.guard.assets": {"check_share", "inspect_radiance", "EIGHT_BIT", "mitsuba_folder"},
-    "scene.guard.files": {"Node"},
-    "scene.guard.plugins": {"REASONS"},
-    "scene.guard.child": {"tracer_of"},
-    "scene.guard.tracer": {"Tracer", "Job", "Lamps", "Passes", "OutOfTimeError", "regular"},
-    "scene.guard": {"variant", "graphics"},
-    "scene.guard.variant": {"UNUSABLE_HINT", "VARIANTS", "CUDA", "LLVM", "SCALAR"},
-    "scene.guard.trial": {"Trial", "attempt", "picture_fault"},  # of `pixsim doctor`
-}
+# What the rest of pixsim may take from scene/guard: an inspected scene, and what traces it.
+DOORS = {"scene.guard.inspector": {"open_scene", "SceneText", "REASONS"}, "scene.guard.tracer": {"Tracer", "tracer_of"}}
 
 
 @pytest.mark.parametrize("module", [name for name in MODULES if not name.startswith("scene.guard")])

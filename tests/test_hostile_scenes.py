@@ -31,8 +31,9 @@ from pixsim.scene.guard.assets import metals
 from pixsim.scene.guard.child import ChildTracer, end_child
 from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.guard.meshes import inspect_mesh
+from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.guard.plugins import MAX_ELEMENTS, PLUGINS
-from pixsim.scene.guard.tracer import Job, OutOfTimeError, OwnTracer
+from pixsim.scene.job import Job, OutOfTimeError
 from pixsim.scene.mitsuba import parse, speaking_mitsuba
 from pixsim.scene.scene import packaged_scenes
 from pixsim.scene.tree import nodes_of, tree_of

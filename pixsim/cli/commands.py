@@ -135,6 +135,7 @@ def run(
     tolerance_e: common.Tolerance = None,
     effort: common.Effort = common.NO_EFFORT,
     full: common.Full = False,
+    noise_budget: common.NoiseBudget = None,
     sensor: common.SensorId = None,
     variant: common.Variant = None,
     units: Annotated[
@@ -187,10 +188,11 @@ def run(
     from pixsim.studies.run import light_run, prepare, score_run
     from pixsim.studies.run_arrays import check_raw
 
-    chosen = options.settings(effort, display=display, seed=seed, tolerance_e=tolerance_e, **vars(judges))
+    own = {"seed": seed, "tolerance_e": tolerance_e, "noise_budget": noise_budget}
+    chosen = options.settings(effort, display=display, **own, **vars(judges))
     folder, raw_suffixes = out or DEFAULT_OUT / Path(scene).stem, [f".{suffix}" for suffix in raw or []]
     check_raw(chosen, raw_suffixes)
-    files = RunFiles(tuple(raw_suffixes), irradiance)
+    files = RunFiles(tuple(raw_suffixes), irradiance, chosen.noise_budget)
     if not dry_run:
         check_replaceable(folder, files.names(frames))
     prepared = prepare(scene, chosen, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
@@ -234,8 +236,7 @@ def plan(
     """
     import_less()
     from pixsim.report.outline import plan_document
-    from pixsim.studies.preparation import plan_of
-    from pixsim.studies.prepared import loaded_scene
+    from pixsim.studies.preparation import loaded_scene, plan_of
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = loaded_scene(scene, chosen.scene, chosen.resolution, variant=variant, sensor=sensor)
@@ -295,6 +296,7 @@ def study(
         list[float] | None,
         Parameter(help="Report the probability that the optimum is smaller than this pixel size in µm. Repeatable.", metavar="UM"),
     ] = None,
+    noise_budget: common.NoiseBudget = None,
     yes: Annotated[bool, Parameter(help="Run a study with axes of more than 100 000 evaluations.", negative="")] = False,
     effort: common.Effort = common.NO_EFFORT,
     variant: common.Variant = None,
@@ -336,7 +338,8 @@ def study(
     from pixsim.studies.study_file import checked_study, read_study, uncertainty_of
 
     table = read_study(study)
-    chosen = {"display": display, "pitch": pitch, "seed": seed, "refine": refine, "tolerance_e": tolerance_e, **vars(judges)}
+    chosen = {"display": display, "pitch": pitch, "seed": seed, "refine": refine, "tolerance_e": tolerance_e}
+    chosen |= {"noise_budget": noise_budget, **vars(judges)}
     tables = options.study_tables(scene, effort, **chosen)
     if axis:
         tables["axis"] = common.axes_of(axis, table.table.get("axis", []))
@@ -660,6 +663,10 @@ def lens(
         ),
     ] = None,
     unknown_glass: Annotated[str | None, field_option(LensOptions, "unknown_glass")] = None,
+    reflectance: Annotated[
+        float | None,
+        Parameter(help="Reflectance of the coating of surfaces in air, for light that they reflect twice [default: bare glass]."),
+    ] = None,
     figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
@@ -704,6 +711,7 @@ def lens(
             vignetting_factors=how.vignetting_factors,
             glass_catalogues=how.glass_catalogues,
             unknown_glass=how.unknown_glass,
+            reflectance=reflectance,
             progress=stage,
         )
         stage("report")

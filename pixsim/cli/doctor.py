@@ -1,6 +1,6 @@
 """`pixsim doctor`: checks of software, machine and a test render, with the command that fixes each problem.
 
-Checks that may abort or hang run in separate processes (`pixsim.scene.guard.trial`).
+Checks that may abort or hang run in separate processes (`pixsim.scene.variants.trial`).
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from pixsim.base import cache, machine
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.version import VERSION
-from pixsim.scene.guard import graphics, variant
-from pixsim.scene.guard.trial import Trial, attempt, picture_fault
-from pixsim.scene.guard.variant import CUDA, LLVM, SCALAR
+from pixsim.scene.variants import graphics, variant
+from pixsim.scene.variants.trial import Trial, attempt, picture_fault
+from pixsim.scene.variants.variant import CUDA, LLVM, SCALAR
 from pixsim.show.document import Document, Table
 
 MODULES = {"colour-science": "colour", "openexr": "OpenEXR", "pillow": "PIL"}  # import names that differ from package names

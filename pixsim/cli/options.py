@@ -165,7 +165,7 @@ def scene_names() -> Iterable[str]:
 
 
 def variant_names() -> Iterable[str]:
-    from pixsim.scene.guard.variant import VARIANTS
+    from pixsim.scene.variants.variant import VARIANTS
 
     return VARIANTS
 
@@ -195,6 +195,7 @@ Metrics = Annotated[
 ]
 Linear = Annotated[bool, Parameter(help="The picture of -D chart=FILE is linear in light, not sRGB (scene.chart_linear).")]
 Tolerance = Annotated[str | None, field_option(Run, "tolerance_e")]
+NoiseBudget = Annotated[bool | None, Parameter(help=Run.model_fields["noise_budget"].description, negative="")]
 Full = Annotated[bool, Parameter(help="Render without simplifications.")]
 SensorId = Annotated[str | None, Parameter(help="Id of the sensor, if the scene has several.", metavar="ID")]
 Seed = Annotated[str | None, field_option(Run, "seed")]

@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, WithJsonSchema
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from pixsim.base.arguments import SMALLEST, brief
 from pixsim.base.errors import names_in, quoted
@@ -92,6 +92,44 @@ def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
             raise ValueError(f"got {source} with {efficiency:g} at {nm:g} nm; allowed: {ALLOWED}.{hint}")
     if not any(efficiency >= MIN_FRACTION for _, efficiency in pairs):
         raise ValueError(f"got {source} that is 0 at every wavelength; allowed: {ALLOWED}")
+    return pairs
+
+
+ALLOWED_SHARE = "0 or more and below 1, or a CSV file of wavelength in nm and such shares"
+
+
+def as_share(value: Any) -> object:
+    """A share below 1 as a number or pairs, from a number, pairs, or the path of a CSV file. ValueError if it is none."""
+    if value is None:
+        return None
+    if isinstance(value, str | Path):
+        try:
+            value = float(value)  # type: ignore[arg-type]
+        except (ValueError, TypeError):  # TypeError: `value` is a Path
+            table = read_table(Path(value), "share", ALLOWED_SHARE, 1, MAX_FILE_BYTES, ALLOWED_NM)
+            columns = [zip(map(float, table.nm), map(float, each.values), strict=True) for each in table.columns]
+            return _check_shares(tuple(columns[0]) if columns else (), f"'{value}'")
+    if isinstance(value, int | float):
+        value = as_float(value)
+        if not 0 <= value < 1:
+            hint = f". In per cent? {value:g} % is {value / 100:g}" if 1 <= value < 100 else ""
+            raise ValueError(f"got {value:g}; allowed: {ALLOWED_SHARE}{hint}")
+        return value
+    try:
+        pairs = tuple((as_float(nm), as_float(share)) for nm, share in value)
+    except (TypeError, ValueError):
+        raise ValueError(f"got neither a number, nor a file, nor a list of pairs; allowed: {ALLOWED_SHARE}") from None
+    return _check_shares(pairs, "a list")
+
+
+def _check_shares(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
+    pairs = _rising(pairs)
+    rises = all(one < other for (one, _), (other, _) in pairwise(pairs))
+    if len(pairs) < 2 or not (rises and ALLOWED_NM[0] <= pairs[0][0] and pairs[-1][0] <= ALLOWED_NM[1]):
+        raise ValueError(f"got {source} of {len(pairs)} points; allowed: two or more, wavelengths of 100 to 2000 nm that increase")
+    if outside := [share for _, share in pairs if not 0 <= share < 1]:
+        hint = f" {IN_PER_CENT}." if 1 <= outside[0] < 100 else ""
+        raise ValueError(f"got {source} with a share of {outside[0]:g}; allowed: {ALLOWED_SHARE}.{hint}")
     return pairs
 
 
@@ -221,6 +259,21 @@ QuantumEfficiency = Annotated[
             "anyOf": [
                 {"type": "number", "exclusiveMinimum": 0, "maximum": 1},
                 {"type": "string", "description": "CSV file of wavelength in nm and quantum efficiency, next to the TOML file"},
+                {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}},
+            ]
+        }
+    ),
+]
+
+
+Share = Annotated[
+    Annotated[float, Field(ge=0, lt=1)] | tuple[tuple[float, float], ...],
+    BeforeValidator(as_share),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "number", "minimum": 0, "exclusiveMaximum": 1},
+                {"type": "string", "description": "CSV file of wavelength in nm and share, next to the TOML file"},
                 {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}},
             ]
         }

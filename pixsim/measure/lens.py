@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -19,10 +20,11 @@ from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Stage
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.field_blur import UM_PER_NM, Light, even_window, fit_wavefronts, periodic_psf
+from pixsim.optics.ghosts import Ghost
 from pixsim.optics.glass import AIR
 from pixsim.optics.lens import FirstOrder, Lens, load_lens
 from pixsim.optics.lens_waves import pupil_rays
-from pixsim.optics.quantities import FNumberOrPinhole
+from pixsim.optics.quantities import FNumberOrPinhole, Reflectance
 from pixsim.optics.ray_trace import sag_and_slope
 from pixsim.show.pages import plain
 
@@ -85,6 +87,7 @@ class LensData:
     curves : name -> values (n,)
     pitch_um : of the pixel whose Nyquist frequency is looked at
     notes : of how the file was read
+    reflectance : of coated surfaces in air; None for bare glass
     """
 
     lens: Lens
@@ -103,6 +106,17 @@ class LensData:
     curves: dict[str, Array]
     pitch_um: float | None
     notes: Sequence[str] = ()
+    reflectance: float | None = None
+
+    @cached_property
+    def ghosts(self) -> list[Ghost]:
+        """Light on the axis that two surfaces reflect, at the primary wavelength, the largest share first."""
+        return self.lens.ghosts(self.lens.primary_nm, self.reflectance)
+
+    @property
+    def focused_ghost(self) -> Ghost | None:
+        """The one whose light is closest together on the sensor; None without two surfaces that reflect."""
+        return min(self.ghosts, key=lambda ghost: ghost.blur_mm, default=None)
 
     @property
     def primary(self) -> FirstOrder:
@@ -192,6 +206,8 @@ class LensData:
             "image_distance_mm": lens.prescription.surfaces[-1].thickness_mm,
             "stop_semi_diameter_mm": lens.stop_semi_diameter_mm,
             "fresnel_transmittance": lens.fresnel_transmittance(lens.primary_nm),
+            "reflectance": self.reflectance,
+            "reflected_twice": [plain(vars(each)) for each in self.ghosts],
             "pitch_um": self.pitch_um,
             "mtf_of": "rays times the limit of diffraction" if self.geometric else "waves",
             "first_order": [plain(each) for each in first],
@@ -211,13 +227,18 @@ def asked_frequencies(pitch_um: float | None) -> tuple[float, ...]:
 
 
 def lens_data(
-    lens: Lens, wavelength_nm: Sequence[float] | None = None, pitch_um: float | None = None, notes: Sequence[str] = ()
+    lens: Lens,
+    wavelength_nm: Sequence[float] | None = None,
+    pitch_um: float | None = None,
+    notes: Sequence[str] = (),
+    reflectance: float | None = None,
 ) -> LensData:
     """Trace a lens.
 
     wavelength_nm : of equal weight; those of its file by default
     pitch_um : of a pixel whose Nyquist frequency is looked at
     notes : of how the file was read
+    reflectance : of coated surfaces in air; None for bare glass
 
     Raises PixsimError if a wavelength is outside the range of a glass, or if chief rays do not reach the image.
     """
@@ -276,7 +297,7 @@ def lens_data(
     return LensData(
         lens, wavelengths, first, fields, spots, psfs, pitch, dark, geometric, frequency, mtf,
         np.where(dark, np.nan, rms_wavefronts(lens, fields)), curve,
-        {name: np.asarray(values) for name, values in curves.items()}, pitch_um, notes,
+        {name: np.asarray(values) for name, values in curves.items()}, pitch_um, notes, reflectance,
     )  # fmt: skip
 
 
@@ -432,6 +453,7 @@ def lens(
     vignetting_factors: Literal["use", "ignore"] | None = None,
     glass_catalogues: Sequence[str | os.PathLike[str]] = (),
     unknown_glass: Literal["error", "model"] = "error",
+    reflectance: Reflectance | None = None,
     progress: Stage | None = None,
 ) -> LensData:
     """Trace a lens: first-order data, spots, PSF and MTF, distortion, field curvature, illumination and chief ray angles.
@@ -448,6 +470,7 @@ def lens(
     wavelength_nm : of equal weight; empty means those of the file
     pitch_um : of a pixel, whose Nyquist frequency joins 10, 30 and 60 lp/mm
     configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass : as in `load_lens`
+    reflectance : share of the light that coated surfaces in air reflect, for what two of them reflect; None means bare glass
     progress : returns a callback for each named stage
 
     Raises PixsimError for invalid input, and for what pixsim does not trace.
@@ -470,7 +493,7 @@ def lens(
     if progress:
         surfaces, wavelengths = len(chosen.prescription.surfaces), len(wavelength_nm or chosen.prescription.wavelengths_nm)
         progress(f"trace {surfaces} surfaces at {wavelengths} wavelengths" if surfaces * wavelengths > MANY_TO_TRACE else "trace")
-    return lens_data(chosen, wavelength_nm, pitch_um, tuple(notes))
+    return lens_data(chosen, wavelength_nm, pitch_um, tuple(notes), reflectance)
 
 
 def chosen_lens(

@@ -2,10 +2,10 @@
 
 What a user states: `camera`, `lens_options` (with `quantities`, `chief_rays`), which do not import NumPy.
 
-`thin_lens` turns radiance into irradiance, `diffraction` blurs by a circular pupil, `exchange` reads the light of other
-programs as irradiance on the sensor. `pupil` has the directions of the light at a point of the sensor, `stack` the photodiodes
-that it reaches through microlenses or openings. A real lens is read by `prescription`, with the media of `glass`; `lens` traces
-it with the rays of `ray_trace`, and `lens_waves` hands its wavefronts to `field_blur`, which makes PSFs of them.
+`thin_lens` turns radiance into irradiance, `diffraction` blurs by a circular pupil, `veil` has what strays. `exchange` reads the
+light of other programs as irradiance on the sensor. `pupil` has the directions of the light at a point of the sensor, `stack` the
+photodiodes that it reaches through microlenses or openings. A real lens is read by `prescription`, with the media of `glass`;
+`lens` traces it with the rays of `ray_trace`, and `lens_waves` hands its wavefronts to `field_blur`, which makes PSFs of them.
 May import: base, light.
 """
 

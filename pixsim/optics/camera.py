@@ -11,16 +11,18 @@ from pixsim.base.arguments import Positive, brief, checks_arguments
 from pixsim.base.errors import invalid
 from pixsim.base.problems import Words
 from pixsim.base.records import Record
+from pixsim.light.curves import Share
 from pixsim.light.quantities import Fraction
-from pixsim.optics.chief_rays import ChiefRays
-from pixsim.optics.lens_options import LensOptions, TracedLens
-from pixsim.optics.quantities import DieWidth, Distance, FieldOfView, FNumber, FocalLength, UpToInfinity
+from pixsim.optics.chief_rays import ChiefRays, RelativeIllumination
+from pixsim.optics.lens_options import OF_ANY_LENS, LensOptions, PrescriptionOptions, TracedLens
+from pixsim.optics.quantities import DieWidth, Distance, FieldOfView, FNumber, FocalLength, OutsideLight, UpToInfinity
 
 FASTEST_WORKING_F_NUMBER = 0.5
 LARGEST_MAGNIFICATION = 1e6  # green light is half a metre long in the image; beyond it the object lies in the focus
 CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
 
 
+OF_VEIL = "veiling_glare", "veiling_glare_outside"  # of `Camera`
 F_NUMBER, IN_PIXELS = Words(before="f/?"), Words(also=("pixels",))
 # Usual words for the columns and rows of a sensor, or of a display.
 SIZES = "resolution", "pixel_count", "image_size", "width", "height", "columns", "rows"
@@ -59,12 +61,16 @@ class Camera(Record):
         "stack, and the fall-off in place of the thin lens's if that column is there (absent: those of the thin lens)",
     )
     lens: TracedLens | None = Field(None, description="real lens, from `Scene.camera` with `LensOptions` (absent: a thin lens)")
+    veiling_glare: Share = Field(0.0, description="`LensOptions.veiling_glare`")
+    veiling_glare_outside: OutsideLight = Field(0.0, description="`LensOptions.veiling_glare_outside`")
+    fall_off: RelativeIllumination | None = Field(None, description="`LensOptions.relative_illumination`")
 
     @model_serializer(mode="wrap")
     def _without_absent_lens(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A camera without a real lens is written, and hashed, as if there were none."""
+        """A camera without a real lens, veil or fall-off of its own is written, and hashed, as if it had no such fields."""
         table: dict[str, Any] = handler(self)
-        return {name: value for name, value in table.items() if name != "lens" or value is not None}
+        absent = {name for name in ("lens", *OF_ANY_LENS.values()) if getattr(self, name) == type(self).model_fields[name].default}
+        return {name: value for name, value in table.items() if name not in absent}
 
     @model_validator(mode="after")
     def _forms_an_image(self) -> Self:
@@ -105,6 +111,22 @@ class Camera(Record):
                 f"chief_ray_angle is {angle_deg:.4g} degrees at {height_mm:.4g} mm; allowed: the sine of the angle and of the cone "
                 f"of light at f/{self.f_number:g} together below 1, the horizon, not {sine:.3g}. Give smaller angles or a larger "
                 "f_number"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _has_one_fall_off(self) -> Self:
+        if self.fall_off is None:
+            return self
+        if self.lens is not None or (self.chief_ray_angle is not None and len(self.chief_ray_angle[0]) > 2):
+            other = "lens.file" if self.lens else "camera.chief_ray_angle"
+            raise ValueError(f"got lens.relative_illumination beside {other}, which has a fall-off; allowed: one of them")
+        corner_mm, farthest_mm = math.hypot(self.die_mm, self.height_mm) / 2, self.fall_off[-1][0]
+        if farthest_mm < corner_mm * (1 - CORNER_ROUNDING):
+            raise ValueError(
+                f"lens.relative_illumination ends at an image height of {farthest_mm:g} mm; allowed: up to the corner of the die "
+                f"of {self.die_mm:g} × {self.height_mm:g} mm, {math.ceil(1e4 * corner_mm) / 1e4:g} mm. Add rows up to it, or "
+                "give the die_mm and die_height_mm of the sensor"
             )
         return self
 
@@ -157,27 +179,47 @@ class Camera(Record):
 
     @property
     def relative_illumination(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-        """Image heights in mm, and the illumination there relative to the axis; None if `chief_ray_angle` states none."""
-        if self.chief_ray_angle is None or len(self.chief_ray_angle[0]) < 3:
+        """Image heights in mm, and the illumination there relative to the axis; None if no table states it."""
+        rows = self.fall_off or self.chief_ray_angle
+        if rows is None or (self.fall_off is None and len(rows[0]) < 3):
             return None
-        return tuple(row[0] for row in self.chief_ray_angle), tuple(row[2] for row in self.chief_ray_angle)
+        return tuple(row[0] for row in rows), tuple(row[-1] for row in rows)
 
     @checks_arguments
     def lights_like(self, other: Camera) -> bool:
         """Whether both give the same irradiance; its directions, which only pixels with a stack see, may differ."""
         tables = {self.relative_illumination, other.relative_illumination}
-        return len(tables) == 1 and self.model_copy(update={"chief_ray_angle": other.chief_ray_angle}) == other
+        later = {name: getattr(other, name) for name in ("chief_ray_angle", "fall_off", *OF_VEIL)}
+        return len(tables) == 1 and self.model_copy(update=later) == other
+
+    @property
+    def without_veil(self) -> Camera:
+        """The same without veiling glare, which no render and no blur depends on."""
+        return self.model_copy(update=dict.fromkeys(OF_VEIL, 0.0)) if self.veiling_glare else self
+
+    @checks_arguments
+    def with_light_of(self, chosen: LensOptions) -> Camera:
+        """The same with the veil and the fall-off that options of a lens state; what they leave open stays.
+
+        chosen : options of a lens, whose file is not looked at
+
+        Raises PixsimError for a fall-off beside another one, or that ends before the corner of the die.
+        """
+        given = {field: getattr(chosen, name) for name, field in OF_ANY_LENS.items() if getattr(chosen, name) is not None}
+        return Camera(**dict(self) | given) if given else self
 
     @property
     def options(self) -> CameraOptions:
         """The options that make this camera again; with a real lens, beside its `LensOptions`."""
-        of_lens = {"lens", "focal_length_mm", "chief_ray_angle"} if self.lens else {"lens"}
+        of_lens = {"lens", *OF_ANY_LENS.values()} | ({"focal_length_mm", "chief_ray_angle"} if self.lens else set())
         return CameraOptions(**self.model_dump(exclude=of_lens) | ({"f_number": self.lens.f_number} if self.lens else {}))
 
     @property
     def lens_options(self) -> LensOptions:
-        """The options of its real lens, if it has one."""
-        return LensOptions(**self.lens.model_dump(include=set(LensOptions.model_fields))) if self.lens else LensOptions()
+        """The options of its real lens, if it has one, and of its veil and its fall-off."""
+        of_file = self.lens.model_dump(include=set(PrescriptionOptions.model_fields)) if self.lens else {}
+        of_any = {name: getattr(self, field) or None for name, field in OF_ANY_LENS.items()}
+        return LensOptions(**of_file | {name: value for name, value in of_any.items() if value is not None})
 
     @property
     def fov_deg(self) -> float:

@@ -79,13 +79,14 @@ SLOPE, CURVATURE = np.array([1, -8, 0, 8, -1]) / 12, np.array([-1, 16, -30, 16, 
 
 
 def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) -> Camera:
-    """Return a camera with a real lens in place of its thin one; the camera itself without a file.
+    """Return a camera with a real lens in place of its thin one if there is a file, and with the veil and fall-off of the options.
 
     camera : with the die and the object's distance
     given : options; a focal length and chief rays are those of the lens, and `f_number` stops it down
 
     Raises PixsimError for options that contradict the lens, for a lens that cannot be read, and for a plane without real image.
     """
+    camera = camera.with_light_of(chosen)
     if chosen.file is None:
         return camera
     for name, instead in (
@@ -521,7 +522,7 @@ def _light_key(camera: Camera, tiling: Tiling, wavelength_nm: Array, weight: Arr
     nm, share = traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
     behind = [] if transfer is None else [transfer(BEHIND_CY_PER_MM, one).tolist() for one in nm.tolist()]
     return [
-        camera.model_dump(mode="json"),
+        camera.without_veil.model_dump(mode="json"),
         asdict(replace(tiling, error=0.0, worst=0.0, cut_error=0.0, lacking=0.0)),
         nm.tolist(),
         share.tolist(),
@@ -678,7 +679,7 @@ def choose_tiling(
     tolerance : of the rms of a blurred picture about its mean
     aperture_um : side of the squares that average the picture: a photodiode, or a dot
     """
-    given = [camera.model_dump(mode="json"), shape, pitch_um, wavelength_nm, weight, aperture_um, tolerance]
+    given = [camera.without_veil.model_dump(mode="json"), shape, pitch_um, wavelength_nm, weight, aperture_um, tolerance]
     key = content_hash([*given, cache.version_fingerprint()])
     settings = camera, shape, pitch_um, np.array(wavelength_nm), np.array(weight), aperture_um, tolerance
     return cache.load_or_compute("tiling", key, TypeAdapter(Tiling).validate_python, lambda: _chosen_tiling(*settings), asdict)

@@ -22,7 +22,7 @@ from pixsim.optics.camera_lens import field_angles, traced_lens
 from pixsim.optics.chief_rays import ChiefRayAngles
 from pixsim.optics.lens_options import TracedLens
 from pixsim.optics.pupil import Directions, Pupil, numerical_aperture
-from pixsim.optics.thin_lens import field_factor, irradiance_factor, thin_lens_pupil
+from pixsim.optics.thin_lens import dense_fall_off, field_factor, irradiance_factor, thin_lens_pupil
 
 RINGS, SPOKES = 24, 48  # of rays of a traced pupil
 DARK = 1e-4  # of the light on the axis: at the end of an image circle
@@ -114,12 +114,13 @@ def camera_factor(
     """Return the irradiance on the sensor over the radiance of the scene, (H, W) sr, at each sample of a grid on the axis.
 
     It is `field_factor`; with a relative illumination in `Camera.chief_ray_angle`, that of the axis times it, linear between its
-    image heights. The transmittance is not part of it.
+    image heights, and with `Camera.fall_off` by `dense_fall_off`. The transmittance is not part of it.
 
     shape, pitch_um, part : as for `field_factor`
     """
     if camera.relative_illumination is None:
         return field_factor(shape, pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification, part)
     y_mm, x_mm = (1e-3 * pitch_um * ((np.arange(n) + 0.5) - n / 2)[span] for n, span in zip(shape, part, strict=True))
-    relative = np.interp(np.hypot(x_mm, y_mm[:, None]), *camera.relative_illumination)
+    curve = camera.relative_illumination if camera.fall_off is None else dense_fall_off(camera.fall_off)
+    relative = np.interp(np.hypot(x_mm, y_mm[:, None]), *curve)
     return np.asarray(relative * irradiance_factor(camera.f_number, 0.0, camera.magnification))

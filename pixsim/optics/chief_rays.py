@@ -1,10 +1,10 @@
-"""Chief ray angles of a lens, from rows or a file."""
+"""Chief ray angles and the relative illumination of a lens, from rows or a file."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -21,6 +21,7 @@ ChiefRayAngles = tuple[
 ]  # (image height in mm, angle in degrees[, relative illumination]), heights increasing
 CHIEF_RAY_COLUMNS = ("image_height_mm", "deg", "relative_illumination")
 ALLOWED_CHIEF_RAYS = "a CSV file with the columns image_height_mm, deg and, if it is known, relative_illumination"
+ALLOWED_ILLUMINATION = "a CSV file with the columns image_height_mm and relative_illumination"
 CHIEF_RAY_HEIGHTS_MM = (1e-6, 1e4)  # 1 nm ... ten times the largest die
 MAX_CHIEF_RAYS = 1000  # rows; makers' tables have 10 to 100
 
@@ -43,16 +44,25 @@ def as_chief_ray_angles(value: Iterable[Iterable[object]] | str | Path | None) -
 
 def read_chief_rays(path: Path) -> ChiefRayAngles:
     """Chief ray angles from a CSV file whose first line names its columns. ValueError if they are none."""
-    cells = read_cells(path, "chief ray angles", ALLOWED_CHIEF_RAYS, MAX_FILE_BYTES)
+    known = CHIEF_RAY_COLUMNS[:2], CHIEF_RAY_COLUMNS
+    return _check_chief_rays(_read_heights(path, "chief ray angles", ALLOWED_CHIEF_RAYS, known), f"'{path}'")
+
+
+def _read_heights(path: Path, what: str, allowed: str, known: Sequence[tuple[str, ...]]) -> ChiefRayAngles:
+    """Rows of a CSV file whose first line names its columns, in ascending order if they all descend. ValueError if it has others.
+
+    what, allowed : for messages
+    known : names of the columns, in the order of the result; each of these, or those
+    """
+    cells = read_cells(path, what, allowed, MAX_FILE_BYTES)
     rows = cells.rows
     names = tuple((rows[0][1] if len(rows[0][1]) > 1 else rows[0][1][0].split()) if rows else ())
     shares = [bool(PERCENT.search(name)) for name in names]
     names = tuple(map(_chief_ray_column, names))
-    known = CHIEF_RAY_COLUMNS[:2], CHIEF_RAY_COLUMNS
-    if sorted(names) not in map(sorted, known):
-        hint = f" Make the first line of '{path}' {','.join(known[0])} or {','.join(known[1])}."
-        raise ValueError(f"got a file without these columns; allowed: {ALLOWED_CHIEF_RAYS}.{hint}")
-    order, table = [names.index(name) for name in CHIEF_RAY_COLUMNS[: len(names)]], []
+    if (wanted := next((each for each in known if sorted(each) == sorted(names)), None)) is None:
+        hint = f" Make the first line of '{path}' {' or '.join(','.join(each) for each in known)}."
+        raise ValueError(f"got a file without these columns; allowed: {allowed}.{hint}")
+    order, table = [names.index(name) for name in wanted], []
     for number, row in rows[1:]:
         numbers = [as_number(cell, cells.decimal) for cell in row]
         if len(numbers) < len(order) or None in (found := [numbers[at] for at in order]):
@@ -61,7 +71,7 @@ def read_chief_rays(path: Path) -> ChiefRayAngles:
         table.append(tuple(map(float, scaled)))
     if all(one[0] > other[0] for one, other in pairwise(table)):
         table.reverse()
-    return _check_chief_rays(tuple(table), f"'{path}'")
+    return tuple(table)
 
 
 def _chief_ray_column(title: str) -> str:
@@ -84,22 +94,61 @@ def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
             raise ValueError(f"got {source} with {row} in row {number}; allowed: finite numbers")
         if not abs(row[1]) < 90:
             raise ValueError(f"got {source} with {row[1]:g} degrees in row {number}; allowed: above -90 and below 90")
-        if len(row) == 3 and not 0 <= row[2] <= MAX_RELATIVE_ILLUMINATION:
-            hint = " Divide percentages by 100." if MAX_RELATIVE_ILLUMINATION < row[2] <= 100 else ""
-            got = f"{source} with a relative illumination of {row[2]:g} in row {number}"
-            raise ValueError(f"got {got}; allowed: 0 to {MAX_RELATIVE_ILLUMINATION:g}, 1 on the axis.{hint}")
+        if len(row) == 3:
+            _check_relative(row[2], number, source)
     if rows[0][:2] != (0, 0):
         got = f"{source} that begins with {rows[0][0]:g} mm and {rows[0][1]:g} degrees"
         raise ValueError(f"got {got}; allowed: 0 mm and 0 degrees in the first row, the axis of the lens")
     if len(rows[0]) == 3 and rows[0][2] != 1:
         got = f"{source} with a relative illumination of {rows[0][2]:g} on the axis"
         raise ValueError(f"got {got}; allowed: 1 there. Divide all values by {rows[0][2]:g}.")
+    _check_heights(rows, source)
+    return rows
+
+
+def _check_relative(value: float, number: int, source: str) -> None:
+    if not 0 <= value <= MAX_RELATIVE_ILLUMINATION:
+        hint = " Divide percentages by 100." if MAX_RELATIVE_ILLUMINATION < value <= 100 else ""
+        got = f"{source} with a relative illumination of {value:g} in row {number}"
+        raise ValueError(f"got {got}; allowed: 0 to {MAX_RELATIVE_ILLUMINATION:g}, 1 on the axis.{hint}")
+
+
+def _check_heights(rows: ChiefRayAngles, source: str) -> None:
     for (low, *_), (high, *_) in pairwise(rows):
         if not low < high:
             raise ValueError(f"got {source} with {low:g} mm followed by {high:g} mm; allowed: image heights that increase")
     least_mm, most_mm = CHIEF_RAY_HEIGHTS_MM
-    if outside := [row[0] for row in rows[1:] if not least_mm <= row[0] <= most_mm]:
+    if outside := [row[0] for row in rows if row[0] != 0 and not least_mm <= row[0] <= most_mm]:
         raise ValueError(f"got {source} with {outside[0]:g} mm; allowed: 0, then {least_mm:g} to {most_mm:g} mm")
+
+
+def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path | None) -> object:
+    """Image heights in mm and the illumination there, 1 on the axis, from rows or from a CSV file. ValueError if it is neither.
+
+    A row of the axis may be missing.
+    """
+    if value is None:
+        return None
+    if isinstance(value, str | Path):
+        source, known = f"'{value}'", CHIEF_RAY_COLUMNS[0::2]
+        rows = _read_heights(Path(value), "relative illumination", ALLOWED_ILLUMINATION, [known])
+    else:
+        source = "a list"
+        try:
+            rows = tuple(tuple(as_float(number) for number in row) for row in value if not isinstance(row, str))
+        except (TypeError, ValueError):
+            raise ValueError(f"got neither a file nor a list of rows; allowed: {ALLOWED_ILLUMINATION}") from None
+    if not (1 <= len(rows) <= MAX_CHIEF_RAYS and all(len(row) == 2 and all(map(math.isfinite, row)) for row in rows)):
+        allowed = f"1 to {MAX_CHIEF_RAYS} rows of an image height in mm and the illumination there relative to the axis"
+        raise ValueError(f"got {source} of {len(rows)} rows; allowed: {allowed}")
+    for number, (_, relative) in enumerate(rows, 1):
+        _check_relative(relative, number, source)
+    rows = rows if rows[0][0] == 0 else ((0.0, 1.0), *rows)
+    if rows[0][1] != 1:
+        raise ValueError(f"got {source} with {rows[0][1]:g} on the axis; allowed: 1 there. Divide all values by {rows[0][1]:g}.")
+    _check_heights(rows, source)
+    if len(rows) < 2:
+        raise ValueError(f"got {source} of the axis alone; allowed: image heights up to the corner of the die")
     return rows
 
 
@@ -113,6 +162,19 @@ ChiefRays = Annotated[
             "anyOf": [
                 {"type": "string", "description": f"{ALLOWED_CHIEF_RAYS}, next to the TOML file"},
                 {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}},
+            ]
+        }
+    ),
+]
+
+RelativeIllumination = Annotated[
+    ChiefRayAngles,
+    BeforeValidator(as_relative_illumination),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "string", "description": f"{ALLOWED_ILLUMINATION}, next to the TOML file"},
+                {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}},
             ]
         }
     ),

@@ -30,11 +30,12 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
 from pixsim.base.records import checked
+from pixsim.optics.ghosts import Ghost, ghosts_of, reflectances
 from pixsim.optics.glass import AIR, Glass
-from pixsim.optics.lens_options import LensOptions
+from pixsim.optics.lens_options import PrescriptionOptions
 from pixsim.optics.prescription import Prescription, Vignetting, read_prescription
 from pixsim.optics.pupil import Directions
-from pixsim.optics.quantities import AnyDistance, FNumberOrPinhole
+from pixsim.optics.quantities import AnyDistance, FNumberOrPinhole, Reflectance
 from pixsim.optics.ray_trace import Rays, at_plane, met, paraxial, rays_from, refracted, trace, turned_round
 
 StopPoints = Annotated[ArrayLike, Bounds(-2, 2)]  # over the stop's radius: a square grid, no lengths
@@ -151,10 +152,10 @@ def load_lens(
         "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
         "glass_catalogues": tuple(os.fspath(name) for name in glass_catalogues), "unknown_glass": unknown_glass,
     }  # fmt: skip
-    return read_lens(os.fspath(file), checked(LensOptions, [Layer({"file": os.fspath(file), **table})]))
+    return read_lens(os.fspath(file), checked(PrescriptionOptions, [Layer({"file": os.fspath(file), **table})]))
 
 
-def read_lens(file: str, options: LensOptions) -> Lens:
+def read_lens(file: str, options: PrescriptionOptions) -> Lens:
     """Return the lens of a file. Raises PixsimError as `load_lens` does.
 
     options : how to read the file; their `file` and how the lens is used are not looked at
@@ -1091,11 +1092,28 @@ class Lens:
         count = fields.size if growing.all() else int(np.argmin(growing))
         return fields[:count], rays.y[:count, 0]
 
+    def _plain_indices(self, wavelength_nm: float) -> list[float]:
+        """Return the index in front of the lens and behind each surface."""
+        return [float(np.asarray(index).flat[0]) for index in self._indices(np.array([wavelength_nm]))]
+
     @checks_arguments
     def fresnel_transmittance(self, wavelength_nm: Positive) -> float:
         """Return the fraction of light on the axis that uncoated surfaces let through, for information."""
-        indices = [float(np.asarray(index).flat[0]) for index in self._indices(np.array([wavelength_nm]))]
-        return math.prod(4 * one * other / (one + other) ** 2 for one, other in pairwise(indices))
+        return math.prod(4 * one * other / (one + other) ** 2 for one, other in pairwise(self._plain_indices(wavelength_nm)))
+
+    @checks_arguments
+    def ghosts(self, wavelength_nm: Positive, reflectance: Reflectance | None = None) -> list[Ghost]:
+        """Return the light on the axis that each pair of surfaces reflects twice, the largest share first.
+
+        reflectance : share of the light that coated surfaces in air reflect; None for bare glass
+        """
+        indices, half_mm = self._plain_indices(wavelength_nm), self.entrance_pupil_diameter_mm / 2
+        height_mm, slope = half_mm, 0.0
+        if math.isfinite(self.object_distance_mm):
+            slope = half_mm / self.object_distance_mm
+            height_mm -= slope * self._entrance_pupil_mm
+        surfaces = self.prescription.surfaces
+        return ghosts_of(surfaces, indices, reflectances(indices, reflectance), height_mm, slope)
 
     # Changed lenses ------------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""A real lens in place of the thin one: its file, and how it is read and focused."""
+"""The lens: its veil and its fall-off, and a real one in place of the thin one: its file, and how it is read and focused."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from pixsim.base.records import Record
-from pixsim.optics.quantities import FNumber, FocalLength
+from pixsim.light.curves import Share
+from pixsim.optics.chief_rays import RelativeIllumination
+from pixsim.optics.quantities import FNumber, FocalLength, OutsideLight
 
 OF_THIN_LENS = ("focal_length_mm", "chief_ray_angle")  # of [camera], which a real lens has itself
 
@@ -27,11 +29,17 @@ def as_file_names(value: object) -> object:
     return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
 
 
+# Fields of any lens, with the fields of the camera that hold them.
+OF_ANY_LENS = {
+    "veiling_glare": "veiling_glare",
+    "veiling_glare_outside": "veiling_glare_outside",
+    "relative_illumination": "fall_off",
+}
 # How a lens's file is read, where it leaves a choice.
 READING = ("configuration", "semi_diameters", "vignetting_factors", "glass_catalogues", "unknown_glass")
 
 
-class LensOptions(Record):
+class PrescriptionOptions(Record):
     """A real lens, traced from its prescription, in place of the thin lens of the camera."""
 
     file: str | None = Field(
@@ -67,19 +75,38 @@ class LensOptions(Record):
 
     @model_serializer(mode="wrap")
     def _nothing_without_file(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without a real lens settings are written, and hashed, as if there were no such table; so are ways of reading unused."""
-        table = {} if self.file is None else dict(handler(self))
-        unused = {name for name in READING if getattr(self, name) == LensOptions.model_fields[name].default}
-        return {name: value for name, value in table.items() if name not in unused}
+        """Without a real lens settings are written, and hashed, as if it had no fields; so are ways of reading unused."""
+        of_file, fields = PrescriptionOptions.model_fields, type(self).model_fields
+        unused = set(of_file) if self.file is None else {name for name in READING if getattr(self, name) == of_file[name].default}
+        unused |= {name for name in fields if name in OF_ANY_LENS and getattr(self, name) == fields[name].default}
+        return {name: value for name, value in handler(self).items() if name not in unused}
 
     @model_validator(mode="after")
     def _has_a_file(self) -> Self:
-        if self.file is None and (given := [name for name in LensOptions.model_fields if name in self.model_fields_set - {"file"}]):
+        of_file = PrescriptionOptions.model_fields
+        if self.file is None and (given := [name for name in of_file if name in self.model_fields_set - {"file"}]):
             raise ValueError(f"{', '.join(given)} without file; allowed: with the lens's prescription in lens.file")
         return self
 
 
-class TracedLens(LensOptions):
+class LensOptions(PrescriptionOptions):
+    """The lens: the veil and the fall-off of any one, and a real one in place of the thin lens of the camera."""
+
+    veiling_glare: Share | None = Field(
+        None,
+        description="share of the light of the whole field that falls evenly on the sensor (ISO 9358, ISO 18844): a number from 0 "
+        "to below 1, or a CSV file of wavelength in nm and share (absent: none)",
+    )
+    veiling_glare_outside: OutsideLight | None = Field(
+        None,
+        description="light from outside the rendered field that strays into it, relative to what strays from within (absent: none)",
+    )
+    relative_illumination: RelativeIllumination | None = Field(
+        None, description="CSV file of image_height_mm and relative_illumination, in place of the fall-off of the thin lens"
+    )
+
+
+class TracedLens(PrescriptionOptions):
     """The real lens of a camera: the file is scaled to the focal length and stopped down.
 
     f_number : as engraved: focal length over entrance pupil

@@ -3,7 +3,7 @@
 Lengths are in mm, light travels along +z. Surfaces are centred and rotationally symmetric, in the order in which light meets
 them: z = c r²/(1 + √(1 - (1+k) c² r²)) + Σ A_j r^j. The object is a plane in air, the image plane follows the last thickness.
 What a file asks for and this does not describe is an error that names the line and the surface; nothing is substituted. Where a
-file leaves a choice, `LensOptions` makes it, and a note says which was made.
+file leaves a choice, `PrescriptionOptions` makes it, and a note says which was made.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from pixsim.optics.glass import (
     shifted,
     text_of,
 )
-from pixsim.optics.lens_options import LensOptions
+from pixsim.optics.lens_options import PrescriptionOptions
 
 MAX_BYTES = 4 << 20  # of a file; prescriptions have some kB
 MAX_SURFACES = 200
@@ -178,7 +178,7 @@ class Prescription:
         return tuple(dict.fromkeys(surface.glass for surface in self.surfaces if surface.glass != AIR))
 
 
-def read_prescription(file: str, options: LensOptions | None = None) -> Prescription:
+def read_prescription(file: str, options: PrescriptionOptions | None = None) -> Prescription:
     """Read a packaged prescription by its name, or a user's by the path of its `.toml` or `.zmx` file.
 
     options : how to read it where the file leaves a choice; their `file` is not looked at
@@ -193,7 +193,7 @@ def read_prescription(file: str, options: LensOptions | None = None) -> Prescrip
         what = f"'{file}'" if kind or not file else f"the unknown lens '{file}'"
         hint = HOW_TO_EXPORT.get(kind) or did_you_mean(file, known)
         raise invalid("lens", what, f"{', '.join(known)}; or the path of a {' or '.join(READERS)} file", hint)
-    options = options or LensOptions()
+    options = options or PrescriptionOptions()
     own: dict[str, Glass] = {}
     for name in options.glass_catalogues:
         for full, glass in read_catalogue(Path(name)).items():
@@ -412,12 +412,12 @@ class PrescriptionFile(Record):
 HOW_TO_GIVE_TOML = 'Give the numbers of another glass in a table [glass."NAME"]: formula and coefficients, n_d and v_d, or n.'
 
 
-def _read_toml(path: Path, options: LensOptions, own: Mapping[str, Glass]) -> Prescription:
+def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]) -> Prescription:
     table = read_toml(path)
     if options.configuration not in (None, 1):
         raise invalid("lens.configuration", options.configuration, f"1: '{path}' has one configuration, as every .toml file")
     of_zmx = ("semi_diameters", "vignetting_factors", "unknown_glass")
-    unused = [name for name in of_zmx if getattr(options, name) != LensOptions.model_fields[name].default]
+    unused = [name for name in of_zmx if getattr(options, name) != PrescriptionOptions.model_fields[name].default]
     heads = [
         number
         for number, line in enumerate(read_text(path, "lens", "a readable TOML file", MAX_BYTES).split("\n"), 1)
@@ -599,7 +599,7 @@ class _Block:
         line.words[place] = value
 
 
-def _read_zmx(path: Path, options: LensOptions, own: Mapping[str, Glass]) -> Prescription:
+def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]) -> Prescription:
     head, blocks, operands = _blocks(path)
     if len(blocks) < 3:
         raise invalid(f"'{path}'", f"{len(blocks)} surfaces (lines SURF)", "an object, at least one surface, and an image plane")
@@ -1026,7 +1026,7 @@ def _fixed(blocks: Sequence[_Block], surfaces: Sequence[Surface], stop: int) -> 
 
 
 def _zmx_glasses(
-    path: Path, head: _Block, blocks: Sequence[_Block], options: LensOptions, own: Mapping[str, Glass], notes: list[str]
+    path: Path, head: _Block, blocks: Sequence[_Block], options: PrescriptionOptions, own: Mapping[str, Glass], notes: list[str]
 ) -> list[Glass]:
     """Return the medium behind each surface. Raises PixsimError that names all glasses that are not known."""
     makers = [word for line in head.all("GCAT") for word in line.words]
@@ -1209,5 +1209,5 @@ def _zmx_wavelengths(path: Path, head: _Block) -> tuple[tuple[float, ...], float
     return tuple(used), used[main - 1]
 
 
-Reader = Callable[[Path, LensOptions, Mapping[str, Glass]], Prescription]
+Reader = Callable[[Path, PrescriptionOptions, Mapping[str, Glass]], Prescription]
 READERS: dict[str, Reader] = {".toml": _read_toml, ".zmx": _read_zmx}

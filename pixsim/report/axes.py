@@ -10,6 +10,7 @@ from typing import Any
 
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
+from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.study import (
     PARTS_FILE,
     agrees,
@@ -21,19 +22,19 @@ from pixsim.report.study import (
     study_page,
     with_files_of_study,
 )
-from pixsim.report.wording import DELTA_E, compromise_answer, rendered_words
+from pixsim.report.wording import DELTA_E, compromise_answer, rendered_words, weighted_words
 from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, joined, made_with, pairs, plain_text
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Figures, Plate, columns_of, figure_files, table_csv
-from pixsim.show.sentences import sentence
+from pixsim.show.sentences import capital, sentence
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret
 from pixsim.studies.engine import Workers
-from pixsim.studies.optimum import Optimum, mean_and_ci95
+from pixsim.studies.optimum import Optimum
 from pixsim.studies.oversampling import FilmError
-from pixsim.studies.parts import parts_table
-from pixsim.studies.result import CasesResult, StudyResult
+from pixsim.studies.parts import noise_budgets, parts_table
+from pixsim.studies.result import CasesResult, StudyResult, shown_mean_and_ci95
 from pixsim.studies.sentences import film_words, optima_table, optimum_line
 from pixsim.studies.study_settings import Study
 
@@ -48,29 +49,31 @@ def shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
 
 @own_style()
 def conditions_plate(found: Compromise, number: int) -> Plate:
-    """Plot mean ΔE against pitch in each condition, its weighted mean, and the pixel sizes that suit all conditions."""
+    """Plot the first metric against pitch in each condition, its weighted mean, and the pixel sizes that suit all conditions."""
+    metric = found.metric
     figure = new_figure(6.4, 4.4)
     axes = figure.subplots()
-    table: dict[str, list[float | str]] = {name: [] for name in ("condition", "weight", "pitch_um", "mean_delta_e", "ci95_delta_e")}
+    columns = ("mean_delta_e", "ci95_delta_e") if metric.is_delta_e else (metric.columns[0], f"{metric.columns[0]}_ci95")
+    table: dict[str, list[float | str]] = {name: [] for name in ("condition", "weight", "pitch_um", *columns)}
     for curve, weight, look in zip(found.curves, found.weights, cycle(LOOKS[:2] + LOOKS[3:]), strict=False):
-        mean, ci95 = mean_and_ci95(curve.delta_e)
+        mean, ci95 = shown_mean_and_ci95(curve)
         axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=look.colour)
         best = f"{curve.optimum.pitch_um:.2f} µm" if curve.optimum.inside else "best at an end"
         label = f"{literal(curve.condition)} ({100 * weight:.0f} %): {best}"
-        axes.plot(curve.fit.pitch_um, curve.fit.delta_e, lw=1.5, label=label, **look.stroke)
+        axes.plot(curve.fit.pitch_um, metric.of_loss(curve.fit.delta_e), lw=1.5, label=label, **look.stroke)
         if curve.optimum.inside:
-            axes.plot(curve.optimum.pitch_um, curve.optimum.mean_delta_e, "v", ms=9, mfc="white", mec=look.colour, mew=1.5)
+            axes.plot(curve.optimum.pitch_um, curve.optimum.value, "v", ms=9, mfc="white", mec=look.colour, mew=1.5)
         for values in zip(curve.pitch_um.tolist(), mean.tolist(), ci95.tolist(), strict=True):
             for name, value in zip(table, (curve.condition, weight, *values), strict=True):
                 table[name].append(value)
     if found.weighted is not None and found.best is not None:
         label = f"weighted mean: {found.best.pitch_um:.2f} µm"
-        axes.plot(found.weighted.pitch_um, found.weighted.delta_e, lw=2.2, label=label, **LOOKS[2].stroke)
-        axes.plot(found.best.pitch_um, found.best.mean_delta_e, "*", ms=12, color=LOOKS[2].colour)
+        axes.plot(found.weighted.pitch_um, metric.of_loss(found.weighted.delta_e), lw=2.2, label=label, **LOOKS[2].stroke)
+        axes.plot(found.best.pitch_um, found.best.value, "*", ms=12, color=LOOKS[2].colour)
     if found.regret is not None:
         at_um = found.regret.pitch_um
         axes.axvline(at_um, color="0.4", ls=":", lw=1.5, label=f"least worst regret: {at_um:.2f} µm")
-    axes.set(xlabel="pixel size (µm)", ylabel="mean ΔE, S-CIELAB")
+    axes.set(xlabel="pixel size (µm)", ylabel=literal(metric.label))
     axes.set_ylim(0, axes.get_ylim()[1] * 1.1)
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8)
@@ -79,36 +82,40 @@ def conditions_plate(found: Compromise, number: int) -> Plate:
 
 def conditions_caption(found: Compromise) -> str:
     """Return what the figure of a compromise shows, with its numbers."""
-    names = ", ".join(curve.condition for curve in found.curves)
+    names, words = ", ".join(curve.condition for curve in found.curves), capital(found.metric.words)
     if found.best is None or found.regret is None:
-        return f"{found.label}: {names} share too few pixel sizes for one that suits all. Mean ΔE in each condition."
+        return f"{found.label}: {names} share too few pixel sizes for one that suits all. {words} in each condition."
     best_of = [(curve.condition, curve.optimum) for curve in found.curves]
     own = "; ".join(f"{name}: {best.pitch_um:.2f} µm" if best.inside else f"{name}: at an end" for name, best in best_of)
-    answer = compromise_answer(found)
+    answer, (end, *_) = compromise_answer(found), found.metric.best.split()
     return (
-        f"{sentence(plain_text(joined([answer.head, *answer.below])))} Mean ΔE in {names}, and the weighted mean (star: its least; "
+        f"{sentence(plain_text(joined([answer.head, *answer.below])))} {words} in {names}, and the weighted mean (star: its {end}; "
         f"dotted line: the least worst regret). The best of each condition (triangles): {own}. Points: means over sensors with "
         "their 95 % intervals."
     )
 
 
 def conditions_table(found: Sequence[Compromise]) -> dict[str, Column]:
-    """Return a table with a row for each condition and each compromise of all combinations."""
+    """Return a table with a row for each condition and each compromise of all combinations, by each metric."""
     rows: list[dict[str, float | str | None]] = []
+    by_metric = [own for each in found for own in (each, *each.others.values())]
+    by_delta_e = all(each.metric.is_delta_e for each in by_metric)
+    numbers = ("mean_delta_e", "worst_regret_delta_e") if by_delta_e else ("value", "worst_regret")
 
-    def add(pixel: str, of: str, weight: float | str, size: Optimum | Regret, delta_e: float | str, regret: float | str) -> None:
-        names = "pixel", "pixel_of", "weight", "pitch_um", "interval_low_um", "interval_high_um", "mean_delta_e"
-        values = pixel, of, weight, size.pitch_um, *size.interval_um, delta_e, regret
-        rows.append(dict(zip((*names, "worst_regret_delta_e"), values, strict=True)))
+    def add(of: str, weight: float | str, size: Optimum | Regret, value: float | str, regret: float | str) -> None:
+        row: dict[str, float | str | None] = {} if by_delta_e else {"metric": each.metric.name}
+        row |= {"pixel": each.label, "pixel_of": of, "weight": weight, "pitch_um": size.pitch_um}
+        row |= {"interval_low_um": size.interval_um[0], "interval_high_um": size.interval_um[1]}
+        rows.append(row | dict(zip(numbers, (value, regret), strict=True)))
 
-    for each in found:
+    for each in by_metric:
         for curve, weight in zip(each.curves, each.weights, strict=True):
-            add(each.label, curve.condition, weight, curve.optimum, curve.optimum.mean_delta_e, "")
+            add(curve.condition, weight, curve.optimum, curve.optimum.value, "")
         if each.best is not None:
             worst = max(each.regrets_at(each.best.pitch_um).values())
-            add(each.label, "least weighted mean ΔE", "", each.best, each.best.mean_delta_e, worst)
+            add(weighted_words(each.metric), "", each.best, each.best.value, worst)
         if each.regret is not None:
-            add(each.label, "least worst regret", "", each.regret, "", each.regret.delta_e)
+            add("least worst regret", "", each.regret, "", each.regret.delta_e)
     return columns_of(rows)
 
 
@@ -137,9 +144,10 @@ def alone_words(result: CasesResult) -> list[str]:
         found = []
         for name in names:
             optima = [group.base.optimum, *(curve.optimum for curve in group.moved[name])]
-            sizes, least = [best.pitch_um for best in optima], [best.mean_delta_e for best in optima]
+            sizes, values, metric = [best.pitch_um for best in optima], [best.value for best in optima], group.base.metric
+            form = ".3f" if metric.is_delta_e else ".4g"
             end = "" if all(best.inside for best in optima) else " (an end of the sizes tried)"
-            text = f"{min(sizes):.2f} to {max(sizes):.2f} µm{end}, least mean ΔE {min(least):.3f} to {max(least):.3f}"
+            text = f"{min(sizes):.2f} to {max(sizes):.2f} µm{end}, {metric.best} {min(values):{form}} to {max(values):{form}}"
             found.append((max(sizes) - min(sizes), f"{', '.join(filter(None, (group.label, name)))} alone: {text}"))
         lines += [line for _, line in sorted(found, key=lambda each: -each[0])]
     return lines
@@ -166,6 +174,7 @@ def axes_files(study: Study) -> set[str]:
     cases = cases_of(study)
     plates = [*plate_names(study), *(f"conditions_{number + 1}" for number in range(SHOWN_COMPROMISES))]
     own = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.settings)}
+    plates += [NAME] * study.noise_budget
     return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", PARTS_FILE, *figure_files(plates), *own}
 
 
@@ -187,7 +196,7 @@ def study_report(
     """
     draw = partial(study_page, seconds=seconds, workers=workers or Workers(), figures=figures)
     if not isinstance(result, CasesResult):
-        return with_files_of_study(draw(result, parts=parts_table(result)), result)
+        return with_files_of_study(draw(result, parts=parts_table(result), budgets=noise_budgets(result)), result)
     cases = shown_cases(
         [Case(part.study, curve.at, curve.condition, curve.alone) for part in result.parts for curve in part.curves[:1]]
     )
@@ -207,7 +216,8 @@ def axes_page(
     parts : cases with a page of their own
     """
     figures = [Plot(partial(conditions_plate, found, number)) for number, found in enumerate(compromises[:SHOWN_COMPROMISES], 1)]
-    table, header = parts_table(result), result.irradiance.header
+    others = [compromise_of_others(found) for found in compromises if found.others]
+    table, budgets, header = parts_table(result), noise_budgets(result), result.irradiance.header
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
     made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."
     listed = [
@@ -218,14 +228,15 @@ def axes_page(
     return replace(
         axes_document(result, compromises),
         data=axes_summary(result, compromises),
-        about=[_about(result, bool(compromises))],
+        about=[_about(result, compromises)],
         sections=(
-            Section("conditions", "Conditions", [*figures, all_conditions] if figures else ()),
+            Section("conditions", "Conditions", [*figures, *others, all_conditions] if figures else ()),
             Section("maps", "Along the axes", map(plot_of, axis_plates(result))),
             Section("alone", "One at a time", [plot_of(plate) for plate in [alone_plate(result)] if plate]),
             Section("claims", "The paper's statements", _claims(result)),
             Section("optima", "Optima", [optima_table(result.curves), best]),
             parts_section(table),
+            budgets_section(budgets),
             Section("cases", "Cases with pictures", [Listed(listed)]),
             Section("made", "Reproducibility", [made, made_with(pairs("seconds", seconds, ".2f"))]),
         ),
@@ -237,15 +248,24 @@ def axes_page(
     )
 
 
-def _about(result: CasesResult, has_compromises: bool) -> str:
+def compromise_of_others(found: Compromise) -> Block:
+    """Return the pixel sizes that suit all conditions by further metrics."""
+    answers = [compromise_answer(each) for each in found.others.values()]
+    return Listed(plain_text(joined([answer.head, *answer.below])) for answer in answers)
+
+
+def _about(result: CasesResult, compromises: Sequence[Compromise]) -> str:
     """Return what the numbers of the page mean."""
+    by_delta_e = result.curves[0].judged_by_delta_e
+    difference = "ΔE there over" if by_delta_e else f"{result.curves[0].metric.words} there against"
     regret = (
-        "The regret of a pixel in a condition is its ΔE there over that of the best pixel for that condition; with the least worst "
+        f"The regret of a pixel in a condition is its {difference} that of the best pixel for that condition; with the least worst "
         "regret, it is that much at most in every condition. "
     )
+    meaning = f"{DELTA_E} " if result.curves[0].has_delta_e else ""
     return (
-        f"Each pixel size is simulated on the same die under each of the {result.counts.cases} cases below. {DELTA_E} "
-        f"{regret * has_compromises}All cases have the same random numbers, so that they differ by their settings only."
+        f"Each pixel size is simulated on the same die under each of the {result.counts.cases} cases below. {meaning}"
+        f"{regret * bool(compromises)}All cases have the same random numbers, so that they differ by their settings only."
     )
 
 

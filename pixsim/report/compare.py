@@ -47,7 +47,7 @@ from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.condition import Condition
-from pixsim.studies.cost import PAGE_S, START_S, Cost, known_film, render_cost
+from pixsim.studies.cost import PAGE_S, START_S, Cost, frame_cost, known_film, render_cost
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.lineup import OF_A_SENSOR, SHARED, ComparisonJob, Lineup, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
@@ -106,7 +106,7 @@ def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     for sensor in lineup.cases:
         demand = lineup.demand(sensor, lineup.film_width)
         render = render_cost(demand.plan, sensor.camera, *known_film(demand), processors().usable, begun=True)
-        frame = lineup.cost_of_frame(sensor)
+        frame = frame_cost(sensor.camera, sensor.settings.pixel.pitch_um, *lineup.displays.values())
         seconds += render.seconds + repeats * frame.seconds / processors().usable
         largest = max(largest, render.memory_bytes + frame.memory_bytes)
     return Cost(seconds, largest, 1)
@@ -215,7 +215,8 @@ def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
     if scene := table.get("scene"):
         given = {"parameters": scene_table(folder, scene["parameters"])} if "parameters" in scene else {}
         table["scene"] = given | ({"file": whole_path(scene["file"])} if "file" in scene else {})
-    for part, name in (("pixel", "quantum_efficiency"), ("camera", "chief_ray_angle"), ("develop", "tone_curve")):
+    others = ("lens", "veiling_glare"), ("lens", "relative_illumination"), ("develop", "tone_curve")
+    for part, name in (("pixel", "quantum_efficiency"), ("camera", "chief_ray_angle"), *others):
         if isinstance(file := table.get(part, {}).get(name), str) and file not in TONE_CURVES:
             table[part] = table[part] | {name: whole_path(file)}
     if isinstance(colour := table.get("pixel", {}).get("colour"), dict):
@@ -241,7 +242,7 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
         lead=(*facts(result), *(Note(note) for note in result.notes if note not in warned)),
         about=(f"{DELTA_E} The mean over the picture is compared.",),
         data_file=JSON_FILE,
-        sources=[Path(sensor.case.source) for sensor in result.prepared.shown.cases],
+        sources=[Path(sensor.file) for sensor in result.prepared.shown.cases],
     )
 
 
@@ -437,12 +438,13 @@ def difference_cells(difference: float, interval: tuple[float, float], film: flo
 
 def _unknown(found: PairUncertainty) -> tuple[str, ...]:
     """Return a row of the page's table of what is not known of the sensors."""
-    better, ends = found.probability_a_better, found.difference.quantiles
+    better, ends, metric = found.probability_a_better, found.difference.quantiles, found.metric
+    form, judge = (".4f", "") if metric.is_delta_e else (".4g", f", {metric.words}{metric.unit and f' ({metric.unit})'}")
     return (
-        f"{found.names[1]} − {found.names[0]}",
+        f"{found.names[1]} − {found.names[0]}{judge}",
         str(better.draws),
         str(better),
-        *(f"{ends[name]:+.4f}" for name in ("p05", "p50", "p95")),
+        *(f"{ends[name]:+{form}}" for name in ("p05", "p50", "p95")),
         found.matters,
     )
 

@@ -339,6 +339,7 @@ def lens_document(data: LensData) -> Document:
     glasses = (
         *(f"glass {glass.name}: {glass.source}" for glass in prescription.glasses),
         f"{reflected}; camera.transmittance is what counts",
+        *ghost_words(data),
     )
     return Document(
         command="lens",
@@ -352,6 +353,7 @@ def lens_document(data: LensData) -> Document:
             Section("first-order", "First-order data", (first_order,), brief=True),
             Section("fields", "Fields", (fields, f"{traced} The rms wavefront is without tilt."), brief=True),
             Section("glasses", "Glasses", (Listed(glasses),), brief=True),
+            *([Section("reflections", "Reflected twice", (ghost_table(data),))] if data.ghosts else []),
             Section("figures", "Figures", others),
             Section("prescription", "Prescription", (surface_table(data), source, made_with())),
         ),
@@ -399,6 +401,45 @@ def field_table(data: LensData) -> Table:
     )  # fmt: skip
     caption = "Real rays; MTF tangential / sagittal (t / s)"
     return Table("fields", tuple(f"{name}\n{unit}" for name, unit in units.items()), rows, caption)
+
+
+SHARP = 0.1  # of the largest image height: light that is so close together is seen as a ghost, not as a veil
+SHOWN_GHOSTS = 12
+
+
+def ghost_words(data: LensData) -> list[str]:
+    """Return how much light pairs of surfaces reflect twice, and which pair focuses it nearest to the sensor, as a sentence."""
+    nearest = data.focused_ghost
+    if nearest is None:
+        return []
+    coating = "bare glass" if data.reflectance is None else f"a coating that reflects {100 * data.reflectance:.3g} %"
+    total, count = 100 * sum(ghost.share for ghost in data.ghosts), len(data.ghosts)
+    image_mm = float(np.abs(data.height_mm).max())
+    kind = "a ghost" if image_mm and nearest.blur_mm < SHARP * image_mm else "no ghost but a veil"
+    pairs = f"{count} pair{'s' * (count > 1)} of surfaces reflect{'s' * (count == 1)}"
+    front, back = nearest.surfaces
+    return [
+        f"{pairs} {total:.3g} % of it twice, with {coating}; nearest to the sensor focus {front} and {back}, to a disc of "
+        f"{nearest.blur_mm:.3g} mm: {kind}"
+    ]
+
+
+def ghost_table(data: LensData) -> Table:
+    """Return what the pairs of surfaces with the largest shares reflect twice, and the pair that focuses nearest to the sensor."""
+    listed = data.ghosts[:SHOWN_GHOSTS]
+    nearest = data.focused_ghost
+    listed += [] if nearest is None or nearest in listed else [nearest]
+    rows = tuple(
+        (
+            f"{each.surfaces[0]} and {each.surfaces[1]}", f"{100 * each.share:.3g}", number(each.focus_from_image_mm, 4),
+            f"{each.blur_mm:.3g}",
+        )
+        for each in listed
+    )  # fmt: skip
+    head = "surfaces", "share of the light (%)", "focus behind the image plane (mm)", "disc of a point (mm)"
+    shown = f", {SHOWN_GHOSTS} of {len(data.ghosts)} pairs" if len(data.ghosts) > len(listed) else ""
+    caption = f"Light on the axis that two surfaces reflect{shown}: paraxial, not stopped by apertures"
+    return Table("reflected-twice", head, rows, caption)
 
 
 def surface_table(data: LensData) -> Table:

@@ -1,5 +1,7 @@
 """Figures of a study's axes: the optimum along each, mean ΔE over pixel size and axis, pairs of axes, and axes moved alone.
 
+They are of the study's first metric, which need not be ΔE; tables have the optima by all.
+
 The captions say what is seen, from the numbers drawn, since they are the figures' alternative text.
 """
 
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
     from matplotlib.transforms import Transform
+
+    from pixsim.viewer.metrics import Metric
 
 Item = TypeVar("Item")
 MAX_LINES = 6  # of a figure: as many looks that a reader tells apart
@@ -319,23 +323,28 @@ def unique_names(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
 
 
 def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
-    """Return the optima with their intervals, empty for an open end, and the least mean ΔE with its interval.
+    """Return the optima with their intervals, empty for an open end, and the best value, as the least mean ΔE, with its interval.
 
     inside : whether the optimum lies between the ends of the sizes tried
     alike : whether the film cannot tell apart the sizes around it, so that it is not known
     """
-    best = [curve.optimum for curve in curves]
+    best, name = [curve.optimum for curve in curves], best_column(curves[0])
     return {
         "optimum_um": [each.pitch_um for each in best],
         **range_columns("interval", curves),
         "inside": [str(each.inside) for each in best],
         "alike": [str(curve.alike_um is not None) for curve in curves],
-        "mean_delta_e": [each.mean_delta_e for each in best],
-        "mean_delta_e_low": [each.mean_delta_e_interval[0] for each in best],
-        "mean_delta_e_high": [each.mean_delta_e_interval[1] for each in best],
+        name: [each.value for each in best],
+        f"{name}_low": [each.value_interval[0] for each in best],
+        f"{name}_high": [each.value_interval[1] for each in best],
         **fresnel_column(curves, [each.pitch_um for each in best]),
         **{name: column for metric in curves[0].metrics[1:] for name, column in _metric_columns(metric.name, curves).items()},
     }
+
+
+def best_column(curve: Curve) -> str:
+    """Return the name of a column of the best values by a curve's first metric."""
+    return "mean_delta_e" if curve.judged_by_delta_e else f"best_{curve.metric.name}"
 
 
 def _metric_columns(metric: str, curves: Sequence[Curve]) -> dict[str, Column]:
@@ -367,13 +376,14 @@ def seen_optimum(curve: Curve) -> Seen:
     if curve.alike_um or (not best.inside and low is None and high is None):
         return Seen(best.pitch_um, -math.inf, math.inf, "an unknown size")
     if not best.inside:
-        words += " or less" if best.pitch_um <= float(curve.pitch_um[0]) else " or more"
+        words += " or less" if best.pitch_um <= curve.fitted_range_um[0] else " or more"
     return Seen(best.pitch_um, -math.inf if low is None else low, math.inf if high is None else high, words)
 
 
-def seen_delta_e(curve: Curve) -> Seen:
+def seen_best(curve: Curve) -> Seen:
+    """Return the best value of a curve's first metric, such as the least mean ΔE."""
     best = curve.optimum
-    return Seen(best.mean_delta_e, *best.mean_delta_e_interval, three_digits(best.mean_delta_e))
+    return Seen(best.value, *best.value_interval, three_digits(best.value))
 
 
 def without(scales: Sequence[Scale]) -> str:
@@ -393,7 +403,7 @@ def without(scales: Sequence[Scale]) -> str:
 def plate_names(study: Study) -> list[str]:
     """Return the names of the plates of `axis_plates`, in its order, and that of `alone_plate`."""
     together = [re.sub(r"[^\w.\-]+", "_", axis.name, flags=re.ASCII) for axis in study.axis if not axis.alone]
-    names = [f"{kind}_{name}" for name in together for kind in ("optimum_by", "delta_e_by_pitch_and")]
+    names = [f"{kind}_{name}" for name in together for kind in ("optimum_by", f"{study.metrics[0]}_by_pitch_and")]
     names += [f"optimum_by_{one}_and_{other}" for one, other in combinations(together, 2)]
     return unique_names([*names, "tornado"] if any(axis.alone for axis in study.axis) else names)
 
@@ -480,7 +490,8 @@ def open_words(curves: Sequence[Curve]) -> str:
 
 def hollow_words(curves: Sequence[Curve], mark: str) -> str:
     """Return what a mark of optima that are not found means, if there are some."""
-    why = ["the least error is at an end of the sizes tried"] if not all(curve.optimum.inside for curve in curves) else []
+    what = "least error" if curves[0].judged_by_delta_e else f"{curves[0].metric.best}"
+    why = [f"the {what} is at an end of the sizes tried"] if not all(curve.optimum.inside for curve in curves) else []
     why += ["the film cannot tell sizes apart"] if any(curve.alike_um for curve in curves) else []
     return f"{mark}: {', or '.join(why)}." if why else ""
 
@@ -504,8 +515,11 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
     lines, left_out = grid.lines(scale, [], held, MAX_PANELS, "panels")
     curves = [curve for line in lines for curve in line.curves]
     low_um, high_um = min(curve.fit.pitch_um[0] for curve in curves), max(curve.fit.pitch_um[-1] for curve in curves)
-    ends = min(float(curve.fit.delta_e.min()) for curve in curves), max(float(curve.fit.delta_e.max()) for curve in curves)
+    metric = curves[0].metric
+    fitted = [metric.of_loss(curve.fit.delta_e) for curve in curves]
+    ends = min(float(values.min()) for values in fitted), max(float(values.max()) for values in fitted)
     levels, norm = colour_scale(*ends)
+    valley = "error" if curves[0].judged_by_delta_e else "value"
     figure, panels = panel_grid(len(lines), 2.5)
     for line, axes in zip(lines, panels, strict=True):
         boxes, values = [], []
@@ -530,21 +544,21 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
     bar = figure.colorbar(
-        ScalarMappable(norm, "viridis"), ax=panels, label="mean ΔE", ticks=round_numbers(*levels[[0, -1]]), format="%.3g"
+        ScalarMappable(norm, "viridis"), ax=panels, label=map_label(metric), ticks=round_numbers(*levels[[0, -1]]), format="%.3g"
     )
     bar.ax.minorticks_off()
     cutoff_um = np.concatenate([line.cutoff_um for line in lines])
     limits_um = cutoff_um, np.concatenate([line.doubtful_um for line in lines])
     in_view = [True, True, *(bool(((sizes >= low_um) & (sizes <= high_um)).any()) for sizes in limits_um)]
     shown = [each for each, seen in zip(RIDGE, in_view, strict=True) if seen]
-    handles = [Line2D([], [], label=label, **style, **haloed(halo)) for label, style, halo in shown]
+    handles = [Line2D([], [], label=label.replace("error", valley), **style, **haloed(halo)) for label, style, halo in shown]
     figure.legend(
         handles=handles, fontsize=SMALL_PT, loc="outside lower center", ncols=3, facecolor="0.75", handlelength=LEGEND_LINE
     )
     caption = sentences(
         of_lines({line.label: valley_words(line, scale) for line in lines}),
-        trends("the least mean ΔE", {line.label: list(map(seen_delta_e, line.curves)) for line in lines}, scale),
-        f"Fitted mean ΔE over pixel size and {scale.name}, with the optimum and the sizes within 1 % of its error.",
+        trends(f"the {metric.best}", {line.label: list(map(seen_best, line.curves)) for line in lines}, scale),
+        f"Fitted {metric.words} over pixel size and {scale.name}, with the optimum and the sizes within 1 % of its {valley}.",
         cutoff_words(cutoff_um, low_um, high_um),
         doubtful_words(curves),
         hollow_words(curves, "Hollow points"),
@@ -563,6 +577,11 @@ RIDGE: tuple[tuple[str, dict[str, Any], str], ...] = (
     ("Nyquist frequency = lens's cut-off", {"color": "black", "ls": (0, (1, 1.2)), "lw": 1.8}, "white"),
     ("microlens: Fresnel number 1", {"color": "black", "ls": "-", "lw": 1.0}, "white"),
 )
+
+
+def map_label(metric: Metric) -> str:
+    """Return a metric's name and unit beside the colours of a map."""
+    return literal(f"{metric.words} ({metric.unit})" if metric.unit else metric.words)
 
 
 def haloed(colour: str) -> dict[str, Any]:
@@ -608,8 +627,8 @@ def draw_ridge(axes: Axes, scale: Scale, line: Line) -> None:
 
 def bands(curve: Curve, levels: Array) -> list[tuple[float, float, int]]:
     """Return the ranges of pitch (low, high) in which the fitted curve lies between two levels, with the lower level's place."""
-    pitch_um = curve.fit.pitch_um
-    band = np.clip(np.searchsorted(levels, curve.fit.delta_e, side="right") - 1, 0, len(levels) - 2)
+    pitch_um, values = curve.fit.pitch_um, curve.metric.of_loss(curve.fit.delta_e)
+    band = np.clip(np.searchsorted(levels, values, side="right") - 1, 0, len(levels) - 2)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(band)) + 1, [band.size - 1]])
     return [(float(pitch_um[low]), float(pitch_um[high]), int(band[low])) for low, high in pairwise(starts) if high > low]
 
@@ -681,8 +700,8 @@ def valley_words(line: Line, scale: Scale) -> str:
     low_um, high_um = ends_um[:, 0].max(), ends_um[:, 1].min()
     where = f"at every value of {scale.name}" if len(line.curves) > 1 else f"with {scale.named(scale.values[0])}"
     if low_um > high_um:
-        return f"no size is within 1 % of the least mean ΔE {where}"
-    return f"sizes from {low_um:.2f} to {high_um:.2f} µm are within 1 % of the least mean ΔE {where}"
+        return f"no size is within 1 % of the {line.curves[0].metric.best} {where}"
+    return f"sizes from {low_um:.2f} to {high_um:.2f} µm are within 1 % of the {line.curves[0].metric.best} {where}"
 
 
 def cutoff_words(cutoff_um: Array, low_um: float, high_um: float) -> str:
@@ -697,18 +716,18 @@ def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
     """Return a row for each curve and 41 of its pitches, with the optimum, its 1 % valley and the lens's limit."""
     curves: list[Curve] = []
     pitch_um: list[float] = []
-    delta_e: list[float] = []
+    values: list[float] = []
     cutoffs_um: list[float] = []
     for line in lines:
         for curve, cutoff_um in zip(line.curves, line.cutoff_um.tolist(), strict=True):
             own_um = curve.fit.pitch_um[::MAP_STEP].tolist()
             curves += [curve] * len(own_um)
             pitch_um += own_um
-            delta_e += curve.fit.delta_e[::MAP_STEP].tolist()
+            values += curve.metric.of_loss(curve.fit.delta_e[::MAP_STEP]).tolist()
             cutoffs_um += [cutoff_um] * len(own_um)
     more: dict[str, Column] = {
         "pitch_um": pitch_um,
-        "mean_delta_e": delta_e,
+        curves[0].metric.columns[0]: values,
         "optimum_um": [curve.optimum.pitch_um for curve in curves],
         "inside": [str(curve.optimum.inside) for curve in curves],
         "alike": [str(curve.alike_um is not None) for curve in curves],
@@ -731,16 +750,12 @@ def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
         for (_, stacked), line in zip(rows, lines, strict=True):
             stacked.append(line)
     blocks = [(label, [curve for line in stacked for curve in line.curves]) for label, stacked in rows]
+    best = blocks[0][1][0].metric.best
     figure = new_figure(WIDTH_IN, 0.5 + 2.4 * len(blocks))
     panels = figure.subplots(len(blocks), 2, squeeze=False)
     numbers: tuple[tuple[str, str, Callable[[Curve], float], Callable[[Curve], str]], ...] = (
         ("optimal pixel size (µm)", "cividis", lambda curve: curve.optimum.pitch_um, cell_words),
-        (
-            "least mean ΔE",
-            "viridis",
-            lambda curve: curve.optimum.mean_delta_e,
-            lambda curve: three_digits(curve.optimum.mean_delta_e),
-        ),
+        (best, "viridis", lambda curve: curve.optimum.value, lambda curve: three_digits(curve.optimum.value)),
     )
     for row, (label, own) in zip(panels, blocks, strict=True):
         for axes, (title, colours, number, words) in zip(row, numbers, strict=True):
@@ -752,7 +767,7 @@ def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
     curves = [curve for _, own in blocks for curve in own]
     caption = sentences(
         *(extremes(label, own, (across, up)) for label, own in blocks),
-        f"Optimal pixel size and least mean ΔE over {across.name} and {up.name}.",
+        f"Optimal pixel size and {best} over {across.name} and {up.name}.",
         hollow_words(curves, "Hatched"),
         doubtful_words(curves),
         held_words,
@@ -765,7 +780,7 @@ def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
 def cell_words(curve: Curve) -> str:
     """Return the optimum as in a cell of a map."""
     best = curve.optimum
-    sign = "" if best.inside else "≤" if best.pitch_um <= float(curve.pitch_um[0]) else "≥"
+    sign = "" if best.inside else "≤" if best.pitch_um <= curve.fitted_range_um[0] else "≥"
     return "?" if curve.alike_um else sign + three_digits(best.pitch_um)
 
 
@@ -814,7 +829,7 @@ def extremes(label: str, curves: Sequence[Curve], scales: tuple[Scale, Scale]) -
         return " and ".join(named or [words for words, _ in values])
 
     parts = []
-    for noun, seen in (("the optimum", seen_optimum), ("the least mean ΔE", seen_delta_e)):
+    for noun, seen in (("the optimum", seen_optimum), (f"the {curves[0].metric.best}", seen_best)):
         points = [seen(curve) for curve in curves]
         least, most = extremes_of(points)
         if points[least].differs(points[most]):
@@ -859,9 +874,9 @@ def alone_plate(result: CasesResult) -> Plate | None:
     panels = figure.subplots(len(groups), 2, squeeze=False, sharey=True)
     for (left, right), group in zip(panels, groups, strict=True):
         for row, name in enumerate(names):
-            for axes, seen in ((left, seen_optimum), (right, seen_delta_e)):
+            for axes, seen in ((left, seen_optimum), (right, seen_best)):
                 draw_moves(axes, row, group, name, seen)
-        for axes, seen in ((left, seen_optimum), (right, seen_delta_e)):
+        for axes, seen in ((left, seen_optimum), (right, seen_best)):
             base = seen(group.base)
             low, high = closed_range(group.base.optimum.interval_um, group.base) if axes is left else (base.low, base.high)
             axes.axvspan(low, high, color="0.5", alpha=0.15, lw=0)
@@ -875,7 +890,7 @@ def alone_plate(result: CasesResult) -> Plate | None:
             axes.set_title(literal(short(group.label)), fontsize=SMALL_PT + 1)
         left.set_yticks(range(len(names)), labels)
         left.set_ylim(len(names) - 0.4, -0.6)
-    for axes, label in zip(panels[-1], ("optimal pixel size (µm)", "least mean ΔE"), strict=True):
+    for axes, label in zip(panels[-1], ("optimal pixel size (µm)", literal(groups[0].base.metric.best)), strict=True):
         axes.set_xlabel(label)
     curves = [curve for group in groups for curve in (group.base, *(each for name in names for each in group.moved[name]))]
     caption = sentences(

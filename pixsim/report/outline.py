@@ -21,8 +21,8 @@ from pixsim.viewer.setting import Effort, Run
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
+    from pixsim.studies.cases import Job
     from pixsim.studies.preparation import StudyJob
-    from pixsim.studies.prepared import Job
     from pixsim.studies.run import RunJob
 
 

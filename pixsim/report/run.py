@@ -14,6 +14,7 @@ from pixsim.base.notes import warn
 from pixsim.base.progress import Progress
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.kept import digest_of_content
+from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.settings import scene_rows, settings_tables
 from pixsim.report.wording import DELTA_E, blur_words, budget_section, map_words, rendered_words
@@ -35,6 +36,7 @@ from pixsim.show.document import (
     Text,
     headline,
 )
+from pixsim.show.pages import figure_files
 from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
 from pixsim.show.render import PAGE
 from pixsim.show.sentences import rounded, span
@@ -47,6 +49,7 @@ from pixsim.studies.settings_text import settings_text
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
+    from pixsim.viewer.noise_budget import NoiseBudget
 
 # Files next to the page, with their descriptions.
 FILES = {
@@ -124,10 +127,12 @@ class RunFiles(NamedTuple):
     raw_suffixes : further formats of the frames besides .exr
     irradiance : what irradiance.exr holds: 'reduced', bands of at most 1024 samples across and 60 MB; 'full', what `read_exr`
         gives back bit for bit; 'factors', an image's factors only; 'none', no such file
+    noise_budget : whether there is one
     """
 
     raw_suffixes: tuple[str, ...] = ()
     irradiance: Irradiance = "reduced"
+    noise_budget: bool = False
 
     @property
     def formats(self) -> tuple[str, ...]:
@@ -137,7 +142,8 @@ class RunFiles(NamedTuple):
     def names(self, frames: int) -> set[str]:
         """Return the names of all files of a run of so many frames."""
         raw = {f"{raw_stem(number)}{suffix}" for number in range(1, frames + 1) for suffix in self.formats}
-        return {PAGE, *FILES, *raw} - ({"irradiance.exr"} if self.irradiance == "none" else set())
+        budget = figure_files([NAME]) if self.noise_budget else []
+        return {PAGE, *FILES, *raw, *budget} - ({"irradiance.exr"} if self.irradiance == "none" else set())
 
 
 USUAL = RunFiles()
@@ -159,7 +165,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
         answers=(Answer(answer.head, (*unsure, *answer.below)),),
         lead=(*several_facts(result), *(Note(note) for note in result.notes if note not in {*unsure, *warned})),
         about=(DELTA_E, camera_words(result), blur_words(result.irradiance, result.camera, score.physics, result.settings.display)),
-        sections=(budget_section(result.budget),),
+        sections=(budget_section(result.budget), budgets_section(budgets_of(result))),
         data_file="score.json",
         sources=[Path(result.prepared.source)],
     )
@@ -282,6 +288,12 @@ def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles)
     )
 
 
+def budgets_of(result: RunResult) -> dict[str, NoiseBudget]:
+    """Return the noise budget of a run by the words of its pixel; none where nobody asks."""
+    budget = result.noise_budget
+    return {} if budget is None else {f"{result.score.physics.pitch_um:g} µm": budget}
+
+
 def _numbers(result: RunResult) -> tuple[tuple[str, str], ...]:
     """Return the meaning and the value of each statistic."""
     statistics = {name: result.statistics[0][name] for name in MEANINGS}
@@ -344,5 +356,6 @@ def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     """Hash of everything that the files of a run are made from, but the wall times."""
     prepared, light = lit.prepared, lit.irradiance
     film = lit.rendered and lit.rendered.film.as_dict()
-    own = prepared.settings, prepared.camera, prepared.asked.camera, prepared.repeats, prepared.frames, prepared.settled is None
+    of_case = prepared.settings, prepared.camera, prepared.cases[0].settled is None
+    own = *of_case, prepared.asked.camera, prepared.repeats, prepared.frames
     return digest_of_content(files, run_settings_text(prepared, light), light, film, prepared.technology, own)

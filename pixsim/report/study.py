@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pixsim.base.arrays import Array
 from pixsim.base.toml import SETTINGS_FILE
+from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
 from pixsim.report.pictures import size_words
 from pixsim.report.settings import record_rows, scene_rows, settings_table, settings_tables
@@ -58,6 +61,10 @@ from pixsim.studies.result import (
 from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
 from pixsim.studies.study_settings import Study
 
+if TYPE_CHECKING:
+    from pixsim.viewer.noise_budget import NoiseBudget
+
+NO_BUDGETS: Mapping[str, NoiseBudget] = MappingProxyType({})
 ANSWERS_SHOWN = 12  # optima at the top
 PARTS_FILE = "parts.csv"
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
@@ -252,6 +259,7 @@ def report_files(study: Study) -> set[str]:
     curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
     plates = {*curves, "judges", "metrics", "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
     plates |= set(PAPER_PLATES) if study.paper else set()
+    plates |= {NAME} if study.noise_budget else set()
     sheets = (f"figures/contact_sheet_{label}.png" for label in labels)
     return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *figure_files(plates), *sheets}
 
@@ -317,12 +325,18 @@ PAPER = (
 
 
 def study_page(
-    result: StudyResult, seconds: dict[str, float], workers: Workers, parts: dict[str, Column], figures: Figures = "svg"
+    result: StudyResult,
+    seconds: dict[str, float],
+    workers: Workers,
+    parts: dict[str, Column],
+    figures: Figures = "svg",
+    budgets: Mapping[str, NoiseBudget] = NO_BUDGETS,
 ) -> Document:
     """Return the document of a study without axes, or of one of the cases of another, with its page.
 
     parts : of `parts_table`
     figures : "pdf" draws a PDF beside each SVG
+    budgets : of `noise_budgets`
     """
     study = result.study
     pictures = [("pictures", curve.technology) for curve in result.curves if curve.has_delta_e]
@@ -348,6 +362,7 @@ def study_page(
             Section("see", "Pictures", _pictures(result, views)),
             Section("curves", "Curves", plots["curves"]),
             parts_section(parts),
+            budgets_section(budgets),
             Section("limits", "What limits these pixels", _limits(result)),
             Section("maps", "Whole pictures and maps", _maps(result, plots["maps"])),
             Section("paper", "Statements of the paper and results of pixsim", _paper(result, rows)),
@@ -451,11 +466,16 @@ def _metric_columns(curve: Curve) -> Iterator[tuple[str, list[str]]]:
     first, *others = curve.metrics
     form = ".4f" if curve.judged_by_delta_e else ".4g"
     mean, ci95 = shown_mean_and_ci95(curve)
-    yield first.words, [f"{value:{form}}" for value in mean]
-    yield "± 95 %", [f"{value:{form}}" for value in ci95]
+    yield first.words, _numbers(mean, form)
+    yield "± 95 %", _numbers(ci95, form)
     for metric in others:
         title = f"{metric.words} ({metric.unit})" if metric.unit else metric.words
-        yield title, [f"{each:.4g}" for each in curve.mean(metric.columns[0])]
+        yield title, _numbers(curve.mean(metric.columns[0]), ".4g")
+
+
+def _numbers(values: Array, form: str) -> list[str]:
+    """Return numbers as text; a dash where there is none."""
+    return [f"{value:{form}}" if np.isfinite(value) else "–" for value in values]
 
 
 def numbers_table(curve: Curve) -> Table:

@@ -16,7 +16,6 @@ from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distributio
 
 PAGE, DATA = "uncertainty.html", "uncertainty.json"
 MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
-OUTPUTS = {"optimum_um": "Optimal pixel size", "mean_delta_e": "Least mean ΔE"}
 DRAWN = (
     "Numbers of the sensor that are known only within a range are drawn at random from it, all at once. Each draw is a sensor "
     "type; the study finds its optimum. All types have the same random numbers, so that they differ by their inputs only. "
@@ -42,7 +41,8 @@ def uncertainty_document(result: StudyResult) -> Document:
         lead=[block for block in shown if not isinstance(block, Answer)],
         about=((DRAWN, Link("The study itself", "report.html"), "."),),
         sections=tuple(
-            Section(f"pixel-{number}", capital(each.label) or "Optimum", tuple(_blocks(each, number))) for number, each in found
+            Section(f"pixel-{number}", f"{capital(each.label) or 'Optimum'}{each.by}", tuple(_blocks(each, number)))
+            for number, each in found
         ),
         files={f"sensor_types_{number}.csv": each.to_csv() for number, each in found},
         data_file=DATA,
@@ -72,7 +72,8 @@ def _blocks(found: UncertaintyResult, number: int) -> list[Block]:
         rows = [(name, str(probability)) for name, probability in found.verdicts.items()]
         blocks.append(Table("probabilities", ("statement", "probability that it holds (95 % interval)"), rows, words=None))
     if found.total:
-        blocks += [indices_table(OUTPUTS[output], indices) for output, indices in found.total_indices.items()]
+        titles = {output: capital(words.partition(" (")[0]) for output, words in found.outputs.items()}
+        blocks += [indices_table(titles[output], indices) for output, indices in found.total_indices.items()]
     blocks.append(Listed(f"{line}." for line in found.statements))
     return [*blocks, (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)]
 
@@ -96,8 +97,8 @@ def uncertainty_blocks(found: Sequence[UncertaintyResult]) -> tuple[Block, ...]:
         name = f"{each.label}: " if each.label else ""
         types = f"{len(each.outcomes)} sensor types"
         own = f"each is known to ±{NORMAL_95 * each.optimum.own_sd:.2g} µm by its own 95 % interval" if each.optimum.own_sd else ""
-        blocks.append(headline([f"{name}optimum of {types}: median {median}, nine tenths {most}", own]))
+        blocks.append(headline([f"{name}optimum{each.by} of {types}: median {median}, nine tenths {most}", own]))
         own_verdicts = {statement: words for statement, words in each.verdicts.items() if statement not in SCALING}
-        blocks += [Fact(f"{name}probability that {statement}: {words}") for statement, words in own_verdicts.items()]
+        blocks += [Fact(f"{name}probability{each.by} that {statement}: {words}") for statement, words in own_verdicts.items()]
     of_all = {statement: words for each in found for statement, words in each.verdicts.items() if statement in SCALING}
     return (*blocks, *(Fact(f'probability of "{statement}": {words}') for statement, words in of_all.items()))

@@ -126,7 +126,7 @@ class Views:
 
 def best_place(curve: Curve) -> int:
     """Return the index of the evaluated pitch with the smallest mean ΔE."""
-    return int(np.argmin(curve.mean()))
+    return int(np.nanargmin(curve.mean()))
 
 
 def map_end(result: StudyResult) -> float:

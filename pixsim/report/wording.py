@@ -16,6 +16,7 @@ from pixsim.viewer.display_options import Display
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
     from pixsim.sensor.pixel import PixelPhysics
+    from pixsim.viewer.metrics import Metric
 
 DELTA_E = (
     "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the CIELAB colour difference after the "
@@ -45,8 +46,17 @@ def compromise_answer(found: Compromise) -> Answer:
         return Answer(f"{found.label}: the conditions share too few pixel sizes for one that suits all")
     best, regret = found.best, found.regret
     weighted, worst = ((Strong(f"{size.pitch_um:.2f} µm"), f" (95 %: {interval(size.interval_um)})") for size in (best, regret))
-    first = joined([f"{found.label}: least weighted mean ΔE {best.mean_delta_e:.3f} at ", weighted], "")
-    return headline([first, joined([f"least worst regret {regret.delta_e:.3f} ΔE, in {regret.condition}, at ", worst], "")])
+    metric = found.metric
+    value = f"{best.value:.3f}" if metric.is_delta_e else metric.shown(best.value)
+    first = joined([f"{found.label}: {weighted_words(metric)} {value} at ", weighted], "")
+    least = f"least worst regret {metric.shown(regret.delta_e)}, in {regret.condition}, at "
+    return headline([first, joined([least, worst], "")])
+
+
+def weighted_words(metric: Metric) -> str:
+    """Return the best weighted mean of a metric in words: "least weighted mean ΔE", "greatest weighted information"."""
+    first, _, words = metric.best.partition(" ")
+    return f"{first} weighted {words}"
 
 
 def budget_section(budget: dict[str, Any] | None) -> Section:

@@ -19,8 +19,8 @@ from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, WHITE_LAMPS, Spectrum, grid_nm, tabulated
 from pixsim.optics.camera import Camera
-from pixsim.scene.guard.assets import EIGHT_BIT, check_share
 from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum
+from pixsim.scene.textures import EIGHT_BIT, check_share
 from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, plain
 
 # The property with the spectrum of each stock emitter.

@@ -19,7 +19,7 @@ from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.scene.guard.tracer import OutOfTimeError
+from pixsim.scene.job import OutOfTimeError
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Picture, Renderer
 from pixsim.scene.scene import Scene

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -19,9 +21,8 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import grid_nm
-from pixsim.scene.guard import graphics
-from pixsim.scene.guard.assets import mitsuba_folder
-from pixsim.scene.guard.variant import UNUSABLE_HINT
+from pixsim.scene.variants import graphics
+from pixsim.scene.variants.variant import UNUSABLE_HINT
 
 if TYPE_CHECKING:
     from mitsuba import Spectrum, SurfaceInteraction3f
@@ -30,8 +31,17 @@ if TYPE_CHECKING:
 _process: int | None = None  # in which Mitsuba works
 
 
+@lru_cache
+def mitsuba_folder() -> Path:
+    """Return the folder of Mitsuba's package, which holds its plugins and tables, without importing it."""
+    spec = importlib.util.find_spec("mitsuba")
+    assert spec is not None
+    assert spec.origin is not None
+    return Path(spec.origin).parent
+
+
 def import_mitsuba(variant: str) -> ModuleType:
-    """Import Mitsuba and set its variant; call `pixsim.scene.guard.variant.choose` first.
+    """Import Mitsuba and set its variant; call `pixsim.scene.variants.variant.choose` first.
 
     A process whose first variant is not for graphics cards cannot take one later.
 

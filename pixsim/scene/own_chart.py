@@ -19,7 +19,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import judge_picture, opened, reason
 from pixsim.light.exr import read_channels, read_header
 from pixsim.scene.charts import texture_file
-from pixsim.scene.guard.assets import inspect_radiance
+from pixsim.scene.textures import inspect_radiance
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", ".exr")
 LINEAR_SUFFIXES = (".hdr", ".exr")  # these formats hold light
@@ -180,8 +180,8 @@ def _of_exr(path: Path) -> Array:
 
 def _of_mitsuba(path: Path) -> Array:
     """Return the values of a picture that Pillow does not read in full: Radiance HDR, or a PNG of 16 bits in colour."""
-    from pixsim.scene.guard import variant
     from pixsim.scene.mitsuba import read_bitmap
+    from pixsim.scene.variants import variant
 
     if path.suffix.lower() == ".hdr":
         inspect_radiance(path, "chart picture")

@@ -30,8 +30,8 @@ from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.contents import named_files
-from pixsim.scene.guard.child import tracer_of
-from pixsim.scene.guard.tracer import Job, Lamps, Passes, Tracer, regular
+from pixsim.scene.guard.tracer import Tracer, tracer_of
+from pixsim.scene.job import Job, Lamps, Passes, regular
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
@@ -74,7 +74,9 @@ def hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: int
     size = scene.film_shape(camera, state)
     margin = plan.margin(size, 1e3 * camera.die_mm / size[1])
     settings += [margin, *plan.ends] if margin else []
-    return content_hash([tree, size, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, settings, seed, version])
+    return content_hash(
+        [tree, size, scene.sensor_id, scene.choice.variant, camera.without_veil.model_dump(), lights, settings, seed, version]
+    )
 
 
 class CachedRenders:

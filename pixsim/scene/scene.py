@@ -27,13 +27,12 @@ from pixsim.optics.lens_options import LensOptions
 from pixsim.scene import charts
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, find_lamps, is_neutral, named_files, white_of
 from pixsim.scene.film import FILM_ROUNDING
-from pixsim.scene.guard import variant as variants
-from pixsim.scene.guard.inspector import SceneText, open_scene
-from pixsim.scene.guard.plugins import REASONS
+from pixsim.scene.guard.inspector import REASONS, SceneText, open_scene
 from pixsim.scene.illuminance import ILLUMINANCE, strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
 from pixsim.scene.target import Target
 from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, parse_tree, plain
+from pixsim.scene.variants import variant as variants
 from pixsim.viewer.display_options import Luminance
 from pixsim.viewer.setting import Run
 

@@ -25,6 +25,7 @@ from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import GROUP_WAVELENGTHS, GROUPS, Tiling, blur_of, groups_of, psfs_of, tiling_of, traced_lens
 from pixsim.optics.diffraction import diffract_sums
+from pixsim.optics.veil import veil_of
 from pixsim.sensor.collection import (
     Collection,
     Illumination,
@@ -329,6 +330,35 @@ def diffracted(
     irradiance: SpectralImage, camera: Camera, weights: Sequence[Array], blur: Callable[[Array, float], Array] | None
 ) -> list[Array]:
     """Return `diffracted_rates` of any weights, [(B,)] per W m⁻² nm⁻¹, with the further MTF of `diffract_sum`: per µm²."""
+    kept, even = split_by_veil(irradiance, camera, weights)
+    rates = _blurred(irradiance, camera, kept, blur)
+    for rate, more in zip(rates, even, strict=True):
+        add_even(rate, more)
+    return rates
+
+
+def split_by_veil(irradiance: SpectralImage, camera: Camera, weights: Sequence[Array]) -> tuple[Sequence[Array], Sequence[float]]:
+    """Return weights [(B,)] of the light that does not stray, which the lens blurs, and what strays: s⁻¹ µm⁻², even, for each.
+
+    Without veiling glare they are as they are, and 0.
+    """
+    veil = veil_of(irradiance, camera)
+    if veil is None:
+        return weights, [0.0] * len(weights)
+    even = [M2_PER_UM2 * float((weight * veil.even_w_per_m2_nm).sum()) for weight in weights]
+    return [veil.kept * weight for weight in weights], even
+
+
+def add_even(rate: Array, even: float) -> None:
+    """Add what is the same everywhere to a picture, in place."""
+    if even:
+        rate += even
+
+
+def _blurred(
+    irradiance: SpectralImage, camera: Camera, weights: Sequence[Array], blur: Callable[[Array, float], Array] | None
+) -> list[Array]:
+    """Return `diffracted` without veil."""
     tiling = tiling_of(irradiance, camera)
     if tiling is not None:
         return [_per_um2(real_lens_rate(irradiance, camera, tiling, weight, blur)) for weight in weights]
@@ -444,8 +474,12 @@ class PartBehindLens:
         illuminations : of the channels, those of the whole picture
         """
         transfer = diffusion_of(physics.channels[0])
-        weights = [electrons_per_joule(channel, self.films[0][0]) for channel in physics.channels]
-        rates = [[_per_um2(rate) for rate in self.rates(camera, tiling, weight, transfer)] for weight in weights]
+        image = self.films[0][0]
+        kept, even = split_by_veil(image, camera, [electrons_per_joule(channel, image) for channel in physics.channels])
+        rates = [[_per_um2(rate) for rate in self.rates(camera, tiling, weight, transfer)] for weight in kept]
+        for of_channel, more in zip(rates, even, strict=True):
+            for rate in of_channel:
+                add_even(rate, more)
         return [tuple(map(ChannelLight, of_film, illuminations)) for of_film in zip(*rates, strict=True)]
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 from pixsim.base.arrays import Array
 from pixsim.sensor.technology import number_of
@@ -64,9 +64,10 @@ SOURCES = (
 )
 
 
-def chosen(is_temporal: bool | None, along: Along | None) -> list[NoiseSource]:
-    """Return the sources that are temporal or fixed, and shared in that way; None for both, and for any way."""
-    own = [each for each in SOURCES if is_temporal is None or each.is_temporal == is_temporal]
+def chosen(physics: PixelPhysics, is_temporal: bool | None, along: Along | None) -> list[NoiseSource]:
+    """Return the sources of a pixel that are temporal or fixed, and shared in that way; None for both, and for any way."""
+    own = [each for each in SOURCES if each.name not in physics.silent]
+    own = [each for each in own if is_temporal is None or each.is_temporal == is_temporal]
     return [each for each in own if along is None or each.along == along]
 
 
@@ -81,7 +82,7 @@ def constant_e(physics: PixelPhysics, *, is_temporal: bool | None = None, along:
     >>> constant_e(pixel, is_temporal=True)
     2.0
     """
-    return math.hypot(*(each.of_frame(physics) for each in chosen(is_temporal, along) if not each.grows_with))
+    return math.hypot(*(each.of_frame(physics) for each in chosen(physics, is_temporal, along) if not each.grows_with))
 
 
 def variance_e2(
@@ -100,9 +101,25 @@ def variance_e2(
     is_temporal, along : of which sources; None means all
     """
     charge = {"": 1.0, "light": light_e, "dark": dark_e}
-    for each in chosen(is_temporal, along):
+    for each in chosen(physics, is_temporal, along):
         start = start + (each.of_frame(physics) * charge[each.grows_with]) ** 2
     return start
+
+
+def variances_e2(physics: PixelPhysics, *, light_e: Array | float = 0.0, dark_e: float = 0.0) -> dict[str, Array | float]:
+    """Return the terms of `variance_e2` by the names of their sources."""
+    others = {each: tuple(other.name for other in SOURCES if other is not each) for each in chosen(physics, None, None)}
+    alone = {each.name: replace(physics, silent=names) for each, names in others.items()}
+    return {name: variance_e2(only, light_e=light_e, dark_e=dark_e) for name, only in alone.items()}
+
+
+# Sources whose map of a sensor is drawn from numbers of the pixel, with the values that they have without them.
+DRAWN_FROM: dict[str, dict[str, Any]] = {"PRNU": {"prnu": 0.0}, "DSNU": {"dsnu": 0.0, "hot_pixel_fraction": 0.0}}
+
+
+def without_source(physics: PixelPhysics, name: str) -> PixelPhysics:
+    """Return a pixel without one of its `SOURCES`, by its name; all others are drawn as before, but for their random numbers."""
+    return replace(physics, silent=(*physics.silent, name), **DRAWN_FROM.get(name, {}))
 
 
 def signal_at_snr_e(wanted: float, dark_variance_e2: float, gain_spread: float) -> float:

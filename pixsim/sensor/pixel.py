@@ -401,6 +401,7 @@ class PixelPhysics:
     bin_side : pixels along a side of those that are read as one
     stack : between the surface and the photodiode; None: a pixel collects the light on its photodiode, from every direction alike
     charge : how charge spreads in that stack's silicon (`depletion_um`, `diffusion_length_um`, `crosstalk`)
+    silent : names of noise sources that are switched off
     """
 
     pixel: Pixel
@@ -428,6 +429,7 @@ class PixelPhysics:
     charge: StackOptions | None = None
     channel: str = ""
     bin_side: int = 1
+    silent: tuple[str, ...] = ()
 
     @property
     def layout(self) -> Layout | None:

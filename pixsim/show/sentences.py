@@ -259,7 +259,8 @@ def setting_value(value: object, name: str = "") -> object:
     if isinstance(value, dict):
         return ", ".join(f"{name} {setting_value(inner, name)}" for name, inner in value.items())
     if isinstance(value, tuple | list) and value and isinstance(value[0], tuple | list):
-        unit = {"chief_ray_angle": " mm", "tone_curve": " × white"}.get(name, " nm")
+        lengths = dict.fromkeys(("chief_ray_angle", "relative_illumination", "fall_off"), " mm")
+        unit = {**lengths, "tone_curve": " × white"}.get(name, " nm")
         return f"curve of {len(value)} points, {value[0][0]:g} to {value[-1][0]:g}{unit}"
     return value
 

@@ -52,7 +52,7 @@ class Agreement:
 
 def fits_of(curve: Curve) -> dict[str, FittedCurve]:
     """Return the fitted curve of each metric that tells a best size, by its name."""
-    return {curve.metrics[0].name: curve.fit} | curve.fits
+    return {curve.metric.name: curve.fit} | curve.fits
 
 
 def share_of_best(fit: FittedCurve) -> Array:
@@ -65,6 +65,14 @@ def share_of_best(fit: FittedCurve) -> Array:
     return np.divide(best, loss, out=np.ones(loss.size), where=loss > best + ROUNDING * fit.scale)
 
 
+def share_along(curve: Curve, metric: str) -> tuple[Array, Array]:
+    """Return pitches, and `share_of_best` of a metric there: 0 where some sensors have nothing of what more is better."""
+    fit, (pitch_um, _) = fits_of(curve)[metric], curve.judged_by(metric).along
+    share = np.zeros(pitch_um.shape)
+    share[np.isin(pitch_um, fit.pitch_um)] = share_of_best(fit)
+    return pitch_um, share
+
+
 def agreement_of(curve: Curve) -> Agreement | None:
     """Return what the metrics of a curve say together; None if fewer than two of them tell a best size."""
     fits, optima = fits_of(curve), curve.optima
@@ -73,7 +81,7 @@ def agreement_of(curve: Curve) -> Agreement | None:
     lows = [-np.inf if each.interval_um[0] is None else each.interval_um[0] for each in optima.values()]
     highs = [np.inf if each.interval_um[1] is None else each.interval_um[1] for each in optima.values()]
     sizes = [each.pitch_um for each in optima.values()]
-    shares = {name: (fit.pitch_um, share_of_best(fit)) for name, fit in fits.items()}
+    shares = {name: share_along(curve, name) for name in fits}
     kept = {
         name: {other: float(np.interp(optimum.pitch_um, *share)) for other, optimum in optima.items() if other != name}
         for name, share in shares.items()
@@ -106,7 +114,7 @@ def value_words(metric: Metric, optimum: Optimum) -> str:
 def place_words(optimum: Optimum, sizes_um: Array) -> str:
     """Return the best size by a metric with its interval, as text.
 
-    sizes_um : that were tried, rising
+    sizes_um : of its fitted curve, rising
     """
     end, (low, high) = "" if optimum.inside else ", the end of the sizes", optimum.interval_um
     if interval((low, high)) in (interval((None, sizes_um[0])), interval((sizes_um[-1], None))):
@@ -121,7 +129,7 @@ def agreement_words(curve: Curve) -> list[str]:
     """
     found, fitted = agreement_of(curve), fits_of(curve)
     silent = [
-        f"{curve.label}: {metric.words} tells no best size, since it is 0 or below, or beyond all bounds, for some sizes"
+        f"{curve.label}: {metric.words} tells no best size, since it is 0 or below, or has no number, for too many sizes"
         for metric in curve.metrics
         if metric.has_optimum and metric.name not in fitted
     ]
@@ -147,7 +155,7 @@ def agreement_words(curve: Curve) -> list[str]:
         optimum = found.optima[metric.name]
         lost = {other: 1 - share for other, share in found.kept[metric.name].items() if 1 - share >= WORTH_SAYING}
         losses = ", ".join(f"{rounded(100 * share)} % at that of {titles[other]}" for other, share in lost.items())
-        words = f"{metric.words}: best at {place_words(optimum, curve.pitch_um)}, {value_words(metric, optimum)}"
+        words = f"{metric.words}: best at {place_words(optimum, fitted[metric.name].pitch_um)}, {value_words(metric, optimum)}"
         said.append(words + (f"; it loses {losses}" if losses else ""))
     return said + silent
 
@@ -161,11 +169,11 @@ def judges_against_pitch(curve: Curve) -> Plate:
     table: dict[str, Column] = {"pitch_um": curve.pitch_um.tolist()}
     for metric, look in zip([metric for metric in curve.metrics if metric.name in fits], cycle(LOOKS), strict=False):
         fit = fits[metric.name]
-        share, best = share_of_best(fit), fit.optimum
-        axes.plot(fit.pitch_um, share, lw=1.5, label=f"{metric.words}: {best.pitch_um:.2f} µm", **look.stroke)
+        best = fit.optimum
+        axes.plot(fit.pitch_um, share_of_best(fit), lw=1.5, label=f"{metric.words}: {best.pitch_um:.2f} µm", **look.stroke)
         axes.plot(best.pitch_um, 1.0, look.marker, ms=6, mfc="white", mec=look.colour)
         table[metric.columns[0]] = curve.mean(metric.columns[0]).tolist()
-        table[f"{metric.name}_over_best"] = np.interp(curve.pitch_um, fit.pitch_um, share).tolist()
+        table[f"{metric.name}_over_best"] = np.interp(curve.pitch_um, *share_along(curve, metric.name)).tolist()
     axes.set(xlabel="pixel size (µm)", ylabel="share of the best value", ylim=(0, 1.05))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8)
@@ -187,7 +195,8 @@ def metrics_against_pitch(curve: Curve) -> Plate:
     table: dict[str, Column] = {"pitch_um": curve.pitch_um.tolist()}
     for axes, metric in zip(panels, metrics, strict=False):
         values = curve.statistics[metric.columns[0]]
-        low, mean, high = np.transpose([mean_interval(each[np.isfinite(each)]) for each in values])
+        intervals = (mean_interval(known) if (known := each[np.isfinite(each)]).size > 1 else [np.nan] * 3 for each in values)
+        low, mean, high = np.transpose([*intervals])
         half = (high - low) / 2
         axes.errorbar(curve.pitch_um, mean, half, fmt="o", ms=3, lw=1, capsize=2, color=LOOKS[0].colour)
         if fit := fits.get(metric.name):
@@ -195,8 +204,8 @@ def metrics_against_pitch(curve: Curve) -> Plate:
             axes.plot(fit.optimum.pitch_um, fit.optimum.value, "v", ms=7, mfc="white", mec=LOOKS[0].colour)
         better = "less is better" if metric.better == "less" else "more is better"
         axes.set_title(f"{metric.label}: {better}", fontsize=8)
-        if mean.min() >= 0:
-            axes.set_ylim(0, HEADROOM * max(axes.get_ylim()[1], float(mean.max())))
+        if np.nanmin(mean) >= 0:
+            axes.set_ylim(0, HEADROOM * max(axes.get_ylim()[1], float(np.nanmax(mean))))
         axes.grid(alpha=0.25)
         table[metric.columns[0]], table[f"{metric.columns[0]}_ci95"] = mean.tolist(), half.tolist()
     for axes in panels[len(metrics) :]:

@@ -16,10 +16,10 @@ from pixsim.base.arrays import Array
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.light.spectral import SpectralImage
 from pixsim.show.sentences import with_error
+from pixsim.studies.cases import Case
 from pixsim.studies.lineup import Lineup
 from pixsim.studies.oversampling import FilmError, FilmSteps
 from pixsim.studies.paired import mean_interval, probability_above_zero
-from pixsim.studies.prepared import Prepared
 from pixsim.studies.viewing import Viewed
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.light_error import LightError
@@ -47,7 +47,7 @@ class Compared:
     judged : (repeats,) of each further metric, by its name, on the chosen display
     """
 
-    sensor: Prepared[Run]
+    sensor: Case[Run]
     irradiance: SpectralImage = field(repr=False)
     noise: RenderNoise
     film: FilmError

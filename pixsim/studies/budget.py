@@ -24,7 +24,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial, reduce
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +35,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import PixsimError
 from pixsim.base.notes import told_apart, warn
+from pixsim.base.progress import Stage
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -46,6 +47,7 @@ from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
+from pixsim.studies.cases import Case, Job, Settings
 from pixsim.studies.film_error import (
     FINE,
     FINER,
@@ -65,6 +67,7 @@ from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import ImagingChain, SceneCache, Seen, white_header
+from pixsim.viewer.setting import Run
 
 SCAN_PITCHES = 9  # of the coarse search for the optimum
 AROUND = 1.35  # the fine search covers the coarse optimum divided and multiplied by this
@@ -568,17 +571,17 @@ def rounded_down(value: float) -> float:
     return min(float(f"{math.floor(value / unit) * unit:.3g}"), value)
 
 
+AnyJob = TypeVar("AnyJob", bound=Job[Any])
 MIN_REPEATS = 2  # of a study: one sensor gives no interval
 
 
 @dataclass(frozen=True)
 class Settled:
-    """A scene with the film for a tolerance, the other settings, and the calibration behind them.
+    """What a calibration chose for a tolerance of ΔE, and the calibration.
 
     film_is_free : whether the calibration chose the film, not the user
     """
 
-    scene: Scene
     tolerance_delta_e: float
     calibration: Calibration
     choice: Choice
@@ -609,10 +612,20 @@ def _finite(effect: Effect) -> dict[str, float | None]:
     return {name: float(f"{value:.3g}") if value == value else None for name, value in asdict(effect).items()}
 
 
-def settle(scene: Scene, camera: Camera, design: ProbeDesign, tolerance_delta_e: float) -> Settled:
-    """Calibrate, or read the cached calibration, and choose the settings. Warns if none meet the tolerance."""
-    plan = make_render_plan(scene, camera, design.imaging.pixel)
-    calibration = calibrate(scene, camera, plan, design)
+def settle(case: Case[Settings]) -> Case[Settings]:
+    """Return a case with the film and the settings of least work for its tolerance, by a calibration, or by the cached one.
+
+    A study is calibrated at its first technology's optimum. Warns if no settings meet the tolerance.
+    """
+    settings, scene, camera, tolerance_delta_e = case.settings, case.scene, case.camera, case.settings.tolerance_delta_e
+    assert tolerance_delta_e
+    if isinstance(settings, Study):
+        first = settings.technologies[0]
+        design = ProbeDesign(imaging_of(settings, camera, first, largest_pixel_um(settings, first)), settings.seed, at_optimum=True)
+    else:
+        assert isinstance(settings, Run)
+        design = ProbeDesign(Imaging.of(settings, camera), settings.seed)
+    calibration = calibrate(scene, camera, make_render_plan(scene, camera, design.imaging.pixel), design)
     free = scene.resolution is None
     least = calibration.width if "resolution" in scene.parameters else 0
     choice = choose(calibration, tolerance_delta_e, film_is_free=free, least_width=least)
@@ -621,16 +634,17 @@ def settle(scene: Scene, camera: Camera, design: ProbeDesign, tolerance_delta_e:
         error, asked = told_apart(choice.expected_delta_e, tolerance_delta_e)
         warn(f"no settings meet --tolerance-delta-e {asked}: smallest error {error}{hint}")
     chosen = scene.with_resolution(choice.width) if free else scene
-    return Settled(chosen, tolerance_delta_e, calibration, choice, free)
+    update: dict[str, Any] = {"render_noise": choice.render_noise, "tolerance_e": choice.tolerance_e}
+    update |= {"resolution": chosen.resolution}
+    if isinstance(settings, Study):
+        update["repeats"] = min(max(MIN_REPEATS, choice.sensors), max(MIN_REPEATS, settings.max_repeats))
+    settled = Settled(tolerance_delta_e, calibration, choice, free)
+    return replace(case, settings=case.settings.model_copy(update=update), found=(chosen, camera), settled=settled)
 
 
-def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Settled]:
-    """Return the study with the settings of least work for its tolerance, calibrated at its first technology's optimum."""
-    assert study.tolerance_delta_e
-    first = study.technologies[0]
-    design = ProbeDesign(imaging_of(study, camera, first, largest_pixel_um(study, first)), study.seed, at_optimum=True)
-    settled = settle(scene, camera, design, study.tolerance_delta_e)
-    choice = settled.choice
-    repeats = min(max(MIN_REPEATS, choice.sensors), max(MIN_REPEATS, study.max_repeats))
-    chosen = {"render_noise": choice.render_noise, "tolerance_e": choice.tolerance_e, "repeats": repeats}
-    return study.model_copy(update=chosen | {"resolution": settled.scene.resolution}), settled
+def with_tolerance(job: AnyJob, stage: Stage) -> AnyJob:
+    """Return a job with the settings that a calibration chooses if it has a tolerance of ΔE."""
+    if not job.settings.tolerance_delta_e:
+        return job
+    stage("calibrate")
+    return replace(job, cases=(settle(job.cases[0]),))

@@ -1,22 +1,25 @@
-"""Cases: the settings of a frame, or of frames of many pixel sizes, with what tells them from the other ones of a command.
+"""Cases and jobs: the settings of a frame, or of frames of many pixel sizes, with what tells them from the other ones of a command.
 
 The axes and conditions of a study make cases of it, each a study of pixel sizes without axes. A study without them is its own only
-case. In a comparison each sensor is a case, under each condition.
+case. In a comparison each sensor is a case, under each condition. A job is cases whose scenes and cameras are found and checked.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.notes import warn
 from pixsim.base.problems import explain
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.sensor.labels import labels_of
 from pixsim.studies.axis import Axis, AxisPoint
 from pixsim.studies.case_folders import case_folder, check_case_folders
@@ -24,6 +27,10 @@ from pixsim.studies.pixels import technology_of
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Setting
+
+if TYPE_CHECKING:
+    from pixsim.scene.scene import Scene
+    from pixsim.studies.budget import Settled
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
@@ -39,15 +46,48 @@ class Case(Generic[Settings]):
     at : axis -> value: the number, or its label; `BASE` where the study's own settings hold
     condition : its name; empty without conditions
     alone : the axis that is moved alone, or empty
-    sensor, source : of a comparison, the sensor's name, which is unique there, and its file or technology; else empty
+    name, file : of a comparison, the sensor's name, which is unique there, and its file or technology; else empty
+    found : the scene with its chart, or the picture of another program; and the camera of the window, or of the part of the field
+        that all sensors of a comparison see. None before they are looked for
+    settled : a calibration for its tolerance of ΔE, which chose the film and other settings
     """
 
     settings: Settings = field(repr=False)
     at: dict[str, float | int | str] = field(default_factory=dict)
     condition: str = ""
     alone: str = ""
-    sensor: str = ""
-    source: str = ""
+    name: str = ""
+    file: str = ""
+    found: tuple[Scene | SpectralImage, Camera] | None = field(default=None, repr=False)
+    settled: Settled | None = field(default=None, repr=False)
+
+    @property
+    def source(self) -> Scene | SpectralImage:
+        """The scene or the picture."""
+        assert self.found is not None
+        return self.found[0]
+
+    @property
+    def camera(self) -> Camera:
+        """The camera."""
+        assert self.found is not None
+        return self.found[1]
+
+    @property
+    def picture(self) -> SpectralImage | None:
+        """The picture of another program; None for a scene."""
+        return self.source if isinstance(self.source, SpectralImage) else None
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of a case without a picture."""
+        assert not isinstance(self.source, SpectralImage)
+        return self.source
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """What is known of its light before a render: the header of a picture, or the parameters of a scene."""
+        return {"parameters": self.scene.parameters} if self.picture is None else self.picture.header
 
     @property
     def words(self) -> str:
@@ -64,6 +104,40 @@ class Case(Generic[Settings]):
         """Columns of a table that tell this case from the others, with its values."""
         values = {name: value if isinstance(value, str) else repr(value) for name, value in self.at.items()}
         return values | ({"condition": self.condition} if self.condition else {})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Job(Generic[Settings]):
+    """Cases that were found and checked: of a run, of a study, or of a comparison under one condition.
+
+    cases : a run has one, a study those of its axes and conditions, a comparison one for each sensor
+    view : display and chart that pixsim chose for the sensor of a data sheet, of `choose_view`
+    sensor, variant : id of the scene's sensor, and variant of Mitsuba, as they were given
+    """
+
+    cases: tuple[Case[Settings], ...]
+    view: Mapping[str, Any] = field(default_factory=dict)
+    sensor: str | None = None
+    variant: str | None = None
+
+    @property
+    def settings(self) -> Settings:
+        """The complete settings of the first case."""
+        return self.cases[0].settings
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the first case."""
+        return self.cases[0].camera
+
+
+@contextmanager
+def named(part: str) -> Iterator[None]:
+    """Name a case, a sensor or a condition in an error about its settings; nothing, if there is only one."""
+    try:
+        yield
+    except PixsimError as error:
+        raise PixsimError(f"{part}: {error}" if part else str(error)) from None
 
 
 def case_words(at: Mapping[str, float | int | str], condition: str, alone: str) -> str:

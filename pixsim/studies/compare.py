@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -27,19 +28,17 @@ from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
 from pixsim.sensor.pixel_options import REGISTERED_BORDER
 from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.budget import without_warnings
+from pixsim.studies.cases import Case, named
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases, folders_of, prepare_cases
-from pixsim.studies.cost import frame_cost
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import rows_of
+from pixsim.studies.evaluations import check_ideals, rows_of
 from pixsim.studies.lineup import ComparisonJob, Lineup, prepare
 from pixsim.studies.matched_cameras import Match
-from pixsim.studies.oversampling import FilmSteps, Light, kept_steps, rendered_light
+from pixsim.studies.oversampling import Light, kept_steps, rendered_light
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
-from pixsim.studies.prepared import Prepared, named
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import Row
-from pixsim.studies.sampling import Sizes
 from pixsim.studies.sensor_types import TYPES_FILE, sample_of
 from pixsim.studies.series import Series, judging_of
 from pixsim.studies.study_settings import Study
@@ -49,17 +48,7 @@ from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.score import (
-    ImagingChain,
-    PreparedScene,
-    SceneCache,
-    Score,
-    Seen,
-    check_one_ideal,
-    dark_clip,
-    warn_of_clipping,
-    white_header,
-)
+from pixsim.viewer.score import PreparedScene, SceneCache, Score, Seen, dark_clip, warn_of_clipping, white_header
 from pixsim.viewer.setting import Run
 
 
@@ -164,11 +153,10 @@ def run_prepared(
         whole = [lit_lineup(lineup, stage, prepared.repeats) for lineup in prepared.lineups]
         pairs = [lit_pair(pair, whole, stage, prepared.repeats) for pair in prepared.pairs]
         lit = list(dict.fromkeys(each for parts in (whole, *pairs) for each in parts))
-        evaluate_all(lit, prepared.repeats, files["results.csv"], workers, stage("sense and score"))
-        parts = weighted_parts(prepared.lineups, whole)
+        observed = observed_in(lit, prepared.repeats, files["results.csv"], workers, stage("sense and score"))
+        parts = weighted_parts(prepared.lineups, whole, observed)
         found_notes = _notes_of([part for _, part in parts])
-        with without_warnings():
-            of_pairs = tuple(Averaged(weighted_parts(*pair)) for pair in zip(prepared.pairs, pairs, strict=True))
+        of_pairs = tuple(Averaged(weighted_parts(*pair, observed)) for pair in zip(prepared.pairs, pairs, strict=True))
         result = Comparison(parts, prepared, of_pairs)
         if prepared.types is not None:
             drawn = differences_of_types(prepared.types, result, pairs, files[TYPES_FILE], workers, stage("sensor types"))
@@ -177,63 +165,30 @@ def run_prepared(
     return replace(result, notes=(*notes, *found_notes, *filter(None, elsewhere)))
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Lit:
-    """A lineup with the light of its sensors, and then with the mean ΔE of their frames.
+    """A lineup with the light of its sensors.
 
-    made, plans, series : of each sensor
-    viewed : (viewings, repeats) mean ΔE of each sensor, by its name
-    judged : (repeats,) of further metrics of each sensor, by its name, on the chosen display
+    lights, series : of each sensor, its light with the plan of its film, and what its frames depend on
     """
 
     lineup: Lineup
-    made: list[Light]
-    plans: list[Plan]
+    lights: list[tuple[Light, Plan]]
     series: list[Series]
-    viewed: dict[str, Array] = field(default_factory=dict)
-    judged: dict[str, dict[str, Array]] = field(default_factory=dict)
-
-    def sizes(self, repeats: int) -> list[Sizes]:
-        """Return the pixel size of each sensor, and its frames."""
-        return [{sensor.settings.pixel.pitch_um: repeats} for sensor in self.lineup.cases]
-
-    @cached_property
-    def compared(self) -> dict[str, Compared]:
-        """Each sensor with what its frames show, by its name."""
-        found = {}
-        for sensor, light, plan, series in zip(self.lineup.cases, self.made, self.plans, self.series, strict=True):
-            chain = first_chain(series)
-            score = chain.simulate(*series.stream, 0)
-            time_s = score.frame.integration_s
-            white_e = chain.white_e_per_s * time_s
-            found[sensor.name] = Compared(
-                sensor,
-                light.image,
-                light.noise,
-                light.film,
-                score,
-                self.viewed[sensor.name],
-                dark_clip(score.physics, time_s, white_e),
-                white_e,
-                steps_of(self.lineup, sensor, light, plan),
-                None if chain.rendition is None else chain.colour_facts(time_s),
-                self.judged[sensor.name],
-            )
-        return found
 
 
-def weighted_parts(lineups: Sequence[Lineup], lit: Sequence[Lit]) -> tuple[tuple[float, Observed], ...]:
+def weighted_parts(
+    lineups: Sequence[Lineup], lit: Sequence[Lit], observed: Mapping[Lit, Observed]
+) -> tuple[tuple[float, Observed], ...]:
     """Return the sensors of each lineup with its weight.
 
-    lit : their light and frames, perhaps among more sensors
+    lit : their light, perhaps among more sensors
     """
-    pairs = zip(lineups, lit, strict=True)
-    return tuple((lineup.weight, Observed(lineup, tuple(each.compared[s.name] for s in lineup.cases))) for lineup, each in pairs)
-
-
-def first_chain(series: Series) -> ImagingChain:
-    """Return the imaging chain of a sensor's first frame."""
-    return series.imaging.chain(series.light(), series.imaging.registered(0))
+    found = []
+    for lineup, each in zip(lineups, lit, strict=True):
+        own = {sensor.name for sensor in lineup.cases}
+        found.append((lineup.weight, Observed(lineup, tuple(one for one in observed[each].sensors if one.name in own))))
+    return tuple(found)
 
 
 def lit_lineup(lineup: Lineup, stage: Stage, repeats: int, pair: str = "") -> Lit:
@@ -246,14 +201,12 @@ def lit_lineup(lineup: Lineup, stage: Stage, repeats: int, pair: str = "") -> Li
     def part(name: str) -> Progress:
         return stage(": ".join(filter(None, (pair, lineup.condition, name))))
 
-    with named(lineup.words):
-        made, plans = lights_on_one_film(lineup, part)
-        lights = zip(lineup.cases, made, strict=True)
-        series = [series_of_sensor(lineup, sensor, light, repeats, pair) for sensor, light in lights]
-        chains = {each.name: first_chain(each) for each in series}
-        grey = [name for name, chain in chains.items() if chain.rendition is None]
-        check_one_ideal(grey, {name: chain.screen.ideal for name, chain in chains.items() if chain.rendition is not None})
-    return Lit(lineup, made, plans, series)
+    with named(f"condition {lineup.condition}" if lineup.condition else ""):
+        lights = lights_on_one_film(lineup, part)
+        sensors = zip(lineup.cases, lights, strict=True)
+        series = [series_of_sensor(lineup, sensor, light, repeats, pair) for sensor, (light, _) in sensors]
+        check_ideals(series)
+    return Lit(lineup, lights, series)
 
 
 def lit_pair(lineups: Sequence[Lineup], whole: Sequence[Lit], stage: Stage, repeats: int) -> list[Lit]:
@@ -276,7 +229,7 @@ def is_alike(lineup: Lineup, of_all: Lit) -> bool:
     if any(getattr(lineup, name) != getattr(among, name) for name in alike):
         return False
     # Another sensor may have asked for a finer film.
-    return all(sensor in among.cases for sensor in lineup.cases) and of_all.made[0].image.shape[1] == among.film_width
+    return all(sensor in among.cases for sensor in lineup.cases) and of_all.lights[0][0].image.shape[1] == among.film_width
 
 
 def _notes_of(parts: Sequence[Observed]) -> tuple[str, ...]:
@@ -287,30 +240,30 @@ def _notes_of(parts: Sequence[Observed]) -> tuple[str, ...]:
     return *of_all, *(f"{part.lineup.condition}: {note}" for part, own in named_notes for note in own if note not in of_all)
 
 
-def lights_on_one_film(lineup: Lineup, stage: Stage) -> tuple[list[Light], list[Plan]]:
-    """Return the light of every sensor on one film, fine enough for all, and the plans of that film."""
+def lights_on_one_film(lineup: Lineup, stage: Stage) -> list[tuple[Light, Plan]]:
+    """Return the light of every sensor on one film, fine enough for all, with the plan of that film."""
     width = lineup.film_width
     while True:
-        made: list[Light] = []
-        plans: list[Plan] = []
+        lights: list[tuple[Light, Plan]] = []
         for sensor in lineup.cases:
             with named(sensor.name):
-                light, plan = rendered_light(lineup.demand(sensor, width), stage(f"render {sensor.name}"))
-            if light.image.shape[1] > width:  # its film had to be finer: the others take that one too
-                width = light.image.shape[1]
+                lights.append(rendered_light(lineup.demand(sensor, width), stage(f"render {sensor.name}")))
+            if (across := lights[-1][0].image.shape[1]) > width:  # its film had to be finer: the others take that one too
+                width = across
                 break
-            made.append(light)
-            plans.append(plan)
         else:
-            pairs = list(zip(lineup.cases, made, strict=True))
-            seen = [Seen(light.image, s.camera, derive(s.settings.pixel), lineup.border_um(s.camera)) for s, light in pairs]
+            images = [light.image for light, _ in lights]
+            seen = [
+                Seen(image, each.camera, derive(each.settings.pixel), lineup.border_um(each.camera))
+                for each, image in zip(lineup.cases, images, strict=True)
+            ]
             white = white_header(seen, lineup.settings.display)
-            for light in made:
-                light.image.header |= white
-            return made, plans
+            for image in images:
+                image.header |= white
+            return lights
 
 
-def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], light: Light, repeats: int, pair: str = "") -> Series:
+def series_of_sensor(lineup: Lineup, sensor: Case[Run], light: Light, repeats: int, pair: str = "") -> Series:
     """Return the series of a sensor, which show and score the same part of the scene as those of the others.
 
     Its random streams do not name the sensor, so that equal sensors give equal frames.
@@ -345,29 +298,51 @@ def series_of_sensor(lineup: Lineup, sensor: Prepared[Run], light: Light, repeat
         return series
 
 
-def steps_of(lineup: Lineup, sensor: Prepared[Run], light: Light, plan: Plan) -> FilmSteps:
-    """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
-    with without_warnings():  # the result itself warns
-        imaging = Imaging.of(sensor.settings, sensor.camera)
-        return kept_steps(light.image, imaging, plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
+def observed_of(lit: Lit, rows: Sequence[Sequence[Row]]) -> Observed:
+    """Return what the frames of all sensors of a lineup show.
+
+    rows : of each sensor
+    """
+    lineup, found = lit.lineup, []
+    places = [list(lineup.displays).index(viewing) for viewing in lineup.viewing.viewings]
+    for sensor, (light, plan), series, own in zip(lineup.cases, lit.lights, lit.series, rows, strict=True):
+        on_displays = {
+            metric.name: numbers_in(own, metric.columns[0]).reshape(-1, len(series.displays)).T[places]
+            for metric in series.imaging.judging.metrics
+        }
+        chain = series.imaging.chain(series.light(), series.imaging.registered(0))
+        score = chain.simulate(*series.stream, 0)
+        time_s = score.frame.integration_s
+        with without_warnings():  # the result itself warns
+            of_run = Imaging.of(sensor.settings, sensor.camera)
+            steps = kept_steps(light.image, of_run, plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
+        compared = Compared(
+            sensor,
+            light.image,
+            light.noise,
+            light.film,
+            score,
+            on_displays.pop(DELTA_E.name),
+            dark_clip(score.physics, time_s, chain.white_e_per_s * time_s),
+            chain.white_e_per_s * time_s,
+            steps,
+            None if chain.rendition is None else chain.colour_facts(time_s),
+            {name: values[0] for name, values in on_displays.items()},
+        )
+        found.append(compared)
+    return Observed(lineup, tuple(found))
 
 
-def evaluate_all(parts: Sequence[Lit], repeats: int, results: Path | None, workers: Workers | None, progress: Progress) -> None:
-    """Evaluate the frames of all sensors under all conditions, and note the mean ΔE of each frame under each viewing.
+def observed_in(
+    parts: Sequence[Lit], repeats: int, results: Path | None, workers: Workers | None, progress: Progress
+) -> dict[Lit, Observed]:
+    """Return what the frames of all sensors under all conditions show.
 
     results : the file of the rows, from which an interrupted comparison goes on; None for none
     workers : None takes as many processes as are worth it
     """
-    series, sizes = [each for part in parts for each in part.series], [each for part in parts for each in part.sizes(repeats)]
-    costs = [part.lineup.cost_of_frame(sensor) for part in parts for sensor in part.lineup.cases]
-    left = iter(rows_of(series, sizes, costs, results, workers, progress))
-    for part in parts:
-        places = [list(part.lineup.displays).index(viewing) for viewing in part.lineup.viewing.viewings]
-        for each in part.series:
-            rows, metrics = next(left), each.imaging.judging.metrics
-            values = {metric.name: numbers_in(rows, metric.columns[0]).reshape(repeats, -1).T[places] for metric in metrics}
-            part.viewed[each.name] = values.pop(DELTA_E.name)
-            part.judged[each.name] = {name: on_displays[0] for name, on_displays in values.items()}
+    rows = iter(rows_of([each for part in parts for each in part.series], repeats, results, workers, progress))
+    return {part: observed_of(part, [next(rows) for _ in part.series]) for part in parts}
 
 
 def numbers_in(rows: Sequence[Row], column: str) -> Array:
@@ -380,34 +355,37 @@ def differences_of_types(
 ) -> list[PairUncertainty]:
     """Evaluate the sensor types of both sensors of each pair under all conditions, and return what is known of their differences.
 
+    Those of ΔE come first for each pair, then those of further metrics.
+
     Warns of pairs without an unknown number, of which there is nothing to tell.
 
     result : with the sensors as they are
     pairs : the light of each pair
-    file : as `results` of `evaluate_all`
+    file : as `results` of `observed_in`
     """
-    wanted: dict[tuple[int, str], tuple[Lit, Series]] = {}  # light and sensor
-    unsure = [(pair, lit) for pair, lit in zip(result.pairs, pairs, strict=True) if sample_of(types.sample, *pair.names).inputs]
-    for pair in result.pairs:
-        if all(pair is not each for each, _ in unsure):
+    unsure: list[tuple[Averaged, Sequence[Lit]]] = []
+    for pair, lit in zip(result.pairs, pairs, strict=True):
+        if sample_of(types.sample, *pair.names).inputs:
+            unsure.append((pair, lit))
+        else:
             warn(f"{' and '.join(pair.names)}: no number of these two is unknown, so that nothing is drawn for them")
-    for pair, lit in unsure:
-        for each in lit:
-            own = {series.name: series for series in each.series}
-            wanted |= {(id(each), name): (each, own[name]) for name in pair.names}
-    series = [series_of_types(own, types) for _, own in wanted.values()]
-    costs = [frame_cost(own.imaging.camera, own.imaging.pixel.pitch_um, own.imaging.display) for _, own in wanted.values()]
+    wanted = {
+        (each, series.name): series for pair, lit in unsure for each in lit for series in each.series if series.name in pair.names
+    }
     count = len(types.sample.quantiles)
-    flat = [each for of_sensor in series for each in of_sensor]
-    sizes: list[Sizes] = [{each.imaging.pixel.pitch_um: FEW_SENSORS} for each in flat]
-    rows = rows_of(flat, sizes, [cost for cost in costs for _ in range(count)], file, workers, progress)
-    values = np.array([numbers_in(own, DELTA_E.columns[0]) for own in rows])
-    of_types = dict(zip(wanted, values.reshape(len(wanted), count, FEW_SENSORS).mean(axis=2), strict=True))
+    series = [of_type for own in wanted.values() for of_type in series_of_types(own, types)]
+    rows, metrics = rows_of(series, FEW_SENSORS, file, workers, progress), series[0].imaging.judging.metrics
+    of_types: dict[str, dict[tuple[Lit, str], Array]] = {}
+    for metric in metrics:
+        values = np.array([numbers_in(own, metric.columns[0]) for own in rows])
+        of_types[metric.name] = dict(zip(wanted, values.reshape(len(wanted), count, FEW_SENSORS).mean(axis=2), strict=True))
     found = []
-    for pair, lit in unsure:
-        first, other = pair.names
+    for (pair, lit), metric in product(unsure, metrics):
+        (first, other), drawn_of = pair.names, of_types[metric.name]
         weighted = [(weight, each) for (weight, _), each in zip(pair.parts, lit, strict=True) if weight]
-        drawn = sum(weight * (of_types[id(each), other] - of_types[id(each), first]) for weight, each in weighted)
-        as_is = float((pair.delta_e[other] - pair.delta_e[first])[:FEW_SENSORS].mean())
-        found.append(PairUncertainty((first, other), types, pair.difference[other] + (np.asarray(drawn) - as_is)))
+        drawn = sum(weight * (drawn_of[each, other] - drawn_of[each, first]) for weight, each in weighted)
+        of_frames = pair.delta_e if metric.is_delta_e else pair.judged[metric.name]
+        differences = of_frames[other] - of_frames[first]
+        as_is = float(differences[:FEW_SENSORS].mean())
+        found.append(PairUncertainty((first, other), types, float(differences.mean()) + (np.asarray(drawn) - as_is), metric))
     return found

@@ -36,7 +36,7 @@ class Comparison(Averaged):
     prepared : what was compared: scene, cameras, display and seeds
     pairs : the first sensor and each other one alone
     notes : warnings, and black levels that clip dark noise
-    uncertainty : of each pair, what is known of its difference over sensor types, if they were asked for
+    uncertainty : of each pair, what is known of its difference over sensor types by each metric, if they were asked for
     """
 
     prepared: ComparisonJob = field(repr=False)
@@ -71,7 +71,10 @@ class Comparison(Averaged):
                 for name, values in self.judged.items()
             }
         if self.uncertainty:
-            more["uncertainty"] = {found.names[1]: found.as_dict() for found in self.uncertainty}
+            more["uncertainty"] = {each.names[1]: each.as_dict() for each in self.uncertainty if each.metric.is_delta_e}
+            for each in self.uncertainty:
+                if not each.metric.is_delta_e:
+                    more["uncertainty"][each.names[1]].setdefault("metrics", {})[each.metric.name] = each.as_dict()
         return more | {
             "names": list(self.names),
             "verdicts": {other: whole_verdict(self, other) for other in self.names[1:]},
@@ -121,7 +124,7 @@ def _summary_of(compared: Compared) -> dict[str, Any]:
     """Return a sensor's entry of compare.json; `statistics` are those of its first frame, as in score.json."""
     sensor, settings, score = compared.sensor, compared.sensor.settings, compared.score
     return {
-        "file": sensor.case.source,
+        "file": sensor.file,
         "pixels": list(pixels_of(sensor)),
         "statistics": score.statistics(),
         "camera": sensor.camera.model_dump(),

@@ -136,11 +136,12 @@ def lens_seconds(plan: Plan, camera: Camera, shape: tuple[int, int], known: bool
     return moved_s + lights * (blur_s + min(cells, MEASURED) * PART_S_PER_CELL + PARTS_S) / cores
 
 
-def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
-    """Estimate one frame of a pitch and its ΔE."""
+def frame_cost(camera: Camera, pitch_um: float, display: Display, *others: Display) -> Cost:
+    """Estimate one frame of a pitch and its ΔE, on a display and on others that show it too."""
     pixels = math.prod(pixels_on(camera.die_um, pitch_um))
     dots = pixels if display.raster == "one_to_one" else dots_on(camera, display)
     seconds = FRAME_S + pixels * FRAME_S_PER_PIXEL + dots * SCORE_S_PER_DOT
+    seconds += VIEWED_S_PER_DOT * sum(dots_on(camera, other) for other in others)
     return Cost(seconds, pixels * BYTES_PER_PIXEL + dots * DOT_BYTES, 1)
 
 

@@ -25,7 +25,7 @@ from pixsim.base.records import content_hash
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.readout import Frame, Sensor, make_frame
-from pixsim.studies.cost import Cost, jobs_in_memory
+from pixsim.studies.cost import frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.keys import REPEATS_PER_TASK, block_key
 from pixsim.studies.results_file import ResultsFile, row_columns
@@ -36,6 +36,7 @@ from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.judged import Judged
+from pixsim.viewer.metrics import NoNumberError
 from pixsim.viewer.score import (
     IdealFacts,
     ImagingChain,
@@ -48,7 +49,8 @@ from pixsim.viewer.score import (
 )
 
 FEW_SERIES = 64
-FROM_CACHE, LEFT_OUT = "frame from cache", "left out"  # in the rows of a worker only; the second holds the reason
+# In the rows of a worker only; the second holds the reason, and so does the third, with the name of a metric after it.
+FROM_CACHE, LEFT_OUT, LACKING = "frame from cache", "left out", "no number: "
 
 
 FEW_SECONDS = 3.0  # of all frames: processes take a second to start
@@ -192,7 +194,9 @@ def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
                 on_screen = chain if isinstance(light, Unprepared) else chain.on(light.screens[display])
                 of_run = 0, task.imaging.stream_of(task.stream, repeat)  # each sensor of a run is one by itself
                 judged = Judged(on_screen, frame, judging, *(of_run if task.imaging.is_run else (repeat, task.stream)))
-                numbers = {name: repr(value) for name, value in (judged.statistics() | known).items()}
+                lacking: dict[str, str] = {}
+                numbers = {name: repr(value) for name, value in (judged.statistics(lacking) | known).items()}
+                numbers |= {LACKING + name: reason for name, reason in lacking.items()}
                 of_row = {"key": task.keys[repeat * len(task.displays) + display], "technology": task.name, "repeat": str(repeat)}
                 viewed = task.displays[display]
                 of_display = {DOTS: repr(viewed.dots), DEGREE: repr(viewed.samples_per_deg)}
@@ -339,6 +343,7 @@ class Evaluations:
         self._results = None if results is None else ResultsFile(results, more, metrics)
         self._done = RowStore(row_columns(more, metrics))
         self._left_out: dict[str, str] = {}
+        self._lacking: dict[str, dict[str, str]] = {}
         self._batch = 0
         lights = {each.light_id for each in series}
         renders = len({id(each.scenes) for each in series})
@@ -428,6 +433,9 @@ class Evaluations:
                     self._results.append(made)
                 self._done.update((row["key"], row) for row in made)
                 self._left_out |= {row["key"]: row[LEFT_OUT] for row in rows if LEFT_OUT in row}
+                for row in made:
+                    if reasons := {name.removeprefix(LACKING): row[name] for name in row if name.startswith(LACKING)}:
+                        self._lacking[row["key"]] = reasons
                 self.counts.evaluations_made += len(made)
                 self.counts.frames_reused += sum(FROM_CACHE in row for row in rows)
                 missing -= len(rows)
@@ -445,6 +453,19 @@ class Evaluations:
             for key in self._left_out.keys() & set(self.series[number].fingerprints.keys(pitch_um, count)):
                 found[pitch_um] = self._left_out[key]
         return found
+
+    def lacking(self, number: int, sizes: Sizes) -> dict[tuple[str, float], str]:
+        """Return the metrics that have no number at pitches of a series in µm, with the reason.
+
+        A file does not keep such rows for the next run, which finds the reason again.
+        """
+        hashes = self.series[number].fingerprints
+        return {
+            (name, pitch_um): reason
+            for pitch_um, count in sizes.items()
+            for key in self._lacking.keys() & set(hashes.keys(pitch_um, count))
+            for name, reason in self._lacking[key].items()
+        }
 
     def possible(self, number: int, sizes: Sizes) -> Sizes:
         """Return the pitches of a series without those that have no rows.
@@ -516,33 +537,29 @@ class Evaluations:
 
 
 def rows_of(
-    series: Sequence[Series],
-    sizes: Sequence[Sizes],
-    costs: Sequence[Cost],
-    results: Path | None,
-    workers: Workers | None,
-    progress: Progress | None = None,
+    series: Sequence[Series], repeats: int, results: Path | None, workers: Workers | None, progress: Progress | None = None
 ) -> list[StoredRows]:
-    """Return the rows of all evaluations of each series.
+    """Return the rows of some frames of each series, each with pixels of one size.
 
-    sizes : the pixel sizes of each, and its frames
-    costs : of a frame of each
     results : the file of the rows, from which an interrupted command goes on; None for none
     workers : None takes as many processes as are worth it
 
-    Raises AlikeChannelsError for pixels whose colours cannot be told apart.
+    Raises AlikeChannelsError for pixels whose colours cannot be told apart, and NoNumberError for those of which a metric has none.
     """
     told_by = [name for name in series[0].columns if any(each.columns[name] for each in series)]
     series = [replace(each, columns={name: each.columns[name] for name in told_by}) for each in series]
     if workers is None:
-        in_all_s = sum(sum(own.values()) * cost.seconds for own, cost in zip(sizes, costs, strict=True))
+        costs = [frame_cost(each.imaging.camera, each.imaging.pixel.pitch_um, *each.displays) for each in series]
+        in_all_s = repeats * sum(cost.seconds for cost in costs)
         workers = workers_here(1 if in_all_s < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for cost in costs)))
+    sizes: list[Sizes] = [{each.imaging.pixel.pitch_um: repeats} for each in series]
     evaluations = Evaluations(series, results, workers)
     rows = [NO_ROWS for _ in series]
     with evaluations.resumed(sizes):
-        for number, own in evaluations.rows(sizes, progress):
-            rows[number] = own
+        for number, rows[number] in evaluations.rows(sizes, progress):
             for reason in evaluations.left_out(number, sizes[number]).values():
                 raise AlikeChannelsError(f"{series[number].label}: {reason}")
+            for reason in evaluations.lacking(number, sizes[number]).values():
+                raise NoNumberError(f"{series[number].label}: {reason}")
         evaluations.finish(rows)
     return rows

@@ -39,7 +39,7 @@ OF_LIGHT = (
 OF_FRAME = ("exposure", "correction")  # beside the light, the pixel and the random streams
 OF_SCORE = ("display", "develop", "metrics", "metric")
 # What is said of frames, on which none depends.
-OF_WORDS = ("title", "iso_delta_e", "detail", "paper", "sources")
+OF_WORDS = ("title", "iso_delta_e", "detail", "paper", "sources", "noise_budget")
 
 
 def light_hash(study: Study) -> str:

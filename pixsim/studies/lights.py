@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
@@ -18,8 +17,7 @@ from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.keys import light_hash
 from pixsim.studies.oversampling import Demand, GivenLight, Light, rendered_light
 from pixsim.studies.pixels import imaging_of, physics_of
-from pixsim.studies.preparation import first_film, plan_of, scene_for, smallest_pixels, study_plan
-from pixsim.studies.prepared import Prepared
+from pixsim.studies.preparation import first_film, plan_of, smallest_pixels, study_plan
 from pixsim.studies.sampling import largest_pixel_um, study_pitches_um
 from pixsim.studies.sight import Sight, clearest
 from pixsim.studies.study_settings import Study
@@ -29,20 +27,16 @@ from pixsim.viewer.raw_metrics import has_target
 from pixsim.viewer.score import Seen, white_header
 from pixsim.viewer.setting import Run
 
-if TYPE_CHECKING:
-    from pixsim.studies.budget import Settled
 
-
-def demand_of(case: Prepared[Run] | Prepared[Study], settled: Settled | None = None, *, full: bool = False) -> Demand:
+def demand_of(case: Case[Run] | Case[Study], *, full: bool = False) -> Demand:
     """Return what the pixels of a case ask of its light.
 
     The noise is adequate for the largest pixel that a study allows, the least noisy one, and the film for the smallest photodiode.
     Neither depends on the pitches that are added, so a row does not depend on the others.
 
-    settled : a calibration that chose the film of the scene, in place of which the plan of a run has a finer one otherwise
     full : whether no effect is left out of the light of a run
     """
-    scene, camera, study = case.scene, case.camera, case.settings
+    scene, camera, study, settled = case.scene, case.camera, case.settings, case.settled
     if isinstance(study, Run):
         planned = partial(plan_of, camera=camera, settings=study, full=full, film_is_known=settled is not None)
         return Demand(scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)], settled=settled)
@@ -54,26 +48,21 @@ def demand_of(case: Prepared[Run] | Prepared[Study], settled: Settled | None = N
     return Demand(scene, plan, of_film, study, largest, measured_pixels(study, camera), larger, settled)
 
 
-def render_for(
-    study: Study, variant: str | None = None, progress: Progress | None = None, settled: Settled | None = None, words: str = ""
-) -> Light:
-    """Return the light of a study without axes.
-
-    words : of the case, for an error
-    """
-    demand, first = demand_of(Prepared(Case(study), *scene_for(study, variant)), settled), study.technologies[0]
+def render_for(case: Case[Study], progress: Progress | None = None) -> Light:
+    """Return the light of a case of a study."""
+    study, demand = case.settings, demand_of(case)
     try:
         light, _ = rendered_light(demand, progress)
     except AlikeChannelsError as error:
-        raise AlikeChannelsError(f"{label_in(first, words)}: none of its pixel sizes is possible. {error}") from None
+        label = label_in(study.technologies[0], case.words)
+        raise AlikeChannelsError(f"{label}: none of its pixel sizes is possible. {error}") from None
     light.image.header.update(white_header(seen_by_all(study, light.image, light.camera), study.display))
     return light
 
 
-def given_light(case: Prepared[Study]) -> GivenLight:
+def given_light(case: Case[Study], picture: SpectralImage) -> GivenLight:
     """Return the light of a case whose light is given, with the white that it is shown with."""
-    assert case.picture is not None
-    study, image = case.settings, copy(case.picture)
+    study, image = case.settings, copy(picture)
     image.header = image.header | white_header(seen_by_all(study, image, case.camera), study.display)
     return GivenLight(image, case.camera)
 
@@ -91,14 +80,8 @@ def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
 
 
 def lights_of_cases(
-    cases: Sequence[Case[Study]],
-    variant: str | None,
-    stage: Stage,
-    workers: Workers,
-    settled: Settled | None = None,
-    *,
-    store: Callable[[SpectralImage], SpectralImage],
-) -> list[Light | str]:
+    cases: Sequence[Case[Study]], stage: Stage, workers: Workers, *, store: Callable[[SpectralImage], SpectralImage]
+) -> list[Light | GivenLight | str]:
     """Return the light of each case; cases that differ in nothing that it depends on share one.
 
     In its place stands the reason why none of a case's pixel sizes is possible.
@@ -106,28 +89,24 @@ def lights_of_cases(
 
     store : returns an image that need not stay in memory, where there are several lights
     """
+    if cases[0].picture is not None:
+        return [given_light(case, case.picture) for case in cases if case.picture is not None]
     keys = [light_hash(case.settings) for case in cases]
-    studies = {key: case.settings for case, key in zip(cases, keys, strict=True)}
-    words = {key: case.words for case, key in zip(reversed(cases), reversed(keys), strict=True)}
+    different = {key: case for case, key in zip(reversed(cases), reversed(keys), strict=True)}
+    different = {key: different[key] for key in dict.fromkeys(keys)}
     lights: dict[str, Light | str] = {}
-    if len(studies) == 1:
-        lights = {key: _light_or_reason(study, variant, stage("render"), settled, words[key]) for key, study in studies.items()}
-    elif first_film(cases[0].settings, *scene_for(cases[0].settings, variant))[1].exact:
-        lights = _computed_lights(studies, words, variant, stage("render"), workers, store)
+    if len(different) == 1:
+        lights = {keys[0]: _light_or_reason(cases[0], stage("render"))}
+    elif demand_of(cases[0]).plan.exact:
+        lights = _computed_lights(different, stage("render"), workers, store)
     else:
-        for key, study in studies.items():
-            progress = stage(f"render {len(lights) + 1} of {len(studies)}")
-            lights[key] = _stored(_light_or_reason(study, variant, progress, words=words[key]), store)
+        for key, case in different.items():
+            lights[key] = _stored(_light_or_reason(case, stage(f"render {len(lights) + 1} of {len(different)}")), store)
     return [lights[key] for key in keys]
 
 
 def _computed_lights(
-    studies: Mapping[str, Study],
-    words: Mapping[str, str],
-    variant: str | None,
-    progress: Progress,
-    workers: Workers,
-    store: Callable[[SpectralImage], SpectralImage],
+    cases: Mapping[str, Case[Study]], progress: Progress, workers: Workers, store: Callable[[SpectralImage], SpectralImage]
 ) -> dict[str, Light | str]:
     """Return the lights of charts whose film cells are computed.
 
@@ -135,25 +114,24 @@ def _computed_lights(
     """
     seen: dict[str, tuple[SpectralImage, Camera, RenderNoise]] = {}
     sights: dict[str, Sight] = {}
-    calls = [((*each, variant), _nothing) for each in studies.items()]
-    for done, (key, found) in enumerate(results_of(_see_task, calls, workers), 1):
+    for done, (key, found) in enumerate(results_of(_see_task, [(each, _nothing) for each in cases.items()], workers), 1):
         if found is not None:
             image, camera, noise, sights[key] = found
             seen[key] = store(image), camera, noise
-        progress(done / (2 * len(studies)))
-    measured_in = {key: key for key in studies} | clearest(sights)
+        progress(done / (2 * len(cases)))
+    measured_in = {key: key for key in cases} | clearest(sights)
     lights: dict[str, Light | str] = {}
-    left = [key for key in studies if measured_in[key] == key]
+    left = [key for key in cases if measured_in[key] == key]
     while left:
-        for key, light in results_of(_render_task, [((key, studies[key], variant, words[key]), _nothing) for key in left], workers):
+        for key, light in results_of(_render_task, [((key, cases[key]), _nothing) for key in left], workers):
             lights[key] = _stored(light, store)
-            progress((len(studies) + len(lights)) / (2 * len(studies)))
+            progress((len(cases) + len(lights)) / (2 * len(cases)))
         for key, of in measured_in.items():
             measured = lights[of]
             if key not in lights and not isinstance(measured, str) and measured.film.surely_met:
                 image, camera, noise = seen[key]
                 lights[key] = Light(image, camera, measured.film.for_other_noise, noise)
-        left = [key for key in studies if key not in lights]
+        left = [key for key in cases if key not in lights]
     return lights
 
 
@@ -161,13 +139,13 @@ def _nothing() -> None:
     """Return what render tasks share."""
 
 
-def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[SpectralImage, Camera, RenderNoise, Sight] | None]:
+def _see_task(task: tuple[str, Case[Study]], _: None) -> tuple[str, tuple[SpectralImage, Camera, RenderNoise, Sight] | None]:
     """Return the key of a task, and its light on the first film of `render_for`, and what pixels see of it.
 
     None in place of the light if it takes samples, or if the film may be too coarse.
     """
-    key, study, variant = task
-    demand = demand_of(Prepared(Case(study), *scene_for(study, variant)))
+    key, case = task
+    study, demand = case.settings, demand_of(case)
     if not demand.plan.exact or has_target(study.metrics):  # which takes another light beside it
         return key, None
     camera, plan = demand.camera, demand.plan
@@ -177,18 +155,16 @@ def _see_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, tuple[
     return key, (image, camera, noise, sight) if sight else None
 
 
-def _render_task(task: tuple[str, Study, str | None, str], _: None) -> tuple[str, Light | str]:
+def _render_task(task: tuple[str, Case[Study]], _: None) -> tuple[str, Light | str]:
     """Return the key of a task, and its light or the reason why there is none."""
-    key, study, variant, words = task
-    return key, _light_or_reason(study, variant, words=words)
+    key, case = task
+    return key, _light_or_reason(case)
 
 
-def _light_or_reason(
-    study: Study, variant: str | None, progress: Progress | None = None, settled: Settled | None = None, words: str = ""
-) -> Light | str:
+def _light_or_reason(case: Case[Study], progress: Progress | None = None) -> Light | str:
     """Return `render_for`, or the reason why none of the study's pixel sizes is possible."""
     try:
-        return render_for(study, variant, progress, settled, words)
+        return render_for(case, progress)
     except AlikeChannelsError as error:
         return str(error)
 

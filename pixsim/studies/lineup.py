@@ -13,8 +13,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
@@ -32,16 +30,14 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY, REGISTERED_BORDER
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.sensor.technology import check_name
 from pixsim.studies.budget import without_warnings
-from pixsim.studies.cases import Case
+from pixsim.studies.cases import Case, Job, named
 from pixsim.studies.condition import Condition
-from pixsim.studies.cost import VIEWED_S_PER_DOT, Cost, dots_on, frame_cost
 from pixsim.studies.lights import demand_of
 from pixsim.studies.matched_cameras import Match, matched_cameras
 from pixsim.studies.oversampling import Demand
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
-from pixsim.studies.preparation import ALLOWED_DOTS, check_metrics, choose_view, with_view
-from pixsim.studies.prepared import Job, Prepared, is_picture, loaded_scene, named
+from pixsim.studies.preparation import ALLOWED_DOTS, check_metrics, choose_view, is_picture, loaded_scene, with_view
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study, owner_of
 from pixsim.studies.varied import NOT_SETTINGS, paths_of
@@ -72,7 +68,7 @@ SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its 
 DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
 
 
-def pixels_of(sensor: Prepared[Run]) -> tuple[int, int]:
+def pixels_of(sensor: Case[Run]) -> tuple[int, int]:
     """Return the rows and columns of a sensor's pixels that see the common field."""
     return pixels_on(sensor.camera.die_um, sensor.settings.pixel.pitch_um)
 
@@ -82,14 +78,13 @@ class Lineup(Job[Run]):
     """Sensors of a comparison under one condition, with the display and the chart that they share.
 
     cases : the sensors, each with its own camera, pixel and exposure; the frequencies of its chart on the sensor go with the die
-    condition, weight : name and share of the condition; an empty name and 1 without conditions
+    weight : share of the condition; 1 without conditions
     scene : file, or name of a packaged scene
     finest : name of the sensor with the most pixels, whose view all have
     border : width of the border that is not scored, as a fraction of the width of the field
     viewing : displays on which the frames are scored; the first one is that of `settings`
     """
 
-    condition: str
     weight: float
     scene: str
     finest: str
@@ -97,18 +92,18 @@ class Lineup(Job[Run]):
     viewing: ViewingRange
 
     @property
-    def words(self) -> str:
-        """The condition, for messages; empty without conditions."""
-        return f"condition {self.condition}" if self.condition else ""
+    def condition(self) -> str:
+        """Name of the condition; empty without conditions."""
+        return self.cases[0].condition
 
     @cached_property
     def film_width(self) -> int:
         """Samples across the first film, the most that any of the sensors needs: with one film, all see the same picture."""
         return max(demand_of(sensor).shape[1] for sensor in self.cases)
 
-    def demand(self, sensor: Prepared[Run], width: int) -> Demand:
+    def demand(self, sensor: Case[Run], width: int) -> Demand:
         """Return what a sensor asks of its light on a film of so many samples across."""
-        return demand_of(replace(sensor, source=sensor.scene.with_resolution(width)))
+        return demand_of(replace(sensor, found=(sensor.scene.with_resolution(width), sensor.camera)))
 
     @property
     def scored_dots(self) -> tuple[int, int]:
@@ -136,13 +131,6 @@ class Lineup(Job[Run]):
     def border_um(self, camera: Camera) -> float:
         """Return the width of the border on a camera's die."""
         return self.border * camera.die_um[1]
-
-    def cost_of_frame(self, sensor: Prepared[Run]) -> Cost:
-        """Estimate a frame of a sensor, and its ΔE under all viewings."""
-        cost = frame_cost(sensor.camera, sensor.settings.pixel.pitch_um, self.settings.display)
-        displays = [each.display(self.settings.display) for each in dict.fromkeys(self.viewing.viewings[1:])]
-        dots = sum(dots_on(sensor.camera, display) for display in displays)
-        return replace(cost, seconds=cost.seconds + dots * VIEWED_S_PER_DOT)
 
 
 @dataclass(frozen=True)
@@ -203,30 +191,36 @@ def sensor_layer(file: str) -> Layer:
 
 
 def read_sensors(
-    files: Sequence[str], lens: Layer, config: Sequence[Layer], options: dict[str, Any], condition: Layer | None = None
-) -> list[Run]:
-    """Return the settings of each file, with those of all sensors over them.
+    files: Sequence[str],
+    lens: Layer,
+    config: Sequence[Layer],
+    options: dict[str, Any],
+    name: str = "",
+    condition: Layer | None = None,
+) -> list[Case[Run]]:
+    """Return the sensor of each file, with the settings of all sensors over its own.
 
     lens : [camera] for files that state none of it
     config, options, condition : for all sensors; each takes precedence over the one before it, and over a sensor's own file
+    name : of the condition, if there is one
 
     Raises PixsimError that lists every problem of a file.
     """
-    runs: list[Run] = []
-    for file in files:
+    sensors: list[Case[Run]] = []
+    for file, label in zip(files, labels_of([file_label(file) for file in files]), strict=True):
         own = sensor_layer(file)
         warn_of_mixed_sensors([own, *config])
         run: Run = checked(Run, [lens, own, *config, Layer(options), *([condition] if condition else [])])
-        for name, reason in NOT_COMPARED.items():
-            if getattr(run, name) is not None:
-                raise invalid(name, f"{getattr(run, name):g}", f"no value for a comparison: {reason}")
-        first = runs[0] if runs else run
+        for field, reason in NOT_COMPARED.items():
+            if getattr(run, field) is not None:
+                raise invalid(field, f"{getattr(run, field):g}", f"no value for a comparison: {reason}")
+        first = sensors[0].settings if sensors else run
         if unused := [n for n in own.table if n not in OF_A_SENSOR and getattr(run, n, None) != getattr(first, n, None)]:
             warn(
                 f"{file}: only {', '.join(f'[{name}]' for name in OF_A_SENSOR)} are used, not {', '.join(unused)}: the first file's"
             )
-        runs.append(run)
-    return runs
+        sensors.append(Case(run, condition=name, name=label, file=file))
+    return sensors
 
 
 def check_files(files: Sequence[str]) -> None:
@@ -316,7 +310,6 @@ def prepare(
     if not REPEATS[0] <= repeats <= REPEATS[1]:
         raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
     layers, options = [settings_layer(path) for path in config], options or {}
-    names = labels_of([file_label(source) for source in sources])
     plan, lens, file, not_used = None, Layer({}), "csf" if scene is None else str(scene), tuple[str, ...]()
     if study is not None:
         stated, plan = study_of(study)
@@ -330,27 +323,25 @@ def prepare(
         of_lens = {"camera": camera, "lens": stated.table.get("lens", {})}
         lens = Layer({name: own for name, own in of_lens.items() if own}, stated.source)
     base = read_sensors(sources, lens, layers, options)
-    under = [Stated("", 1.0, file, base)]
+    under = [Stated(1.0, file, base)]
     if plan is not None and plan.condition:
         under, total = [], sum(each.weight for each in plan.condition)
         for each in plan.condition:
-            of_condition = condition_layer(each, stated.source)
-            runs = read_sensors(sources, lens, layers, options, of_condition)
-            under.append(Stated(each.name, each.weight / total, str(each.set.get("scene", {}).get("file", file)), runs))
+            sensors = read_sensors(sources, lens, layers, options, each.name, condition_layer(each, stated.source))
+            under.append(Stated(each.weight / total, str(each.set.get("scene", {}).get("file", file)), sensors))
 
     def setups_of(*chosen: int) -> tuple[Lineup, ...]:
         """Return some of the sensors under each condition, as if there were no others."""
-        shown = next(stated for stated in under if stated.weight)
-        of_sensors = [names[number] for number in chosen], [sources[number] for number in chosen]
-        made: dict[str, Lineup] = {}
-        for stated in (shown, *(other for other in under if other is not shown)):
-            own = stated._replace(runs=[stated.runs[number] for number in chosen])
-            with named(f"condition {stated.condition}" if stated.condition else ""):
-                made[stated.condition] = lineup_of(*of_sensors, own, made.get(shown.condition), match, sensor, variant)
-        return tuple(made[stated.condition] for stated in under)
+        shown = next(place for place, stated in enumerate(under) if stated.weight)
+        made: dict[int, Lineup] = {}
+        for place in dict.fromkeys((shown, *range(len(under)))):
+            own = under[place]._replace(sensors=[under[place].sensors[number] for number in chosen])
+            with named(own.words):
+                made[place] = lineup_of(own, made.get(shown), match, sensor, variant)
+        return tuple(made[place] for place in range(len(under)))
 
     lineups = setups_of(*range(len(sources)))
-    warn_of_unused(sources, [each.runs for each in under], match)
+    warn_of_unused([each.sensors for each in under], match)
     if len(sources) == SENSORS[0]:
         pairs: tuple[tuple[Lineup, ...], ...] = (lineups,)
     else:
@@ -358,10 +349,10 @@ def prepare(
             pairs = tuple(setups_of(0, other) for other in range(1, len(sources)))
     types = None
     if uncertainty is not None:
-        types = Types.of(uncertainty, names, sources, [run.pixel for run in base], base[0].seed)
+        types = Types.of(uncertainty, base)
     else:
         warn_of_uncertainty(sources)
-    return ComparisonJob(match, repeats, tuple(base), lineups, pairs, plan, not_used, types)
+    return ComparisonJob(match, repeats, tuple(each.settings for each in base), lineups, pairs, plan, not_used, types)
 
 
 def warn_of_uncertainty(sources: Sequence[str]) -> None:
@@ -374,34 +365,38 @@ def warn_of_uncertainty(sources: Sequence[str]) -> None:
 class Stated(NamedTuple):
     """What is stated for the sensors under one condition.
 
-    condition, weight : as of `Lineup`
+    weight : as of `Lineup`
     scene : file, or name of a packaged scene
-    runs : settings of each sensor
     """
 
-    condition: str
     weight: float
     scene: str
-    runs: list[Run]
+    sensors: list[Case[Run]]
+
+    @property
+    def words(self) -> str:
+        """The condition, for messages; empty without conditions."""
+        return f"condition {self.sensors[0].condition}" if self.sensors[0].condition else ""
 
 
-def warn_of_unused(sources: Sequence[str], conditions: Sequence[Sequence[Run]], match: Match) -> None:
+def warn_of_unused(conditions: Sequence[Sequence[Case[Run]]], match: Match) -> None:
     """Warn of the settings that a comparison uses in none of its conditions, with the sensors that set them.
 
-    conditions : settings of each sensor under each condition
+    conditions : the sensors under each condition
 
     The display, the correction and the development are those of the first sensor; so is the lens, unless each has its own.
     """
-    names = labels_of([file_label(source) for source in sources])
-    found: dict[str, list[Configuration]] = {name: [] for name in names}
-    for runs in conditions:
-        for name, run in zip(names, runs, strict=True):
-            shared = {table: getattr(runs[0], table) for table in ("correction", "develop", "display")}
-            lens_of = names[0] if match != "own" and run is not runs[0] else ""
+    found: dict[str, list[Configuration]] = {}
+    for sensors in conditions:
+        first = sensors[0].settings
+        for sensor in sensors:
+            run = sensor.settings
+            shared = {table: getattr(first, table) for table in ("correction", "develop", "display")}
+            lens_of = sensors[0].name if match != "own" and sensor is not sensors[0] else ""
             if lens_of:  # what is the first one's too is used
-                shared |= {table: differing(getattr(run, table), getattr(runs[0], table)) for table in ("camera", "lens")}
+                shared |= {table: differing(getattr(run, table), getattr(first, table)) for table in ("camera", "lens")}
             given = Configuration.of(run.model_copy(update=shared), derive(run.pixel))
-            found[name].append(replace(given, lens_of=lens_of))
+            found.setdefault(sensor.name, []).append(replace(given, lens_of=lens_of))
     warn_of_unused_settings(found)
 
 
@@ -411,21 +406,12 @@ def differing(record: Record, other: Record) -> Record:
     return type(record).model_construct(set(fields), **fields)
 
 
-def lineup_of(
-    names: Sequence[str],
-    sources: Sequence[str],
-    stated: Stated,
-    common: Lineup | None,
-    match: Match,
-    sensor: str | None,
-    variant: str | None,
-) -> Lineup:
+def lineup_of(stated: Stated, common: Lineup | None, match: Match, sensor: str | None, variant: str | None) -> Lineup:
     """Return sensors under one condition.
 
     common : another condition, whose displays and chart this one takes where it leaves them open, so that both can be averaged
     """
-    scene, runs = stated.scene, stated.runs
-    settings = runs[0]
+    scene, settings = stated.scene, stated.sensors[0].settings
     of_viewing = [name for name in OF_VIEWING if name in settings.display.model_fields_set]
     if settings.display.raster != "fixed_size":
         got = f"'{settings.display.raster}', which gives each sensor a display of its own"
@@ -433,39 +419,38 @@ def lineup_of(
     if is_picture(scene):
         raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
     loaded = loaded_scene(scene, settings.scene, settings.resolution, variant=variant, sensor=sensor)
-    for name, run in zip(names, runs, strict=True):
-        with named(name):
-            check_metrics(settings, [run.pixel], loaded)
-    whole = _whole_cameras(names, loaded, runs)
+    for each in stated.sensors:
+        with named(each.name):
+            check_metrics(settings, [each.settings.pixel], loaded)
+    whole = _whole_cameras(loaded, stated.sensors)
     if settings.window_mm is not None:
         whole[0].window(settings.window_mm)
     cameras = matched_cameras(whole, match, settings.window_mm)
-    for name, camera, run in zip(names, cameras, runs, strict=True):
-        with named(name):
-            derive(run.pixel)
-            check_pixel_count(pixels_on(camera.die_um, run.pixel.pitch_um), run.pixel.pitch_um)
-    sizes = [math.prod(pixels_on(camera.die_um, run.pixel.pitch_um)) for camera, run in zip(cameras, runs, strict=True)]
-    finest = int(np.argmax(sizes))
+    found = [replace(each, found=(loaded, camera)) for each, camera in zip(stated.sensors, cameras, strict=True)]
+    for each in found:
+        with named(each.name):
+            derive(each.settings.pixel)
+            check_pixel_count(pixels_of(each), each.settings.pixel.pitch_um)
+    finest = max(found, key=lambda each: math.prod(pixels_of(each)))
     view: dict[str, Any] = {}
-    if any(run.pixel.technology == NO_TECHNOLOGY for run in runs):
-        view = choose_view(runs[finest].pixel.pitch_um, cameras[finest], settings.display, loaded)
+    if any(each.settings.pixel.technology == NO_TECHNOLOGY for each in found):
+        view = choose_view(finest.settings.pixel.pitch_um, finest.camera, settings.display, loaded)
     if common is not None:
         view = {name: common.view.get(name, value) for name, value in view.items()}
-    of_first = {name: on_other_die(view[name], cameras[finest], cameras[0]) for name in view if name == MAX_LP_PER_MM}
+    of_first = {name: on_other_die(view[name], finest.camera, cameras[0]) for name in view if name == MAX_LP_PER_MM}
     settings = with_view(settings, view | of_first)
-    border = REGISTERED_BORDER * max(run.pixel.pitch_um / camera.die_um[1] for camera, run in zip(cameras, runs, strict=True))
+    border = REGISTERED_BORDER * max(each.settings.pixel.pitch_um / each.camera.die_um[1] for each in found)
     given = settings.scene.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
     sensors = []
-    for name, source, camera, run in zip(names, sources, cameras, runs, strict=True):
-        of_sensor = loaded
+    for each in found:
+        of_sensor, camera, run = loaded, each.camera, each.settings
         if given is not None:
             highest = on_other_die(float(given), cameras[0], camera)
             of_sensor = loaded.with_parameters(**{MAX_LP_PER_MM: repr(highest)})
-        with named(name):
+        with named(each.name):
             dot_edges_um(camera.die_um, run.pixel.pitch_um, settings.display, border * camera.die_um[1])
         own = {"camera": camera.options, "lens": camera.lens_options, "pixel": run.pixel, "exposure": run.exposure}
-        case = Case(settings.model_copy(update=own), condition=stated.condition, sensor=name, source=source)
-        sensors.append(Prepared(case, of_sensor, camera))
+        sensors.append(replace(each, settings=settings.model_copy(update=own), found=(of_sensor, camera)))
     viewing = _viewing(sensors, settings.display, of_viewing, border)
     if common is not None:
         viewing = common.viewing.under(settings.display, of_viewing)
@@ -474,16 +459,15 @@ def lineup_of(
         view=view,
         sensor=sensor,
         variant=variant,
-        condition=stated.condition,
         weight=stated.weight,
         scene=scene,
-        finest=names[finest],
+        finest=finest.name,
         border=border,
         viewing=viewing,
     )
 
 
-def _viewing(sensors: Sequence[Prepared[Run]], display: Display, stated: Sequence[str], border: float) -> ViewingRange:
+def _viewing(sensors: Sequence[Case[Run]], display: Display, stated: Sequence[str], border: float) -> ViewingRange:
     """Return the range of viewing around a display, without displays that have no dot within the border."""
     low, high = ALLOWED_DOTS
     wished = ViewingRange.of(display, stated, [min(max(pixels_of(sensor)[1], low), high) for sensor in sensors])
@@ -499,18 +483,15 @@ def _viewing(sensors: Sequence[Prepared[Run]], display: Display, stated: Sequenc
     return replace(wished, viewings=tuple(each for each in wished.viewings if each == wished.chosen or is_possible(each)))
 
 
-def _whole_cameras(names: Sequence[str], scene: Scene, runs: Sequence[Run]) -> list[Camera]:
+def _whole_cameras(scene: Scene, sensors: Sequence[Case[Run]]) -> list[Camera]:
     """Return each file's own camera. A file without a die, such as a technology's, has that of the first file which states one."""
-    die = next(
-        (each.model_dump(include={"die_mm", "die_height_mm"}) for each in (run.camera for run in runs) if each.die_mm is not None),
-        None,
-    )
+    own = [each.settings.camera for each in sensors]
+    die = next((each.model_dump(include={"die_mm", "die_height_mm"}) for each in own if each.die_mm is not None), None)
     cameras = []
-    for name, run in zip(names, runs, strict=True):
-        each = run.camera
-        own = each if die is None or each.die_mm is not None else CameraOptions(**die | each.model_dump(exclude_none=True))
-        with named(name):
-            cameras.append(scene.camera(own, run.lens))
+    for sensor, each in zip(sensors, own, strict=True):
+        stated = each if die is None or each.die_mm is not None else CameraOptions(**die | each.model_dump(exclude_none=True))
+        with named(sensor.name):
+            cameras.append(scene.camera(stated, sensor.settings.lens))
     return cameras
 
 

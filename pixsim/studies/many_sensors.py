@@ -23,10 +23,9 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.document import Document, Table
 from pixsim.show.pages import dataframe_of, rows_csv
 from pixsim.show.render import notebook
-from pixsim.studies.cost import frame_cost
+from pixsim.studies.cases import named
 from pixsim.studies.engine import workers_here
 from pixsim.studies.evaluations import check_ideals, rows_of
-from pixsim.studies.prepared import named
 from pixsim.studies.series import Series
 from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
 from pixsim.viewer.display import dot_edges_um, picture_size_um
@@ -156,7 +155,8 @@ def sweep(
                 warn(f"pixel {name}: {text}")
             warn_of_stack_limits(imaging.physics, camera, light.wavelength_nm)
         own = exposure, correction, develop, display, camera
-        given = [Configuration(imaging.physics, imaging.pixel, *own, light=light) for imaging in each.values()]
+        asked: dict[str, Any] = {"metrics": tuple(one.name for one in judging.metrics), "metric": judging.options, "light": light}
+        given = [Configuration(imaging.physics, imaging.pixel, *own, **asked) for imaging in each.values()]
         warn_of_unused_settings({"": given})
         border_um = max(imaging.physics.as_read.border_um for imaging in each.values())
         seen = [Seen(light, camera, imaging.physics, border_um) for imaging in each.values()]
@@ -172,10 +172,7 @@ def sweep(
                 Series(technology, shown, scenes, ("evaluate", seed), False, {PIXEL: str(name)}, f"pixel {name}", stored=False)
             )
         check_ideals(series)
-        sizes = [{one.imaging.pixel.pitch_um: repeats} for one in series]
-        costs = [frame_cost(camera, one.imaging.pixel.pitch_um, display) for one in series]
-        workers = None if jobs is None else workers_here(jobs)
-        found = rows_of(series, sizes, costs, None, workers)
+        found = rows_of(series, repeats, None, None if jobs is None else workers_here(jobs))
         facts = {one.light_id: scenes.ideal_facts(one.light_key, one.imaging.physics, border_um) for one in series}
         warn_of_clipping(max(each.beyond_white for each in facts.values()))
     numbers = *PIXEL_STATISTICS, *columns_of_metrics(judging.metrics)

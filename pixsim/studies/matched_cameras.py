@@ -51,12 +51,14 @@ def _with_view_of(reference: Camera, camera: Camera) -> Camera:
     if camera.die_mm == reference.die_mm:  # without rounding
         lens = {}
     die = {"die_mm": camera.die_mm, "die_height_mm": camera.die_height_mm}
-    seen = Camera(**reference.model_dump(exclude={"chief_ray_angle"}) | lens | die)
-    if reference.chief_ray_angle is None:
-        return seen
+    seen = Camera(**reference.model_dump(exclude={"chief_ray_angle", "fall_off"}) | lens | die)
     grown = camera.die_mm / reference.die_mm  # the same lens, made larger or smaller
-    rows = tuple((grown * height_mm, *rest) for height_mm, *rest in reference.chief_ray_angle)
-    return seen.model_copy(update={"chief_ray_angle": rows})  # it need reach only the field that is cropped from this one
+    tables = {
+        name: tuple((grown * height_mm, *rest) for height_mm, *rest in rows)
+        for name in ("chief_ray_angle", "fall_off")
+        if (rows := getattr(reference, name)) is not None
+    }
+    return seen.model_copy(update=tables)  # they need reach only the field that is cropped from this one
 
 
 def _cropped(camera: Camera, width: float, height: float) -> Camera:

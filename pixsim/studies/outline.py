@@ -28,6 +28,7 @@ from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.keys import evaluated_before, light_hash
 from pixsim.studies.lights import demand_of
 from pixsim.studies.sampling import study_pitches_um
+from pixsim.studies.sensor_types import drawn_metrics
 
 if TYPE_CHECKING:
     from pixsim.studies.oversampling import Demand
@@ -72,7 +73,8 @@ def planned_study(job: StudyJob, jobs: int | None = None, types: int = 0) -> dic
     film_shape, rendered = known_film(demand)
     of_cases = [(case.settings, case.camera) for case in job.cases]
     known = Known(rendered, evaluated_before([case for case, _ in of_cases]))
-    cost = cases_cost(of_cases, lights, demand.plan, film_shape, jobs, types, known)
+    drawn = types * len(drawn_metrics(study))  # each metric has pixel sizes of its own
+    cost = cases_cost(of_cases, lights, demand.plan, film_shape, jobs, drawn, known)
     sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}
     sensors = [planned_sensors(name, pitches_um, study.repeats, job.camera) for name, pitches_um in sizes.items()]
     planned = planned_light(demand) | {"sensors": sensors, "estimate": asdict(cost)}
@@ -80,8 +82,7 @@ def planned_study(job: StudyJob, jobs: int | None = None, types: int = 0) -> dic
     if types:
         planned["sensor_types"] = types
     if job.study.has_cases:
-        labels = [each.case for each in job.cases]
-        planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in labels]
+        planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in job.cases]
     elif cost.seconds > LONG_S and (window := window_within(job.asked, job.camera, demand.plan, demand.shape, jobs)):
         planned["window_within_a_minute_mm"] = window
     return planned | ({} if study.own_um is None else {"own_um": study.own_um})

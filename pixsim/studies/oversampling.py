@@ -26,6 +26,7 @@ from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import Tiling, tiling_of
+from pixsim.optics.veil import with_veil_of_whole
 from pixsim.scene.convergence import RenderNoise, render_until
 from pixsim.scene.film import BLOCK, fitting_width, largest_film
 from pixsim.scene.plan import Plan
@@ -335,6 +336,7 @@ def film_steps(
     """
     imaging = _of_parts(imaging)
     size_um, display = largest_um or imaging.physics.as_read.read_pitch_um, imaging.display
+    image = with_veil_of_whole(image, imaging.camera)
     parts = list(parts_of(image, size_um, display))
     sampling = FilmSampling.of(image.shape[1], imaging, chart)
     if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:

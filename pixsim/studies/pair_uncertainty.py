@@ -20,6 +20,7 @@ from pixsim.sensor.labels import file_label, labels_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.spread import Spread, sheet_uncertainty
 from pixsim.sensor.technology import load_technology
+from pixsim.studies.cases import Case
 from pixsim.studies.indices import FirstOrder, first_order
 from pixsim.studies.sensor_types import Asked, sample_of
 from pixsim.studies.series import Series
@@ -34,7 +35,9 @@ from pixsim.studies.uncertainty import (
     unknowns_of_sheet,
 )
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.score import SceneCache
+from pixsim.viewer.setting import Run
 
 
 @dataclass(frozen=True)
@@ -53,22 +56,21 @@ class Types:
     seed: int
 
     @classmethod
-    def of(cls, draws: int, names: Sequence[str], sources: Sequence[str], pixels: Sequence[Pixel], seed: int) -> Types:
-        """Draw sensor types. Raises PixsimError for a number of types out of range, and if nothing is unknown.
-
-        names, sources, pixels : of each sensor, its name, its file or technology, and its numbers
-        """
+    def of(cls, draws: int, sensors: Sequence[Case[Run]]) -> Types:
+        """Draw sensor types. Raises PixsimError for a number of types out of range, and if nothing is unknown."""
         asked = Asked(draws).draws
-        spreads = tuple(sheet_uncertainty(Path(source)) if Path(source).is_file() else {} for source in sources)
-        files = list(dict.fromkeys(whole_path(pixel.technology) for pixel in pixels))
+        spreads = tuple(sheet_uncertainty(Path(each.file)) if Path(each.file).is_file() else {} for each in sensors)
+        files = list(dict.fromkeys(whole_path(each.settings.pixel.technology) for each in sensors))
         processes = dict(zip(files, labels_of([file_label(file) for file in files]), strict=True))
         unknowns: list[Unknown] = []
-        for name, pixel, own in zip(names, pixels, spreads, strict=True):
+        for each, own in zip(sensors, spreads, strict=True):
+            name, pixel = each.name, each.settings.pixel
             unknowns += unknowns_of_sheet(pixel, own, name)
             if pixel.technology != NO_TECHNOLOGY:
                 process = processes[whole_path(pixel.technology)]
                 of_process = unknowns_of_process(pixel, load_technology(pixel.technology), name)
                 unknowns += [replace(unknown, process=process) for unknown in of_process]
+        seed = sensors[0].settings.seed
         return cls(asked, spreads, sample_types(unknowns, draws, seed), seed)
 
     def imagings(self, name: str, imaging: Imaging) -> Iterator[Imaging]:
@@ -91,14 +93,9 @@ class Types:
 def series_of_types(base: Series, types: Types) -> list[Series]:
     """Return the series of each type of a sensor, in the same light, on the first display of the sensor's own series."""
     imaging = base.imaging
-    scenes = SceneCache(
-        base.scenes.irradiance,
-        imaging.camera,
-        imaging.display,
-        len(imaging.physics.channels),
-        single=imaging.single,
-        develop=imaging.develop,
-    )
+    of_light = base.scenes.irradiance, imaging.camera, imaging.display, len(imaging.physics.channels)
+    more: dict[str, Any] = {"judging": imaging.judging, "without": base.scenes.without, "develop": imaging.develop}
+    scenes = SceneCache(*of_light, single=imaging.single, **more)
     return [
         replace(base, imaging=of_type, scenes=scenes, columns={**base.columns, "draw": str(draw)})
         for draw, of_type in enumerate(types.imagings(base.name, imaging))
@@ -107,16 +104,18 @@ def series_of_types(base: Series, types: Types) -> list[Series]:
 
 @dataclass(frozen=True)
 class PairUncertainty:
-    """What is known of the difference of two sensors when their numbers are not.
+    """What is known of the difference of two sensors by a metric when their numbers are not.
 
     names : of the two sensors, a and b
     types : the sensor types
-    differences : ΔE(b) - ΔE(a) of each, (n,)
+    differences : ΔE(b) - ΔE(a) of each, (n,), or those of another metric in its unit
+    metric : that judges
     """
 
     names: tuple[str, str]
     types: Types
     differences: Array = field(repr=False)
+    metric: Metric = field(default=DELTA_E, repr=False)
 
     @cached_property
     def sample(self) -> Sample:
@@ -125,8 +124,8 @@ class PairUncertainty:
 
     @cached_property
     def probability_a_better(self) -> Probability:
-        """Share of the types with a lower mean ΔE of a, with its 95 % interval; an equal one counts half."""
-        return Probability.of((0.5 * (1.0 + np.sign(self.differences))).tolist())
+        """Share of the types with a lower mean ΔE of a, or a better value, with its 95 % interval; an equal one counts half."""
+        return Probability.of((0.5 * (1.0 + np.sign(self.metric.worse_by(self.differences, 0.0)))).tolist())
 
     @cached_property
     def difference(self) -> ResultDistribution:
@@ -152,9 +151,12 @@ class PairUncertainty:
         first, other = self.names
         found, ends = self.probability_a_better, self.difference.quantiles
         low, middle, high = (f"{ends[name]:+.2g}" for name in ("p05", "p50", "p95"))
+        judge, unit = (
+            ("", " ΔE") if self.metric.is_delta_e else (f"{self.metric.words}: ", self.metric.unit and f" {self.metric.unit}")
+        )
         return (
-            f"over {found.draws} sensor types {first} is better than {other} with the probability {found}; difference {middle} ΔE "
-            f"in the median, nine tenths from {low} to {high}; {self.matters}"
+            f"{judge}over {found.draws} sensor types {first} is better than {other} with the probability {found}; difference "
+            f"{middle}{unit} in the median, nine tenths from {low} to {high}; {self.matters}"
         )
 
     def as_dict(self) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pixsim.base.caller import setting
@@ -25,7 +26,7 @@ from pixsim.optics.exchange import camera_of_light
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
-from pixsim.scene.scene import Scene
+from pixsim.scene.scene import Scene, load_scene
 from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
@@ -34,10 +35,9 @@ from pixsim.sensor.pixel import PixelPhysics, warn_of_disagreements, warn_of_imp
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
-from pixsim.studies.cases import BASE, Case, cases_of, with_range_ends
+from pixsim.studies.cases import BASE, Case, Job, cases_of, named, with_range_ends
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
-from pixsim.studies.prepared import Job, Prepared, is_picture, loaded_scene, named
 from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.series import judging_of
 from pixsim.studies.study_settings import Study
@@ -289,6 +289,27 @@ def check_pitches(study: Study) -> None:
         raise invalid("max_evaluations", study.max_evaluations, expected, "Raise it, or lower repeats or pitch.count.")
 
 
+def is_picture(file: str) -> bool:
+    """Return whether a file holds light that was rendered before, by its name."""
+    return Path(file).suffix.lower() in (".exr", ".npz", ".hdr")
+
+
+def loaded_scene(
+    file: str,
+    parameters: Mapping[str, float | int | str],
+    resolution: int | None,
+    *,
+    variant: str | None = None,
+    sensor: str | None = None,
+) -> Scene:
+    """Return a scene with its parameters, on a film of `resolution` samples across if that is set.
+
+    Raises PixsimError as `pixsim.load_scene`.
+    """
+    scene = load_scene(file, variant=variant, sensor=sensor, **parameters)
+    return scene.with_resolution(resolution) if resolution else scene
+
+
 GIVEN_LIGHT = "(given light)"  # in place of a scene's file
 OF_LIGHT = ("scene", "camera", "lens", "resolution", "window_mm", "max_seconds", "tolerance_e", "tolerance_delta_e", "render_noise")
 
@@ -332,21 +353,20 @@ class StudyJob(Job[Study]):
     """A study that is prepared.
 
     asked : as it was given
-    study : with its pixel sizes, display and chart; one without axes and conditions is its own only case
+    base : with its display and chart, and its axes and conditions; None without any, where the study is its own only case
     source : scene of the study itself, or the light that is given
     uncertainty : of the study's [pixel] and data sheets, as its files state it
     """
 
     asked: Study
-    study: Study
+    base: Study | None = None
     source: Scene | SpectralImage
     uncertainty: Uncertainty = field(default_factory=dict)
 
     @property
-    def scene(self) -> Scene:
-        """The scene of a study without given light."""
-        assert not isinstance(self.source, SpectralImage)
-        return self.source
+    def study(self) -> Study:
+        """The study with its display and chart; without axes and conditions, with its pixel sizes too."""
+        return self.base or self.settings
 
     @property
     def evaluations(self) -> int:
@@ -384,10 +404,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False, light
         view = _chosen_view(fitted, scene, camera)
         whole = _checked(Case(with_view(fitted, view)), source_with_view(scene, view), camera)
         warn_of_unused([(study, whole.settings)], light)
-        return StudyJob(asked=asked, study=whole.settings, source=whole.source, view=view, cases=(whole,), variant=variant)
-    if study.metrics[0] != DELTA_E.name:
-        hint = "Further metrics have an optimum of their own in each case."
-        raise invalid("metrics", f"'{study.metrics[0]}' first in a study with axes or conditions", "delta_e first", hint)
+        return StudyJob(asked=asked, source=whole.source, view=view, cases=(whole,), variant=variant)
     # Display and chart are those of the study itself, so that all of its cases are comparable.
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
@@ -398,7 +415,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False, light
     own = _without_axes(study)
     scene, camera = source_for(own)
     view = _chosen_view(own, scene, camera)
-    prepared: list[Prepared[Study]] = []
+    prepared: list[Case[Study]] = []
     cases = cases_of(study)
     for case in cases:
         with named(case.words or BASE):
@@ -411,7 +428,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False, light
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
     kept = view if all(_same_chart(each.settings, own) for each in prepared) else without_chart(view)
     study, scene = with_view(study, kept), source_with_view(scene, view)
-    return StudyJob(asked=asked, study=study, source=scene, view=view, cases=tuple(prepared), variant=variant)
+    return StudyJob(asked=asked, base=study, source=scene, view=view, cases=tuple(prepared), variant=variant)
 
 
 def warn_of_unused(cases: Sequence[tuple[Study, Study]], light: SpectralImage | None = None) -> None:
@@ -465,7 +482,7 @@ def check_metrics(settings: Setting, pixels: Sequence[PixelOptions], scene: Scen
         judging.check(MetricContext(pixel.colour is not None, has_without))
 
 
-def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -> Prepared[Study]:
+def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -> Case[Study]:
     """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not possible."""
     study = case.settings
     pixels = [study.options_of(name) for name in study.technologies]
@@ -474,4 +491,4 @@ def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
         dot_edges_um(camera.die_um, largest_um, study.display, study.border_um)
-    return Prepared(case, source, camera)
+    return replace(case, found=(source, camera))

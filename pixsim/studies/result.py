@@ -11,6 +11,7 @@ from itertools import cycle, islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arguments import Count, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, PositiveArray
@@ -31,7 +32,7 @@ from pixsim.show.render import cell_of
 from pixsim.show.sentences import few, sentence, settings_line, span
 from pixsim.studies.agreement import agreement_of
 from pixsim.studies.cases import BASE, case_words
-from pixsim.studies.evaluations import Counts, blocks_of, frames_of, task_of
+from pixsim.studies.evaluations import FEWEST_SIZES, Counts, TooFewSizesError, blocks_of, frames_of, task_of
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, FittedCurve, Optimum, Widths, fit_curve, mean_and_ci95
 from pixsim.studies.oversampling import FilmError
@@ -83,6 +84,7 @@ class Curve:
     metrics : that judge it; the first one is that of `fit`
     fits : fitted curve of each further metric that tells a best size, by its name
     developed : what is on of the development, as `Develop.words`
+    lacking : metrics that have no number at a pitch in µm, each with the reason
     """
 
     technology: str
@@ -106,6 +108,7 @@ class Curve:
     metrics: tuple[Metric, ...] = field(default=(DELTA_E,), repr=False)
     fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
     developed: str = ""
+    lacking: tuple[tuple[str, float, str], ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -132,6 +135,29 @@ class Curve:
         return None if self.data_sheet else self.optimum.pitch_um / self.feature_size_um
 
     @property
+    def metric(self) -> Metric:
+        """The first metric, which the curve is drawn of."""
+        return self.metrics[0]
+
+    @checks_arguments
+    def judged_by(self, metric: str) -> Curve:
+        """Return the curve with one of its metrics that tell a best size as the first one.
+
+        metric : its name
+
+        Raises PixsimError for another name.
+        """
+        if metric == self.metric.name:
+            return self
+        if metric not in self.fits:
+            raise invalid("metric", f"'{metric}'", f"one that tells a best size: {', '.join([self.metric.name, *self.fits])}")
+        first = next(each for each in self.metrics if each.name == metric)
+        metrics = first, *(each for each in self.metrics if each is not first)
+        fits = {self.metric.name: self.fit} | {name: fit for name, fit in self.fits.items() if name != metric}
+        of_first: dict[str, Any] = {"alike_um": None, "viewed": (), "causes": ()}
+        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, **of_first)
+
+    @property
     def optimum(self) -> Optimum:
         """The pitch of minimum mean ΔE, or of the best value of the first metric, with its interval."""
         return self.fit.optimum
@@ -144,20 +170,40 @@ class Curve:
     @property
     def judged_by_delta_e(self) -> bool:
         """Whether ΔE is the first metric, which the curve is drawn of."""
-        return self.metrics[0].name == DELTA_E.name  # a worker has a copy of it
+        return self.metric.is_delta_e
 
     @property
     def has_delta_e(self) -> bool:
         """Whether ΔE is among the metrics."""
-        return any(metric.name == DELTA_E.name for metric in self.metrics)
+        return any(metric.is_delta_e for metric in self.metrics)
 
     @property
     def delta_e(self) -> Array:
         """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than others.
 
-        Of a study that judges by another metric first, that metric's `loss`.
+        Of a study that judges by another metric first, that metric's `loss`; NaN at pitches that are not `told`.
         """
-        return self.metrics[0].loss(self.statistics[self.metrics[0].columns[0]])
+        loss = self.metric.loss(self.statistics[self.metric.columns[0]])
+        return np.where(self.told[:, None], loss, np.nan)
+
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """Whether the first metric's fitted curve takes a pitch, (pitches,): `told_pitches`."""
+        return told_pitches(self.metric, self.statistics[self.metric.columns[0]])
+
+    @property
+    def fitted_range_um(self) -> tuple[float, float]:
+        """Smallest and largest pitch of the fitted curve."""
+        return float(self.fit.pitch_um[0]), float(self.fit.pitch_um[-1])
+
+    @property
+    def along(self) -> tuple[Array, Array]:
+        """Pitches and the first metric there, (n,) each: of the fitted curve, and of pitches where some sensors have 0 or less."""
+        values = self.statistics[self.metric.columns[0]]
+        dead = np.isfinite(values).any(axis=1) & ~self.told
+        pitch_um = np.append(self.fit.pitch_um, self.pitch_um[dead])
+        order = np.argsort(pitch_um, kind="stable")
+        return pitch_um[order], np.append(self.metric.of_loss(self.fit.delta_e), mean_of_sensors(values[dead]))[order]
 
     @property
     def means(self) -> dict[str, Array]:
@@ -170,7 +216,7 @@ class Curve:
 
         statistic : its column in results.csv; None means `delta_e`
         """
-        return np.asarray(np.nanmean(self.delta_e if statistic is None else self.statistics[statistic], axis=1))
+        return mean_of_sensors(self.delta_e if statistic is None else self.statistics[statistic])
 
     @checks_arguments
     def typical(self, statistic: str) -> Array:
@@ -179,7 +225,7 @@ class Curve:
         statistic : its column in results.csv
         """
         worst = any(statistic in metric.worst for metric in self.metrics)
-        return np.asarray(np.nanmin(self.statistics[statistic], axis=1)) if worst else self.mean(statistic)
+        return over_sensors(np.nanmin, self.statistics[statistic]) if worst else self.mean(statistic)
 
     @cached_property
     def no_difference_um(self) -> tuple[float, float] | None:
@@ -234,7 +280,7 @@ class Curve:
     @property
     def sensors(self) -> Array:
         """Number of sensors of each pitch, (pitches,)."""
-        return np.asarray(np.isfinite(self.delta_e).sum(axis=1))
+        return np.max([np.isfinite(values).sum(axis=1) for values in self.statistics.values()], axis=0)
 
     @property
     def optimum_fill_factor(self) -> float:
@@ -249,11 +295,12 @@ class Curve:
         names = columns_of_metrics(self.metrics)
         judges = agreement_of(self)
         told = {} if judges is None else {"judges": judges.as_dict()}
-        return {"optima": optima, "metrics": {name: self.typical(name).tolist() for name in names}} | told
+        means = {name: [value if math.isfinite(value) else None for value in self.typical(name).tolist()] for name in names}
+        return {"optima": optima, "metrics": means} | told
 
     def as_dict(self) -> dict[str, Any]:
         """Return the curve as in summary.json."""
-        mean, ci95 = mean_and_ci95(self.delta_e)
+        mean, ci95 = shown_mean_and_ci95(self)
         of_case = {name: value for name, value in (("at", self.at), ("condition", self.condition), ("alone", self.alone)) if value}
         return {
             "technology": self.technology,
@@ -326,7 +373,7 @@ class StudyResult:
     @checks_arguments
     def film_at_best(self, curve: Curve) -> dict[str, Any] | None:
         """Return `FilmError.as_dict` at the pitch of a curve with the least mean ΔE; None if the film was not measured."""
-        best_um = float(curve.pitch_um[np.argmin(curve.mean())])
+        best_um = float(curve.pitch_um[np.nanargmin(curve.mean())])
         return None if self.film is None else self.film.at(best_um).as_dict()
 
     @checks_arguments
@@ -375,7 +422,7 @@ class StudyResult:
     @cached_property
     def notes(self) -> list[str]:
         """What a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
-        kinds = target_notes, open_notes, study_dark_notes
+        kinds = target_notes, open_notes, silent_notes, study_dark_notes
         return [*self.cause_notes, *sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, self.cases)]))]
 
     def as_dict(self) -> dict[str, Any]:
@@ -582,7 +629,7 @@ def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float]
     lightness : the ideal image's, lowest and highest
     rows : of the curve
     """
-    image, place = series.scenes.irradiance, int(np.argmin(curve.mean()))
+    image, place = series.scenes.irradiance, int(np.nanargmin(curve.mean()))
     time_s, at_best = curve.mean("integration_s")[place], series.imaging.at(float(curve.pitch_um[place]))
     read = at_best.physics.as_read
     area_um2 = collecting_area_um2(image, at_best.camera, at_best.physics) * read.bin_side**2
@@ -592,15 +639,49 @@ def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float]
     return causes_of(image.header, read, white_e, float(time_s), lightness, float(np.mean(full)))
 
 
+def over_sensors(statistic: Callable[..., Array], values: Array) -> Array:
+    """Return a statistic over sensors without NaN, (pitches,), of values (pitches, sensors); NaN where all of them are."""
+    found = np.full(len(values), np.nan)
+    known = np.isfinite(values).any(axis=1)
+    if known.any():
+        found[known] = statistic(values[known], axis=1)
+    return found
+
+
+def mean_of_sensors(values: Array) -> Array:
+    """Return the mean over sensors without NaN, (pitches,), of values (pitches, sensors); NaN where all of them are."""
+    return over_sensors(np.nanmean, values)
+
+
+def told_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
+    """Return which pitches, (P,), a fitted curve of a metric takes: those where no sensor has 0 or less of what more is better.
+
+    Of what is worth nothing at a pitch between others, these are the ones on the side of the best. A pitch without any number
+    is not taken either.
+
+    values : (P, sensors), NaN without a number
+    """
+    loss = metric.loss(values)
+    dead = (np.isfinite(values) & ~np.isfinite(loss)).any(axis=1)
+    told = np.isfinite(loss).any(axis=1) & ~dead
+    if told.any() and dead.any():
+        best = int(np.nanargmin(np.where(told, mean_of_sensors(loss), np.nan)))
+        at = np.flatnonzero(dead)
+        low, high = at[at < best].max(initial=-1), at[at > best].min(initial=len(values))
+        told &= (np.arange(len(values)) > low) & (np.arange(len(values)) < high)
+    return np.asarray(told)
+
+
 def fit_of_metric(metric: Metric, pitch_um: Array, values: Array, width_um: Widths) -> FittedCurve | None:
-    """Return the fitted curve of a metric's loss; None if it tells no best size, or not of these values.
+    """Return the fitted curve of a metric's loss at its `told_pitches`; None if it tells no best size, or not of these values.
 
     values : (pitches, sensors)
     """
-    loss = metric.loss(values)
-    if not metric.has_optimum or not np.array_equal(np.isfinite(loss), np.isfinite(values)) or not np.nanmin(loss) >= 0:
+    told = told_pitches(metric, values)
+    loss = metric.loss(values)[told]
+    if not metric.has_optimum or told.sum() < FEWEST_SIZES or np.isfinite(loss).sum() == told.sum() or not np.nanmin(loss) >= 0:
         return None
-    fit = fit_curve(pitch_um, loss, width_um)
+    fit = fit_curve(pitch_um[told], loss, width_um)
     if metric.better == "less":
         return fit
     return replace(fit, optimum=replace(fit.optimum, is_of_reciprocal=True))
@@ -609,7 +690,7 @@ def fit_of_metric(metric: Metric, pitch_um: Array, values: Array, width_um: Widt
 def curve_of(study: Study, technology: str, rows: Sequence[Row], metrics: tuple[Metric, ...] = (DELTA_E,)) -> Curve:
     """Return the curve of one technology, with its optima, from its rows.
 
-    Raises PixsimError if the first of the metrics tells no best size.
+    Raises TooFewSizesError if the first of the metrics tells no best size.
     """
     names = ("pitch_um", "repeat", "fill_factor", "integration_s", *columns_of_metrics(metrics))
     numbers_of = (float(row[name]) for row in rows for name in names)  # a million tables would not fit into memory
@@ -625,10 +706,10 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row], metrics: tuple[
     found = {each.name: fit_of_metric(each, pitches, statistics[each.columns[0]], width_um) for each in metrics}
     fit = found.pop(metrics[0].name)
     if fit is None:
-        got = (
-            f"'{metrics[0].name}' first, which is 0 or below for some pixels of {label_of(technology)}, as where their signal clips"
-        )
-        raise invalid("metrics", got, "values above 0, of which a best size can be told", "Name another metric first.")
+        known = int(told_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
+        got = f"'{metrics[0].name}' first, with values above 0 at {known} of {pitches.size} pixel sizes of {label_of(technology)}"
+        hint = "Name another metric first."
+        raise TooFewSizesError(str(invalid("metrics", got, f"values above 0 at {FEWEST_SIZES} neighbouring sizes or more", hint)))
     process = technology_of(study, technology)
     return Curve(
         technology,
@@ -674,15 +755,18 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
 
 
 def shown_mean_and_ci95(curve: Curve) -> tuple[Array, Array]:
-    """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 % interval."""
-    mean, ci95 = mean_and_ci95(curve.delta_e)
-    return curve.metrics[0].of_loss(mean), ci95 if curve.metrics[0].better == "less" else ci95 / mean**2
+    """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 % interval, NaN where not `told`."""
+    told, shown, ci95 = curve.told, curve.mean(curve.metric.columns[0]), np.full(curve.pitch_um.shape, np.nan)
+    mean, half = mean_and_ci95(curve.delta_e[told])
+    shown[told], ci95[told] = curve.metric.of_loss(mean), half if curve.metric.better == "less" else half / mean**2
+    return shown, ci95
 
 
 def closed_range(range_um: tuple[float | None, float | None], curve: Curve) -> tuple[float, float]:
-    """Return a range of pitches with open ends replaced by the smallest and the largest pitch tried."""
+    """Return a range of pitches with open ends replaced by the smallest and the largest pitch of the fitted curve."""
     low, high = range_um
-    return float(curve.pitch_um[0]) if low is None else low, float(curve.pitch_um[-1]) if high is None else high
+    first, last = curve.fitted_range_um
+    return first if low is None else low, last if high is None else high
 
 
 def annotate_curve(axes: Axes, curve: Curve) -> None:
@@ -758,7 +842,7 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
     """Return a table with a row for each curve and pitch."""
     table: dict[str, list[float | str]] = {}
     for curve in curves:
-        mean, ci95 = mean_and_ci95(curve.delta_e)
+        mean, ci95 = shown_mean_and_ci95(curve)
         columns = {"technology": np.array([curve.label] * mean.size), "pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor}
         columns |= {"mean_delta_e": mean, "ci95_delta_e": ci95} if curve.judged_by_delta_e else {}
         columns |= {name: curve.typical(name) for name in columns_of_metrics(curve.metrics) if name != DELTA_E.columns[0]}
@@ -796,6 +880,21 @@ def target_notes(result: StudyResult) -> list[str]:
     return notes
 
 
+def silent_notes(result: StudyResult) -> list[str]:
+    """Return a note for each metric that tells a best size, with the pitches that its fitted curve does not take, and why."""
+    notes = []
+    for curve in result.curves:
+        for metric in (each for each in curve.metrics if each.has_optimum):
+            values = curve.statistics[metric.columns[0]]
+            known, silent = set(curve.pitch_um.tolist()), set(curve.pitch_um[~told_pitches(metric, values)].tolist())
+            reasons = {pitch_um: reason for name, pitch_um, reason in curve.lacking if name == metric.name}
+            for why, which in (("has no number", reasons.keys()), ("is 0 or below, or beyond such sizes,", known - reasons.keys())):
+                if sizes := sorted(silent & which):
+                    words = f"{metric.words} {why} at {', '.join(f'{um:g}' for um in sizes)} µm, and its fitted curve does without"
+                    notes.append(": ".join(filter(None, (curve.label, words, reasons.get(sizes[0], "")))))
+    return notes
+
+
 LARGER = 1.25  # ratio of a size that is proposed beyond the range
 
 
@@ -810,8 +909,10 @@ def open_notes(result: StudyResult) -> list[str]:
         if (low is None) == (high is None):  # both: no size would help, but more sensors
             continue
         smallest, end = low is None, 0 if low is None else -1
-        tried_um, word = float(curve.pitch_um[end]), "smallest" if smallest else "largest"
+        tried_um, word = curve.fitted_range_um[end], "smallest" if smallest else "largest"
         start = f"{curve.label}: the interval is open, since the {word} size tried, {tried_um:.4g} µm, may be the best"
+        if tried_um != curve.pitch_um[end]:  # said by `silent_notes`
+            continue
         notes.append(f"{start}; {_closing_size(study, curve, tried_um, smallest)}")
     return notes
 

@@ -32,13 +32,12 @@ from pixsim.sensor.technology import Technology, load_technology
 from pixsim.show.document import headline, pairs, plain_text
 from pixsim.show.pages import rows_csv
 from pixsim.show.render import cell_of
-from pixsim.studies.budget import ProbeDesign, Settled, settle
-from pixsim.studies.cases import Case
+from pixsim.studies.budget import with_tolerance
+from pixsim.studies.cases import Case, Job
 from pixsim.studies.lights import demand_of
 from pixsim.studies.oversampling import Demand, Light, rendered_light
 from pixsim.studies.paired import mean_interval
-from pixsim.studies.preparation import check_metrics, choose_view, scene_with_view, with_view
-from pixsim.studies.prepared import Job, Prepared, is_picture, loaded_scene
+from pixsim.studies.preparation import check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
 from pixsim.studies.sentences import score_parts
 from pixsim.studies.series import judging_of
 from pixsim.studies.settings_text import scene_table
@@ -49,6 +48,7 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError, cause_words
 from pixsim.viewer.metric_registry import metrics_named, names_of
 from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 from pixsim.viewer.score import (
     FrameScore,
     ImagingChain,
@@ -82,7 +82,6 @@ class RunJob(Job[Run]):
 
     source : scene, or picture of another program
     asked : settings as they were given
-    settled : settings that a calibration chose for a tolerance of ΔE; None before it, and without a tolerance
     full : whether no effect is left out
     repeats : number of sensors of the kind; a tolerance of ΔE may take more
     frames : number of frames of the first sensor
@@ -91,7 +90,6 @@ class RunJob(Job[Run]):
 
     source: str
     asked: Run
-    settled: Settled | None = None
     full: bool = False
     repeats: int = 1
     frames: int = 1
@@ -100,7 +98,7 @@ class RunJob(Job[Run]):
     @cached_property
     def demand(self) -> Demand:
         """What the pixel asks of the scene's light."""
-        return demand_of(self.cases[0], self.settled, full=self.full)
+        return demand_of(self.cases[0], full=self.full)
 
     @property
     def technology(self) -> Technology:
@@ -171,7 +169,7 @@ def prepare(
     check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
     dot_edges_um(camera.die_um, pitch_um, settings.display, pitch_um)
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
-    case = Prepared(Case(complete), picture if scene is None else scene_with_view(scene, view), camera)
+    case = Case(complete, found=(picture if scene is None else scene_with_view(scene, view), camera))
     job = RunJob(
         source=source,
         asked=settings,
@@ -289,10 +287,20 @@ class RunResult(LitRun):
     @cached_property
     def budget(self) -> dict[str, Any] | None:
         """The error budget, as in score.json; None without a tolerance of ΔE."""
-        if self.rendered is None or self.plan is None or self.prepared.settled is None:
+        settled = self.prepared.cases[0].settled
+        if self.rendered is None or self.plan is None or settled is None:
             return None
         bound_e = self.plan.bound_e if self.plan.bounded else None
-        return self.prepared.settled.budget(self.rendered.noise, bound_e, len(self.statistics))
+        return settled.budget(self.rendered.noise, bound_e, len(self.statistics))
+
+    @cached_property
+    def noise_budget(self) -> NoiseBudget | None:
+        """Electrons and ΔE of the first sensor's frame by cause; None where nobody asks."""
+        if not self.settings.noise_budget:
+            return None
+        imaging = Imaging.of(self.settings, self.camera)
+        of_pixel = imaging.physics, imaging.light(self.irradiance), self.chain
+        return noise_budget(self.irradiance, self.camera, *of_pixel, "evaluate", self.settings.seed)
 
     @property
     def shown_mean(self) -> str:
@@ -364,6 +372,7 @@ class RunResult(LitRun):
         if settings.develop.sharpens:
             more["sharpening_noise_gain"] = self.chain.sharpening_noise_gain
         more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
+        more |= {"noise_budget": self.noise_budget.as_dict()} if self.noise_budget else {}
         return {
             **self.statistics[0],
             "pixels": list(score.frame.pixels),
@@ -480,7 +489,7 @@ def light_run(prepared: RunJob, stage: Stage) -> LitRun:
 
 def score_run(lit: LitRun, stage: Stage) -> RunResult:
     """Return the result of a run whose light is known."""
-    prepared, image, settings = lit.prepared, lit.irradiance, lit.prepared.settings
+    prepared, image, settings, settled = lit.prepared, lit.irradiance, lit.prepared.settings, lit.prepared.cases[0].settled
     with collected_notes() as notes:
         scored = stage("sense and score")
         of_sensor = settings.pixel, settings.exposure, settings.display, prepared.full, settings.correction, settings.develop
@@ -491,7 +500,7 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
         scored(BEFORE_FRAME)
         score = judged_score(chain, judging, ("evaluate", settings.seed))
         statistics = [score.statistics()]
-        sensors = max(prepared.repeats, prepared.settled.choice.sensors if prepared.settled else 1)
+        sensors = max(prepared.repeats, settled.choice.sensors if settled else 1)
         for number in range(1, sensors):
             statistics.append(judged_score(chain, judging, ("evaluate", settings.seed, number)).statistics())
             scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
@@ -499,16 +508,3 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
     of_light = prepared, image, lit.rendered, lit.plan, warned
     result = RunResult(*of_light, chain=chain, score=score, statistics=tuple(statistics))
     return replace(result, score=replace(score, light=result.light))
-
-
-def with_tolerance(prepared: RunJob, stage: Stage) -> RunJob:
-    """Return a run with the settings that a calibration chooses if it has a tolerance of ΔE."""
-    settings, camera = prepared.settings, prepared.camera
-    if not settings.tolerance_delta_e:
-        return prepared
-    stage("calibrate")
-    probed = ProbeDesign(Imaging.of(settings, camera), settings.seed)
-    settled = settle(prepared.cases[0].scene, camera, probed, settings.tolerance_delta_e)
-    chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
-    settings = settings.model_copy(update=chosen | {"resolution": settled.scene.resolution})
-    return replace(prepared, cases=(Prepared(Case(settings), settled.scene, camera),), settled=settled)

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
+from pixsim.base.notes import warn
 from pixsim.base.progress import Progress
 from pixsim.sensor.spread import Uncertainty
 from pixsim.studies.cases import Case, check_number
@@ -27,6 +28,7 @@ from pixsim.studies.sampling import Sizes, study_pitches_um
 from pixsim.studies.series import Series, scenes_of, series_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import (
+    FEW_SENSORS,
     LEAST_DRAWS,
     MOST_DRAWS,
     Outcome,
@@ -40,10 +42,21 @@ from pixsim.studies.uncertainty import (
     unknowns_of_study,
 )
 from pixsim.viewer.merging import merge
-from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.metrics import Metric
 
 MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
 TYPES_FILE = "types.csv"
+
+
+def types_file(metric: Metric) -> str:
+    """Return the name of the file with the rows of sensor types by a metric."""
+    return TYPES_FILE if metric.is_delta_e else f"types_{metric.name}.csv"
+
+
+def drawn_metrics(study: Study) -> tuple[Metric, ...]:
+    """Return the metrics of which sensor types are drawn: those that tell a best size."""
+    return tuple(metric for metric in metrics_named(study.metrics) if metric.has_optimum)
 
 
 @dataclass(frozen=True)
@@ -101,7 +114,7 @@ def check_axes(study: Study) -> None:
 
 
 def check_types(study: Study, cases: Sequence[Study], asked: Asked, agreed: bool) -> tuple[int, int]:
-    """Return the number of sensor types of a study and of their evaluations at most.
+    """Return the number of sensor types of a study and of their evaluations at most, for all metrics.
 
     cases : of the study
     agreed : whether they may be very many
@@ -110,7 +123,7 @@ def check_types(study: Study, cases: Sequence[Study], asked: Asked, agreed: bool
     """
     check_axes(study)
     types = len(asked.sample(cases[0]).quantiles)
-    evaluations = types * MOST_EVALUATIONS * sum(len(case.technologies) for case in cases)
+    evaluations = types * MOST_EVALUATIONS * sum(len(case.technologies) * len(drawn_metrics(case)) for case in cases)
     check_number(types, evaluations, agreed)
     return types, evaluations
 
@@ -118,28 +131,41 @@ def check_types(study: Study, cases: Sequence[Study], asked: Asked, agreed: bool
 def draw_types(
     result: StudyResult, asked: Asked, folder: Path, workers: Workers, progress: Callable[[], Progress | None]
 ) -> list[UncertaintyResult]:
-    """Evaluate the sensor types of a finished study, and return what is known of each of its optima.
+    """Evaluate the sensor types of a finished study, and return what is known of each of its optima, metric by metric.
+
+    Each metric has its own pixel sizes, around its optimum of the base. Warns of metrics that tell no best size of the base.
 
     result : of the study, whose optima are the base
-    folder : of the study, in which types.csv keeps the rows, so that an interrupted run goes on
+    folder : of the study, in which `types_file` keeps the rows, so that an interrupted run goes on
 
     Raises PixsimError if nothing is unknown, or if a type has no pixel sizes in common with the base.
     """
-    study = result.study
+    found = []
+    for metric in drawn_metrics(result.study):
+        if all(metric.name in curve.optima for base in result.cases for curve in base.curves):
+            bases = [replace(base, curves=tuple(curve.judged_by(metric.name) for curve in base.curves)) for base in result.cases]
+            found += _types_by_metric(bases, asked, folder / types_file(metric), workers, progress)
+        else:
+            warn(f"sensor types: none are drawn for {metric.words}, which tells no best size of some of the study's own sensors")
+    return found
+
+
+def _types_by_metric(
+    bases: Sequence[StudyResult], asked: Asked, file: Path, workers: Workers, progress: Callable[[], Progress | None]
+) -> list[UncertaintyResult]:
+    """Return what is known of the optima of the cases of a study by the first metric of their curves."""
+    study, metric = bases[0].study, bases[0].curves[0].metric
     sample = asked.sample(study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
-    bases = result.cases
     series: list[Series] = []
     members: list[range] = []  # of each type, the numbers of its series
     samplings: list[Sizes] = []
     studies: list[Study] = []  # of each of the series
     for number, base in enumerate(bases):
         own = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick", "target_ci_um"})
-        if not base.curves[0].judged_by_delta_e:
-            got = f"for the metric {base.curves[0].metrics[0].name}"
-            raise invalid("uncertainty", got, "metrics with delta_e first, of which sensor types are drawn")
-        own |= {"metrics": [DELTA_E.name]}
-        scenes = scenes_of(base.study.model_copy(update={"metrics": (DELTA_E.name,)}), base.irradiance, base.camera)
+        own |= {"metrics": [metric.name]}
+        of_types = base.study.model_copy(update={"metrics": (metric.name,), "repeats": FEW_SENSORS})
+        scenes = scenes_of(of_types, base.irradiance, base.camera, without=base.without)
         table = merge(own, {"paper": False, "resolution": base.study.resolution})
         types = [Study.model_validate(merge(table, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
         ranges = [_common_range_um(types, curve) for curve in base.curves]
@@ -156,7 +182,7 @@ def draw_types(
             series += of_type
             samplings += [few[each.name] for each in of_type]
             studies += [one] * len(of_type)
-    evaluations = Evaluations(series, folder / TYPES_FILE, workers)
+    evaluations = Evaluations(series, file, workers)
     count = len(sample.draws)
     rows = [NO_ROWS for _ in series]
     curves: dict[int, Curve] = {}
@@ -164,16 +190,16 @@ def draw_types(
         with closing(evaluations.rows(samplings, progress())) as found_rows:
             for number, rows[number] in found_rows:  # the workers go on while a curve is fitted
                 evaluations.possible(number, samplings[number])
-                curves[number] = curve_of(studies[number], series[number].name, rows[number])
+                curves[number] = curve_of(studies[number], series[number].name, rows[number], (metric,))
         evaluations.finish(rows)
     found = []
     for number, base in enumerate(bases):
         for place, curve in enumerate(base.curves):
-            of_types = members[number * count : (number + 1) * count]
-            outcomes = [_outcome([curves[own] for own in of_type], place, base, asked) for of_type in of_types]
+            of_base = members[number * count : (number + 1) * count]
+            outcomes = [_outcome([curves[own] for own in of_type], place, base, asked) for of_type in of_base]
             inputs = sample if asked.total else sample_of(sample, curve.technology)
-            label = curve.label if len(result.curves) > 1 else ""
-            found.append(summarise(inputs, outcomes, asked.draws, study.seed, label, asked.total))
+            label = curve.label if sum(len(each.curves) for each in bases) > 1 else ""
+            found.append(summarise(inputs, outcomes, asked.draws, study.seed, label, asked.total, metric))
     return found
 
 
@@ -197,14 +223,14 @@ def _outcome(curves: Sequence[Curve], place: int, base: StudyResult, asked: Aske
     curve = curves[place]
     best = curve.optimum
     # One at the smallest size tried is there or below; of one at the largest size nothing is known above it.
-    is_known = best.inside or best.pitch_um == curve.pitch_um[0]
+    tried = curve.fitted_range_um
+    is_known = best.inside or best.pitch_um == tried[0]
     verdicts = {f"the optimum is smaller than {size:g} µm": is_known and best.pitch_um < size for size in asked.smaller_than_um}
     labels = [each.plain_label for each in base.curves]
     for other, name in enumerate(labels):
         if other != place:
             verdicts[f"{labels[place]} is better than {name}"] = best.mean_delta_e < curves[other].optimum.mean_delta_e
-    if base.study.paper or (len(curves) > 1 and not any(each.data_sheet for each in curves)):
+    if curve.judged_by_delta_e and (base.study.paper or (len(curves) > 1 and not any(each.data_sheet for each in curves))):
         verdicts |= {row.statement: row.agrees for row in scaling_rows(curves)}
-    tried = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
     pitch_um = float(np.clip(best.pitch_um, *tried))
-    return Outcome(pitch_um, best.interval_um, best.mean_delta_e, best.inside, tried, verdicts)
+    return Outcome(pitch_um, best.interval_um, best.value, best.inside, tried, verdicts)

@@ -163,7 +163,7 @@ def interval_words(curve: Curve) -> str:
     if curve.fit_swings:
         return "unknown beside the steep flank"
     low, high = curve.optimum.interval_um
-    first, last = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
+    first, last = curve.fitted_range_um
     if (low is None) == (high is None):
         return interval((low, high))
     if low is None and high is not None:
@@ -191,9 +191,9 @@ def flat_words(curve: Curve, end: int, size: str) -> str:
 
 def within_words(ends: tuple[float | None, float | None], curve: Curve) -> str:
     """Return a range of pitches as text, naming an end at the smallest or the largest pitch tried."""
-    low, high = ends
-    first = f"≤ {curve.pitch_um[0]:.2f} µm (smallest tried)" if low is None else f"{low:.2f}"
-    last = f"≥ {curve.pitch_um[-1]:.2f} µm (largest tried)" if high is None else f"{high:.2f} µm"
+    (low, high), (smallest, largest) = ends, curve.fitted_range_um
+    first = f"≤ {smallest:.2f} µm (smallest tried)" if low is None else f"{low:.2f}"
+    last = f"≥ {largest:.2f} µm (largest tried)" if high is None else f"{high:.2f} µm"
     return f"{first} to {last}"
 
 

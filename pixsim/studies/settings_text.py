@@ -9,8 +9,8 @@ from typing import Any
 from pixsim.base.layers import Layer, nested
 from pixsim.base.records import Record
 from pixsim.base.toml import settings_table_text, whole_path
-from pixsim.light.curves import AS_CURVES, as_quantum_efficiency
-from pixsim.optics.chief_rays import as_chief_ray_angles
+from pixsim.light.curves import AS_CURVES, as_quantum_efficiency, as_share
+from pixsim.optics.chief_rays import as_chief_ray_angles, as_relative_illumination
 from pixsim.sensor.spread import Uncertainty
 from pixsim.studies.varied import is_case_name, setting_path
 from pixsim.viewer.develop_options import as_tone_curve
@@ -21,6 +21,8 @@ FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
     ("pixel", "quantum_efficiency"): as_quantum_efficiency,
     ("camera", "chief_ray_angle"): as_chief_ray_angles,
     ("develop", "tone_curve"): as_tone_curve,
+    ("lens", "veiling_glare"): as_share,
+    ("lens", "relative_illumination"): as_relative_illumination,
     **{("pixel", "colour", name): as_curves for name, as_curves in AS_CURVES.items()},
 }
 WITHOUT_TARGET = ("metric", "detectability", "without")

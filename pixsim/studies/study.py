@@ -24,13 +24,14 @@ from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.labels import label_in
 from pixsim.show.sentences import few
 from pixsim.studies.allocation import next_sensors, next_where_open
+from pixsim.studies.budget import with_tolerance
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
 from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
 from pixsim.studies.keys import remember_evaluated
-from pixsim.studies.lights import given_light, lights_of_cases
+from pixsim.studies.lights import lights_of_cases
 from pixsim.studies.oversampling import GivenLight, Light
 from pixsim.studies.preparation import StudyJob, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of
@@ -45,7 +46,6 @@ from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.score import SceneCache, Score, warn_of_clipping
 
 if TYPE_CHECKING:
-    from pixsim.studies.budget import Settled
     from pixsim.studies.sensor_types import Asked
 
 FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
@@ -63,7 +63,7 @@ def repeated_settings(job: StudyJob, chosen: Study, image: SpectralImage, asked:
     if isinstance(job.source, SpectralImage):
         command = f"pixsim.study('{SETTINGS_FILE}', out, light=…), of the light of digest {image.header[DIGEST]}"
         return settings_text(job.study, command, spreads_of_study(job.study, job.uncertainty))
-    scene, kept = job.scene, without_clock(job.study, chosen, image)
+    scene, kept = job.source, without_clock(job.study, chosen, image)
     file = kept.scene.file
     of_scene = {
         "file": file if file in packaged_scenes() else str(scene.path),
@@ -96,15 +96,17 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
     chosen = dict(sampling)
     for curve in curves:
         sensors = sampling[curve.technology]
+        told = {um: sensors[um] for um in curve.pitch_um[curve.told].tolist() if um in sensors}
         sizes, most = len(study_pitches_um(study, curve.technology)), max(study.repeats, study.max_repeats)
         if study.target_ci_um is None:
             if not (refine and study.refine) or study.pitch.values_um is not None:
                 continue
-            more = next_where_open(curve.fit, sensors, sizes * study.repeats, most)
+            more = next_where_open(curve.fit, told, sizes * study.repeats, most)
         elif curve.optimum.half_width_um <= study.target_ci_um:
             continue
         else:
-            more = next_sensors(curve.fit, sensors, most)
+            more = next_sensors(curve.fit, told, most)
+        more = more if len(told) == len(sensors) else dict(sorted((sensors | more).items()))
         if study.max_evaluations is None:
             within = sum(more.values()) <= sizes * most
         else:
@@ -157,6 +159,7 @@ def evaluate_cases(
     curves: dict[int, Curve] = {}
     fitted: list[Sizes] = [{} for _ in series]  # of these curves
     left_out: list[dict[float, str]] = [{} for _ in series]
+    lacking: list[dict[tuple[str, float], str]] = [{} for _ in series]
     impossible: dict[int, str] = {}
     rounds = any(case.settings.target_ci_um is not None for case in cases)
     with evaluations.resumed(samplings):
@@ -172,6 +175,7 @@ def evaluate_cases(
                         place = case_of[number]
                         missing[place] -= 1
                         left_out[number] |= evaluations.left_out(number, samplings[number])
+                        lacking[number] |= evaluations.lacking(number, samplings[number])
                         try:
                             samplings[number] = evaluations.possible(number, samplings[number])
                             if fitted[number] != samplings[number]:
@@ -180,7 +184,7 @@ def evaluate_cases(
                                 )
                             fitted[number] = samplings[number]
                         except TooFewSizesError as error:
-                            impossible[number] = str(error)
+                            impossible[number] = " ".join([str(error), *lacking[number].values()][:2])
                         if missing[place] or not impossible.keys().isdisjoint(members[place]):
                             continue
                         technologies = {series[own].name: own for own in members[place]}
@@ -218,6 +222,7 @@ def evaluate_cases(
                 condition=case.condition,
                 alone=case.alone,
                 left_out=tuple(left_out[number].items()),
+                lacking=tuple((*which, reason) for which, reason in lacking[number].items()),
                 causes=causes_of_curve(series[number], curves[number], facts[number].lightness, rows[number]),
             )
             for number in numbers
@@ -240,7 +245,7 @@ def warn_of_left_out(cases: Sequence[Case[Study]], left_out: Sequence[Mapping[st
 
 
 def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:
-    """Warn of each axis whose values all give the same mean ΔE, bit for bit: something else decides on its setting.
+    """Warn of each axis whose values all give the same numbers, bit for bit: something else decides on its setting.
 
     All cases have the same random numbers, so that equal settings give equal numbers.
     """
@@ -251,7 +256,8 @@ def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:
             is_base = axis.alone and not curve.alone
             if curve.alone == (axis.name if axis.alone else "") or is_base:
                 others = () if axis.alone else [(name, value) for name, value in curve.at.items() if name != axis.name]
-                content = curve.pitch_um.tobytes() + curve.delta_e.tobytes()
+                judged = (curve.statistics[metric.columns[0]] for metric in curve.metrics)
+                content = b"".join(each.tobytes() for each in (curve.pitch_um, *judged))
                 groups.setdefault((curve.technology, curve.condition, *others), []).append(content)
         if any(len(group) > 1 for group in groups.values()) and all(len(set(group)) == 1 for group in groups.values()):
             settings = ", ".join(dict.fromkeys(".".join(path) for path in axis.paths))
@@ -362,27 +368,17 @@ def run_prepared(
 
         check_types(job.study, [case.settings for case in job.cases], asked, agreed)
 
-    chosen, cases = job.study, [each.case for each in job.cases]
     stage = progress or no_stage
-    settled: Settled | None = None
     if jobs is None and scheduler is None:
         jobs = jobs_in_memory(largest_frame_bytes([(case.settings, case.camera) for case in job.cases]))
     with collected_notes() as notes, ExitStack() as stack:
         ResultsFile(Path(out) / "results.csv").check_replaceable()
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
-        if chosen.tolerance_delta_e and not job.study.has_cases:
-            stage("calibrate")
-            from pixsim.studies.budget import settled_study
-
-            chosen, settled = settled_study(chosen, job.scene, job.camera)
-            job, cases = replace(job, study=chosen), [Case(chosen)]
-        lights: Sequence[Light | GivenLight | str]
-        if isinstance(job.source, SpectralImage):
-            lights = [given_light(each) for each in job.cases]
-        else:
-            lights = lights_of_cases(cases, job.variant, stage, workers, settled, store=PictureFile(folder).stored)
+        job = with_tolerance(job, stage)
+        chosen, settled = job.study, job.cases[0].settled
+        lights = lights_of_cases(job.cases, stage, workers, store=PictureFile(folder).stored)
         reasons = [light for light in lights if isinstance(light, str)]
-        lit = [(case, light) for case, light in zip(cases, lights, strict=True) if not isinstance(light, str)]
+        lit = [(case, light) for case, light in zip(job.cases, lights, strict=True) if not isinstance(light, str)]
         found: list[StudyResult] = []
         if lit:
             films = [light.image.shape[1] if isinstance(light, Light) else None for _, light in lit]

@@ -36,6 +36,7 @@ from pixsim.studies.indices import FirstOrder, Marginal, first_order, saltelli, 
 from pixsim.studies.pixels import technology_of
 from pixsim.studies.study_file import spreads_of_study
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.metrics import DELTA_E, Metric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +54,6 @@ LEAST_DRAWS, MOST_DRAWS = 8, 1 << 16
 HALF_CELL = 2.0**-31  # of scipy's Sobol' points, multiples of 2⁻³⁰: 0 is no quantile of a normal distribution
 PERCENTS = (5, 25, 50, 75, 95)
 MOST_CENSORED = 0.1  # share of censored optima beyond which indices of the optimum describe the range of pitches
-OUTPUTS = {"optimum_um": "optimal pixel size (µm)", "mean_delta_e": "least mean ΔE"}
 
 
 @checks_fields
@@ -396,7 +396,8 @@ def sobol_points(unknowns: Sequence[Unknown], n: int, seed: Whole = 0, shared: S
 class Outcome:
     """What a study finds for one sensor type.
 
-    optimum_um, interval_um, mean_delta_e, inside : as of `pixsim.studies.optimum.Optimum`
+    optimum_um, interval_um, inside : as of `pixsim.studies.optimum.Optimum`
+    mean_delta_e : the least mean ΔE, or the best value of another metric
     tried_um : smallest and largest pitch tried
     verdicts : statement -> whether it holds
     """
@@ -521,6 +522,7 @@ class UncertaintyResult:
     asked, seed : as given
     label : of the curve whose optimum it is; empty for the only one
     total : whether the sensor types are the points of total indices
+    metric : whose optimum it is
     """
 
     sample: Sample = field(repr=False)
@@ -529,6 +531,18 @@ class UncertaintyResult:
     seed: int
     label: str = ""
     total: bool = False
+    metric: Metric = field(default=DELTA_E, repr=False)
+
+    @property
+    def outputs(self) -> dict[str, str]:
+        """The two results in words, by their columns: the optimal size, and the best value."""
+        unit = f" ({self.metric.unit})" if self.metric.unit else ""
+        return {"optimum_um": "optimal pixel size (µm)", self.metric.columns[0]: f"{self.metric.best}{unit}"}
+
+    @property
+    def by(self) -> str:
+        """The metric in words after an optimum; empty for ΔE."""
+        return "" if self.metric.is_delta_e else f" by {self.metric.words}"
 
     @cached_property
     def optimum(self) -> ResultDistribution:
@@ -539,8 +553,8 @@ class UncertaintyResult:
 
     @cached_property
     def least_delta_e(self) -> ResultDistribution:
-        """Distribution of the least mean ΔE, in the range of pitches for a censored optimum."""
-        return ResultDistribution.of(self.values("mean_delta_e"))
+        """Distribution of the least mean ΔE, or of the best value, in the range of pitches for a censored optimum."""
+        return ResultDistribution.of(self.values(self.metric.columns[0]))
 
     @cached_property
     def verdicts(self) -> dict[str, Probability]:
@@ -553,7 +567,7 @@ class UncertaintyResult:
         """First-order indices of the optimum, without censored ones, and of the least ΔE."""
         inside = np.array([outcome.inside for outcome in self.outcomes])
         found = {}
-        for name in OUTPUTS:
+        for name in self.outputs:
             used = inside if name == "optimum_um" else np.ones_like(inside)
             if (lost := 1 - float(used.mean())) > MOST_CENSORED:
                 found[name] = FirstOrder(
@@ -571,14 +585,14 @@ class UncertaintyResult:
             raise invalid("total_indices", "sensor types that are drawn", "those of study(…, sobol=N)")
         names = list(self.sample.inputs)
         found = {}
-        for output in OUTPUTS:
+        for output in self.outputs:
             first, total = total_indices(self.values(output), names, self.seed)
             found[output] = {name: {"first": vars(first[name]), "total": vars(total[name])} for name in names}
         return found
 
     def values(self, name: str) -> Array:
-        """Return `optimum_um` or `mean_delta_e` of each type, (n,)."""
-        return np.array([getattr(outcome, name) for outcome in self.outcomes])
+        """Return `optimum_um` or the best value, by its column, of each type, (n,)."""
+        return np.array([each.optimum_um if name == "optimum_um" else each.mean_delta_e for each in self.outcomes])
 
     @property
     def statements(self) -> tuple[str, ...]:
@@ -624,12 +638,13 @@ class UncertaintyResult:
         """Return the result as in summary.json."""
         return {
             "label": self.label,
+            **({} if self.metric.is_delta_e else {"metric": self.metric.name}),
             "draws": len(self.outcomes),
             "asked": self.asked,
             "seed": self.seed,
             "inputs": self.sample.stated,
             "optimum_um": self.optimum.as_dict(),
-            "mean_delta_e": self.least_delta_e.as_dict(),
+            self.metric.columns[0]: self.least_delta_e.as_dict(),
             "verdicts": {name: asdict(probability) for name, probability in self.verdicts.items()},
             "first_order": {name: indices.as_dict() for name, indices in self.first_order.items()},
             "statements": list(self.statements),
@@ -639,7 +654,7 @@ class UncertaintyResult:
         """Return a row for each sensor type: its inputs, its optimum, and its verdicts."""
         columns = [
             {"optimum_um": each.optimum_um, "interval_low_um": each.interval_um[0], "interval_high_um": each.interval_um[1]}
-            | {"mean_delta_e": each.mean_delta_e, "inside": each.inside} | each.verdicts
+            | {self.metric.columns[0]: each.mean_delta_e, "inside": each.inside} | each.verdicts
             for each in self.outcomes
         ]  # fmt: skip
         numbered = enumerate(zip(self.sample.draws, columns, strict=True), 1)
@@ -651,7 +666,13 @@ class UncertaintyResult:
 
 
 def summarise(
-    sample: Sample, outcomes: Sequence[Outcome], asked: int, seed: int, label: str = "", total: bool = False
+    sample: Sample,
+    outcomes: Sequence[Outcome],
+    asked: int,
+    seed: int,
+    label: str = "",
+    total: bool = False,
+    metric: Metric = DELTA_E,
 ) -> UncertaintyResult:
     """Return the result of outcomes that are known already, as where one study of each type has several curves.
 
@@ -666,7 +687,7 @@ def summarise(
         raise invalid(
             "verdicts", ", ".join(others[0].verdicts) or "none", f"those of the first type: {', '.join(outcomes[0].verdicts)}"
         )
-    return UncertaintyResult(sample, tuple(outcomes), asked, seed, label, total)
+    return UncertaintyResult(sample, tuple(outcomes), asked, seed, label, total, metric)
 
 
 FEW_EVALUATIONS = 24
@@ -714,18 +735,19 @@ def few_pitches_um(
 
 @own_style()
 def distribution_plate(result: UncertaintyResult) -> Plate:
-    """Plot the distributions of the optimum and of the least ΔE over the sensor types."""
-    figure = new_figure(9.0, 3.2)
-    both = {"optimum_um": result.optimum, "mean_delta_e": result.least_delta_e}
-    for axes, (name, distribution) in zip(figure.subplots(1, 2), both.items(), strict=True):
-        draw_distribution(axes, distribution, OUTPUTS[name])
+    """Plot the distributions of the optimum and of the least ΔE, or of the best value, over the sensor types."""
+    figure, metric = new_figure(9.0, 3.2), result.metric
+    both = result.optimum, result.least_delta_e
+    for axes, distribution, title in zip(figure.subplots(1, 2), both, result.outputs.values(), strict=True):
+        draw_distribution(axes, distribution, literal(title))
+    what, unit = ("least ΔE", "") if metric.is_delta_e else (metric.best, metric.unit and f" {metric.unit}")
     caption = (
-        f"{distribution_words(result.optimum, 'optima', ' µm')} {distribution_words(result.least_delta_e, 'least ΔE', '')} "
-        f"Optimal pixel size (left) and least mean ΔE (right) of {len(result.outcomes)} sensor types, as many as each bar is high"
+        f"{distribution_words(result.optimum, 'optima', ' µm')} {distribution_words(result.least_delta_e, what, unit)} "
+        f"Optimal pixel size (left) and {metric.best} (right) of {len(result.outcomes)} sensor types, as many as each bar is high"
         f"{', ' + literal(result.label) if result.label else ''}. Vertical lines: median; grey: the middle half and nine tenths."
     )
     rows = result.rows()
-    names = ("draw", "optimum_um", "inside", "mean_delta_e")
+    names = ("draw", "optimum_um", "inside", metric.columns[0])
     table: dict[str, Column] = {name: [row[name] if name != "inside" else str(row[name]) for row in rows] for name in names}
     shown = [value if math.isfinite(value) else "" for value in result.optimum.values.tolist()]
     return Plate("uncertainty_distribution", caption, figure, table | {"optimum_without_own_interval_um": shown})
@@ -776,16 +798,16 @@ def distribution_words(distribution: ResultDistribution, what: str, unit: str) -
 
 @own_style()
 def indices_plate(result: UncertaintyResult) -> Plate:
-    """Plot the first-order indices of the optimum and of the least ΔE as bars with their intervals, the largest first."""
+    """Plot the first-order indices of the optimum and of the best value as bars with their intervals, the largest first."""
     shown = result.first_order
     names = sorted(result.sample.inputs, key=lambda name: -max((own.share_of(name) for own in shown.values()), default=0.0))
     figure = new_figure(9.0, 0.3 * len(names) + 1.4)
     table: dict[str, Column] = {"input": list(names)}
     seen = []
-    for axes, (output, title) in zip(figure.subplots(1, 2, sharey=True), OUTPUTS.items(), strict=True):
+    for axes, (output, title) in zip(figure.subplots(1, 2, sharey=True), result.outputs.items(), strict=True):
         own = shown[output]
         draw_indices(axes, names, own)
-        axes.set(xlabel=f"share of the variance: {title.partition(' (')[0]}", xlim=(0, 1))
+        axes.set(xlabel=f"share of the variance: {literal(title.partition(' (')[0])}", xlim=(0, 1))
         for part in ("share", "low", "high"):
             table[f"{output}_{part}"] = [getattr(own.indices[name], part) if own.indices else "" for name in names]
         seen.append(indices_words(own, title.partition(" (")[0], input_labels(result.sample)))
@@ -794,7 +816,7 @@ def indices_plate(result: UncertaintyResult) -> Plate:
     figure.axes[0].invert_yaxis()
     caption = (
         f"{' '.join(seen)} First-order indices: the share of the variance that each input alone explains, with 95 % bootstrap "
-        "intervals, for the optimal pixel size (left) and the least mean ΔE (right)."
+        f"intervals, for the optimal pixel size (left) and the {result.metric.best} (right)."
     )
     return Plate("uncertainty_indices", caption, figure, table)
 

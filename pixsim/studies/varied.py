@@ -30,7 +30,7 @@ NOT_SETTINGS = {
         ("repeats", "target_ci_um", "refine", "max_repeats", "max_evaluations"), "the sensors of all cases are counted alike"
     ),
     **dict.fromkeys(("tolerance_delta_e", "max_seconds"), "vary resolution or render_noise to see their errors"),
-    **dict.fromkeys(("iso_delta_e", "detail"), "it changes the report, not its numbers"),
+    **dict.fromkeys(("iso_delta_e", "detail", "noise_budget"), "it changes the report, not its numbers"),
 }
 
 

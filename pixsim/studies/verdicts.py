@@ -14,11 +14,11 @@ from pixsim.sensor.stages import stage_words
 from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline
 from pixsim.show.sentences import with_error
 from pixsim.studies.averages import Averaged, shown_delta_e
+from pixsim.studies.cases import Case
 from pixsim.studies.extent import stated_end_lp_per_mm
 from pixsim.studies.lineup import ComparisonJob, Lineup, pixels_of
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.paired import mean_interval, probability_above_zero
-from pixsim.studies.prepared import Prepared
 from pixsim.studies.viewing import Viewed, range_words, where_words
 from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.setting import Run
@@ -168,7 +168,7 @@ def answers(result: Averaged) -> list[Answer]:
 # --- what the answers belong to ---------------------------------------------------------------------------------------------------
 
 
-def sensor_words(sensor: Prepared[Run]) -> str:
+def sensor_words(sensor: Case[Run]) -> str:
     """Return a sensor's pixels and lens in words."""
     rows, columns = pixels_of(sensor)
     technology = "" if sensor.settings.pixel.technology == NO_TECHNOLOGY else f" ({label_of(sensor.settings.pixel.technology)})"

@@ -15,10 +15,10 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.scene.bands import Pulse
-from pixsim.scene.guard import variant as variants
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer, film, film_response, mirror_margins
 from pixsim.scene.scene import Scene
+from pixsim.scene.variants import variant as variants
 from pixsim.studies.budget import Probe, ProbeDesign, finer, minimum_um, probe, relative_rms, rms
 
 BAND_NM = 10.0

@@ -27,7 +27,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.render import write_files
 from pixsim.studies.budget import MAX_DOTS, ProbeDesign, calibrate, effects, pitches_around_optimum_um, probe
 from pixsim.studies.cases import Case
-from pixsim.studies.prepared import Prepared, loaded_scene
+from pixsim.studies.preparation import loaded_scene
 from pixsim.studies.run import RunJob, RunResult
 from pixsim.verification import ladders, stability
 from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
@@ -66,7 +66,7 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, design: ProbeDesign)
 
 def seconds_to_score(image: SpectralImage, design: ProbeDesign, source: str, settings: Run) -> dict[str, float]:
     """Seconds of each stage after the render, as in `pixsim run`; diffraction is timed alone, not in `prepare_scene`."""
-    case = Prepared(Case(settings), image, design.imaging.camera)
+    case = Case(settings, found=(image, design.imaging.camera))
     prepared = RunJob(source=source, asked=settings, cases=(case,))
     without_diffraction = copy(image)
     without_diffraction.header = image.header | {"diffraction": False}

@@ -12,7 +12,7 @@ from pixsim.base.errors import invalid
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, integration_time_s
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
-from pixsim.viewer.metrics import DELTA_E, Metric, MetricContext
+from pixsim.viewer.metrics import DELTA_E, Metric, MetricContext, NoNumberError
 
 if TYPE_CHECKING:
     from pixsim.viewer.score import FrameScore, ImagingChain, Score
@@ -101,17 +101,31 @@ class Judged:
             return self.frame.integration_s
         return integration_time_s(chain.exposure, chain.physics, float(chain.signal_e_per_s.max()))
 
-    def statistics(self) -> dict[str, float]:
-        """Return the numbers of a row: of the pixel, of the frame, and of each metric by its columns."""
+    def statistics(self, lacking: dict[str, str] | None = None) -> dict[str, float]:
+        """Return the numbers of a row: of the pixel, of the frame, and of each metric by its columns.
+
+        lacking : as of `numbers_of`
+        """
         found = self.score.gamut if any(metric.name == DELTA_E.name for metric in self.judging.metrics) else {}
-        return frame_statistics(self.chain.physics, self.frame) | numbers_of(self.judging.metrics, self) | found
+        return frame_statistics(self.chain.physics, self.frame) | numbers_of(self.judging.metrics, self, lacking) | found
 
 
-def numbers_of(metrics: Sequence[Metric], judged: Judged | Score) -> dict[str, float]:
-    """Return the numbers of some metrics by their columns; of a Score alone, those of metrics that need no frame."""
-    given = [judged if metric.needs_frame or not isinstance(judged, Judged) else judged.score for metric in metrics]
-    found = zip(metrics, given, strict=True)
-    return {name: value for metric, each in found for name, value in metric.values(each).items()}
+def numbers_of(metrics: Sequence[Metric], judged: Judged | Score, lacking: dict[str, str] | None = None) -> dict[str, float]:
+    """Return the numbers of some metrics by their columns; of a Score alone, those of metrics that need no frame.
+
+    lacking : gets the reason, by the metric's name, why one has no number, which is NaN then; None raises a NoNumberError
+    """
+    found: dict[str, float] = {}
+    for metric in metrics:
+        given = judged if metric.needs_frame or not isinstance(judged, Judged) else judged.score
+        try:
+            found |= metric.values(given)
+        except NoNumberError as error:
+            if lacking is None:
+                raise
+            lacking[metric.name] = str(error)
+            found |= dict.fromkeys(metric.columns, math.nan)
+    return found
 
 
 def frame_statistics(physics: PixelPhysics, frame: Frame) -> dict[str, float]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pixsim.base.arrays import Array, strips
-from pixsim.base.errors import invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.user_code import by_value, code_hash
 
 if TYPE_CHECKING:
@@ -25,6 +25,10 @@ HISTOGRAM_BINS = 1 << 14
 COUNTED = 1 << 18  # values at a time, many more than bins
 ROUNDING = 1e-5  # relative, of means in single precision
 OF_FRAMES = "the frame of a sensor, of which pixsim.evaluate and pixsim.run know the signal and the noise"
+
+
+class NoNumberError(PixsimError):
+    """A metric has no number for a pixel that is possible otherwise: a study goes on with the others."""
 
 
 def _lacks_nothing(asked: MetricContext) -> str:
@@ -85,6 +89,24 @@ class Metric:
     def label(self) -> str:
         """Title and unit, for an axis of a figure."""
         return f"{self.title} ({self.unit})" if self.unit else self.title
+
+    @property
+    def is_delta_e(self) -> bool:
+        """Whether it is ΔE, by the name: a worker has a copy of it."""
+        return self.name == DELTA_E.name
+
+    @property
+    def best(self) -> str:
+        """Its best value, in words."""
+        return f"{'least' if self.better == 'less' else 'greatest'} {self.words}"
+
+    def shown(self, value: float) -> str:
+        """Return a value as text, with the unit; ΔE to three decimals."""
+        return f"{value:.3f} ΔE" if self.is_delta_e else f"{value:.4g} {self.unit}".rstrip()
+
+    def worse_by(self, values: Array | float, best: Array | float) -> Array:
+        """Return by how much values are worse than a best one, in the metric's unit, (...): its regret."""
+        return np.asarray(values - best if self.better == "less" else best - values)
 
     def loss(self, values: Array) -> Array:
         """Return what is least at the best size, (...): values where less is better, else reciprocals; NaN of 0 or less."""

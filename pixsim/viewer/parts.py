@@ -77,14 +77,14 @@ def delta_e_parts(
         own = replace(chain, collection=None, rendition=light.rendition, whites_e_per_s=light.whites_e_per_s(physics))
         pixels = centred_pixels(light.array_um, physics)
         planes = [
-            _at_every_pixel(one.rate_e_per_s_um2, light, physics, collection_of(channel, one.illumination, pixels)) / white
+            at_every_pixel(one.rate_e_per_s_um2, light, physics, collection_of(channel, one.illumination, pixels)) / white
             for one, channel, white in zip(light.lights, physics.channels, light.whites_e_per_s_um2, strict=True)
         ]
         blur = diffusion_of(physics)
         mean = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
         seen = diffracted(irradiance, camera, list(xyz_weights(irradiance)), blur)
         white = white_y(irradiance, camera, screen.display) * M2_PER_UM2
-        observed = [_at_every_pixel(rate, light, physics, mean) / white for rate in seen]
+        observed = [at_every_pixel(rate, light, physics, mean) / white for rate in seen]
         # Without a stack, channels record their own light only.
         recorded = (_mixed_at_every_pixel(light, physics, chain), chain.matrix) if chain.collection else (planes, own.matrix)
         for channels, matrix in (recorded, (planes, own.matrix), (observed, light.rendition.to_display)):
@@ -112,11 +112,16 @@ def _array(light: PreparedScene, physics: PixelPhysics) -> tuple[tuple[int, int]
     return array_on(picture_um, light.array_um, physics)
 
 
-def _at_every_pixel(rate: Array, light: PreparedScene, physics: PixelPhysics, collection: Collection | None) -> Array:
-    """Return the mean light on every pixel, (rows, columns), as one channel would see it everywhere, without shading."""
+def at_every_pixel(
+    rate: Array, light: PreparedScene, physics: PixelPhysics, collection: Collection | None, *, shares: bool = True
+) -> Array:
+    """Return the mean light on every pixel, (rows, columns), as one channel would see it everywhere, without shading.
+
+    shares : whether pixels around collect light of each other
+    """
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
     mean = _means(rate, light, physics, side_um)
-    if collection is not None:
+    if collection is not None and shares:
         rows, columns = mean.shape
         mean = share_with_neighbours(mean, collection.shares) / collection.on_axis / collection.relative((rows, columns))
     side = physics.as_read.bin_side

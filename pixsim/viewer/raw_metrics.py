@@ -20,7 +20,7 @@ from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
 from pixsim.viewer.judges.linear_observer import detectability
 from pixsim.viewer.judges.sharpness import mtf50
 from pixsim.viewer.judges.snr_illuminance import snr10_lx
-from pixsim.viewer.metrics import Metric, MetricContext
+from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms, of_sensor
 
 if TYPE_CHECKING:
@@ -80,7 +80,8 @@ def _d_prime(chain: ImagingChain, time_s: float) -> float:
     if sigma_dn < LEAST_SIGMA_DN:
         got = f"noise of {sigma_dn:.2g} DN in pixels of {p.pitch_um:g} µm, which the ADC rounds away"
         hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
-        raise invalid("the metric detectability", got, f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise", hint)
+        allowed = f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise"
+        raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
     for signal_e in (with_e, without_e):
         ends = np.array([signal_e.min(), signal_e.max()])
         if clips(chain, ends, time_s).any():
@@ -263,9 +264,8 @@ def _snr10_lx(judged: Judged) -> tuple[float]:
     )
     if found is None:
         got = f"pixels of {physics.pitch_um:g} µm, which have it in no light"
-        raise invalid(
-            "the metric snr10_lx", got, f"pixels that reach an SNR of {options.snr:g} per dot", "Lower metric.snr10_lx.snr."
-        )
+        allowed = f"pixels that reach an SNR of {options.snr:g} per dot"
+        raise NoNumberError(str(invalid("the metric snr10_lx", got, allowed, "Lower metric.snr10_lx.snr.")))
     return (found,)
 
 

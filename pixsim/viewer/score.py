@@ -467,7 +467,7 @@ class ImagingChain:
         if self.develop.adapts:
             return self._covariance_of_frames(integration_s)
         empty = np.zeros(self.signal_e_per_s.shape, np.int32)
-        exposure = self.exposure.model_copy(update={"integration_s": integration_s})
+        exposure = self.exposure.lasting(integration_s)
         frame = make_frame(empty, 0.0, self.signal_e_per_s, self.physics, exposure)
         return noise_covariance(self.developing(frame, matrix=None), self.rendition.responses, self.screen.dot_um)
 
@@ -482,7 +482,7 @@ class ImagingChain:
         count = max(2, math.floor(side * pitch_um / dot_um) - 2)  # but those at the edges
         edges_um = side * pitch_um / 2 + (np.arange(count + 1.0) - count / 2) * min(dot_um, side * pitch_um / count)
         rates = np.maximum(self.rendition.responses, 0.0) * np.array(self.whites_e_per_s)
-        exposure = self.exposure.model_copy(update={"integration_s": integration_s})
+        exposure = self.exposure.lasting(integration_s)
         whole = replace(self.screen, size_um=(side * pitch_um, side * pitch_um), dot_edges_um=(edges_um, edges_um))
         display = screen.display.model_copy(update={"dots": max(8, count)})  # decides on the order of the axes alone
         physics = replace(physics, pixel=physics.pixel.model_copy(update={"registration": None}))
@@ -1171,14 +1171,16 @@ def evaluate(
     """
     exposure, display = exposure or Exposure(), display or Display()
     correction, develop = correction or NO_CORRECTION, develop or DEVELOP
-    given = Configuration(derive(pixel), pixel, exposure, correction, develop, display, camera, light=irradiance)
-    warn_of_unused_settings({"": [given]})
     from pixsim.viewer.metric_registry import metrics_named
 
     judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
+    asked: dict[str, Any] = {"metrics": tuple(each.name for each in judging.metrics), "metric": judging.options}
+    own = pixel, exposure, correction, develop, display, camera, camera.lens_options
+    given = Configuration(derive(pixel), *own, light=irradiance, **asked)
+    warn_of_unused_settings({"": [given]})
     warn_of_unused_light(judging, without)
-    own = irradiance, camera, pixel, exposure, display, full, correction, develop
-    chain = make_imaging_chain(*own, keep=True, judging=judging, without=without)
+    settings = irradiance, camera, pixel, exposure, display, full, correction, develop
+    chain = make_imaging_chain(*settings, keep=True, judging=judging, without=without)
     score = judged_score(chain, judging, ("evaluate", seed))
     time_s, saturated = score.frame.integration_s, score.frame.saturated_fraction
     of_frame = chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal), saturated

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
@@ -78,7 +78,9 @@ class Setting(Effort):
         default_factory=dict, description="scene; a run has its parameters here, and its file elsewhere"
     )
     camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
-    lens: LensOptions = Field(LensOptions(), description="real lens in place of the camera's thin one")
+    lens: LensOptions = Field(
+        LensOptions(), description="veil and fall-off of the lens, and a real one in place of the camera's thin one"
+    )
     pixel: Annotated[PixelOptions, OF_PIXEL] = Field(PixelOptions(), description="pixel, without technology and pitch")
     exposure: Exposure = Field(Exposure(), description="exposure of each frame")
     correction: Correction = Field(Correction(), description="correction of each frame by the camera")
@@ -88,6 +90,15 @@ class Setting(Effort):
         ("delta_e",), description="metrics that judge each frame; a study looks for the best pixel by each, and reports the first"
     )
     metric: MetricOptions = Field(METRIC_OPTIONS, description="settings of the metrics")
+    noise_budget: bool = Field(
+        False, description="also tell electrons and ΔE by cause, of the first sensor, each cause switched off in turn"
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_off(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a noise budget settings are written, and hashed, as if there were no such field."""
+        table: dict[str, Any] = handler(self)
+        return table if self.noise_budget else {name: value for name, value in table.items() if name != "noise_budget"}
 
     @classmethod
     def _merged(cls, layers: Iterable[Layer]) -> dict[str, Any]:

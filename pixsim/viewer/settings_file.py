@@ -18,6 +18,8 @@ from pixsim.viewer.develop_options import has_tone_file
 from pixsim.viewer.merging import merged
 from pixsim.viewer.setting import Run
 
+FILES_OF_LENS = "file", "veiling_glare", "relative_illumination"
+
 
 def settings_layer(path: Path) -> Layer:
     """Read a settings file; paths in it are resolved by `resolve_file`.
@@ -42,8 +44,8 @@ def settings_layer(path: Path) -> Layer:
     if isinstance(develop, dict) and has_tone_file(develop):
         table = {**table, "develop": develop | {"tone_curve": resolve_file(path, develop["tone_curve"])}}
     lens = table.get("lens")
-    if isinstance(lens, dict) and "file" in lens:
-        named: dict[str, Any] = {"file": resolve_file(path, lens["file"])}
+    if isinstance(lens, dict) and (files := [name for name in FILES_OF_LENS if name in lens]):
+        named: dict[str, Any] = {name: resolve_file(path, lens[name]) for name in files}
         if isinstance(catalogues := as_file_names(lens.get("glass_catalogues")), list):
             named["glass_catalogues"] = [resolve_file(path, name) for name in catalogues]
         table = {**table, "lens": lens | named}

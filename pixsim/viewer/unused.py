@@ -27,7 +27,7 @@ from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, NO_TECHNOLOGY, SCALED_W
 from pixsim.sensor.stack_options import StackOptions
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.metric_options import METRIC_OPTIONS
+from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.raw_metrics import OF_TARGETS, has_target
 from pixsim.viewer.setting import Effort, Run, Setting
 
@@ -43,6 +43,7 @@ class Configuration:
     command : the run or the study, whose fields above all tables these are; None for a call with records
     light : of a picture, with bands and a size of its own; None for light that is rendered
     lens_of : the sensor whose lens this one has in a comparison; empty for its own
+    metrics, metric : names of the metrics that judge, and their settings, of a call with records
     """
 
     physics: PixelPhysics
@@ -56,6 +57,8 @@ class Configuration:
     command: Effort | None = None
     light: SpectralImage | None = field(default=None, repr=False)
     lens_of: str = ""
+    metrics: tuple[str, ...] = ()
+    metric: MetricOptions = METRIC_OPTIONS
 
     @classmethod
     def of(cls, run: Run, physics: PixelPhysics) -> Configuration:
@@ -74,6 +77,12 @@ class Configuration:
         return {name: getattr(self, name) for name in TABLES}
 
     @property
+    def judges(self) -> tuple[tuple[str, ...], MetricOptions]:
+        """Names of the metrics that judge, and their settings."""
+        command = self.command
+        return (command.metrics, command.metric) if isinstance(command, Setting) else (self.metrics, self.metric)
+
+    @property
     def process(self) -> str:
         """Name of the technology, for messages."""
         return "a data sheet" if self.from_sheet else self.physics.technology.name
@@ -86,7 +95,7 @@ class Configuration:
     @property
     def changed(self) -> list[str]:
         """Dotted names of the settings that were set to another value than 0, their default, and that of the technology."""
-        above = changed_of(self.command, "", but=[*self.tables]) if self.command else ()
+        above = changed_of(self.command, "", but=[*self.tables]) if self.command else changed_of(self.metric, "metric.")
         same = [f"pixel.{name}" for name, value in self.pixel if value == getattr(self.physics.technology, name, None)]
         found = [*above, *(name for table, record in self.tables.items() for name in changed_of(record, f"{table}."))]
         return [name for name in found if name not in same]
@@ -198,7 +207,15 @@ def of_chief_rays(c: Configuration) -> str:
         return ""
     if len(rows[0]) < 3:
         return "pixels without a stack (pixel.stack) see light from every direction alike"
+    return of_fall_off(c)
+
+
+def of_fall_off(c: Configuration) -> str:
     return "the picture has its fall-off already" if c.light is not None and "camera" not in c.light.header else ""
+
+
+def of_outside(c: Configuration) -> str:
+    return "" if c.lens.veiling_glare else "lens.veiling_glare is 0"
 
 
 def of_die(c: Configuration, axis: int) -> str:
@@ -246,12 +263,13 @@ def of_calibration(c: Configuration) -> str:
 
 def of_metric(c: Configuration, name: str) -> str:
     """Of the settings of a metric, by its name."""
-    return "" if isinstance(c.command, Setting) and name in c.command.metrics else f"{name} is not among the metrics"
+    return "" if name in c.judges[0] else f"{name} is not among the metrics"
 
 
 def of_target(c: Configuration) -> str:
-    judged = isinstance(c.command, Setting) and has_target(c.command.metrics)
-    return "" if judged else f"neither {' nor '.join(OF_TARGETS)} is among the metrics"
+    if not has_target(c.judges[0]):
+        return f"neither {' nor '.join(OF_TARGETS)} is among the metrics"
+    return "" if c.command else "the light of the scene without its target is given (without=…)"
 
 
 def of_registrations(c: Configuration) -> str:
@@ -260,8 +278,8 @@ def of_registrations(c: Configuration) -> str:
 
 
 def of_natural_spectrum(c: Configuration) -> str:
-    known = isinstance(c.command, Setting) and c.command.metric.information.spectrum == "natural"
-    return of_metric(c, "information") or ("" if known else "the spectrum is that of the scene (metric.information.spectrum)")
+    natural = c.judges[1].information.spectrum == "natural"
+    return of_metric(c, "information") or ("" if natural else "the spectrum is that of the scene (metric.information.spectrum)")
 
 
 def fields_of(table: str, record: type[Record], *but: str) -> tuple[str, ...]:
@@ -291,6 +309,8 @@ RULES = (
     Rule(("pixel.stack.enabled",), of_no_stack),
     Rule(fields_of("pixel.stack", StackOptions, "enabled"), lambda c: "" if c.physics.stack else "pixel.stack.enabled is false"),
     Rule(("camera.chief_ray_angle",), of_chief_rays),
+    Rule(("lens.relative_illumination",), of_fall_off),
+    Rule(("lens.veiling_glare_outside",), of_outside),
     Rule(("camera.die_height_mm",), lambda c: of_die(c, 0)),
     Rule(("camera.die_mm",), lambda c: of_die(c, 1)),
     Rule(

@@ -34,7 +34,7 @@ RENDER = """
 import json, sys
 import pixsim
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.guard.tracer import OwnTracer
+from pixsim.scene.guard.own_tracer import OwnTracer
 Renderer.traced = lambda self, job: OwnTracer(job)  # here, where kernels are counted
 scene = pixsim.load_scene(sys.argv[1], resolution=int(sys.argv[2]), spp=int(sys.argv[3]))
 import drjit as dr

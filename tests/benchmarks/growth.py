@@ -33,6 +33,7 @@ from pixsim.show.figures import COLOURS, new_figure, own_style, svg_text
 from pixsim.studies import evaluations
 from pixsim.studies.evaluations import Task
 from pixsim.studies.lights import render_for
+from pixsim.studies.preparation import prepare
 from pixsim.studies.study import study
 from pixsim.viewer.score import SharedLight
 
@@ -86,7 +87,7 @@ def bands_run(count: int) -> dict[str, float]:
 def study_s(small: pixsim.Study, folder: str) -> float:
     """Seconds of the evaluations of a study, without render and report."""
     start = time.process_time()
-    render_for(small)
+    render_for(prepare(small).cases[0])
     rendered = time.process_time()
     study(small, folder, jobs=1, agreed=True)
     return max(time.process_time() - rendered - (rendered - start), 0.0)
@@ -97,7 +98,7 @@ def study_run(pitches: int, repeats: int) -> dict[str, float]:
     scene = {"file": "csf", "parameters": {"resolution": 512}}
     pitch = {"values_um": PITCHES_UM[:: len(PITCHES_UM) // pitches][:pitches]}
     small = pixsim.Study.model_validate({"name": "growth", "repeats": repeats, "scene": scene, "pitch": pitch})
-    render_for(small)  # imports and compiled kernels
+    render_for(prepare(small).cases[0])  # imports and compiled kernels
     with tempfile.TemporaryDirectory() as folder:
         return {"evaluate": study_s(small, folder)}
 

@@ -20,6 +20,7 @@ from helpers.timing import seconds_of
 
 import pixsim
 from pixsim.studies.lights import render_for
+from pixsim.studies.preparation import prepare
 from pixsim.studies.series import series_of
 from pixsim.viewer.score import SceneCache
 
@@ -37,7 +38,7 @@ def small_study(repeats: int, dots: int = 96) -> pixsim.Study:
 
 def work_s(study: pixsim.Study) -> float:
     """Seconds of one evaluation, mean over the pitches."""
-    lit = render_for(study)
+    lit = render_for(prepare(study).cases[0])
     (series,) = series_of(study, SceneCache(lit.image, lit.camera, study.display))
     light = series.light()
 

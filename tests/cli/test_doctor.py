@@ -20,7 +20,7 @@ from pixsim.base import machine
 from pixsim.cli import doctor
 from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, doctor_document, requirements, satisfies
 from pixsim.optics.camera import Camera
-from pixsim.scene.guard import checks, graphics, trial, variant
+from pixsim.scene.variants import checks, graphics, trial, variant
 from pixsim.show import render
 
 OLD_LLVM = [str(path) for major in (14, 15) for path in sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{major}.so.1"))]

@@ -76,6 +76,11 @@ alone = true
 dark_frames = 4
 column_clamp = 4
 """
+LIGHT = """[[axis]]
+name = "light"
+set = "scene.parameters.luminance_cd_per_m2"
+values = [2.0, 200.0]
+"""
 CONDITIONS = """[[condition]]
 name = "day"
 weight = 0.7
@@ -112,6 +117,7 @@ FILES = {
     "more.toml": few(repeats=4),
     "axes.toml": few(technology="0.35um", low=6.0, more=AXES),
     "conditions.toml": few(more=CONDITIONS),
+    "light.toml": few(more=LIGHT),
     "filters.toml": few(more=FILTERS),
     "sensors.toml": few(technology='small.toml", "4t-bsi'),
     "scene.toml": few(scene="macbeth", parameters=", parameters = { spp = 4 }", low=4.0).replace('base = "pixel-size"\n', ""),
@@ -154,6 +160,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "compare own": ("compare large.toml third.toml --match own --repeats 4 --resolution 512",),
     "compare three": ("compare large.toml small.toml third.toml --repeats 4 --resolution 512",),
     "compare conditions": ("compare large.toml small.toml --study conditions.toml --repeats 4 --resolution 256",),
+    "compare axes": ("compare large.toml small.toml --study light.toml --repeats 3 --resolution 256",),
+    "compare uncertainty": ("compare unsure.toml large.toml --uncertainty 8 --repeats 3 --resolution 256",),
     "datasheet": ("datasheet small.toml",),
     "datasheet of a technology": ("datasheet 0.35um --pixel.pitch-um 6.5 --pixel.bits 12",),
     "sfr": ("run slanted_edge --resolution 512 --out edge", "sfr edge/raw.exr"),

@@ -30,9 +30,9 @@ from judges.gates import not_met, row
 from scipy.stats import ttest_ind_from_stats
 
 import pixsim
-from pixsim.scene.guard.variant import find_llvm
 from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import Renderer
+from pixsim.scene.variants.variant import find_llvm
 from pixsim.sensor.integration import ideal_rate
 from pixsim.sensor.pixel import derive
 

@@ -21,8 +21,8 @@ from pixsim.light.spectral import SpectralImage, Spectrum
 from pixsim.optics.diffraction import diffract_sum
 from pixsim.optics.exchange import read_irradiance
 from pixsim.scene.bands import BAND_EDGES_NM
-from pixsim.scene.guard import variant
 from pixsim.scene.mitsuba import import_mitsuba
+from pixsim.scene.variants import variant
 
 BANDS_NM = np.arange(370.0, 821.0, 10.0)
 D65_TEXT = "S0.550,000000nm"

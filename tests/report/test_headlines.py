@@ -23,6 +23,7 @@ from pixsim.studies.sentences import optimum_line, optimum_parts, score_parts
 from pixsim.studies.viewing import Viewing
 from pixsim.viewer.causes import Cause
 from pixsim.viewer.light_error import LightError
+from pixsim.viewer.metrics import DELTA_E
 
 FILM = {"shape": [256, 256], "tolerated_delta_e": [0.02], "met": False, "limit": "the limit of 4096 samples across for 20 pictures"}
 FILMS = [None, FILM | {"delta_e": 0.6}, FILM | {"delta_e": None}, FILM | {"delta_e": 0.01, "met": True}]
@@ -62,7 +63,7 @@ def curves() -> Iterator[Any]:
         yield SimpleNamespace(
             label="data sheet", optimum=best, pitch_um=pitch_um, light=LightError.of(header, film, causes), fit_swings=swings,
             no_difference_um=alike, alike_um=None, mean=lambda: np.full(8, 76.5), from_smallest=True, viewed=[view, view],
-            fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True, developed="",
+            fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True, fitted_range_um=(0.47, 15.0), developed="",
         )  # fmt: skip
     for film, causes in product(FILMS, NAMED):
         light = LightError.of({}, film, causes)
@@ -99,9 +100,9 @@ def test_headlines_of_studies_are_short() -> None:
 
 def test_headlines_of_compromises_are_short() -> None:
     for interval in ((2.3, 2.9), (None, 2.9), (2.3, None), (None, None)):
-        best = SimpleNamespace(mean_delta_e=0.615, pitch_um=2.45, interval_um=interval)
+        best = SimpleNamespace(value=0.615, pitch_um=2.45, interval_um=interval)
         regret = SimpleNamespace(delta_e=0.027, pitch_um=2.26, interval_um=interval, condition="a dim room with a warm lamp")
-        answer = compromise_answer(SimpleNamespace(label="data sheet", best=best, regret=regret))
+        answer = compromise_answer(SimpleNamespace(label="data sheet", best=best, regret=regret, metric=DELTA_E))
         assert len(plain_text(answer.head).split()) <= MOST_WORDS
         assert "worst regret" in str(answer)
 
@@ -110,7 +111,7 @@ def test_headlines_of_compromises_are_short() -> None:
 @pytest.mark.parametrize("own_sd", [0.0, 0.1])
 def test_headlines_of_sensor_types_are_short(quantile: float | None, own_sd: float) -> None:
     optimum = SimpleNamespace(quantiles=dict.fromkeys(("p05", "p50", "p95"), quantile), own_sd=own_sd)
-    found = SimpleNamespace(label="data sheet, night", outcomes=range(200), optimum=optimum, verdicts={})
+    found = SimpleNamespace(label="data sheet, night", by="", outcomes=range(200), optimum=optimum, verdicts={})
     answer, *_ = uncertainty_blocks([found])  # type: ignore[list-item]
     assert isinstance(answer, Answer)
     assert len(plain_text(answer.head).split()) <= MOST_WORDS

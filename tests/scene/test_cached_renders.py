@@ -152,15 +152,16 @@ def test_render_cache_other_version_renders_again(package, tmp_path, folder, kep
 
 def test_render_cache_is_shared_by_studies(tmp_path, rendered):
     from pixsim.studies.lights import render_for
+    from pixsim.studies.preparation import prepare
     from pixsim.studies.study_file import load_study
 
     plan = load_study("chen2000")
     # Samples that are asked for: else the cells of the chart are computed.
     scene = plan.scene.model_copy(update={"parameters": {**plan.scene.parameters, "spp": 16}})
     small = plan.model_copy(update={"render_noise": 10.0, "resolution": 32, "scene": scene})
-    first = render_for(small, "scalar_spectral").image
+    first = render_for(prepare(small, "scalar_spectral").cases[0]).image
     count = len(rendered)
-    again = render_for(small.model_copy(update={"repeats": 3}), "scalar_spectral").image
+    again = render_for(prepare(small.model_copy(update={"repeats": 3}), "scalar_spectral").cases[0]).image
     assert len(rendered) == count > 0
     assert np.array_equal(first.factors[1], again.factors[1])
     assert first.header == again.header

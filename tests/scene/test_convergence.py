@@ -27,7 +27,7 @@ from pixsim.scene.convergence import (
     render_until,
     without_clock,
 )
-from pixsim.scene.guard.child import OutOfTimeError
+from pixsim.scene.job import OutOfTimeError
 from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels

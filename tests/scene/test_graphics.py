@@ -26,14 +26,16 @@ import pixsim
 from pixsim.base.cache import ENTRY, VALUE, entry_label
 from pixsim.base.errors import PixsimError
 from pixsim.scene.convergence import render_until
-from pixsim.scene.guard import checks, child, graphics, variant
+from pixsim.scene.guard import tracer
 from pixsim.scene.guard.child import ChildTracer
-from pixsim.scene.guard.tracer import Job, OwnTracer
-from pixsim.scene.guard.trial import Trial, attempt
+from pixsim.scene.guard.own_tracer import OwnTracer
+from pixsim.scene.job import Job
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.tree import _to_json, tree_of
+from pixsim.scene.variants import checks, graphics, variant
+from pixsim.scene.variants.trial import Trial, attempt
 from pixsim.studies.series import scenes_of, series_of
 
 # Numbers that a real driver would report are read from the environment.
@@ -200,7 +202,7 @@ def test_driver_that_dies_or_hangs_is_fault(how: str, fault: str, driver: pytest
 
 START = {
     "drjit": "import drjit",
-    "pixsim": "import os, pixsim; from pixsim.scene import mitsuba; from pixsim.scene.guard import graphics as g; "
+    "pixsim": "import os, pixsim; from pixsim.scene import mitsuba; from pixsim.scene.variants import graphics as g; "
     "before = os.environ[g.DRIVER_VARIABLE]; mitsuba.import_mitsuba('scalar_spectral'); "
     "assert os.environ[g.DRIVER_VARIABLE] == before",
 }
@@ -393,7 +395,7 @@ def light(choice: variant.Choice) -> pixsim.SpectralImage:
 
 
 def test_packaged_scene_is_traced_in_child(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(child, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
+    monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
     image, known = light(CHOSEN), light(variant.choose(VARIANT))
     assert (image.header["variant"], known.header["variant"]) == ("cuda_ad_spectral", VARIANT)
     np.testing.assert_array_equal(image.illuminance_lx(), known.illuminance_lx())
@@ -401,7 +403,7 @@ def test_packaged_scene_is_traced_in_child(monkeypatch: pytest.MonkeyPatch):
 
 def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
     """A study that goes on where another variant traces evaluates anew, though the pictures are equal here."""
-    monkeypatch.setattr(child, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
+    monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
 
     def keys(choice: variant.Choice) -> set[str]:
         (series,) = series_of(tiny(), scenes_of(tiny(), light(choice), small().camera()))
@@ -413,7 +415,7 @@ def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_failing_card_leaves_to_processors(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(child, "ChildTracer", lambda job, ends_at_s: Card(job, 0))
+    monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, 0))
     with pytest.warns(UserWarning, match="rendering with scalar_spectral, since the graphics card failed: the card fails"):
         image = light(CHOSEN)
     known = light(variant.choose(VARIANT))
@@ -440,7 +442,7 @@ def test_cached_renders_are_of_one_variant(monkeypatch: pytest.MonkeyPatch, tmp_
 
     def kept(works: int, choice: variant.Choice) -> tuple[str, set[str]]:
         before = set((tmp_path / "render").glob("*"))
-        monkeypatch.setattr(child, "ChildTracer", lambda job, ends_at_s: Card(job, works))
+        monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, works))
         scene = replace(small(), choice=choice)
         plan = make_render_plan(scene, scene.camera())
         image, _ = render_until(scene, scene.camera(), plan, *arguments, render_noise=10.0, keep=True)

@@ -16,9 +16,9 @@ from PIL import Image
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light.exr import read_channels, write_channels
-from pixsim.scene.guard import variant
 from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.own_chart import GREY, read_luminance, srgb_decoded, with_border
+from pixsim.scene.variants import variant
 
 RGB = np.random.default_rng(1).integers(0, 65536, (20, 30, 3))
 GREY_16 = RGB[:, :, 0]

@@ -18,7 +18,8 @@ from pixsim.light.spectral import Spectrum, grid_nm
 from pixsim.scene import renderer
 from pixsim.scene.bands import Fit, passes, window_pulse
 from pixsim.scene.guard.child import ChildTracer
-from pixsim.scene.guard.tracer import Job, OwnTracer
+from pixsim.scene.guard.own_tracer import OwnTracer
+from pixsim.scene.job import Job
 from pixsim.scene.mitsuba import import_mitsuba, parse
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer, passes_of
@@ -110,7 +111,7 @@ def test_places_are_stratified_in_a_pass_and_over_all(import_first):
     mi = import_mitsuba(LLVM)
     import drjit as dr
 
-    from pixsim.scene.guard.tracer import _spread
+    from pixsim.scene.guard.own_tracer import _spread
 
     for spp, count in ((4, 12), (16, 5), (15, 3), (7, 2)):
         number, group = (mi.UInt32(part.ravel().astype(np.uint32)) for part in np.meshgrid(range(spp), range(count)))

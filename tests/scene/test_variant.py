@@ -17,7 +17,7 @@ from helpers.processes import HANG_S
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.scene.guard import variant
+from pixsim.scene.variants import variant
 
 PLACES = "lib/*-linux-gnu", "lib64"
 OLD_SYSTEM_LLVM = [str(path) for place in PLACES for path in sorted(Path("/usr").glob(f"{place}/libLLVM-1[1-6].so*"))]

@@ -204,7 +204,7 @@ def test_copy_of_a_sensor_has_no_difference(noisy: Comparison) -> None:
 
 def test_copy_with_other_streams_agrees_within_interval(noisy: Comparison) -> None:
     """Independent frames of one sensor: |t| < 5.4 with 7 degrees of freedom fails once in 1000 seeds, and the seed is fixed."""
-    files = [sensor.sensor.case.source for sensor in noisy.sensors[1:]]
+    files = [sensor.sensor.file for sensor in noisy.sensors[1:]]
     other = pixsim.compare(files, parameters=DIM, repeats=8, jobs=1, seed=99, **SMALL)
     differences = other.sensors[0].delta_e - noisy.sensors[0].delta_e
     assert np.all(differences != 0)

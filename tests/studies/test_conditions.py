@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,9 @@ from pixsim.report.wording import compromise_answer
 from pixsim.show.document import plain_text
 from pixsim.studies.conditions import compromise, compromises_of, weighted_mean
 from pixsim.studies.optimum import fit_curve
-from pixsim.studies.result import Curve
+from pixsim.studies.result import Curve, fit_of_metric
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.metric_registry import metrics_named
 
 PITCH_UM = np.geomspace(4.0, 12.0, 9)
 CONDITIONS = [
@@ -77,6 +80,41 @@ def test_compromise_of_parabolas_matches_closed_forms() -> None:
     regrets = found.regrets_at(equal_um)
     assert regrets["day"] == pytest.approx(regrets["night"], rel=0.02)
     assert regrets["never"] > 1.0
+
+
+def test_compromise_by_a_metric_of_which_more_is_better_matches_closed_forms() -> None:
+    """Of values: the weighted mean of two parabolas, and the size at which both are as far below their best."""
+    heights = {"day": (5.0, 30.0, 8.0), "night": (9.0, 20.0, 4.0)}
+    curves = []
+    for own in exact()[:2]:
+        best_um, most, bend = heights[own.condition]
+        values = parabola(best_um, most, -bend)[:, None] * (1 + 1e-6 * np.random.default_rng(1).standard_normal((PITCH_UM.size, 4)))
+        metrics = metrics_named(["information", "delta_e"])
+        fit = fit_of_metric(metrics[0], PITCH_UM, values, np.asarray)
+        assert fit is not None
+        statistics = {"information": values, "mean_delta_e": own.delta_e}
+        curves.append(replace(own, fit=fit, fits={"delta_e": own.fit}, metrics=metrics, statistics=statistics))
+    study = STUDY.model_copy(update={"condition": STUDY.condition[:2]})
+    (found,) = compromises_of(study, curves)
+    assert found.best is not None
+    assert found.regret is not None
+    day, night = 0.75 * 8.0, 0.25 * 4.0
+    expected_um = np.exp((day * np.log(5.0) + night * np.log(9.0)) / (day + night))
+    assert found.best.pitch_um == pytest.approx(expected_um, rel=0.003)
+    most = float(0.75 * parabola(5.0, 30.0, -8.0, expected_um) + 0.25 * parabola(9.0, 20.0, -4.0, expected_um))
+    assert found.best.value == pytest.approx(most, rel=1e-3)
+    a, b = np.sqrt(8.0), np.sqrt(4.0)
+    equal_um = np.exp((a * np.log(5.0) + b * np.log(9.0)) / (a + b))
+    assert found.regret.pitch_um == pytest.approx(equal_um, rel=0.003)
+    assert found.regret.delta_e == pytest.approx(8.0 * np.log(equal_um / 5.0) ** 2, rel=0.02)
+    low_um, high_um = found.regret.interval_um
+    assert low_um is not None
+    assert high_um is not None
+    assert low_um <= found.regret.pitch_um <= high_um
+    (alone,) = compromises_of(study, exact()[:2])
+    assert found.others["delta_e"].as_dict() == alone.as_dict()
+    assert "greatest weighted information" in plain_text(compromise_answer(found).head)
+    assert set(conditions_table([found])["metric"]) == {"information", "delta_e"}
 
 
 def test_compromise_single_condition_is_its_own_optimum() -> None:

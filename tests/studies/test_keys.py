@@ -58,6 +58,7 @@ CHANGES: dict[str, tuple[Any, str]] = {
     "detail": ((0.25, 0.75), ""),
     "paper": (True, ""),
     "sources": ({"seed": "here"}, ""),
+    "noise_budget": (True, ""),
 }
 
 

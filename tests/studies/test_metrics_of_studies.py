@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.studies.agreement import agreement_of, agreement_words, place_words, share_of_best
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.preparation import prepare
-from pixsim.studies.result import Curve, StudyResult, fit_of_metric
+from pixsim.studies.result import Curve, StudyResult, fit_of_metric, shown_mean_and_ci95, told_pitches
 from pixsim.studies.settings_text import settings_text
 from pixsim.studies.study_file import load_study
 from pixsim.viewer.metric_options import MetricOptions
@@ -97,7 +98,7 @@ def test_judges_disagree_and_say_what_each_loses() -> None:
 def test_judge_without_a_best_size_says_so() -> None:
     own = curve(parabola(3.0), 50.0 / parabola(3.0))
     words = agreement_words(replace(own, fits={}))
-    assert words == ["one: information tells no best size, since it is 0 or below, or beyond all bounds, for some sizes"]
+    assert words == ["one: information tells no best size, since it is 0 or below, or has no number, for too many sizes"]
 
 
 def test_interval_at_an_end_of_the_sizes_is_no_interval() -> None:
@@ -213,10 +214,6 @@ def test_detectability_takes_the_light_without_the_target(tmp_path: Path) -> Non
     [
         ({"metrics": ["detectability"]}, r"'detectability'; allowed: light of the scene without its target"),
         ({"metrics": ["nothing"]}, r"metrics: got 'nothing'"),
-        (
-            {"metrics": ["information"], "axis": [{"name": "f", "set": "camera.f_number", "values": [2.0, 4.0]}]},
-            r"'information' first in a study with axes or conditions; allowed: delta_e first",
-        ),
     ],
 )
 def test_metrics_are_checked_before_a_render(over: dict[str, Any], message: str, tmp_path: Path) -> None:
@@ -290,3 +287,82 @@ def test_curve_that_was_sent_to_a_worker_is_judged_by_delta_e() -> None:
     assert own.judged_by_delta_e
     assert own.has_delta_e
     assert list(own.optima) == ["delta_e", "information"]
+
+
+def test_size_worth_nothing_or_without_a_number_is_a_point_that_the_curve_does_without() -> None:
+    """Beyond a size that is worth nothing, no other counts; one without a number is only left out. ΔE takes all sizes."""
+    values = 50.0 / parabola(3.0)
+    values[5, 1] = 0.0
+    values[1] = np.nan
+    metric = METRICS["information"]
+    np.testing.assert_array_equal(told_pitches(metric, values), [True, False, True, True, True, False, False])
+    fit = fit_of_metric(metric, PITCH_UM, values, np.asarray)
+    assert fit is not None
+    kept = [0, 2, 3, 4]
+    alone = fit_curve(PITCH_UM[kept], metric.loss(values[kept]))
+    assert fit.optimum.pitch_um == alone.optimum.pitch_um
+    own = curve(parabola(3.0), values)
+    assert own.told.all()
+    by_information = own.judged_by("information")
+    assert np.isnan(by_information.delta_e[[1, 5, 6]]).all()
+    shown, half = shown_mean_and_ci95(by_information)
+    np.testing.assert_allclose(shown[[0, 5]], values[[0, 5]].mean(axis=1), rtol=1e-3)
+    assert np.isnan(half[[1, 5, 6]]).all()
+    assert own.judged_by("information").judged_by("delta_e").optimum is own.optimum
+
+
+def test_nothing_is_left_of_a_judge_at_a_size_where_it_sees_nothing() -> None:
+    """ΔE is best at 6 µm, where the other is 0: all of it is lost there."""
+    values = 50.0 / parabola(2.9)
+    values[6] = 0.0
+    found = agreement_of(curve(parabola(6.0, 3.0), values))
+    assert found is not None
+    assert found.kept["information"]["delta_e"] == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("integration_s", "bits", "silent", "reason"),
+    [(0.33, 8, [11.0, 15.0], "detectability d′ is 0 or below"), (0.1, 7, [5.3], "has no number at 5.3 µm.*noise of 0.43 DN")],
+    ids=["saturated", "rounded"],
+)
+def test_size_at_which_the_first_metric_fails_does_not_end_a_study(
+    integration_s: float, bits: int, silent: list[float], reason: str, tmp_path: Path
+) -> None:
+    """The whole target is saturated in large pixels, or the noise of small ones is rounded away; again, nothing changes."""
+    scene = {"file": "target", "parameters": {"size_um": 40.0, "contrast": 0.02, "luminance_cd_per_m2": 100.0}}
+    over = {"exposure": {"integration_s": integration_s}, "pixel": {"bits": bits, "black_level_dn": 2}}
+    asked = tiny(metrics=["detectability", "delta_e"], scene=scene, **over)
+    result = pixsim.study(asked, tmp_path, jobs=1)
+    own = result.curves[0]
+    assert own.pitch_um[~own.told].tolist() == silent
+    assert own.sensors.tolist() == [2] * own.pitch_um.size
+    assert own.optima["delta_e"].pitch_um
+    assert any(re.search(reason, note) for note in result.notes)
+    pixsim.write_report(result, tmp_path)
+    assert "NaN" not in (tmp_path / "summary.json").read_text()
+    written = (tmp_path / "results.csv").read_bytes()
+    assert pixsim.study(asked, tmp_path, jobs=1).notes == result.notes
+    assert (tmp_path / "results.csv").read_bytes() == written
+    assert not list(tmp_path.glob("*.old"))
+
+
+def test_study_of_conditions_judges_by_any_metric_first(tmp_path: Path) -> None:
+    """Its tables have the compromise and the optima by each metric, in its own unit and direction."""
+    of_light = {name: {"scene": {"parameters": {"luminance_cd_per_m2": each}}} for name, each in (("day", 400), ("night", 10))}
+    light = [{"name": name, "set": own} for name, own in of_light.items()]
+    axis = [{"name": "f", "set": "camera.f_number", "values": [2.0, 4.0]}]
+    result = pixsim.study(tiny(metrics=["information", "delta_e"], axis=axis, condition=light), tmp_path, jobs=1)
+    pixsim.write_report(result, tmp_path)
+    found = rows(tmp_path / "optima.csv")
+    assert [float(row["best_information"]) for row in found] == [each.optimum.value for each in result.curves]
+    assert [float(row["best_delta_e"]) for row in found] == [each.optima["delta_e"].value for each in result.curves]
+    table = rows(tmp_path / "conditions.csv")
+    assert {row["metric"] for row in table} == {"information", "delta_e"}
+    assert "greatest weighted information" in {row["pixel_of"] for row in table}
+    first = json.loads((tmp_path / "summary.json").read_text())["compromises"][0]
+    mean = np.mean([first["conditions"][name]["optimum"]["value"] for name in ("day", "night")])
+    assert 0.9 * mean < first["best_weighted_mean"]["value"] <= mean, "no size is better than each condition's own"
+    assert max(first["least_worst_regret"]["regrets"].values()) == pytest.approx(first["least_worst_regret"]["regret"])
+    assert "least_weighted_delta_e" in first["others"]["delta_e"]
+    written = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert {"information_by_pitch_and_f.svg", "optimum_by_f.svg", "conditions_1.svg"} <= written

@@ -16,6 +16,7 @@ from helpers.tiny import COARSE
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.toml import SETTINGS_FILE
+from pixsim.report.compare import _unknown
 from pixsim.studies import evaluations
 from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.study_settings import Study
@@ -57,6 +58,26 @@ def test_probability_is_that_of_less_read_noise(
     shares = {name: index.share for name, index in found.first_order.indices.items()}
     assert sum(shares.values()) == pytest.approx(1.0, abs=0.1)
     assert found.difference.quantiles["p50"] == pytest.approx(np.median(found.differences), rel=1e-9)
+
+
+def test_types_are_judged_by_each_metric(tmp_path: Path) -> None:
+    """In its own direction: the sensor with less read noise has more information, and sees a target better; ΔE stays as alone."""
+    files = [unsure(tmp_path / f"{name}.toml", middle, middle - 10.0, middle + 10.0) for name, middle in (("a", 20.0), ("b", 30.0))]
+    target = {"size_um": 100.0, "contrast": -0.1, "luminance_cd_per_m2": 0.5}
+    scene = {"scene": "target", "parameters": target, "uncertainty": 8, **SMALL}
+    result = pixsim.compare(files, metrics=["information", "detectability"], **scene)
+    assert [each.metric.name for each in result.uncertainty] == ["delta_e", "information", "detectability"]
+    (alone,) = pixsim.compare(files, **scene).uncertainty
+    np.testing.assert_array_equal(result.uncertainty[0].differences, alone.differences)
+    noise = {name: np.array([draw[f"{name} read_noise_e"] for draw in alone.sample.draws]) for name in "ab"}
+    for found in result.uncertainty[1:]:
+        assert np.array_equal(found.differences < 0, noise["a"] < noise["b"]), "b - a: a has more"
+        assert found.probability_a_better.probability == np.mean(noise["a"] < noise["b"])
+        of_pair = result.as_dict()["uncertainty"]["b"]
+        assert of_pair["metrics"][found.metric.name] == found.as_dict()
+        assert found.words.startswith(f"{found.metric.words}: over 8 sensor types a is better than b with the probability ")
+        assert _unknown(found)[0].startswith(f"b \u2212 a, {found.metric.words}")
+    pixsim.write_report(result, tmp_path / "out")
 
 
 def test_type_has_the_difference_of_a_comparison_with_its_numbers(tmp_path: Path) -> None:

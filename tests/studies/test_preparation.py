@@ -97,7 +97,7 @@ def test_prepare_technology_keeps_paper_display_and_chart() -> None:
     for name in ("chen2000", "modern"):
         prepared = prepare(load_study(name))
         assert (prepared.view, prepared.study.display.dots) == ({}, 512)
-        assert "max_lp_per_mm" not in {**prepared.study.scene.parameters, **prepared.scene.parameters}
+        assert "max_lp_per_mm" not in {**prepared.study.scene.parameters, **prepared.cases[0].scene.parameters}
         assert prepared.study == load_study(name)
 
 
@@ -427,7 +427,7 @@ def test_dry_run_states_rays_of_the_film_that_is_rendered(
     )
     film = study_outline(prepare(study))["film"]
     with pytest.raises(InterruptedError):
-        render_for(study)
+        render_for(prepare(study).cases[0])
     assert rendered == [(film["samples"], film["spp"], film["passes"])]
     run = Run.model_validate({"scene": parameters, "camera": die, "display": study.display, "pixel": {"pitch_um": 6.0}})
     assert run_outline(prepare_run(scene, run))["film"] == film
@@ -439,7 +439,7 @@ def test_dry_run_states_rays_of_the_film_that_is_rendered(
 def test_window_within_takes_less_than_a_minute() -> None:
     study = sheet_study(8.5)
     prepared = prepare_quietly(study)
-    plan = make_render_plan(prepared.scene, prepared.camera)
+    plan = make_render_plan(prepared.cases[0].scene, prepared.camera)
     cost = study_cost(prepared.study, prepared.camera, plan, (1024, 1024), jobs=1)
     assert cost.seconds > 60
     width = window_within(study, prepared.camera, plan, (1024, 1024), jobs=1)
@@ -455,7 +455,7 @@ def test_cases_cost_holds_one_light_and_takes_one_report() -> None:
     One alone has its optimum on other displays too.
     """
     prepared = prepare_quietly(sheet_study(2.4))
-    plan = make_render_plan(prepared.scene, prepared.camera)
+    plan = make_render_plan(prepared.cases[0].scene, prepared.camera)
     one, two, few, many = (
         cases_cost([(prepared.study, prepared.camera)] * count, count, plan, (1024, 1024), jobs=2) for count in (1, 2, 20, 40)
     )

@@ -15,7 +15,9 @@ from helpers.tiny import COARSE, TINY, toml_of
 
 import pixsim
 from pixsim.base.errors import PixsimError
+from pixsim.report.uncertainty import uncertainty_blocks
 from pixsim.sensor.spread import Spread
+from pixsim.show.document import Answer
 from pixsim.studies.engine import Workers
 from pixsim.studies.sensor_types import MOST_EVALUATIONS, TYPES_FILE, Asked, check_axes, draw_types, sample_of
 from pixsim.studies.study_file import load_study, uncertainty_of
@@ -48,23 +50,49 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, list[Any], Path
     return result, list(result.uncertainty), folder
 
 
-def test_draw_types_rows_are_those_of_a_study_with_its_numbers(done: tuple[Any, list[Any], Path], tmp_path: Path) -> None:
-    """A draw's mean ΔE at a pitch is that of a study in which the technologies have its numbers, with the same random streams."""
-    result, found, folder = done
+def assert_rows_are_those_of_a_study(result: Any, file: Path, column: str, folder: Path) -> None:
+    """The rows of a draw are those of a study in which the technologies have its numbers, with the same random streams."""
     sample = Asked(DRAWS).sample(result.study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
-    with (folder / TYPES_FILE).open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if (row["draw"], row["technology"]) == ("3", "0.25um")]
+    with file.open(newline="", encoding="utf-8") as text:
+        rows = [row for row in csv.DictReader(text) if (row["draw"], row["technology"]) == ("3", "0.25um")]
     pitches = sorted({float(row["pitch_um"]) for row in rows})
     assert len(rows) <= MOST_EVALUATIONS
     own = {"pitch": {"values_um": [*pitches, 15.0]}, "technologies": ["0.25um"], "resolution": result.study.resolution}
+    own |= {"metrics": list(result.study.metrics)}
     settings = settings_of(result.study, unknowns, sample.draws[3])
     table = merge(merge(SMALL, settings), own) | {"process": {"0.25um": settings["process"]["0.25um"]}}
-    curve = pixsim.study(Study.model_validate(table), tmp_path, jobs=1).curves[0]
-    expected = dict(zip(curve.pitch_um.tolist(), curve.delta_e.tolist(), strict=True))
+    curve = pixsim.study(Study.model_validate(table), folder, jobs=1).curves[0]
+    expected = dict(zip(curve.pitch_um.tolist(), curve.statistics[column].tolist(), strict=True))
     for row in rows:
-        assert float(row["mean_delta_e"]) == pytest.approx(expected[float(row["pitch_um"])][int(row["repeat"])], rel=1e-9)
+        assert float(row[column]) == pytest.approx(expected[float(row["pitch_um"])][int(row["repeat"])], rel=1e-9)
+
+
+def test_draw_types_rows_are_those_of_a_study_with_its_numbers(done: tuple[Any, list[Any], Path], tmp_path: Path) -> None:
+    result, found, folder = done
+    assert_rows_are_those_of_a_study(result, folder / TYPES_FILE, "mean_delta_e", tmp_path)
     assert [each.label for each in found] == ["0.35um", "0.25um"]
+
+
+def test_draw_types_by_each_metric(done: tuple[Any, list[Any], Path], tmp_path: Path) -> None:
+    """Around its own optimum, in its own direction; ΔE has the types that it has alone."""
+    folder = tmp_path / "both"
+    asked = small(metrics=["delta_e", "information"])
+    result = pixsim.study(asked, folder, jobs=1, uncertainty=DRAWS, smaller_than_um=(1.0, 20.0))
+    others, of_information = result.uncertainty[:2], result.uncertainty[2:]
+    assert [each.as_dict() for each in others] == [each.as_dict() for each in done[1]]
+    assert_rows_are_those_of_a_study(result, folder / "types_information.csv", "information", tmp_path / "alone")
+    first, second = of_information
+    assert first.as_dict()["metric"] == "information"
+    better = np.mean(first.values("information") > second.values("information"))
+    assert first.verdicts["0.35um is better than 0.25um"].probability == better
+    assert "The optimum shrinks with technology" not in first.verdicts, "the paper says it of ΔE"
+    blocks = uncertainty_blocks(of_information)
+    assert isinstance(blocks[0], Answer)
+    assert blocks[0].head.startswith("0.35um: optimum by information of 8 sensor types: median ")
+    pixsim.write_report(result, folder)
+    data = json.loads((folder / "uncertainty.json").read_text())
+    assert ["information" in each for each in data["results"]] == [False, False, True, True]
 
 
 def test_draw_types_verdicts_are_complementary(done: tuple[Any, list[Any], Path]) -> None:

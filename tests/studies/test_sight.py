@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from pixsim.studies import lights as rendering
-from pixsim.studies.cases import Case, cases_of
+from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers
 from pixsim.studies.lights import lights_of_cases, render_for
 from pixsim.studies.oversampling import SURELY, TOLERATED_DELTA_E, Light
+from pixsim.studies.preparation import prepare
 from pixsim.studies.sight import Sight, clearest
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.merging import merge
@@ -27,14 +28,14 @@ PRNU = {"name": "PRNU", "set": "pixel.prnu", "values": [0.02, 0.0]}
 def lights_of(patch: pytest.MonkeyPatch, **over: Any) -> tuple[list[Case], list[Light], list[str]]:
     """The cases of a study, their lights, and the words of those whose films were measured."""
     measured: list[str] = []
-    cases = cases_of(Study.model_validate(merge(SMALL, over)))
+    cases = prepare(Study.model_validate(merge(SMALL, over))).cases
 
-    def counted(study: Study, *more: Any, **named: Any) -> Light:
-        measured.append(next(case.words for case in cases if case.settings == study))
-        return render_for(study, *more, **named)
+    def counted(case: Case[Study], *more: Any) -> Light:
+        measured.append(case.words)
+        return render_for(case, *more)
 
     patch.setattr(rendering, "render_for", counted)
-    return list(cases), lights_of_cases(cases, None, lambda _: lambda *_: None, Workers(1), store=lambda image: image), measured
+    return list(cases), lights_of_cases(cases, lambda _: lambda *_: None, Workers(1), store=lambda image: image), measured
 
 
 def test_film_is_measured_for_the_brightest_light_and_the_sharpest_lens(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,7 +46,7 @@ def test_film_is_measured_for_the_brightest_light_and_the_sharpest_lens(monkeypa
     for case, light in zip(cases, lights, strict=True):
         if case.words in measured:
             continue
-        image, film, found = light.image, light.film, render_for(case.settings)
+        image, film, found = light.image, light.film, render_for(case)
         alone, own = found.image, found.film
         assert image.header == alone.header
         assert (image.planes == alone.planes).all()
@@ -88,8 +89,8 @@ def test_film_of_the_least_noise_is_measured(axis: dict[str, Any], least: str, m
 )
 def test_film_of_another_sight_is_measured(is_same: bool, over: dict[str, Any]) -> None:
     """Which films are measured is asked here, not their errors."""
-    cases = cases_of(Study.model_validate(merge(SMALL, {"axis": [LIGHT]} | over)))
-    found = dict(rendering._see_task((case.words, case.settings, None), None) for case in cases)
+    cases = prepare(Study.model_validate(merge(SMALL, {"axis": [LIGHT]} | over))).cases
+    found = dict(rendering._see_task((case.words, case), None) for case in cases)
     measured_in = {name: name for name in found} | clearest({name: seen[3] for name, seen in found.items() if seen})
     assert len(set(measured_in.values())) == (1 if is_same else 2)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from pixsim.base.toml import packaged
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens
-from pixsim.optics.lens_options import LensOptions
+from pixsim.optics.lens_options import OF_ANY_LENS, LensOptions
 from pixsim.sensor.colour_options import ColourOptions
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
@@ -37,7 +38,7 @@ from pixsim.studies.unused import StudyConfiguration, rules_of
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
-from pixsim.viewer.metric_options import METRIC_OPTIONS
+from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.setting import Run
 from pixsim.viewer.unused import Configuration, unused_notes, unused_settings
 
@@ -124,6 +125,7 @@ MOVES: dict[str, Any] = {
     "lens.file": "singlet", "lens.focal_length_mm": 1.5, "lens.refocus": "paraxial", "lens.ideal": "undistorted",
     "lens.configuration": 2, "lens.semi_diameters": "clip", "lens.vignetting_factors": ("use", "ignore"),
     "lens.glass_catalogues": "no.agf", "lens.unknown_glass": "model",
+    "lens.veiling_glare": 0.2, "lens.veiling_glare_outside": 3.0, "lens.relative_illumination": [[0, 1], [0.07, 0.5]],
     "pixel.capacitance": ("paper", "mosis"), "pixel.well_limit": ("diode", "swing"), "pixel.conversion": ("junction", "linear"),
     "pixel.response": "literal", "pixel.quantum_efficiency": 0.3, "pixel.quantum_efficiency_includes": ("photodiode", "microlens"),
     "pixel.quantum_efficiency_f_number": 2.0, "pixel.quantum_efficiency_pitch_um": 3.0, "pixel.infrared_cut_nm": (650.0, 2000.0),
@@ -168,6 +170,7 @@ MOVES |= {  # numbers that need no value of their own here; a plausible one may 
     f"pixel.{name}": (number.example, 100 * number.example) for name, number in NUMBERS.items() if f"pixel.{name}" not in MOVES
 }
 BESIDE: dict[str, dict[str, Any]] = {
+    "lens.veiling_glare_outside": {"lens": {"veiling_glare": 0.2}},
     "pixel.hot_pixel_fraction": {"pixel": {"hot_pixel_median": 90.0}},
     "pixel.hot_pixel_median": {"pixel": HOT},
     "pixel.hot_pixel_spread": {"pixel": HOT},
@@ -199,10 +202,9 @@ def scored(table: dict[str, Any]) -> Outcome:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            lens, light = LensOptions(**tables.get("lens", {})), LIGHT
-            camera = Camera(**tables["camera"])
-            if lens.file:
-                camera, light = camera_with_lens(camera, CameraOptions(**table.get("camera", {})), lens), BEHIND_LENS
+            lens = LensOptions(**tables.get("lens", {}))
+            camera = camera_with_lens(Camera(**tables["camera"]), CameraOptions(**table.get("camera", {})), lens)
+            light = BEHIND_LENS if lens.file else LIGHT
             records: dict[str, Any] = {
                 name: IN_RECORDS[name](**tables.get(name, {})) for name in ("exposure", "display", "correction", "develop")
             }
@@ -246,9 +248,9 @@ def test_every_setting_acts_or_a_message_names_it(configuration: str) -> None:
 
 
 def test_every_setting_of_a_frame_is_moved() -> None:
-    """But `Camera.lens`, which comes from [lens]."""
+    """But the fields of `Camera` that come from [lens]."""
     fields = {f"{table}.{name}" for table, record in IN_RECORDS.items() for name in record.model_fields}
-    assert MOVES.keys() == fields - {"camera.lens"}
+    assert MOVES.keys() == fields - {"camera.lens", *(f"camera.{name}" for name in OF_ANY_LENS.values())}
 
 
 def said(command: Run | Study, technology: str = "") -> set[str]:
@@ -360,6 +362,26 @@ def test_every_command_says_so(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         lineup.prepare(files, match="own", repeats=2, options={"camera": {"transmittance": 0.5}})
+
+
+def test_settings_of_metrics_in_calls_with_records_say_so() -> None:
+    """Of one sensor and of many; what is among the metrics is used, but for the scene without the target: its light is given."""
+    light, pixel = picture(np.arange(405.0, 700.0, 10.0)), Pixel(pitch_um=20.0)
+    metric = MetricOptions(
+        information={"contrast": 0.3}, snr10_lx={"snr": 5.0}, detectability={"without": {"contrast": 0.5}, "registrations": 4}
+    )
+    asked: dict[str, Any] = {"camera": Camera(), "display": Display(dots=32), "metric": metric}
+    snr = "metric.snr10_lx.snr is not used: snr10_lx is not among the metrics"
+    without = "metric.detectability.without is not used: the light of the scene without its target is given (without=…)"
+    judged = {"metrics": ["detectability", "information"], "without": light}
+    for call in (partial(pixsim.evaluate, light, pixel=pixel), partial(pixsim.sweep, light, [pixel], jobs=1)):
+        with warnings.catch_warnings(record=True) as notes:
+            warnings.simplefilter("always")
+            call(**asked, **judged)
+        found = {str(note.message) for note in notes if "metric." in str(note.message)}
+        assert found == {snr, without}
+        with pytest.warns(UserWarning, match=r"metric\.information\.contrast is not used: information is not among the metrics"):
+            call(**asked)
 
 
 def test_rules_name_settings_that_exist() -> None:

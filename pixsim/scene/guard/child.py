@@ -29,8 +29,8 @@ import pixsim
 from pixsim.base.caller import setting
 from pixsim.base.children import safe_variables
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.scene.guard.graphics import CUDA
-from pixsim.scene.guard.tracer import Job, OutOfTimeError, OwnTracer, Tracer
+from pixsim.scene.job import Job, OutOfTimeError
+from pixsim.scene.variants.graphics import CUDA
 
 ENDED_S = 10.0  # in which a killed process ends
 MAX_REPLY = 1 << 20  # bytes of a line
@@ -194,7 +194,7 @@ _starting = threading.Lock()
 
 
 class ChildTracer:
-    """A `Tracer` whose work the child does; it loads the job again after a job of another renderer.
+    """A `pixsim.scene.guard.tracer.Tracer` whose work the child does; it loads the job again after a job of another renderer.
 
     ends_at_s : returns the time of `time.monotonic` at which the child is killed, with an `OutOfTimeError`; None waits for it
     """
@@ -241,11 +241,3 @@ class ChildTracer:
         assert passes is not None
         result: NDArray[np.float32] = self._ask(request, (rows[1] - rows[0], self.job.size[1]), len(passes.pulses))
         return result
-
-
-def tracer_of(job: Job, in_this_process: bool, ends_at_s: Callable[[], float | None] = lambda: None) -> Tracer:
-    """Return what traces a job: this process, or a child of it, which can be killed and whose crash ends nothing else.
-
-    ends_at_s : as of `ChildTracer`
-    """
-    return OwnTracer(job) if in_this_process else ChildTracer(job, ends_at_s)

@@ -16,10 +16,11 @@ from pathlib import Path
 from pixsim.base.errors import did_you_mean, excerpt, invalid, quoted
 from pixsim.light.spectral import HIGH_NM, LOW_NM
 from pixsim.light.tables import unit_hint
-from pixsim.scene.guard.assets import NUMBER, check_share, found, inspect_asset, metals, spectrum_value
+from pixsim.scene.guard.assets import NUMBER, found, inspect_asset, metals, spectrum_value
 from pixsim.scene.guard.files import Node, SceneFiles, check_references, read_scene, written
-from pixsim.scene.guard.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, REASONS, SMALLEST, Plugin, Rule
-from pixsim.scene.illuminance import with_strength
+from pixsim.scene.guard.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, SMALLEST, Plugin, Rule
+from pixsim.scene.guard.strength import with_strength
+from pixsim.scene.textures import check_share
 
 # Element -> attributes that it must have, and others.
 ATTRIBUTES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -33,6 +34,12 @@ ATTRIBUTES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "matrix": (("value",), ()),
     "ref": (("id",), ("name",)),
     "alias": (("id", "as"), ()),
+}
+# Why some plugins of Mitsuba are not in the table.
+REASONS = {
+    "integrator": 'Write <integrator type="path"/>; polarisation, depth and AOVs are not irradiance.',
+    "sensor": 'Write <sensor type="thinlens"> with fov, and with focus_distance and aperture_radius in metres '
+    "(any, such as 0.001, if you set --camera.f-number).",
 }
 OF_OBJECTS = ("type",), ("id", "name")
 STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")

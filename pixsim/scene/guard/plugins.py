@@ -294,9 +294,3 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         ),
     },
 }  # fmt: skip
-# Why some plugins of Mitsuba are not in the table.
-REASONS = {
-    "integrator": 'Write <integrator type="path"/>; polarisation, depth and AOVs are not irradiance.',
-    "sensor": 'Write <sensor type="thinlens"> with fov, and with focus_distance and aperture_radius in metres '
-    "(any, such as 0.001, if you set --camera.f-number).",
-}

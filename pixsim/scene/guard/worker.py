@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.errors import PixsimError
-from pixsim.scene.guard.tracer import Job, Lamps, OwnTracer, Passes
+from pixsim.scene.guard.own_tracer import OwnTracer
+from pixsim.scene.job import Job, Lamps, Passes
 
 
 def job_of(content: dict[str, Any]) -> Job:

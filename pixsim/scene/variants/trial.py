@@ -1,6 +1,6 @@
 """Try what may abort or hang (LLVM, Mitsuba, graphics driver) in a child process with a time limit.
 
-`scene.guard.checks` is what the child does.
+`scene.variants.checks` is what the child does.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 from pixsim.base.children import safe_variables
 
 Line = dict[str, Any]
-START = "import sys; sys.path[:] = {path!r}; from pixsim.scene.guard.checks import main; main({fd}, {kind!r}, *{arguments!r})"
+START = "import sys; sys.path[:] = {path!r}; from pixsim.scene.variants.checks import main; main({fd}, {kind!r}, *{arguments!r})"
 MAX_MEAN_ERROR, MAX_RMS_ERROR = 1e-3, 1e-2  # of the illuminance of the test render, normally 1e-5 and 4e-3
 
 

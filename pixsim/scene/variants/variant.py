@@ -23,7 +23,7 @@ from pixsim.base import cache
 from pixsim.base.children import safe_variables
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.notes import MachineWarning, warn
-from pixsim.scene.guard import graphics
+from pixsim.scene.variants import graphics
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 LLVM_WHEEL = "karellen-llvm-core"

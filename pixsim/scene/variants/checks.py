@@ -1,4 +1,4 @@
-"""Checks that may abort or hang (LLVM, Mitsuba, graphics driver): what a child process of `scene.guard.trial` does.
+"""Checks that may abort or hang (LLVM, Mitsuba, graphics driver): what a child process of `scene.variants.trial` does.
 
 It writes JSON lines to a pipe of its own, apart from the output of libraries. Lines before an abort are used.
 """
@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 from pixsim.base.errors import PixsimError
 from pixsim.base.machine import mapped_files
-from pixsim.scene.guard import variant as variants
-from pixsim.scene.guard.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver, without_driver
-from pixsim.scene.guard.trial import Line
+from pixsim.scene.variants import variant as variants
+from pixsim.scene.variants.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver, without_driver
+from pixsim.scene.variants.trial import Line
 
 if TYPE_CHECKING:
     from pixsim.base.arrays import Array

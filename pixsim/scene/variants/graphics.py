@@ -19,7 +19,7 @@ from typing import Any
 
 from pixsim.base import cache, machine
 from pixsim.base.notes import MachineWarning, warn
-from pixsim.scene.guard.trial import Trial, attempt, picture_fault
+from pixsim.scene.variants.trial import Trial, attempt, picture_fault
 
 CUDA = "cuda_ad_spectral"
 NODES = ("/dev/nvidiactl", "/dev/dxg")  # devices of the NVIDIA driver, and of a card in WSL 2

@@ -1,0 +1,63 @@
+"""Veiling glare: the share of the light of the whole field that strays in lens and camera, and falls evenly on the sensor.
+
+With g its share (ISO 9358, ISO 18844), E′ = (1 - g) E + g (1 + s) mean(E). The mean is over the film that is rendered and the
+margin around it; s is the light from outside of them that strays in, relative to that from within. So a black hole of share a in an
+even field, without fall-off, has g (1 - a)/(1 - g a) of its surround. The ideal picture has no veil.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
+
+VEIL = "veil_of_w_per_m2_nm"  # entry of a header: mean of the picture of which this one is a part, (B,)
+
+
+@dataclass(frozen=True)
+class Veil:
+    """What strays of a light.
+
+    kept : (B,) share of each band that does not stray
+    even_w_per_m2_nm : (B,) irradiance of what strays, the same everywhere
+    """
+
+    kept: Array
+    even_w_per_m2_nm: Array
+
+
+def veil_of(irradiance: SpectralImage, camera: Camera) -> Veil | None:
+    """Return the veil of a picture, or of the one of which it is a part (`with_veil_of_whole`); None without veiling glare.
+
+    A table of shares goes on beyond its ends as it is there.
+
+    >>> even = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
+    >>> veil = veil_of(even, Camera(veiling_glare=0.04))
+    >>> veil.kept.round(3).tolist(), veil.even_w_per_m2_nm.round(8).tolist()
+    ([0.96], [4e-05])
+    """
+    glare = camera.veiling_glare
+    if not glare:
+        return None
+    share = np.full(irradiance.wavelength_nm.size, glare) if isinstance(glare, float) else _of_bands(irradiance, glare)
+    known = irradiance.header.get(VEIL)  # a file may state anything
+    is_known = isinstance(known, list) and len(known) == share.size and all(isinstance(each, float) for each in known)
+    mean = np.asarray(known) if is_known else irradiance.whole.mean_spectrum()
+    return Veil(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
+
+
+def _of_bands(irradiance: SpectralImage, glare: tuple[tuple[float, float], ...]) -> Array:
+    nm, share = np.array(glare).T
+    return irradiance.band_mean(lambda at: np.interp(at, nm, share))
+
+
+def with_veil_of_whole(irradiance: SpectralImage, camera: Camera) -> SpectralImage:
+    """Return a picture whose parts have the veil of the whole one; as it is without veiling glare."""
+    if not camera.veiling_glare:
+        return irradiance
+    mean = irradiance.whole.mean_spectrum().tolist()
+    return irradiance.with_planes(irradiance.whole.planes, header=irradiance.header | {VEIL: mean}, margin=irradiance.margin)

@@ -1,0 +1,100 @@
+"""Noise budgets of pixels as one table and one figure: of a run, and of the best sizes of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pixsim.show.document import Plot, Section, Table
+from pixsim.show.figures import COLOURS, finish, new_figure, own_style
+from pixsim.show.pages import Column, Plate
+from pixsim.show.sentences import rounded
+
+if TYPE_CHECKING:
+    from pixsim.viewer.noise_budget import NoiseBudget
+
+NAME = "noise_budget"  # of the figure
+ORDER = (
+    "Each cause is switched off in the order of the table, and stays off. Variances add: the electrons of all causes of noise are "
+    "those of the frame, where nothing clips. Parts of the mean ΔE depend on the order: of faults that hide one another, the one "
+    "that is switched off later takes off more, and one that is nearly nothing may be below 0, by the random numbers of another "
+    "draw. The ideal picture has the render's noise, too."
+)
+SHOWN = 6  # pixels in one figure
+BAR_IN, MARGIN_IN = 0.28, 1.1
+
+
+def budget_columns(budgets: Mapping[str, NoiseBudget]) -> dict[str, Column]:
+    """Return budgets by the words of their pixels as columns, a row for each cause of each pixel, and for its sums."""
+    rows: list[tuple[str, str, float, float]] = []
+    nothing = float("nan")
+    for label, budget in budgets.items():
+        rows += [(label, cause, nothing if noise_e is None else noise_e, delta_e) for cause, noise_e, delta_e in budget.rows()]
+        rows.append((label, "render", budget.render_e, nothing))
+        rows.append((label, "remainder", nothing, budget.remainder_delta_e))
+        rows.append((label, "all causes", budget.total_e, budget.mean_delta_e))
+        rows.append((label, "measured", budget.measured_e, budget.mean_delta_e))
+    names = "pixel", "cause", "noise_e", "delta_e"
+    return {name: [row[at] for row in rows] for at, name in enumerate(names)}
+
+
+def budget_table(budgets: Mapping[str, NoiseBudget]) -> Table:
+    """Return the table of a page: causes down, electrons and ΔE of each pixel across."""
+    all_of, several = budgets.values(), len(budgets) > 1
+    causes = dict.fromkeys(cause for budget in all_of for cause in budget.delta_e)
+
+    def row(words: str, *values: tuple[float | None, float | None]) -> tuple[str, ...]:
+        shown = (("" if e is None else rounded(e, 3), "" if delta_e is None else f"{delta_e:.4f}") for e, delta_e in values)
+        return words, *(cell for pair in shown for cell in pair)
+
+    rows = [row(cause, *((each.electrons_e.get(cause), each.delta_e.get(cause)) for each in all_of)) for cause in causes]
+    rows.append(row("remainder", *((None, each.remainder_delta_e) for each in all_of)))
+    rows.append(row("all causes", *((each.total_e, each.mean_delta_e) for each in all_of)))
+    rows.append(row("measured", *((each.measured_e, None) for each in all_of)))
+    if any(each.render_e for each in all_of):
+        rows.append(row("render, beside them", *((each.render_e, None) for each in all_of)))
+    heads = (f"{label}\n{unit}" if several else unit for label in budgets for unit in ("noise (e-)", "mean ΔE"))
+    return Table("noise budget", ("cause\n" if several else "cause", *heads), tuple(rows))
+
+
+@own_style()
+def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Plate:
+    """Draw what each cause takes off the mean ΔE, and the electrons of each cause of noise, as bars."""
+    shown = dict(list(budgets.items())[:SHOWN])
+    causes = list(dict.fromkeys(cause for budget in shown.values() for cause in budget.delta_e))
+    figure = new_figure(8.6, MARGIN_IN + BAR_IN * len(causes))
+    noise, delta_e = figure.subplots(1, 2, sharey=True)
+    height = 0.8 / len(shown)
+    for number, (label, budget) in enumerate(shown.items()):
+        at = np.arange(len(causes)) + (number - (len(shown) - 1) / 2) * height
+        style = {"height": height, "color": COLOURS[number % len(COLOURS)], "label": label}
+        noise.barh(at, [budget.electrons_e.get(cause, 0.0) for cause in causes], **style)
+        delta_e.barh(at, [budget.delta_e.get(cause, 0.0) for cause in causes], **style)
+    noise.set_yticks(range(len(causes)), causes)
+    noise.invert_yaxis()
+    finish(noise, "noise (e- rms)", "", None)
+    finish(delta_e, "part of the mean ΔE", "", None)
+    if len(shown) > 1:
+        delta_e.legend(frameon=False, fontsize=8)
+    words = (f"{label}: {largest_words(budget)}" if len(budgets) > 1 else largest_words(budget) for label, budget in shown.items())
+    left = f" {len(shown)} of {len(budgets)} pixels are shown." if len(shown) < len(budgets) else ""
+    caption = f"{'; '.join(words)}. Noise in electrons and mean ΔE by cause, each switched off from above to below.{left}"
+    return Plate(NAME, caption[0].upper() + caption[1:], figure, budget_columns(budgets))
+
+
+def largest_words(budget: NoiseBudget) -> str:
+    """Return the largest causes of noise and of ΔE, as text."""
+    of_noise = max(budget.electrons_e, key=lambda cause: budget.electrons_e[cause])
+    of_picture = max(budget.delta_e, key=lambda cause: budget.delta_e[cause])
+    return (
+        f"most of the noise is {of_noise}, {rounded(budget.electrons_e[of_noise], 3)} of {rounded(budget.total_e, 3)} e-, and the "
+        f"largest part of the mean ΔE, {budget.delta_e[of_picture]:.3f} of {budget.mean_delta_e:.3f}, is {of_picture}"
+    )
+
+
+def budgets_section(budgets: Mapping[str, NoiseBudget]) -> Section:
+    """Return the section of a page on noise budgets; empty without them."""
+    blocks = (budget_table(budgets), Plot(lambda: budget_plate(budgets)), ORDER) if budgets else ()
+    return Section("causes", "Noise budget", blocks, brief=True)

@@ -1,0 +1,208 @@
+"""Build an inspected scene in Mitsuba and trace it: what a render does inside Mitsuba, in this process or in a child of it."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.light.spectral import LOW_NM, grid_nm
+from pixsim.scene.job import WAVELENGTHS, Job, Lamps, Passes
+from pixsim.scene.mitsuba import drjit, parse, speaking_mitsuba
+from pixsim.scene.tree import REFERENCES, children, nodes_of, tree_of
+
+if TYPE_CHECKING:
+    from mitsuba import Float, Point2f, RayDifferential3f, Sampler, SamplingIntegrator, Scene, Sensor, Spectrum, UInt32, Vector2f
+
+SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
+OF_THE_LENS = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")  # properties that the camera states
+
+
+_loaded: tuple[tuple[object, ...], list[tuple[Scene, SamplingIntegrator]]] | None = None  # of the last job
+
+
+class OwnTracer:
+    """Traces in this process."""
+
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        self._sensor: tuple[Sensor, object] | None = None  # the last one, and what describes it
+        self._tables: dict[int, tuple[UInt32, Float, Float, Float]] = {}  # in Mitsuba, of the passes of each scene
+
+    @property
+    def _scalar(self) -> bool:
+        return self.job.variant.startswith("scalar")
+
+    @property
+    def loaded(self) -> list[tuple[Scene, SamplingIntegrator]]:
+        """Mitsuba's scene and integrator for each group of lamps: those of the last job in this process, if it has the same.
+
+        A kernel holds what all scenes in memory are made of, so that others beside them would make it larger and another one.
+        """
+        global _loaded
+        if _loaded is None or _loaded[0] != self.job.of_scenes:
+            _loaded = None
+            with speaking_mitsuba(self.job.variant) as mi:
+                built = [self._build(mi, lamps) for lamps in self.job.lamps]
+                _loaded = self.job.of_scenes, [(scene, self._integrator(mi, scene)) for scene in built]
+        return _loaded[1]
+
+    @cached_property
+    def _lens(self) -> dict[str, Any]:
+        """The scene's sensor with the lens of the job, without sampler and film."""
+        props = parse(self.job.text, self.job.variant).nodes[self.job.sensor].props
+        own = [key for key in props.keys() if key not in OF_THE_LENS and props.type(key).name not in REFERENCES]  # noqa: SIM118
+        return {key: props[key] for key in own} | self.job.lens
+
+    def _build(self, mi: ModuleType, lamps: Lamps | None) -> Scene:
+        """Build the scene, with some emitters only, each as its neutral picture or power."""
+        state = parse(self.job.text, self.job.variant)
+        tree = tree_of(state)
+        emitters = [index for index, _ in nodes_of(tree, "Emitter")] if lamps else []
+        dark = set(emitters) - (lamps.pictures.keys() if lamps else set())
+        for parent, node in zip(state.nodes, tree.nodes, strict=True) if dark else ():
+            for name, child in children(node, tree).items():
+                if child in dark:
+                    del parent.props[name]
+        for index in emitters:
+            if lamps and lamps.neutral and index in lamps.pictures:
+                props = state.nodes[index].props
+                name, picture = lamps.pictures[index]
+                if isinstance(picture, int):
+                    props[name] = mi.Properties.ResolvedReference(picture)
+                else:
+                    props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65
+        for index, node in nodes_of(tree, "Integrator"):
+            if self._scalar and "block_size" not in node:
+                state.nodes[index].props["block_size"] = SCALAR_BLOCK
+        for index, name, table in self.job.tables:
+            state.nodes[index].props[name] = mi.load_dict(table)
+        config = mi.parser.ParserConfig(self.job.variant)
+        mi.parser.transform_all(config, state)
+        built = mi.parser.instantiate(config, state)
+        return next(item for item in built if isinstance(item, mi.Scene)) if isinstance(built, list) else built
+
+    def _integrator(self, mi: ModuleType, scene: Scene) -> SamplingIntegrator:
+        scene_integrator: Any = None if self.job.integrator else scene.integrator()
+        return scene_integrator or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.job.integrator or {}))
+
+    def sample_count(self, sampler: str, samples: int) -> int:
+        with speaking_mitsuba(self.job.variant) as mi:
+            return int(mi.load_dict({"type": sampler, "sample_count": samples}).sample_count())
+
+    def trace(self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+        with speaking_mitsuba(self.job.variant) as mi:
+            sensor = self._sensor_with(mi, film, sampler, spp)
+            world, integrator = self.loaded[scene]
+            rendered = mi.render(world, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
+            return np.array(rendered, np.float32)
+
+    def _sensor_with(self, mi: ModuleType, film: dict[str, Any], sampler: str, spp: int) -> Sensor:
+        described = film, sampler, spp
+        if self._sensor is None or self._sensor[1] != described:
+            parts = {"sampler": {"type": sampler, "sample_count": spp}, "film": film}
+            self._sensor = mi.load_dict(self._lens | parts), described
+        return self._sensor[0]
+
+    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+        """As `Tracer` has it. Pulses, passes, rows and seed are data of one kernel: other values compile nothing."""
+        passes, (height, width) = self.job.passes[scene], self.job.size
+        assert passes is not None
+        with speaking_mitsuba(self.job.variant) as mi:
+            dr = drjit()
+            film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
+            sensor, (world, integrator) = self._sensor_with(mi, film, sampler, spp), self.loaded[scene]
+            if scene not in self._tables:
+                self._tables[scene] = _tables(mi, passes)
+            lanes, shifts, density, share = self._tables[scene]
+            count, cells = len(passes.groups), (rows[1] - rows[0]) * width
+            draws = sensor.sampler().clone()
+            draws.set_samples_per_wavefront(spp)
+            draws.seed(dr.opaque(mi.UInt32, seed), cells * count * spp)
+            index = dr.arange(mi.UInt32, cells * count * spp)
+            sequence = index // spp  # of samples that the sampler stratifies: those of a pass in a cell
+            cell = sequence // count
+            group, row = sequence - cell * count, cell // width
+            corner = mi.Vector2f(cell - row * width, row + dr.opaque(mi.UInt32, rows[0]))
+            # In the order of Mitsuba's own integrators.
+            inside = _spread(mi, index - sequence * spp, spp, group, count, cell, dr.opaque(mi.UInt32, seed), draws.next_2d())
+            place = (corner + inside) * mi.ScalarVector2f(1 / width, 1 / height)
+            aperture = draws.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
+            time_s = mi.Float(sensor.shutter_open())
+            if sensor.shutter_open_time() > 0:
+                time_s += draws.next_1d() * sensor.shutter_open_time()
+            at = draws.next_1d()
+            ray, _ = sensor.sample_ray(time_s, mi.Float(0.5), place, aperture)
+            wavelengths_nm = []
+            for lane in range(WAVELENGTHS):
+                pulse = dr.gather(mi.UInt32, lanes, group * WAVELENGTHS + lane)
+                shifted = at + dr.gather(mi.Float, shifts, group * WAVELENGTHS + lane)
+                wavelengths_nm.append(_inverted(mi, density, share, pulse, shifted - dr.floor(shifted), passes.step_nm))
+            ray.wavelengths = mi.Spectrum(*wavelengths_nm)
+            light = _radiance(mi, integrator, world, draws, mi.RayDifferential3f(ray))
+            dr.eval(light)
+            pictures = passes.means([np.array(light[lane]) for lane in range(WAVELENGTHS)], spp)
+            return pictures.reshape(rows[1] - rows[0], width, -1)
+
+
+def _spread(
+    mi: ModuleType, number: UInt32, spp: int, group: UInt32, count: int, cell: UInt32, seed: UInt32, jitter: Point2f
+) -> Vector2f:
+    """Return places in film cells, (x, y) from 0 to 1, that are stratified in each pass and over all passes together.
+
+    As in Kensler's correlated multi-jittered sampling (Pixar technical memo 13-01), the `spp` samples of a pass have one in each
+    part of a cell, and one in each of `spp` rows and columns. The `count` passes share out each of these rows and columns.
+    """
+    rows = max(divisor for divisor in range(1, math.isqrt(spp) + 1) if spp % divisor == 0)
+    columns = spp // rows
+    row = number // columns
+    column = number - row * columns
+    shifts = mi.sample_tea_32(cell, seed)
+    beside, above = (row + group + shifts[0]) % rows, (column + group + shifts[1]) % columns
+    shares = [
+        mi.sample_tea_32(cell * spp + place, shift)[0]
+        for place, shift in ((column * rows + beside, shifts[0]), (row * columns + above, shifts[1]))
+    ]
+    x, y = ((mi.Float((group + share) % count) + own) / count for share, own in zip(shares, jitter, strict=True))
+    return mi.Vector2f((column + (beside + x) / rows) / columns, (row + (above + y) / columns) / rows)
+
+
+def _tables(mi: ModuleType, passes: Passes) -> tuple[UInt32, Float, Float, Float]:
+    """Return lanes, shifts, densities and the share of each pulse's area up to each node, as flat arrays of Dr.Jit."""
+    density = passes.densities
+    running = np.cumsum((density[:, 1:] + density[:, :-1]) / 2, axis=1)
+    share = np.concatenate([np.zeros((len(density), 1)), running / running[:, -1:]], axis=1)
+    numbers = (np.ascontiguousarray(array.ravel(), np.float32) for array in (passes.shifts, density / running[:, -1:], share))
+    return mi.UInt32(np.ascontiguousarray(passes.lanes.ravel(), np.uint32)), *(mi.Float(array) for array in numbers)
+
+
+def _inverted(mi: ModuleType, density: Float, share: Float, pulse: UInt32, at: Float, step_nm: float) -> Float:
+    """Return the wavelength up to which a pulse, linear between its nodes, has a share `at` (0 to 1) of its area, in nm.
+
+    density : of all pulses, per step: a share of the area, so that it is `share` in a step of constant density
+    """
+    dr = drjit()
+    nodes = grid_nm(step_nm).size
+    first = pulse * nodes
+    above = dr.binary_search(1, nodes - 1, lambda node: dr.gather(mi.Float, share, first + node) <= at)
+    before = first + above - 1
+    left, right = dr.gather(mi.Float, density, before), dr.gather(mi.Float, density, before + 1)
+    missing = dr.maximum(at - dr.gather(mi.Float, share, before), 0.0)
+    # The root of left·x + (right - left)·x²/2 = missing, in the form without cancellation; 0/0 where nothing is missing.
+    root = left + dr.safe_sqrt(dr.square(left) + 2 * (right - left) * missing)
+    inside = dr.select(root > 0, dr.minimum(2 * missing / root, 1.0), 0.0)
+    return LOW_NM + step_nm * (mi.Float(above) - 1 + inside)
+
+
+def _radiance(mi: ModuleType, integrator: SamplingIntegrator, world: Scene, sampler: Sampler, ray: RayDifferential3f) -> Spectrum:
+    """Return the radiance at the wavelengths of rays, as the integrator's own render estimates it."""
+    if not isinstance(integrator, mi.ad.integrators.common.ADIntegrator):
+        return integrator.sample(world, sampler, ray)[0]
+    dr = drjit()
+    # Written in Python, for derivatives; they are not asked for.
+    nothing = {"depth": mi.UInt32(0), "δL": None, "δaovs": None, "state_in": None, "active": mi.Bool(True)}
+    return integrator.sample(mode=dr.ADMode.Primal, scene=world, sampler=sampler, ray=ray, **nothing)[0]
