@@ -147,11 +147,6 @@ class ColourOptions(Record):
         return self.pattern == "stacked"
 
     @property
-    def is_bayer(self) -> bool:
-        """Whether what is read has the unit cell of a Bayer phase."""
-        return not self.is_stacked and self.cell in BAYER.values()
-
-    @property
     def curves(self) -> Curves | None:
         """The responses of the channels; None if a camera's name stands for them."""
         found = next(value for name in RESPONSES if (value := getattr(self, name)) is not None)

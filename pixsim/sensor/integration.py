@@ -173,8 +173,10 @@ def interval_weights(low: Array, high: Array, knots: Knots) -> csr_array:
     low, high : (m,) positions in samples, 0 to n
     """
     degree = knots.degree
-    first, sums_low = _spline_sums(low, knots)
-    last, sums_high = _spline_sums(high, knots)
+    # Both at once: of a line of pixels, the time is that of calls, not of numbers.
+    starts, sums = _spline_sums(np.concatenate([low, high]), knots)
+    first, last = np.split(starts, 2)
+    sums_low, sums_high = np.split(sums, 2)
     width = int((last - first).max()) + degree + 1
     place = np.arange(width)
 
@@ -664,9 +666,15 @@ def _integrate_both_ways(
     integral = running.coefficients
     for (low_um, high_um), n in zip((y_um, x_um), running.coefficients.shape, strict=True):
         low, high = (np.clip(edge_um / sample_pitch_um, 0.0, n) for edge_um in (low_um, high_um))
-        integral = transposed(interval_weights(low, high, knots_of(n)) @ integral)
+        integral = transposed(_known_weights(low.tobytes(), high.tobytes(), n) @ integral)
     integral *= sample_pitch_um**2
     return integral
+
+
+@lru_cache(maxsize=8)  # both axes of a few registrations: pictures with and without a target have the same, and channels
+def _known_weights(low: bytes, high: bytes, n: int) -> csr_array:
+    """Return the `interval_weights` on n samples."""
+    return interval_weights(np.frombuffer(low), np.frombuffer(high), knots_of(n))
 
 
 def photodiode_edges_um(

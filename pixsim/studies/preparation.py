@@ -397,38 +397,30 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False, light
     def source_for(study: Study) -> tuple[Scene | SpectralImage, Camera]:
         return scene_for(study, variant, scenes) if light is None else (light, camera_of_light(light, study.camera, study.lens))
 
-    if not study.has_cases:
-        check_technologies(study)
-        scene, camera = source_for(study)
-        fitted = fitted_range(study, camera)
-        view = _chosen_view(fitted, scene, camera)
-        whole = _checked(Case(with_view(fitted, view)), source_with_view(scene, view), camera)
-        warn_of_unused([(study, whole.settings)], light)
-        return StudyJob(asked=asked, source=whole.source, view=view, cases=(whole,), variant=variant)
-    # Display and chart are those of the study itself, so that all of its cases are comparable.
-    if study.tolerance_delta_e:
+    if study.has_cases and study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
         raise invalid("tolerance_delta_e", study.tolerance_delta_e, "no tolerance in a study with axes or conditions", hint)
     columns = *OF_PIXEL, *columns_of_metrics((DELTA_E, *judging_of(study).metrics)), KEY
     if taken := [axis.name for axis in study.axis if axis.name in columns]:
         raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
-    own = _without_axes(study)
+    # Display and chart are those of the study itself, so that all of its cases are comparable.
+    own = _without_axes(study) if study.has_cases else study
     scene, camera = source_for(own)
     view = _chosen_view(own, scene, camera)
-    prepared: list[Case[Study]] = []
+    found: list[Case[Study]] = []
     cases = cases_of(study)
     for case in cases:
-        with named(case.words or BASE):
+        with named((case.words or BASE) if study.has_cases else ""):
             shown = _same_chart(case.settings, own) or shows_csf(source_for(case.settings)[0])
             complete = with_view(case.settings, view if shown else without_chart(view))
             check_technologies(complete)
             scene_of_case, its_camera = source_for(complete)
-            prepared.append(_checked(replace(case, settings=fitted_range(complete, its_camera)), scene_of_case, its_camera))
-    warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, prepared, strict=True)], light)
+            found.append(_checked(replace(case, settings=fitted_range(complete, its_camera)), scene_of_case, its_camera))
+    warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, found, strict=True)], light)
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
-    kept = view if all(_same_chart(each.settings, own) for each in prepared) else without_chart(view)
-    study, scene = with_view(study, kept), source_with_view(scene, view)
-    return StudyJob(asked=asked, base=study, source=scene, view=view, cases=tuple(prepared), variant=variant)
+    kept = view if all(_same_chart(each.settings, own) for each in found) else without_chart(view)
+    base, scene = with_view(study, kept) if study.has_cases else None, source_with_view(scene, view)
+    return StudyJob(asked=asked, base=base, source=scene, view=view, cases=tuple(found), variant=variant)
 
 
 def warn_of_unused(cases: Sequence[tuple[Study, Study]], light: SpectralImage | None = None) -> None:

@@ -44,6 +44,7 @@ from pixsim.studies.series import Series, scenes_of, series_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
+from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics
@@ -83,7 +84,7 @@ class Curve:
     causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
     metrics : that judge it; the first one is that of `fit`
     fits : fitted curve of each further metric that tells a best size, by its name
-    developed : what is on of the development, as `Develop.words`
+    developed : what is on of the development, as of `developed_words`
     lacking : metrics that have no number at a pitch in µm, each with the reason
     """
 
@@ -722,7 +723,7 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row], metrics: tuple[
         from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
         metrics=metrics,
         fits={name: each for name, each in found.items() if each is not None},
-        developed=study.develop.words,
+        developed=developed_words(study.develop, [study.options_of(technology)]),
     )
 
 

@@ -23,6 +23,7 @@ from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.paired import mean_interval
 from pixsim.viewer.causes import SATURATED_SHOWN
+from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.metric_registry import metric_known
@@ -315,7 +316,7 @@ def score_parts(result: RunResult) -> list[Text]:
     parts: list[Text] = [first, exposed] if has_room([first]) else [delta_e, pixels, exposed]
     if has_room([whole := (*first, f", {exposed}")]):
         parts = [whole]
-    if developed := settings.develop.words:
+    if developed := developed_words(settings.develop, [settings.pixel]):
         parts.insert(1, developed)
     shown = ", ".join(filter(None, (border, *run_view_words(result))))
     film = film_words(result.film) if result.film else result.light.unmeasured

@@ -20,6 +20,7 @@ from pixsim.studies.lineup import ComparisonJob, Lineup, pixels_of
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.viewing import Viewed, range_words, where_words
+from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.setting import Run
 
@@ -154,7 +155,7 @@ def answer(result: Averaged, other: str) -> Answer:
         begin, others = ["the conditions disagree", f"weighted mean: {first}"], [*others, *_answers_of_conditions(pair, other)]
     first, *more = begin
     unsure = next((words for words in found if words.startswith(NOT_CONVERGED)), "")
-    developed = result.shown.lineup.settings.develop.words
+    developed = developed_words(result.shown.lineup.settings.develop, [each.sensor.settings.pixel for each in result.shown.sensors])
     found_words = headline([(Strong(first),), *more, developed, *causes, *others], unsure)
     return replace(found_words, named=first.startswith(result.names))
 

@@ -295,7 +295,7 @@ class Develop(Record):
 
     @property
     def words(self) -> str:
-        """What is on, for a headline; empty where frames are shown as they are."""
+        """What is on for frames of all kinds, for a headline; empty where they are shown as they are."""
         strength = f" of strength {self.denoise_strength:g}" if self.adapts and self.denoise_strength != 1 else ""
         radius = (
             f"{self.sharpen_radius_px or 1.0:g} px"
@@ -306,7 +306,6 @@ class Develop(Record):
         curve = "of a table" if not isinstance(self.tone_curve, str) else tone.get(self.tone_curve, self.tone_curve)
         parts = (
             f"denoised ({self.denoiser}{strength})" if self.denoises else "",
-            "remosaiced" if self.remosaic else "",
             f"sharpened by {self.sharpen_amount:g} at {radius}" if self.sharpens else "",
             f"tone curve {curve}" if self.tone else "",
         )
@@ -314,6 +313,15 @@ class Develop(Record):
 
 
 DEVELOP = Develop()
+
+
+def developed_words(develop: Develop, pixels: Iterable[PixelOptions]) -> str:
+    """Return what is on of the development of frames of some pixels, for a headline; empty where they are shown as they are."""
+    colours = [pixel.colour for pixel in pixels if pixel.colour is not None and not pixel.colour.is_stacked]
+    remosaics = develop.remosaic and any(binned_cell(colour.cell) for colour in colours)
+    return ", ".join(filter(None, ("remosaiced" if remosaics else "", develop.words)))
+
+
 OF_COLOUR_FRAMES = ("white_balance", "remosaic", "demosaic", "matrix")  # fields of Develop
 
 

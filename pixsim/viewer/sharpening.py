@@ -11,7 +11,7 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 
 from pixsim.base.arguments import NotNegative, Positive, checks_arguments
-from pixsim.base.arrays import Array, Picture
+from pixsim.base.arrays import Array, Finites, Picture
 
 TRUNCATED = 4.0  # standard deviations, beyond which 6e-5 of a Gaussian lies
 
@@ -39,6 +39,19 @@ def unsharp_mask(picture: Picture, amount: NotNegative, sigma_px: Positive) -> A
     for axis in (0, 1):  # about the centres of the outermost pixels, as demosaicing continues a picture
         blurred = scipy.ndimage.correlate1d(blurred, taps, axis=axis, mode="mirror")
     return np.asarray(picture * picture.dtype.type(1 + amount) - blurred * picture.dtype.type(amount))
+
+
+@checks_arguments
+def unsharp_response(frequency_cy_per_px: Finites, amount: NotNegative, sigma_px: Positive) -> Array:
+    """Return the response of an unsharp mask along an axis, (...) as the frequencies, 1 at 0: that of its sampled blur.
+
+    frequency_cy_per_px : in cycles per pixel
+    amount, sigma_px : of `unsharp_mask`
+    """
+    taps = gaussian_taps(sigma_px)
+    places = np.arange(len(taps)) - len(taps) // 2
+    blur = (taps * np.cos(2 * np.pi * np.asarray(frequency_cy_per_px, float)[..., None] * places)).sum(axis=-1)
+    return np.asarray(1 + amount * (1 - blur))
 
 
 @checks_arguments

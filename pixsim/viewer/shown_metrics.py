@@ -15,6 +15,7 @@ from pixsim.viewer.judges.visible_noise import visual_noise
 from pixsim.viewer.metrics import Metric, MetricContext
 from pixsim.viewer.mtf import mtf_terms
 from pixsim.viewer.raw_metrics import grey, needs_target, within_range_e
+from pixsim.viewer.sharpening import unsharp_response
 
 if TYPE_CHECKING:
     from pixsim.viewer.judged import Judged
@@ -33,9 +34,13 @@ def _acutance(judged: Judged) -> tuple[float]:
 
     def compute() -> float:
         terms = mtf_terms(facts.mean, facts.camera, chain.physics, display, on_sensor, chain.screen.dot_um)
+        if chain.develop.sharpens:
+            cy_per_px = 1e-3 * chain.physics.read_pitch_um * on_sensor
+            terms["sharpening"] = unsharp_response(cy_per_px, chain.develop.sharpen_amount, chain.sharpen_px)
         return acutance(frequency, np.abs(np.prod(list(terms.values()), axis=0)))
 
-    return (facts.kept(("acutance", display.content_hash, *chain.pixel_key), compute),)
+    sharpened = chain.develop.sharpen_amount, chain.sharpen_px if chain.develop.sharpens else 0.0
+    return (facts.kept(("acutance", display.content_hash, *sharpened, *chain.pixel_key), compute),)
 
 
 ACUTANCE = Metric(
@@ -45,7 +50,7 @@ ACUTANCE = Metric(
     better="more",
     judges="shown picture",
     source="CPIQ, IEEE 1858: ∫MTF·CSF/∫CSF, the numerator to the Nyquist frequency of the display",
-    unseen="noise, aliases and what is in the picture",
+    unseen="noise, noise reduction, aliases, tone curves and what is in the picture",
     columns=("acutance",),
     bounds=(0.0, 10.0),
     compute=_acutance,

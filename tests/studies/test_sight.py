@@ -35,7 +35,7 @@ def lights_of(patch: pytest.MonkeyPatch, **over: Any) -> tuple[list[Case], list[
         return render_for(case, *more)
 
     patch.setattr(rendering, "render_for", counted)
-    return list(cases), lights_of_cases(cases, lambda _: lambda *_: None, Workers(1), store=lambda image: image), measured
+    return list(cases), lights_of_cases(cases, None, lambda _: lambda *_: None, Workers(1), store=lambda image: image), measured
 
 
 def test_film_is_measured_for_the_brightest_light_and_the_sharpest_lens(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,7 +90,7 @@ def test_film_of_the_least_noise_is_measured(axis: dict[str, Any], least: str, m
 def test_film_of_another_sight_is_measured(is_same: bool, over: dict[str, Any]) -> None:
     """Which films are measured is asked here, not their errors."""
     cases = prepare(Study.model_validate(merge(SMALL, {"axis": [LIGHT]} | over))).cases
-    found = dict(rendering._see_task((case.words, case), None) for case in cases)
+    found = dict(rendering._see_task((case.words, case, None), None) for case in cases)
     measured_in = {name: name for name in found} | clearest({name: seen[3] for name, seen in found.items() if seen})
     assert len(set(measured_in.values())) == (1 if is_same else 2)
 

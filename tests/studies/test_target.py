@@ -126,7 +126,8 @@ def test_study_of_a_sensor_closes_its_open_end(tmp_path: Path) -> None:
 def test_only_ranges_without_a_target_are_refined() -> None:
     """Not a list of the user's, not beyond max_evaluations, and not with refine = false."""
     fit = next(first for seed in range(24) if None in (first := refined(seed, beside_an_end)[0]).optimum.interval_um)
-    curve = SimpleNamespace(technology="0.35um", fit=fit, optimum=fit.optimum)
+    tried_um = np.array(list(START))
+    curve = SimpleNamespace(technology="0.35um", fit=fit, optimum=fit.optimum, pitch_um=tried_um, told=tried_um > 0)
     own = {"repeats": 2, "technologies": ("0.35um",), "target_ci_um": None}
 
     def added(**settings: object) -> int:
@@ -144,7 +145,9 @@ def test_an_end_that_stays_open_names_the_size_that_would_close_it(tmp_path: Pat
     (note,) = [note for note in result.notes if "open" in note]
     assert "the smallest size tried, 7 µm, may be the best; a size of 6 µm (pitch.values_um with 6) would tell" in note
     bound = replace(result, study=tiny_study(pitch={"min_um": 5.1341, "max_um": 15.0, "values_um": None}))
-    least = replace(result.curves[0], pitch_um=np.array([5.1341, *result.curves[0].pitch_um[1:]]))
+    curve = result.curves[0]
+    from_least = replace(curve.fit, pitch_um=np.array([5.1341, *curve.fit.pitch_um[1:]]))
+    least = replace(curve, pitch_um=np.array([5.1341, *curve.pitch_um[1:]]), fit=from_least)
     assert "no smaller one is possible" in open_notes(replace(bound, curves=(least,)))[0]
 
 

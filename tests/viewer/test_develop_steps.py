@@ -25,7 +25,7 @@ from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.develop_steps import PLANES, RAW, SHOWN, STEPS, developed_planes, noise_covariance, white_noise_e2
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import ImagingChain, make_imaging_chain, shown
-from pixsim.viewer.sharpening import noise_gain, unsharp_mask
+from pixsim.viewer.sharpening import noise_gain, unsharp_mask, unsharp_response
 from pixsim.viewer.tone import reinhard, toned
 
 SIDE, SAMPLE_UM = 128, 2.0
@@ -194,6 +194,9 @@ def test_unsharp_mask_has_its_response_and_moves_no_phase(amount: float, sigma: 
     for period in (6, 12, 40):
         wave = np.cos(2 * np.pi * (x - 120) / period) * np.ones((40, 1))
         gain = 1 + amount * (1 - math.exp(-2 * (math.pi * sigma / period) ** 2))
+        np.testing.assert_allclose(
+            unsharp_mask(wave, amount, sigma)[:, 120], unsharp_response(1 / period, amount, sigma), rtol=1e-12
+        )
         inner = np.s_[:, 60:-60]
         np.testing.assert_allclose(unsharp_mask(wave, amount, sigma)[inner], gain * wave[inner], atol=0.008 * amount)
 
@@ -340,6 +343,43 @@ def test_covariance_behind_the_bound_is_that_of_frames(colour: str, develop: dic
         found += np.einsum("cyx,dyx->cd", planes, planes) / planes[0].size / 60
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert found / scale == pytest.approx(expected / scale, abs=gate)
+
+
+@pytest.mark.parametrize(
+    "develop", [{"sharpen_amount": 2.0}, {"denoise": "wiener_bound"}, {"denoise": "wiener_bound", "sharpen_amount": 1.0}]
+)
+def test_linear_steps_and_dots_create_no_information(develop: dict[str, Any]) -> None:
+    """d′ of the ideal linear observer, by matrices: of the dots behind the steps at most that of the raw frame, and less of fewer.
+
+    Sharpening alone can be undone, so that nothing is lost on as many dots as pixels.
+    """
+    side = 12
+    picture = np.kron(np.random.default_rng(5).uniform(0.3, 0.7, (side, side)), np.ones((2, 2)))
+    y, x = np.mgrid[:side, :side]
+    target = 8.0 * (np.hypot(y - 5.5, x - 6.0) < 2.5)
+    found = {}
+    for dots in (24, 8):
+        camera = Camera(die_mm=1e-3 * 2 * side * SAMPLE_UM, focal_length_mm=0.4)
+        display = Display(dots=dots, raster="fixed_size" if dots == 8 else "one_to_one")
+        own = scene(picture), camera, sensor(pitch_um=2 * SAMPLE_UM), Exposure(integration_s=TIME_S), display
+        chain = make_imaging_chain(*own, develop=Develop(**develop))
+        still = noiseless(chain)
+        signal_e = chain.signal_e_per_s * TIME_S
+        variance = signal_e + white_noise_e2(chain.physics, TIME_S, chain.correction)
+        columns = []
+        for place in np.ndindex(side, side):
+            one = np.zeros((side, side))
+            one[place] = 1.0
+            columns.append(chain.light(replace(still, corrected_e=one)).ravel())
+        steps = np.array(columns).T
+        behind = steps @ target.ravel()
+        covariance = steps @ (variance.ravel()[:, None] * steps.T)
+        found[dots] = math.sqrt(behind @ np.linalg.lstsq(covariance, behind, rcond=1e-12)[0])
+        raw = pixsim.metrics.detectability(target, variance)
+        assert found[dots] <= raw * (1 + 1e-9)
+    if develop.keys() == {"sharpen_amount"}:
+        assert found[24] == pytest.approx(raw, rel=1e-6)
+    assert found[8] < 0.99 * raw
 
 
 def same(plane: np.ndarray, strength: float) -> np.ndarray:

@@ -56,8 +56,8 @@ def detectability(
     largest, smallest = float(np.abs(difference).max()), float(variance.min())
     if not largest or not smallest < math.inf:
         return 0.0
-    delta = np.asarray(difference, float) / largest
-    weight = np.broadcast_to(smallest / np.asarray(variance, float), delta.shape)
+    delta = np.divide(difference, largest, dtype=float)
+    weight = np.broadcast_to(np.divide(smallest, variance, dtype=float), delta.shape)
     # 1 / variance of the offsets, in the unit of the smallest variance
     of_columns, of_rows = (smallest / each if each > smallest / LARGEST else math.inf for each in (column_variance, row_variance))
     if delta.shape[0] > delta.shape[1]:  # offsets of the rows are solved for, which then are fewer
@@ -91,7 +91,11 @@ def _squared(delta: Array, weight: Array, of_columns: float, of_rows: float) -> 
         for reciprocal, offsets in ((of_columns, columns), (of_rows, rows))
         if reciprocal < math.inf
     )
-    return float((weight * (delta - columns - rows[:, None]) ** 2).sum()) + penalty
+    left = delta - columns
+    left -= rows[:, None]
+    left *= left
+    left *= weight
+    return float(left.sum()) + penalty
 
 
 def _columns(delta: Array, weight: Array, of_columns: float) -> Array:
