@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pixsim.sensor import photodiode as photodiode, pixel as pixel
     from pixsim.sensor.correction_options import Correction as Correction
     from pixsim.sensor.exposure import Exposure as Exposure
+    from pixsim.sensor.motion_options import Motion as Motion
     from pixsim.sensor.pixel import derive as derive
     from pixsim.sensor.pixel_options import Pixel as Pixel
     from pixsim.sensor.raw import read_frame as read_frame, write_frame as write_frame
@@ -55,6 +56,7 @@ _NAMES_OF = {
     "optics.camera": "Camera",
     "sensor.correction_options": "Correction",
     "sensor.exposure": "Exposure",
+    "sensor.motion_options": "Motion",
     "sensor.pixel_options": "Pixel",
     "studies.study_settings": "Study",
     "viewer.display_options": "Display",

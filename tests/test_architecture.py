@@ -42,7 +42,8 @@ ALLOWED = {
 # What users state, in the room of its physics, and the readers of it: records without NumPy, which `pixsim --help` imports.
 SETTINGS = {
     "light.curves", "light.quantities", "light.tables", "optics.camera", "optics.chief_rays", "optics.lens_options",
-    "optics.quantities", "scene.study_scene", "sensor.colour_options", "sensor.correction_options", "sensor.exposure",
+    "optics.quantities", "scene.study_scene", "sensor.colour_options", "sensor.correction_options",
+    "sensor.motion_options", "sensor.exposure",
     "sensor.labels", "sensor.number", "sensor.pixel_options", "sensor.quantities", "sensor.spread", "sensor.stack_options",
     "studies.axis", "studies.case_folders", "studies.condition", "studies.pitch_range", "studies.study_layers",
     "studies.study_settings", "studies.varied", "viewer.develop_options", "viewer.display_options", "viewer.merging",

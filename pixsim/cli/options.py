@@ -28,6 +28,7 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.lens_options import LensOptions
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, NUMBERS, Pixel
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.viewer.develop_options import Develop
@@ -248,6 +249,7 @@ if TYPE_CHECKING:
     LensTable: TypeAlias = object
     PixelTable: TypeAlias = object
     ExposureTable: TypeAlias = object
+    MotionTable: TypeAlias = object
     CorrectionTable: TypeAlias = object
     DevelopTable: TypeAlias = object
     DisplayTable: TypeAlias = object
@@ -258,6 +260,7 @@ else:
     LensTable = option_table(LensOptions, "lens")
     PixelTable = option_table(Pixel, "pixel")
     ExposureTable = option_table(Exposure, "exposure")
+    MotionTable = option_table(Motion, "motion")
     CorrectionTable = option_table(Correction, "correction")
     DevelopTable = option_table(Develop, "develop")
     DisplayTable = option_table(Display, "display")
@@ -277,6 +280,7 @@ class SceneOptions:
     lens: LensTable = None
     pixel: PixelTable = None
     exposure: ExposureTable = None
+    motion: MotionTable = None
     correction: CorrectionTable = None
     develop: DevelopTable = None
 

@@ -84,7 +84,11 @@ def settings_tables(
     from_data_sheet, sources : of `record_rows`
     """
     records = {"camera": camera, "pixel": pixel, "exposure": settings.exposure, "correction": settings.correction}
-    records |= {"develop": settings.develop if coloured or settings.develop.words else None, "display": settings.display}
+    records |= {
+        "motion": settings.motion if settings.motion.is_on else None,
+        "develop": settings.develop if coloured or settings.develop.words else None,
+        "display": settings.display,
+    }
     used = {
         name: record_rows(name, record, from_data_sheet, sources, coloured=coloured)
         for name, record in records.items()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pixsim.base.records import Record
 from pixsim.light.quantities import Fraction
@@ -39,6 +39,23 @@ class Exposure(Record):
         "shared",
         description="what integration_s and max_integration_s are about: all exposures of a frame together, or each of them",
     )
+    shutter: Literal["global", "rolling"] = Field(
+        "global", description="whether all rows are exposed together, or each begins line_time_us after the one above it"
+    )
+    line_time_us: Annotated[float, Field(gt=0, le=1e9)] | None = Field(
+        None, description="time from row to row of a rolling shutter"
+    )
+
+    @model_validator(mode="after")
+    def _rolling_shutter_has_a_line_time(self) -> Self:
+        if self.shutter == "rolling" and self.line_time_us is None:
+            raise ValueError("shutter = 'rolling' without line_time_us; allowed: with the time from row to row, as 10.0")
+        return self
+
+    @property
+    def line_time_s(self) -> float:
+        """Time from row to row, 0 of a global shutter."""
+        return 1e-6 * self.line_time_us if self.shutter == "rolling" and self.line_time_us else 0.0
 
     @property
     def times(self) -> int:

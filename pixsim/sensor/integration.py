@@ -39,6 +39,7 @@ from pixsim.sensor.collection import (
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
+from pixsim.sensor.motion import STANDING, LightSpectrum, Moving, shifted_rows
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, other_unit_of_pitch
 
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
@@ -628,6 +629,7 @@ def integrate_pixels(
     size_um: tuple[float, float] | None = None,
     only: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
     first_um: tuple[float, float] | None = None,
+    moves: Moves | None = None,
 ) -> Array:
     """Integrate a picture over the square, centred photodiodes of a pixel array on it.
 
@@ -639,6 +641,7 @@ def integrate_pixels(
     size_um : `array_size_um`, (height, width) that the pixels fill; None means the whole picture
     only : numbers of the rows and of the columns of pixels that are needed; None means all of them
     first_um : where the first row and the first column begin (`first_edge_um`); None centres the array on the picture
+    moves : how the picture moves; None if it stands still
 
     Returns (rows, columns), rows = ⌊height / pitch⌋. Only the picture, (rows, W) and the result are in memory.
     Raises PixsimError if not one pixel fits.
@@ -650,6 +653,9 @@ def integrate_pixels(
     y_um, x_um = (photodiode_edges_um(um, n, pitch_um, photodiode_side_um, first) for um, n, first in lengths)
     if only is not None:
         y_um, x_um = ((low[which], high[which]) for (low, high), which in zip((y_um, x_um), only, strict=True))
+    if moves is not None:
+        lines = moves.lines(counts[0])
+        return _integrate_moving(moves, sample_pitch_um, y_um, x_um, lines if only is None else lines[only[0]])
     if running is not None and running.both_ways:
         integral = _integrate_both_ways(running, sample_pitch_um, y_um, x_um)
         if integral.min() >= 0:
@@ -657,6 +663,49 @@ def integrate_pixels(
         running = None  # what rings below zero is limited where it does
     down = integrate_axis(rate, sample_pitch_um, *y_um, 0, running)
     return integrate_axis(down, sample_pitch_um, *x_um, 1)
+
+
+@dataclass(frozen=True)
+class Moves:
+    """A picture that moves over the pixels.
+
+    spectrum : of the picture
+    moving : how it moves
+    bin_side : rows of pixels that are read as one
+    """
+
+    spectrum: LightSpectrum
+    moving: Moving
+    bin_side: int = 1
+
+    def lines(self, rows: int) -> Array:
+        """Return the number of the line with which each row is read, counted from the middle of all, (rows,)."""
+        line = np.arange(rows) // self.bin_side
+        return line - (line[-1] / 2)
+
+
+def _integrate_moving(
+    moves: Moves, sample_pitch_um: float, y_um: tuple[Array, Array], x_um: tuple[Array, Array], lines: Array
+) -> Array:
+    """Return the integrals of a moving picture between pairs of positions down and across, (rows, columns).
+
+    A picture that rings below zero is averaged along its path first, and then limited where it does as one that stands still.
+
+    lines : (rows,) as of `Moves.lines`
+    """
+    moving = moves.moving
+    path = moving.path_um[0] / sample_pitch_um, moving.path_um[1] / sample_pitch_um
+    shift = np.array(moving.shift_um)[:, None] + np.array(moving.row_um)[:, None] * lines
+    shift /= sample_pitch_um
+    (top, bottom), (left, right) = (tuple(edge_um / sample_pitch_um for edge_um in pair) for pair in (y_um, x_um))
+    integral = moves.spectrum.integrals((top, bottom), (left, right), path, shift)
+    if integral.min() >= 0:
+        integral *= sample_pitch_um**2
+        return integral
+    moved_um = shift[0] * sample_pitch_um
+    blurred = np.maximum(moves.spectrum.blurred(path), min(0.0, float(moves.spectrum.samples.min())))
+    down = integrate_axis(blurred, sample_pitch_um, y_um[0] - moved_um, y_um[1] - moved_um, 0)
+    return integrate_axis(shifted_rows(down, shift[1]), sample_pitch_um, *x_um, 1)
 
 
 def _integrate_both_ways(
@@ -740,19 +789,21 @@ def pixel_signal(
     light: Illumination,
     running: RunningIntegral | None = None,
     size_um: tuple[float, float] | None = None,
+    moves: Moves | None = None,
 ) -> tuple[Array, Collection | None]:
     """Return the mean photo-electrons per second of every pixel, (rows, columns), and what its stack does; None without a stack.
 
     Without a stack a pixel collects the light on its photodiode. With one, the mean light on its aperture stands for that on the
     pixel, of which it and its neighbours collect their shares.
 
-    rate, running, size_um : as for `integrate_pixels`
+    rate, running, size_um, moves : as for `integrate_pixels`
     """
     picture_um = [n * sample_pitch_um for n in rate.shape]
     _, pixels_um, first_um = array_on(picture_um, size_um, physics)
     collection = collection_of(physics, light, centred_pixels(size_um or picture_um, physics))
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
-    signal = integrate_pixels(rate, sample_pitch_um, physics.pitch_um, side_um, running, pixels_um, first_um=first_um)
+    of_array = running, pixels_um, None, first_um, moves
+    signal = integrate_pixels(rate, sample_pitch_um, physics.pitch_um, side_um, *of_array)
     signal = np.maximum(signal, 0.0, order="C")  # frames are made row by row
     if collection is not None:
         signal *= (physics.pitch_um / side_um) ** 2
@@ -779,6 +830,15 @@ class ChannelLight:
         """Running integral of the picture, which takes longer than all steps of a pitch; None if too large to store."""
         return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MAX_STORED_SAMPLES else None
 
+    @cached_property
+    def spectrum(self) -> LightSpectrum:
+        """Spectrum of the picture, for light that moves."""
+        return LightSpectrum(self.rate_e_per_s_um2)
+
+    def moves(self, moving: Moving, physics: PixelPhysics) -> Moves | None:
+        """Return how the light moves over the pixels; None if it stands still."""
+        return Moves(self.spectrum, moving, physics.as_read.bin_side) if moving.is_on else None
+
 
 def lights_of(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> tuple[ChannelLight, ...]:
     """Return the light behind the lens for each channel of a pixel."""
@@ -788,7 +848,11 @@ def lights_of(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) 
 
 
 def array_signal(
-    lights: Sequence[ChannelLight], sample_pitch_um: float, physics: PixelPhysics, size_um: tuple[float, float] | None = None
+    lights: Sequence[ChannelLight],
+    sample_pitch_um: float,
+    physics: PixelPhysics,
+    size_um: tuple[float, float] | None = None,
+    moving: Moving = STANDING,
 ) -> tuple[Array, tuple[Collection, ...]]:
     """Return the mean photo-electrons per second of every value of a frame, and the collection of each channel, if any.
 
@@ -796,13 +860,14 @@ def array_signal(
 
     lights : of the channels of the pixel
     size_um : as for `integrate_pixels`
+    moving : how the light moves over the pixels
     """
     layout = Layout.of_pixels(physics.pixel)
     if layout is None:
         light = lights[0]
-        signal, collection = pixel_signal(
-            light.rate_e_per_s_um2, sample_pitch_um, physics, light.illumination, light.running_integral, size_um
-        )
+        moves = light.moves(moving, physics)
+        of_light = light.illumination, None if moves else light.running_integral
+        signal, collection = pixel_signal(light.rate_e_per_s_um2, sample_pitch_um, physics, *of_light, size_um, moves)
         return signal, () if collection is None else (collection,)
     picture_um = [count * sample_pitch_um for count in lights[0].rate_e_per_s_um2.shape]
     (rows, columns), pixels_um, first_um = array_on(picture_um, size_um, physics)
@@ -812,6 +877,8 @@ def array_signal(
     signal = np.empty((rows * layout.planes, columns))
     high, wide = layout.period
     for number, (letter, light) in enumerate(zip(layout.channels, lights, strict=True)):
+        moves = light.moves(moving, physics)
+        running = None if moves else light.running_integral
         first = number * rows if layout.is_stacked else 0
         for down, across in layout.sites(letter):
             which = (
@@ -820,14 +887,32 @@ def array_signal(
             )
             if which[0].size and which[1].size:
                 signal[np.ix_(first + which[0], which[1])] = integrate_pixels(
-                    *(light.rate_e_per_s_um2, sample_pitch_um, physics.pitch_um, side_um, light.running_integral),
-                    *(pixels_um, which, first_um),
+                    *(light.rate_e_per_s_um2, sample_pitch_um, physics.pitch_um, side_um, running),
+                    *(pixels_um, which, first_um, moves),
                 )
     np.maximum(signal, 0.0, out=signal)
     if collections:
         signal *= (physics.pitch_um / side_um) ** 2
         signal = shared(signal, [one.shares for one in collections], layout)
     return read_as_one(signal, physics.as_read.bin_side), collections
+
+
+def moved_signals(
+    lights: Sequence[ChannelLight],
+    sample_pitch_um: float,
+    physics: PixelPhysics,
+    size_um: tuple[float, float] | None,
+    moving: Moving,
+    exposures: int,
+) -> tuple[Array, tuple[Array, ...]]:
+    """Return `array_signal` of light that moves, and that of each exposure of a burst, if they differ.
+
+    moving : in the whole frame
+    exposures : that are summed to it
+    """
+    each = moving.of_exposures(exposures) if exposures > 1 and any(moving.path_um) else []
+    whole, *parts = (array_signal(lights, sample_pitch_um, physics, size_um, one)[0] for one in (moving, *each))
+    return whole, tuple(parts)
 
 
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:

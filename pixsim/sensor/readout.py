@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,12 +17,22 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_on
+from pixsim.sensor.integration import (
+    array_signal,
+    array_size_um,
+    check_pixel_count,
+    lights_of,
+    mean_signal_rate,
+    moved_signals,
+    pixels_on,
+)
+from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
+from pixsim.sensor.stages import moving_in
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
@@ -262,13 +272,17 @@ def read_out(mean_e: NotNegativeArray, integration_s: NotNegative, sensor: Senso
     return _expose(mean_e, integration_s, sensor, rng)[0]
 
 
-def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.int32], float]:
+def _expose(
+    mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator, each_e: Sequence[Array] = ()
+) -> tuple[NDArray[np.int32], float]:
     """Return the frame of `read_out` and its saturated fraction, as `Frame` defines it.
+
+    each_e : mean electrons in each exposure of a burst, if they differ; else none
 
     A few rows at a time, which keeps the work arrays small; all shot noise of a block is drawn before its read noise.
     """
     if sensor.physics.exposures > 1:
-        return _expose_burst(mean_e, integration_s, sensor, rng)
+        return _expose_burst(mean_e, integration_s, sensor, rng, each_e)
     if mean_e.shape != sensor.shape:
         raise invalid("mean_e", f"an array of shape {mean_e.shape}", f"the pixels of the sensor, {sensor.shape}")
     p, generated, dn = sensor.physics, np.empty(mean_e.shape), np.empty(mean_e.shape, np.int32)
@@ -311,7 +325,9 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
     return dn, sum(saturated) / max(dn.size, 1)
 
 
-def _expose_burst(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.int32], float]:
+def _expose_burst(
+    mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator, each_e: Sequence[Array]
+) -> tuple[NDArray[np.int32], float]:
     """Return `_expose` of a burst, for the mean electrons and the time of all its exposures.
 
     The sum of the codes of pixels that no exposure clips, and whose noise makes rounding a noise (`quantise`), is drawn at once:
@@ -330,31 +346,30 @@ def _expose_burst(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.r
     def expose(block: slice, rng: np.random.Generator) -> None:
         for part in strips(block.stop - block.start, dn.shape[1]):
             rows = slice(block.start + part.start, block.start + part.stop)
-            mean = mean_e[rows] * ((1.0 if sensor.gain is None else sensor.gain[rows]) / count)  # of each exposure, from here on
-            if mean_dark_e:
-                mean += mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain[rows]
-            offset_e = np.zeros(mean.shape)
+            gain_of = 1.0 if sensor.gain is None else sensor.gain[rows]
+            dark_e = mean_dark_e if sensor.dark_gain is None or not mean_dark_e else mean_dark_e * sensor.dark_gain[rows]
+            means = [one[rows] * gain_of + dark_e for one in each_e] or [mean_e[rows] * (gain_of / count) + dark_e]
+            least, most = (means[0], means[0]) if len(means) == 1 else (np.minimum.reduce(means), np.maximum.reduce(means))
+            offset_e = np.zeros(least.shape)
             for added_e in (None if sensor.offset_e is None else sensor.offset_e[rows], sensor.column_offset_e):
                 if added_e is not None:
                     offset_e += added_e
-            of_row_e = of_rows_e * rng.standard_normal((count, len(mean), 1)) if of_rows_e else np.zeros((count, len(mean), 1))
-            spread_e = np.sqrt(mean + of_pixels_e**2)
-            reach_e = CLIP_SIGMAS * spread_e + FEW_E
+            of_row_e = of_rows_e * rng.standard_normal((count, len(least), 1)) if of_rows_e else np.zeros((count, len(least), 1))
             low_dn, high_dn = (
-                gain * (mean + offset_e + edge_e + sign * reach_e) + black_dn
-                for sign, edge_e in ((-1, of_row_e.min(axis=0)), (1, of_row_e.max(axis=0)))
+                gain * (mean + offset_e + edge_e + sign * (CLIP_SIGMAS * np.sqrt(mean + of_pixels_e**2) + FEW_E)) + black_dn
+                for sign, mean, edge_e in ((-1, least, of_row_e.min(axis=0)), (1, most, of_row_e.max(axis=0)))
             )
-            free = (low_dn > 0) & (high_dn < top_dn) & (gain * spread_e >= LEAST_DITHER_DN)
-            free &= mean + CLIP_SIGMAS * np.sqrt(mean) + FEW_E < (full_e if is_linear else 0.0)
-            level = np.asarray(_shot_noise(count * mean, rng), float)
-            level += math.hypot(math.sqrt(count) * of_pixels_e, last_roundings_e) * rng.standard_normal(mean.shape)
+            free = (low_dn > 0) & (high_dn < top_dn) & (gain * np.sqrt(least + of_pixels_e**2) >= LEAST_DITHER_DN)
+            free &= most + CLIP_SIGMAS * np.sqrt(most) + FEW_E < (full_e if is_linear else 0.0)
+            level = np.asarray(_shot_noise(np.add.reduce(means) if each_e else count * least, rng), float)
+            level += math.hypot(math.sqrt(count) * of_pixels_e, last_roundings_e) * rng.standard_normal(level.shape)
             level += count * offset_e + of_row_e.sum(axis=0)
             level = np.rint(gain * level + count * black_dn)
             clipped, full = np.nonzero(~free), 0
             if clipped[0].size:
                 total, is_full = np.zeros(clipped[0].size), np.zeros(clipped[0].size, bool)
-                for row_e in of_row_e:
-                    generated = np.asarray(_shot_noise(mean[clipped], rng), float)
+                for number, row_e in enumerate(of_row_e):
+                    generated = np.asarray(_shot_noise(means[number % len(means)][clipped], rng), float)
                     is_full |= generated >= full_e
                     one = stored_signal_e(generated, time_s, p) + of_pixels_e * rng.standard_normal(generated.size)
                     one += offset_e[clipped] + row_e[clipped[0], 0]
@@ -435,8 +450,12 @@ def least_black_level_dn(physics: PixelPhysics, integration_s: NotNegative) -> i
 
 
 @checks_arguments
-def capture_from_rates(signal_e_per_s: NotNegativePicture, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
+def capture_from_rates(
+    signal_e_per_s: NotNegativePicture, sensor: Sensor, exposure: Exposure, rng: np.random.Generator, each: Sequence[Array] = ()
+) -> Frame:
     """Return a frame from mean photo-electron rates (rows, columns), at the gain of the exposure, with temporal noise from `rng`.
+
+    each : the rates in each exposure of a burst, whose mean is the signal, if they differ; else none
 
     Raises PixsimError if the shape is not that of the sensor, or if the electrons are too many for the numbers of the rates.
     """
@@ -447,7 +466,8 @@ def capture_from_rates(signal_e_per_s: NotNegativePicture, sensor: Sensor, expos
     brightest_e_per_s = float(signal_e_per_s.max())
     time_s = integration_time_s(exposure, p, brightest_e_per_s)
     mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, p)
-    dn, saturated_fraction = _expose(mean_e, time_s, sensor if p is sensor.physics else replace(sensor, physics=p), rng)
+    exposed = sensor if p is sensor.physics else replace(sensor, physics=p)
+    dn, saturated_fraction = _expose(mean_e, time_s, exposed, rng, [one * (time_s / exposure.frames) for one in each])
     return _frame(dn, saturated_fraction, mean_e, time_s, p, exposure)
 
 
@@ -508,13 +528,20 @@ def _frame(
 
 @checks_arguments
 def capture(
-    irradiance: SpectralImage, camera: Camera, sensor: Sensor, exposure: Exposure | None = None, *, rng: np.random.Generator
+    irradiance: SpectralImage,
+    camera: Camera,
+    sensor: Sensor,
+    exposure: Exposure | None = None,
+    *,
+    motion: Motion | None = None,
+    rng: np.random.Generator,
 ) -> Frame:
     """Take one picture: diffraction, pixel integration, exposure, temporal noise from `rng`, ADC.
 
     camera : that of the irradiance
     sensor : from `make_sensor`, for the same camera
     exposure : None takes the default, automatic exposure
+    motion : of the scene; None means that it stands still. Light from beyond the picture is taken as reflected at its borders
     rng : for temporal noise only; the sensor has the fixed pattern
 
     Raises PixsimError if the picture does not fill the sensor, or if the light is negative or not finite.
@@ -527,5 +554,13 @@ def capture(
     >>> round(float(frame.mean_e.mean() / photons / derive(pixel).quantum_efficiency(550.0)), 6)
     1.0
     """
-    rate = mean_signal_rate(irradiance, camera, sensor.physics)
-    return capture_from_rates(rate, sensor, exposure or Exposure(), rng)
+    exposure, physics = exposure or Exposure(), sensor.physics
+    if motion is None or not motion.is_on:
+        return capture_from_rates(mean_signal_rate(irradiance, camera, physics), sensor, exposure, rng)
+    irradiance.validate()
+    lights, size_um = lights_of(irradiance, camera, physics), array_size_um(irradiance, camera)
+    still, _ = array_signal(lights, irradiance.pitch_um, physics, size_um)
+    time_s = integration_time_s(exposure, physics, float(still.max()))
+    moving = moving_in(motion.um_per_s(camera, physics.pitch_um), time_s, exposure)
+    signal, each = moved_signals(lights, irradiance.pitch_um, physics, size_um, moving, exposure.frames)
+    return capture_from_rates(signal, sensor, exposure.lasting(time_s), rng, each)

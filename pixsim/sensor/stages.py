@@ -1,7 +1,7 @@
 """Signal stages: what lies between the light on a sensor and its frame and may be left out. A stage that is off does nothing.
 
-To add one: write its `Stage` beside its physics, and name it in `STAGES`, in the order of the flow. `act` takes what its kind says
-and returns the like: the very same object where the stage is off, so that off costs nothing and leaves all numbers equal to the
+To add one: write its `Stage` beside its physics, and name it in `STAGES`, in the order of the flow. `act` returns the
+like of what it takes: the very same object where the stage is off, so that off costs nothing and leaves all numbers equal to the
 bit. Its settings are fields of the records of their rooms (`[lens]`, `[exposure]`), from which template, help, schema and
 keys follow; `words` are what headlines and notes say of it.
 """
@@ -9,12 +9,18 @@ keys follow; `words` are what headlines and notes say of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from pixsim.optics.lens_options import LensOptions
+from pixsim.optics.veil import veil_of
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.motion import STANDING, Moving
+from pixsim.sensor.motion_options import VELOCITIES, motion_words
 
-# What a stage acts on: the irradiance before the lens's blur, the light of the pixels, or how a frame is read.
+# What a stage acts on, and what `act` takes beside it: the irradiance before the lens's blur, with the camera, of which it returns
+# what strays (`Veil`); how the light moves over the pixels (`Moving`), with its velocity, the time of the frame and the exposure;
+# the pixel as it is read, with the exposure.
 Acts = Literal["irradiance", "light", "frame"]
 
 
@@ -23,9 +29,9 @@ class Stage:
     """One stage.
 
     name : as messages have it
-    acts_on : what `act` takes first, and returns
+    acts_on : as of `Acts`
     settings : dotted names of those that shape it
-    act : takes what it acts on and the record of its settings
+    act : takes what it acts on, and returns the like
     words : what a headline says of the record of its settings; empty where the stage is off
     """
 
@@ -41,6 +47,14 @@ class Stage:
         return self.settings[0].split(".")[0]
 
 
+def veil_words(lens: LensOptions) -> str:
+    """Return how much light strays, in words; empty if none is stated."""
+    share = lens.veiling_glare
+    if not share:
+        return ""
+    return f"veiling glare {100 * share:.3g} %" if isinstance(share, float) else "veiling glare by wavelength"
+
+
 def burst_words(exposure: Exposure) -> str:
     """Return what a frame is the sum of, in words; empty for one exposure."""
     return f"each frame the sum of {exposure.frames} exposures" if exposure.frames > 1 else ""
@@ -54,7 +68,45 @@ MERGING = Stage(
     words=burst_words,
 )
 
-STAGES = {"merging": MERGING}
+MOTION = Stage(
+    name="motion",
+    acts_on="light",
+    settings=tuple(f"motion.{name}" for name in (*VELOCITIES, "distance_m", "margin_um")),
+    act=lambda moving, um_per_s, time_s, exposure: replace(moving, path_um=(um_per_s[1] * time_s, um_per_s[0] * time_s)),
+    words=motion_words,
+)
+
+
+def _read_by_rows(moving: Moving, um_per_s: tuple[float, float], time_s: float, exposure: Exposure) -> Moving:
+    line_s = exposure.line_time_s
+    return replace(moving, row_um=(um_per_s[1] * line_s, um_per_s[0] * line_s)) if line_s else moving
+
+
+SHUTTER = Stage(
+    name="rolling shutter",
+    acts_on="light",
+    settings=("exposure.shutter", "exposure.line_time_us"),
+    act=_read_by_rows,
+    words=lambda exposure: f"rolling shutter, {exposure.line_time_us:g} µs a row" if exposure.line_time_s else "",
+)
+
+VEIL = Stage(
+    name="veiling glare",
+    acts_on="irradiance",
+    settings=("lens.veiling_glare", "lens.veiling_glare_outside"),
+    act=veil_of,
+    words=veil_words,
+)
+
+STAGES = {"veil": VEIL, "motion": MOTION, "shutter": SHUTTER, "merging": MERGING}
+
+
+def moving_in(um_per_s: tuple[float, float], time_s: float, exposure: Exposure) -> Moving:
+    """Return how light of a velocity [x, y] on the sensor moves in the time of a frame."""
+    moving = STANDING
+    for stage in acting_on("light"):
+        moving = stage.act(moving, um_per_s, time_s, exposure)
+    return moving
 
 
 def acting_on(what: Acts) -> list[Stage]:

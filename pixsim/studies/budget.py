@@ -45,6 +45,7 @@ from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
+from pixsim.sensor.motion_options import STILL
 from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
 from pixsim.studies.cases import Case, Job, Settings
@@ -61,8 +62,7 @@ from pixsim.studies.film_error import (
     step_size,
 )
 from pixsim.studies.pitch_range import PitchRange
-from pixsim.studies.pixels import imaging_of
-from pixsim.studies.sampling import largest_pixel_um
+from pixsim.studies.sampling import imaging_of, largest_pixel_um
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
@@ -227,7 +227,7 @@ def chains_of(image: SpectralImage, design: ProbeDesign, pitches_um: Sequence[fl
 
     The pitches share a scored frame. The design's pixel has its own frame unless it is at the optimum.
     """
-    imaging = design.imaging
+    imaging = replace(design.imaging, motion=STILL)  # what moves shows less of these errors
     channels, pixel_um = len(imaging.physics.channels), imaging.pixel.pitch_um
     scenes = SceneCache(image, imaging.camera, imaging.display, channels, develop=imaging.develop)
     widest_um = imaging.border_um or max(pitches_um, default=pixel_um)

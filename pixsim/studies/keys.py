@@ -34,9 +34,21 @@ COMPUTED_BY = ("mitsuba", "drjit", "colour-science")  # their versions are in ea
 # render, and so does a part of the display.
 OF_LIGHT = (
     *("scene", "camera", "lens", "seed", "tolerance_e", "render_noise", "resolution", "max_seconds", "window_mm"),
-    *("tolerance_delta_e", "pitch", "exposure", "correction", "develop", "pixel", "sensors", "process", "technologies", "display"),
+    *(
+        "tolerance_delta_e",
+        "pitch",
+        "exposure",
+        "motion",
+        "correction",
+        "develop",
+        "pixel",
+        "sensors",
+        "process",
+        "technologies",
+        "display",
+    ),
 )
-OF_FRAME = ("exposure", "correction")  # beside the light, the pixel and the random streams
+OF_FRAME = ("exposure", "motion", "correction")  # beside the light, the pixel and the random streams
 OF_SCORE = ("display", "develop", "metrics", "metric")
 # What is said of frames, on which none depends.
 OF_WORDS = ("title", "iso_delta_e", "detail", "paper", "sources", "noise_budget")

@@ -16,9 +16,9 @@ from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.keys import light_hash
 from pixsim.studies.oversampling import Demand, GivenLight, Light, rendered_light
-from pixsim.studies.pixels import imaging_of, physics_of
+from pixsim.studies.pixels import physics_of
 from pixsim.studies.preparation import first_film, plan_of, scene_for, smallest_pixels, study_plan
-from pixsim.studies.sampling import largest_pixel_um, study_pitches_um
+from pixsim.studies.sampling import border_on_um, imaging_of, largest_pixel_um, study_pitches_um
 from pixsim.studies.sight import Sight, clearest
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -69,7 +69,7 @@ def given_light(case: Case[Study], picture: SpectralImage) -> GivenLight:
 
 def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:
     """Return a picture as the smallest pixels of each technology of a study see it, for the white that all of them share."""
-    return [Seen(image, camera, physics, study.border_um) for physics in smallest_pixels(study)]
+    return [Seen(image, camera, physics, border_on_um(study, camera)) for physics in smallest_pixels(study)]
 
 
 def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:

@@ -25,6 +25,7 @@ from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.labels import file_label, labels_of
+from pixsim.sensor.motion_options import border_with_room_um
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, REGISTERED_BORDER
 from pixsim.sensor.spread import sheet_uncertainty
@@ -384,14 +385,14 @@ def warn_of_unused(conditions: Sequence[Sequence[Case[Run]]], match: Match) -> N
 
     conditions : the sensors under each condition
 
-    The display, the correction and the development are those of the first sensor; so is the lens, unless each has its own.
+    Motion, display, correction and development are those of the first sensor; so is the lens, unless each has its own.
     """
     found: dict[str, list[Configuration]] = {}
     for sensors in conditions:
         first = sensors[0].settings
         for sensor in sensors:
             run = sensor.settings
-            shared = {table: getattr(first, table) for table in ("correction", "develop", "display")}
+            shared = {table: getattr(first, table) for table in ("motion", "correction", "develop", "display")}
             lens_of = sensors[0].name if match != "own" and sensor is not sensors[0] else ""
             if lens_of:  # what is the first one's too is used
                 shared |= {table: differing(getattr(run, table), getattr(first, table)) for table in ("camera", "lens")}
@@ -439,7 +440,11 @@ def lineup_of(stated: Stated, common: Lineup | None, match: Match, sensor: str |
         view = {name: common.view.get(name, value) for name, value in view.items()}
     of_first = {name: on_other_die(view[name], finest.camera, cameras[0]) for name in view if name == MAX_LP_PER_MM}
     settings = with_view(settings, view | of_first)
-    border = REGISTERED_BORDER * max(each.settings.pixel.pitch_um / each.camera.die_um[1] for each in found)
+    border = 0.0
+    for each in found:
+        pitch_um, exposure = each.settings.pixel.pitch_um, each.settings.exposure
+        border_um = border_with_room_um(REGISTERED_BORDER * pitch_um, settings.motion, exposure, each.camera, [pitch_um])
+        border = max(border, border_um / each.camera.die_um[1])
     given = settings.scene.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
     sensors = []
     for each in found:

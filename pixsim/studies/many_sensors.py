@@ -18,6 +18,7 @@ from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import array_size_um
+from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.document import Document, Table
@@ -35,7 +36,16 @@ from pixsim.viewer.judged import Judging
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import PIXEL_STATISTICS, Metric, MetricContext, columns_of_metrics
-from pixsim.viewer.score import SceneCache, Score, Seen, warn_of_clipping, warn_of_other_camera, warn_of_unused_light, white_header
+from pixsim.viewer.score import (
+    SceneCache,
+    Score,
+    Seen,
+    scored_border_um,
+    warn_of_clipping,
+    warn_of_other_camera,
+    warn_of_unused_light,
+    white_header,
+)
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 
 if TYPE_CHECKING:
@@ -100,6 +110,7 @@ def sweep(
     exposure: Exposure | None = None,
     display: Display | None = None,
     correction: Correction | None = None,
+    motion: Motion | None = None,
     develop: Develop | None = None,
     metrics: Sequence[str | Callable[[Score], float]] = ("delta_e",),
     metric: MetricOptions | None = None,
@@ -115,7 +126,7 @@ def sweep(
     pixels of one size have the numbers of `evaluate`, and smaller ones among larger ones those of fewer dots.
 
     pixels : of each sensor; a list, or names -> pixels
-    camera, exposure, display, correction, develop, metric, without : as of `pixsim.evaluate`
+    camera, exposure, display, correction, develop, motion, metric, without : as of `pixsim.evaluate`
     metrics : names of metrics, or functions of a Score that return a number; each has its columns
     repeats : sensors of each kind
     seed : of the fixed patterns and the temporal noise
@@ -136,19 +147,24 @@ def sweep(
         if not isinstance(name, int) and (fault := "is empty" if not name else name_fault(name)):
             raise invalid("pixels", f"a name that {fault}: {name!r:.80}", "names for a column of a table")
     exposure, display = exposure or Exposure(), display or Display()
-    correction, develop = correction or NO_CORRECTION, develop or DEVELOP
+    correction, develop, motion = correction or NO_CORRECTION, develop or DEVELOP, motion or STILL
     judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
     with collected_notes():
         warn_of_unused_light(judging, without)
         warn_of_other_camera(light, camera)
         each: dict[Any, Imaging] = {}
+        borders_um: list[float] = []
         for name, pixel in by_name.items():
             with named(f"pixel {name}"):
                 judging.check(MetricContext(pixel.colour is not None, without is not None))
                 check_develop(develop, pixel)
-                imaging = Imaging(camera, pixel, exposure, display, correction, develop, judging=judging, is_run=True)
+                imaging = Imaging(
+                    camera, pixel, exposure, display, correction, develop, judging=judging, is_run=True, motion=motion
+                )
                 read = imaging.physics.as_read
-                of_light = picture_size_um(light), read.read_pitch_um, display, read.border_um, array_size_um(light, camera)
+                own_um = scored_border_um(imaging.physics, motion, exposure, camera) or read.border_um
+                borders_um.append(own_um)
+                of_light = picture_size_um(light), read.read_pitch_um, display, own_um, array_size_um(light, camera)
                 dot_edges_um(*of_light, read.registration)
             each[name] = imaging
             for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
@@ -156,9 +172,10 @@ def sweep(
             warn_of_stack_limits(imaging.physics, camera, light.wavelength_nm)
         own = exposure, correction, develop, display, camera
         asked: dict[str, Any] = {"metrics": tuple(one.name for one in judging.metrics), "metric": judging.options, "light": light}
+        asked["motion"] = motion
         given = [Configuration(imaging.physics, imaging.pixel, *own, **asked) for imaging in each.values()]
         warn_of_unused_settings({"": given})
-        border_um = max(imaging.physics.as_read.border_um for imaging in each.values())
+        border_um = max(borders_um)
         seen = [Seen(light, camera, imaging.physics, border_um) for imaging in each.values()]
         if white := white_header(seen, display):
             display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})

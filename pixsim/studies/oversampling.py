@@ -34,6 +34,7 @@ from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import Illumination
 from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
+from pixsim.sensor.motion_options import STILL
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import integration_time_s
@@ -493,7 +494,8 @@ def _mean_delta_e(
 
     lights : of each part behind the lens, where they are known
     """
-    own, physics = replace(imaging, border_um=None, single=False), imaging.physics  # each part has the border of its own pixels
+    # Each part has the border of its own pixels; what moves shows less of the film.
+    own, physics = replace(imaging, border_um=None, single=False, motion=STILL), imaging.physics
     chains: dict[int, ImagingChain] = {}
     delta_e, cells = np.empty(len(parts)), sum(math.prod(part.shape) for part, _ in parts)
 

@@ -8,13 +8,11 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import invalid
 from pixsim.light.quantities import MIN_FRACTION
-from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel import PixelPhysics, derive, fill_factor_law
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
 from pixsim.studies.study_settings import Study
-from pixsim.viewer.imaging import Imaging
 
 
 @checks_arguments
@@ -42,15 +40,6 @@ def technology_of(study: Study, name: str) -> Technology:
         hint = "Put them into [pixel]."
         raise invalid(f"process.{name}", ", ".join(values), "no process numbers for a data sheet", hint)
     return technology.with_numbers(values, f"process.{name}")
-
-
-def imaging_of(study: Study, camera: Camera, technology: str, pitch_um: float) -> Imaging:
-    """Return what lies between the light and the score of a pixel of a study, without axes.
-
-    camera : of the window
-    """
-    own = study.exposure, study.display, study.correction, study.develop
-    return Imaging(camera, pixel_of(study, technology, pitch_um), *own, technology_of(study, technology), study.border_um)
 
 
 @checks_arguments

@@ -38,7 +38,7 @@ from pixsim.sensor.technology import check_name
 from pixsim.studies.cases import BASE, Case, Job, cases_of, named, with_range_ends
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
-from pixsim.studies.sampling import BYTES_PER_PIXEL, first_sampling, largest_lens_um, study_pitches_um
+from pixsim.studies.sampling import BYTES_PER_PIXEL, border_on_um, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.series import judging_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.unused import StudyConfiguration
@@ -417,10 +417,19 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False, light
             scene_of_case, its_camera = source_for(complete)
             found.append(_checked(replace(case, settings=fitted_range(complete, its_camera)), scene_of_case, its_camera))
     warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, found, strict=True)], light)
+    _warn_of_other_parts(found)
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
     kept = view if all(_same_chart(each.settings, own) for each in found) else without_chart(view)
     base, scene = with_view(study, kept) if study.has_cases else None, source_with_view(scene, view)
     return StudyJob(asked=asked, base=base, source=scene, view=view, cases=tuple(found), variant=variant)
+
+
+def _warn_of_other_parts(cases: Sequence[Case[Study]]) -> None:
+    """Warn if what moves leaves other parts of the frame to score in one case than in another."""
+    rooms_um = {border_on_um(each.settings, each.camera) - each.settings.border_um for each in cases}
+    if len(rooms_um) > 1:
+        margin = f"motion.margin_um = {math.ceil(max(rooms_um)):g}"
+        warn(f"what moves leaves other parts of the frame to score in other cases; {margin} lets all score the same")
 
 
 def warn_of_unused(cases: Sequence[tuple[Study, Study]], light: SpectralImage | None = None) -> None:
@@ -482,5 +491,5 @@ def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
-        dot_edges_um(camera.die_um, largest_um, study.display, study.border_um)
+        dot_edges_um(camera.die_um, largest_um, study.display, border_on_um(study, camera))
     return replace(case, found=(source, camera))

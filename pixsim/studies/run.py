@@ -59,6 +59,7 @@ from pixsim.viewer.score import (
     dark_clip,
     judged_score,
     make_imaging_chain,
+    scored_border_um,
     white_header,
 )
 from pixsim.viewer.setting import Run
@@ -167,7 +168,8 @@ def prepare(
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}
     check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
-    dot_edges_um(camera.die_um, pitch_um, settings.display, pitch_um)
+    border_um = scored_border_um(derive(settings.pixel), settings.motion, settings.exposure, camera) or pitch_um
+    dot_edges_um(camera.die_um, pitch_um, settings.display, border_um)
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
     case = Case(complete, found=(picture if scene is None else scene_with_view(scene, view), camera))
     job = RunJob(
@@ -387,6 +389,7 @@ class RunResult(LitRun):
             "camera": self.camera.model_dump(),
             "exposure": settings.exposure.model_dump(),
             "correction": settings.correction.model_dump(),
+            **({"motion": settings.motion.model_dump()} if settings.motion.is_on else {}),
             "display": settings.display.model_dump(),
             "seed": settings.seed,
             "notes": self.notes,
@@ -482,7 +485,9 @@ def light_run(prepared: RunJob, stage: Stage) -> LitRun:
             prepared = with_tolerance(prepared, stage)
             rendered, plan = rendered_light(prepared.demand, stage("render"))
             image = rendered.image
-        seen = Seen(image, prepared.camera, derive(prepared.settings.pixel))
+        settings, physics = prepared.settings, derive(prepared.settings.pixel)
+        border_um = scored_border_um(physics, settings.motion, settings.exposure, prepared.camera)
+        seen = Seen(image, prepared.camera, physics, border_um)
         image.header |= white_header([seen], prepared.settings.display)
     return LitRun(prepared, image, rendered, plan, tuple(notes))
 
@@ -496,7 +501,8 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
         judging = judging_of(settings)
         without = None if lit.rendered is None else lit.rendered.without
         with watched(share_of(scored, 0.0, BEFORE_FRAME)):
-            chain = make_imaging_chain(image, prepared.camera, *of_sensor, judging=judging, without=without)
+            of_light: dict[str, Any] = {"judging": judging, "without": without, "motion": settings.motion}
+            chain = make_imaging_chain(image, prepared.camera, *of_sensor, **of_light)
         scored(BEFORE_FRAME)
         score = judged_score(chain, judging, ("evaluate", settings.seed))
         statistics = [score.statistics()]
@@ -505,6 +511,5 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
             statistics.append(judged_score(chain, judging, ("evaluate", settings.seed, number)).statistics())
             scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
     warned = tuple(dict.fromkeys([*lit.warned, *notes]))
-    of_light = prepared, image, lit.rendered, lit.plan, warned
-    result = RunResult(*of_light, chain=chain, score=score, statistics=tuple(statistics))
+    result = RunResult(prepared, image, lit.rendered, lit.plan, warned, chain=chain, score=score, statistics=tuple(statistics))
     return replace(result, score=replace(score, light=result.light))

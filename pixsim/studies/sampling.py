@@ -12,11 +12,13 @@ from pixsim.base.errors import invalid
 from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.film import GREEN_NM
+from pixsim.sensor.motion_options import border_with_room_um
 from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.technology import with_fill_factor_law
-from pixsim.studies.pixels import technology_of
+from pixsim.studies.pixels import pixel_of, technology_of
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.imaging import Imaging
 
 CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
 BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
@@ -78,6 +80,27 @@ def cutoff_pitch_um(camera: Camera) -> float:
 def largest_pixel_um(study: Study, technology: str) -> float:
     """Return the largest pixel of a study's range in a technology: `pitch.max_um`, or the widest with a microlens."""
     return min(study.pitch.max_um, largest_lens_um(study, technology))
+
+
+def imaging_of(study: Study, camera: Camera, technology: str, pitch_um: float) -> Imaging:
+    """Return what lies between the light and the score of a pixel of a study, without axes.
+
+    camera : of the window
+    """
+    own = study.exposure, study.display, study.correction, study.develop
+    of_study = technology_of(study, technology), border_on_um(study, camera)
+    return Imaging(camera, pixel_of(study, technology, pitch_um), *own, *of_study, motion=study.motion)
+
+
+def border_on_um(study: Study, camera: Camera) -> float:
+    """Return the width on each side of a camera's die that a study does not score: that of its pixels, and room for what moves.
+
+    Raises PixsimError if nothing would be left.
+    """
+    if not study.motion.is_on:
+        return study.border_um
+    ends_um = [float(um) for name in study.technologies for um in study_pitches_um(study, name)[[0, -1]]]
+    return border_with_room_um(study.border_um, study.motion, study.exposure, camera, (*ends_um, study.pitch.largest_um))
 
 
 def first_sampling(study: Study) -> Sampling:

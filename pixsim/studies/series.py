@@ -13,8 +13,7 @@ from pixsim.sensor.colour_options import channels_of
 from pixsim.sensor.integration import electrons_per_joule
 from pixsim.sensor.labels import label_in
 from pixsim.studies.keys import Fingerprints, frames_fit_in_cache
-from pixsim.studies.pixels import imaging_of
-from pixsim.studies.sampling import study_pitches_um
+from pixsim.studies.sampling import imaging_of, study_pitches_um
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging

@@ -70,7 +70,7 @@ class Sight:
             for channel, white in zip(physics.channels, of_channels, strict=True)
         ]
         # A chart without the light's fall-off, which has no detail; a stack collects light by its angle.
-        is_thin = all(value is None for name, value in camera if name not in THIN_LENS)
+        is_thin = not any(value for name, value in camera if name not in THIN_LENS)
         by_lens = chart is not None and is_thin and not any(p.stack for p in pixels)
         picture = chart.digest if chart and by_lens else np.ascontiguousarray(image.planes).data
         what: dict[str, Any] = {
@@ -80,7 +80,7 @@ class Sight:
             "brightest": [f"{values.max():.{DIGITS}g}" for values in light],
             "camera": camera.model_dump(exclude={"f_number"} if by_lens else set()),
             "display": display.model_dump(exclude={"white_cd_per_m2"}),
-            "exposure": [exposure.model_dump(), first.correction.model_dump(), first.develop.model_dump()],
+            "exposure": [each.model_dump() for each in (exposure, first.motion, first.correction, first.develop)],
             # In a time that is set, bright light saturates pixels; an automatic one leaves them below their well.
             "whites": None if exposure.integration_s is None else whites,
             "pixels": [

@@ -21,7 +21,7 @@ class StudyConfiguration(Configuration):
     def of_technology(cls, study: Study, physics: PixelPhysics, technology: str) -> StudyConfiguration:
         """Return that of one technology of a study at any of its pixel sizes."""
         own = study.exposure, study.correction, study.develop, study.display, study.camera, study.lens
-        return cls(physics, study.options_of(technology), *own, study, study=study)
+        return cls(physics, study.options_of(technology), *own, study, study=study, motion=study.motion)
 
     @property
     def rules(self) -> tuple[Rule, ...]:

@@ -11,6 +11,7 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import ChannelLight
+from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Technology
@@ -43,11 +44,12 @@ class Imaging:
     single: bool = False
     judging: Judging = DELTA_E_ONLY
     is_run: bool = False
+    motion: Motion = STILL
 
     @classmethod
     def of(cls, run: Run, camera: Camera) -> Imaging:
         """Return that of the frame of a run."""
-        return cls(camera, run.pixel, run.exposure, run.display, run.correction, run.develop)
+        return cls(camera, run.pixel, run.exposure, run.display, run.correction, run.develop, motion=run.motion)
 
     @cached_property
     def physics(self) -> PixelPhysics:
@@ -97,4 +99,5 @@ class Imaging:
         """
         physics = physics or self.physics
         prepared = self.prepared(light, physics)
-        return chain_at_pitch(prepared, physics, self.exposure, self.correction, self.develop)
+        um_per_s = self.motion.um_per_s(self.camera, physics.pitch_um)
+        return chain_at_pitch(prepared, physics, self.exposure, self.correction, self.develop, um_per_s)

@@ -2,8 +2,8 @@
 
 Noise first, from the codes back to the light: rounding by the ADC, then each source of `pixsim.sensor.noise` from the last to the
 first, shot noise of dark charge, and that of light. Then what `delta_e_parts` tells of colours: mosaic, crosstalk and shading,
-colour error. Then the blur in the order of the light: veiling glare, lens, light and charge of neighbours, sampling and the
-display's interpolation, and the pixel's aperture. What is left is the remainder.
+colour error. Then motion, and the blur in the order of the light: veiling glare, lens, light and charge of neighbours, sampling
+and the display's interpolation, and the pixel's aperture. What is left is the remainder.
 
 Variances add: those of all causes together are that of the frame. Contributions to ΔE do not: where several faults hide one
 another, a cause takes off more the later it is switched off, and one that is nearly nothing may take off a little less than 0, by
@@ -34,6 +34,7 @@ from pixsim.sensor.integration import (
     illumination_of,
     integrate_pixels,
 )
+from pixsim.sensor.motion import STANDING, Moving
 from pixsim.sensor.noise import variances_e2, without_source
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.quantities import MAX_CODE_BITS
@@ -45,7 +46,8 @@ from pixsim.viewer.parts import Parts, at_every_pixel, delta_e_parts, noiseless_
 from pixsim.viewer.score import ImagingChain, PreparedScene, shown
 
 SHOT, DARK, ROUNDING = "shot noise of light", "shot noise of dark charge", "rounding by the ADC"
-VEIL, LENS, NEIGHBOURS, SAMPLING, APERTURE = "veiling glare", "lens", "neighbours", "sampling and interpolation", "pixel aperture"
+SAMPLING, APERTURE = "sampling and interpolation", "pixel aperture"
+MOTION, VEIL, LENS, NEIGHBOURS = "motion", "veiling glare", "lens", "neighbours"
 MORE_BITS = 8  # of an ADC that rounds 256 times finer
 
 
@@ -131,7 +133,7 @@ def variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]:
 
 def finer_adc(physics: PixelPhysics) -> PixelPhysics:
     """Return the pixel with an ADC of the same range that rounds 256 times finer, as far as codes have the bits."""
-    more = min(MORE_BITS, MAX_CODE_BITS - physics.pixel.bits)
+    more = min(MORE_BITS, MAX_CODE_BITS - physics.code_bits)
     finer = {"bits": physics.pixel.bits + more, "black_level_dn": physics.pixel.black_level_dn * 2**more}
     gain_e_per_dn = physics.amplification / physics.dn_per_e / 2**more
     return replace(physics, pixel=physics.pixel.model_copy(update=finer), gain_e_per_dn=gain_e_per_dn)
@@ -183,8 +185,8 @@ def delta_e_of_blur(
     def delta_e_on(light: Array) -> float:
         return float(screen.delta_e_of(shown(chain.toned(light), screen.display)).mean())
 
-    def of_pixels(rates: list[Array], shares: bool) -> float:
-        planes = [at_every_pixel(rate, light, physics, collection, shares=shares) / white for rate in rates]
+    def of_pixels(rates: list[Array], shares: bool, moving: Moving = STANDING) -> float:
+        planes = [at_every_pixel(rate, light, physics, collection, moving, shares=shares) / white for rate in rates]
         c = chain.developing(still, None if rendition is None else matrix)
         return delta_e_on(chain.mixed_on_dots(developed(planes, c, PLANES), c))
 
@@ -196,7 +198,9 @@ def delta_e_of_blur(
         steps.append(left)
 
     if rendition is None and collection is not None:
-        step("shading", of_pixels(diffracted(irradiance, camera, weights, blur), True))
+        step("shading", of_pixels(diffracted(irradiance, camera, weights, blur), True, chain.moving))
+    if chain.moving.is_on:
+        step(MOTION, of_pixels(diffracted(irradiance, camera, weights, blur), True))
     if camera.veiling_glare:
         step(VEIL, of_pixels(diffracted(irradiance, camera.without_veil, weights, blur), True))
     sharp = ideal_light(irradiance, camera)

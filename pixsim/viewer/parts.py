@@ -25,6 +25,7 @@ from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.integration import (
     M2_PER_UM2,
+    Moves,
     array_on,
     centred_pixels,
     diffracted,
@@ -32,6 +33,7 @@ from pixsim.sensor.integration import (
     illumination_of,
     integrate_pixels,
 )
+from pixsim.sensor.motion import STANDING, LightSpectrum, Moving
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, integration_time_s, make_frame
 from pixsim.viewer.develop import white_y, xyz_weights
@@ -68,7 +70,7 @@ def delta_e_parts(
     light, chain : of the pixel
     key : of the sensor and the frame, as of `ImagingChain.simulate`
     """
-    screen = chain.screen
+    screen, moving = chain.screen, chain.moving
     whole = chain.simulate(*key).mean_delta_e
     time_s = integration_time_s(chain.exposure, chain.physics, float(chain.signal_e_per_s.max()))
     still = noiseless_frame(chain, time_s)
@@ -77,14 +79,14 @@ def delta_e_parts(
         own = replace(chain, collection=None, rendition=light.rendition, whites_e_per_s=light.whites_e_per_s(physics))
         pixels = centred_pixels(light.array_um, physics)
         planes = [
-            at_every_pixel(one.rate_e_per_s_um2, light, physics, collection_of(channel, one.illumination, pixels)) / white
+            at_every_pixel(one.rate_e_per_s_um2, light, physics, collection_of(channel, one.illumination, pixels), moving) / white
             for one, channel, white in zip(light.lights, physics.channels, light.whites_e_per_s_um2, strict=True)
         ]
         blur = diffusion_of(physics)
         mean = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
         seen = diffracted(irradiance, camera, list(xyz_weights(irradiance)), blur)
         white = white_y(irradiance, camera, screen.display) * M2_PER_UM2
-        observed = [at_every_pixel(rate, light, physics, mean) / white for rate in seen]
+        observed = [at_every_pixel(rate, light, physics, mean, moving) / white for rate in seen]
         # Without a stack, channels record their own light only.
         recorded = (_mixed_at_every_pixel(light, physics, chain), chain.matrix) if chain.collection else (planes, own.matrix)
         for channels, matrix in (recorded, (planes, own.matrix), (observed, light.rendition.to_display)):
@@ -113,14 +115,21 @@ def _array(light: PreparedScene, physics: PixelPhysics) -> tuple[tuple[int, int]
 
 
 def at_every_pixel(
-    rate: Array, light: PreparedScene, physics: PixelPhysics, collection: Collection | None, *, shares: bool = True
+    rate: Array,
+    light: PreparedScene,
+    physics: PixelPhysics,
+    collection: Collection | None,
+    moving: Moving = STANDING,
+    *,
+    shares: bool = True,
 ) -> Array:
     """Return the mean light on every pixel, (rows, columns), as one channel would see it everywhere, without shading.
 
+    moving : how it moves over the pixels
     shares : whether pixels around collect light of each other
     """
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
-    mean = _means(rate, light, physics, side_um)
+    mean = _means(rate, light, physics, side_um, moving)
     if collection is not None and shares:
         rows, columns = mean.shape
         mean = share_with_neighbours(mean, collection.shares) / collection.on_axis / collection.relative((rows, columns))
@@ -128,10 +137,11 @@ def at_every_pixel(
     return read_as_one(mean, side) / side**2
 
 
-def _means(rate: Array, light: PreparedScene, physics: PixelPhysics, side_um: float) -> Array:
+def _means(rate: Array, light: PreparedScene, physics: PixelPhysics, side_um: float, moving: Moving) -> Array:
     """Return the mean of a rate over the aperture of every pixel, (rows, columns)."""
     _, size_um, first_um = _array(light, physics)
-    options: dict[str, Any] = {"size_um": size_um, "first_um": first_um}
+    moves = Moves(LightSpectrum(rate), moving, physics.as_read.bin_side) if moving.is_on else None
+    options: dict[str, Any] = {"size_um": size_um, "first_um": first_um, "moves": moves}
     return integrate_pixels(rate, light.sample_pitch_um, physics.pitch_um, side_um, **options) / side_um**2
 
 
@@ -143,7 +153,7 @@ def _mixed_at_every_pixel(light: PreparedScene, physics: PixelPhysics, chain: Im
     collection = chain.collection
     assert isinstance(collection, ColourCollection)
     means = [
-        _means(one.rate_e_per_s_um2, light, physics, each.aperture_side_um)
+        _means(one.rate_e_per_s_um2, light, physics, each.aperture_side_um, chain.moving)
         for one, each in zip(light.lights, collection.each, strict=True)
     ]
     planes, side = [], physics.as_read.bin_side

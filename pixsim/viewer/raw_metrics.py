@@ -150,10 +150,17 @@ def sensor_mtf(chain: ImagingChain, across: Array, down: Array, *, with_lens: bo
 
     Blur by the lens and by diffusion is taken as that of the axis in all directions.
 
+    Motion counts as a path of its own direction.
+
     with_lens : whether the lens counts, and not the pixel alone
     """
     along, terms = sensor_terms(chain)
-    found: Array = np.ones(np.broadcast_shapes(across.shape, down.shape))
+    path_mm = 1e-3 * np.array(chain.moving.path_um)
+    found: Array = (
+        np.sinc(path_mm[0] * down + path_mm[1] * across)
+        if path_mm.any()
+        else np.ones(np.broadcast_shapes(across.shape, down.shape))
+    )
     for name, values in terms.items():
         if not with_lens and name in LENSES:
             continue
@@ -184,7 +191,7 @@ def scene_power(chain: ImagingChain, options: Information) -> tuple[Array, Array
 
         return axis, power(axis[:, None], axis), folded_spectrum(power, axis, pitch_um, ORDERS)
 
-    return chain.facts.kept(("power", options.content_hash, *chain.pixel_key), compute)
+    return chain.facts.kept(("power", options.content_hash, chain.moving.path_um, *chain.pixel_key), compute)
 
 
 def _information(judged: Judged) -> tuple[float, float]:
@@ -218,14 +225,17 @@ INFORMATION = Metric(
 )
 
 
-def _mtf_along(chain: ImagingChain) -> tuple[Array, Array]:
-    """Return frequencies in cycles/mm, and the MTF from scene to sensor along an axis."""
-    along, _ = sensor_terms(chain)
-    return along, np.abs(sensor_mtf(chain, along, np.zeros(1)))
+def _mtf_along(chain: ImagingChain, along: Array | None = None) -> tuple[Array, Array]:
+    """Return frequencies in cycles/mm, and the MTF from scene to sensor along the axis of the longer path of what moves."""
+    along = sensor_terms(chain)[0] if along is None else along
+    down, across = map(abs, chain.moving.path_um)
+    return along, np.abs(sensor_mtf(chain, along, np.zeros(1)) if across >= down else sensor_mtf(chain, np.zeros(1), along))
 
 
 def _mtf50(judged: Judged) -> tuple[float]:
     along, mtf = _mtf_along(judged.chain)
+    if path_um := max(map(abs, judged.chain.moving.path_um)):  # before the first zero of a long path, which the table may leave out
+        along, mtf = _mtf_along(judged.chain, np.linspace(0.0, min(float(along[-1]), 1e3 / path_um), TABLE_POINTS))
     found = mtf50(along, mtf)
     return (float(along[-1]) if found is None else found,)
 
@@ -309,7 +319,7 @@ NIIRS = Metric(
     better="more",
     judges="raw frame",
     source="General Image Quality Equation 5, NGA (2015)",
-    unseen="aliases, clipping, corrections, motion, haze; fitted to pictures from above of 0.2 to 1.3 relative edge response",
+    unseen="aliases, clipping, corrections, haze; fitted to pictures from above of 0.2 to 1.3 relative edge response",
     columns=("niirs",),
     bounds=(-1e3, 1e3),
     compute=_niirs,

@@ -34,7 +34,17 @@ from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.integration import ChannelLight, array_signal, array_size_um, centred_pixels, electrons_per_joule, lights_of
+from pixsim.sensor.integration import (
+    ChannelLight,
+    array_signal,
+    array_size_um,
+    centred_pixels,
+    electrons_per_joule,
+    lights_of,
+    moved_signals,
+)
+from pixsim.sensor.motion import STANDING, Moving
+from pixsim.sensor.motion_options import STILL, VELOCITIES, Motion, border_with_room_um
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.pixel_options import Pixel
@@ -49,6 +59,7 @@ from pixsim.sensor.readout import (
     make_frame,
     sample_sensor,
 )
+from pixsim.sensor.stages import moving_in
 from pixsim.show.document import pairs
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import rows_csv
@@ -85,6 +96,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+NO_VELOCITY = 0.0, 0.0
 T = TypeVar("T")
 S = TypeVar("S", bound="Score")
 CLIPPED_WARNING = 0.01
@@ -336,6 +348,9 @@ class ImagingChain:
     rendition : what the channels see of a chart; None for a monochrome sensor
     made_from : the light and the pixel, before it is read, for metrics that ask for light; None if none does
     without_e_per_s : the signal of the scene without its target; None if no metric asks
+    um_per_s : velocity [x, y] of the image on the sensor
+    moving : how the light moves in a frame, whose time the exposure states then
+    each_e_per_s : the signal in each exposure of a burst, if they differ; else none
     """
 
     signal_e_per_s: Array
@@ -349,6 +364,9 @@ class ImagingChain:
     rendition: Rendition | None = None
     made_from: tuple[PreparedScene, PixelPhysics] | None = None
     without_e_per_s: Array | None = None
+    um_per_s: tuple[float, float] = NO_VELOCITY
+    moving: Moving = STANDING
+    each_e_per_s: tuple[Array, ...] = ()
 
     @property
     def facts(self) -> LightFacts:
@@ -368,7 +386,7 @@ class ImagingChain:
         assert self.made_from is not None
         light, physics = self.made_from
         moved = replace(physics, pixel=physics.pixel.model_copy(update={"registration": None})).registered(number)
-        return chain_at_pitch(light, moved, self.exposure, self.correction, self.develop)
+        return chain_at_pitch(light, moved, self.exposure, self.correction, self.develop, self.um_per_s)
 
     @property
     def white_e_per_s(self) -> float:
@@ -416,7 +434,7 @@ class ImagingChain:
 
         make_correction_rng : makes the second one; it is called only if the camera corrects its frames
         """
-        frame = capture_from_rates(self.signal_e_per_s, sensor, self.exposure, frame_rng)
+        frame = self._taken(sensor, frame_rng)
         if not self.correction.is_on:
             return frame
         layout, whites = self.physics.layout, np.array(self.whites_e_per_s)
@@ -433,7 +451,10 @@ class ImagingChain:
             return
         sensor = self.sensor(*key)
         for number in range(2, count + 1):
-            yield capture_from_rates(self.signal_e_per_s, sensor, self.exposure, stream(*key, "frame", number))
+            yield self._taken(sensor, stream(*key, "frame", number))
+
+    def _taken(self, sensor: Sensor, rng: np.random.Generator) -> Frame:
+        return capture_from_rates(self.signal_e_per_s, sensor, self.exposure, rng, self.each_e_per_s)
 
     def sensor(self, *key: object) -> Sensor:
         """Return the sensor of `capture`; it does not depend on the light."""
@@ -981,14 +1002,62 @@ def chain_at_pitch(
     exposure: Exposure,
     correction: Correction = NO_CORRECTION,
     develop: Develop = DEVELOP,
+    um_per_s: tuple[float, float] = NO_VELOCITY,
 ) -> ImagingChain:
-    """Return the imaging chain of a pixel of any pitch and registration, from light prepared for its spectral response."""
+    """Return the imaging chain of a pixel of any pitch and registration, from light prepared for its spectral response.
+
+    um_per_s : velocity [x, y] of the image on the sensor; automatic exposure is metered on the picture that stands still
+
+    Raises PixsimError if the picture moves farther than what is scored leaves room for.
+    """
     signal, collections = array_signal(light.lights, light.sample_pitch_um, physics, light.array_um)
     if light.exposed_for is not None and exposure.integration_s is None:
         calm, _ = array_signal(light.exposed_for, light.sample_pitch_um, physics, light.array_um)
         time_s = integration_time_s(exposure, physics.as_read, float(calm.max()))
         exposure = exposure.lasting(time_s)
-    return _chain(light, physics, exposure, correction, develop, signal, collections)
+    still = _chain(light, physics, exposure, correction, develop, signal, collections)
+    return still if um_per_s == NO_VELOCITY else _moved(still, light, physics, um_per_s)
+
+
+def _moved(still: ImagingChain, light: PreparedScene, physics: PixelPhysics, um_per_s: tuple[float, float]) -> ImagingChain:
+    """Return the chain of light that moves, from that of the same light that stands still.
+
+    physics : of the pixels, before they are read
+    """
+    exposure = still.exposure
+    time_s = integration_time_s(exposure, still.physics, float(still.signal_e_per_s.max()))
+    moving = moving_in(um_per_s, time_s, exposure)
+    check_room(still, moving, light.array_um)
+
+    pixels = light.sample_pitch_um, physics, light.array_um, moving
+    signal, each = moved_signals(light.lights, *pixels, exposure.frames)
+    without = None if still.without_e_per_s is None or light.facts is None else light.facts.without
+    return replace(
+        still,
+        signal_e_per_s=signal,
+        exposure=exposure.lasting(time_s),
+        without_e_per_s=None if without is None else array_signal(without, *pixels)[0],
+        um_per_s=um_per_s,
+        moving=moving,
+        each_e_per_s=each,
+    )
+
+
+def check_room(chain: ImagingChain, moving: Moving, array_um: tuple[float, float]) -> None:
+    """Raise PixsimError if light from beyond the picture moves into the part of it that is scored."""
+    screen, read = chain.screen, chain.physics
+    own_um = 0.0 if screen.display.raster == "one_to_one" else read.border_um
+    for axis, (edges, size_um) in enumerate(zip(screen.dot_edges_um, screen.size_um, strict=True)):
+        lines = array_um[0] / read.read_pitch_um
+        needed_um = (abs(moving.path_um[axis]) + abs(moving.row_um[axis]) * lines) / 2
+        room_um = max(0.0, min(float(edges[0]), size_um - float(edges[-1])) - own_um)
+        if needed_um > room_um * (1 + ROUNDING):
+            got = f"a path of {2 * needed_um:.4g} µm on the sensor in {1e3 * (chain.exposure.integration_s or 0):.4g} ms"
+            slower = f"slow it down ({', '.join(VELOCITIES)})"
+            hint = f"Raise {setting('motion.margin_um')}, shorten {setting('exposure.max_integration_s')}, or {slower}."
+            if screen.display.raster == "one_to_one":
+                hint = f"With display.raster = 'one_to_one' all pixels are scored; take 'fixed_size', or {slower}."
+            raise invalid("motion", got, f"at most {2 * room_um:.4g} µm, twice what is left on each side of what is scored", hint)
 
 
 def chain_of_frames(
@@ -1063,6 +1132,7 @@ def make_imaging_chain(
     keep: bool = False,
     judging: Judging = DELTA_E_ONLY,
     without: SpectralImage | None = None,
+    motion: Motion = STILL,
 ) -> ImagingChain:
     """Return the imaging chain up to the noise.
 
@@ -1078,20 +1148,29 @@ def make_imaging_chain(
     warn_of_disagreements(pixel)
     warn_of_implausible_numbers(pixel)
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
-    if white := white_header([Seen(irradiance, camera, physics)], display):
+    border_um = scored_border_um(physics, motion, exposure, camera)
+    if white := white_header([Seen(irradiance, camera, physics, border_um)], display):
         display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})
     judging.check(MetricContext(physics.layout is not None, without is not None))
     keep = keep and not judging.needs_light
-    key = _key_of_chain(irradiance, camera, physics, (exposure, display, correction, develop), full) if keep else None
+    key = _key_of_chain(irradiance, camera, physics, (exposure, display, correction, develop, motion), full) if keep else None
     if key is None or key not in _kept_chains:
-        light = prepare_scene(irradiance, camera, physics, display, full, judging=judging, without=without, develop=develop)
-        found = chain_at_pitch(light, physics, exposure, correction, develop), light.beyond_white
+        own = irradiance, camera, physics, display, full
+        light = prepare_scene(*own, border_um=border_um, judging=judging, without=without, develop=develop)
+        um_per_s = motion.um_per_s(camera, physics.pitch_um)
+        found = chain_at_pitch(light, physics, exposure, correction, develop, um_per_s), light.beyond_white
     else:
         found = _kept_chains.pop(key)
     if key is not None:
         _keep_chain(key, *found)
     warn_of_clipping(found[1])
     return found[0]
+
+
+def scored_border_um(physics: PixelPhysics, motion: Motion, exposure: Exposure, camera: Camera) -> float | None:
+    """Return the border of a frame that is scored alone, with room for what moves; None: that of the pixel."""
+    read = physics.as_read
+    return border_with_room_um(read.border_um, motion, exposure, camera, [read.read_pitch_um]) if motion.is_on else None
 
 
 def warn_of_other_camera(irradiance: SpectralImage, camera: Camera) -> None:
@@ -1140,6 +1219,7 @@ def evaluate(
     *,
     correction: Correction | None = None,
     develop: Develop | None = None,
+    motion: Motion | None = None,
     seed: Whole = 0,
     full: bool = False,
     metrics: Sequence[str | Callable[[Score], float]] = ("delta_e",),
@@ -1152,6 +1232,7 @@ def evaluate(
     exposure, display : None means the defaults
     correction : of the frame by the camera; None means none
     develop : of a frame into a picture; None means the default
+    motion : of the scene; None means that it stands still
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
     metrics : names of metrics, or functions of a Score, each a number in its own unit; they are the score's `metrics`
@@ -1170,17 +1251,17 @@ def evaluate(
     ((30, 30), 1.0)
     """
     exposure, display = exposure or Exposure(), display or Display()
-    correction, develop = correction or NO_CORRECTION, develop or DEVELOP
+    correction, develop, motion = correction or NO_CORRECTION, develop or DEVELOP, motion or STILL
     from pixsim.viewer.metric_registry import metrics_named
 
     judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
-    asked: dict[str, Any] = {"metrics": tuple(each.name for each in judging.metrics), "metric": judging.options}
+    asked: dict[str, Any] = {"metrics": tuple(each.name for each in judging.metrics), "metric": judging.options, "motion": motion}
     own = pixel, exposure, correction, develop, display, camera, camera.lens_options
     given = Configuration(derive(pixel), *own, light=irradiance, **asked)
     warn_of_unused_settings({"": [given]})
     warn_of_unused_light(judging, without)
     settings = irradiance, camera, pixel, exposure, display, full, correction, develop
-    chain = make_imaging_chain(*settings, keep=True, judging=judging, without=without)
+    chain = make_imaging_chain(*settings, keep=True, judging=judging, without=without, motion=motion)
     score = judged_score(chain, judging, ("evaluate", seed))
     time_s, saturated = score.frame.integration_s, score.frame.saturated_fraction
     of_frame = chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal), saturated

@@ -18,6 +18,7 @@ from pixsim.optics.lens_options import LensOptions, replaced_by_lens
 from pixsim.optics.quantities import DieWidth
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel, PixelOptions
 from pixsim.sensor.quantities import Seconds
 from pixsim.viewer.develop_options import Develop, check_develop
@@ -83,6 +84,7 @@ class Setting(Effort):
     )
     pixel: Annotated[PixelOptions, OF_PIXEL] = Field(PixelOptions(), description="pixel, without technology and pitch")
     exposure: Exposure = Field(Exposure(), description="exposure of each frame")
+    motion: Motion = Field(Motion(), description="how fast the scene moves in each exposure")
     correction: Correction = Field(Correction(), description="correction of each frame by the camera")
     develop: Develop = Field(Develop(), description="how frames with colour filters become pictures")
     display: Display = Field(Display(), description="display, viewer and metric")

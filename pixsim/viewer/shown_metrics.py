@@ -37,10 +37,12 @@ def _acutance(judged: Judged) -> tuple[float]:
         if chain.develop.sharpens:
             cy_per_px = 1e-3 * chain.physics.read_pitch_um * on_sensor
             terms["sharpening"] = unsharp_response(cy_per_px, chain.develop.sharpen_amount, chain.sharpen_px)
+        # Along the axis of the longer path.
+        terms["motion"] = np.sinc(1e-3 * max(map(abs, chain.moving.path_um)) * on_sensor)
         return acutance(frequency, np.abs(np.prod(list(terms.values()), axis=0)))
 
     sharpened = chain.develop.sharpen_amount, chain.sharpen_px if chain.develop.sharpens else 0.0
-    return (facts.kept(("acutance", display.content_hash, *sharpened, *chain.pixel_key), compute),)
+    return (facts.kept(("acutance", display.content_hash, *sharpened, chain.moving.path_um, *chain.pixel_key), compute),)
 
 
 ACUTANCE = Metric(

@@ -22,6 +22,7 @@ from pixsim.optics.lens_options import LensOptions
 from pixsim.sensor.colour_options import binned_cell, efficiencies_of
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, NO_TECHNOLOGY, SCALED_WITH_AREA, PixelOptions
 from pixsim.sensor.stack_options import StackOptions
@@ -59,12 +60,13 @@ class Configuration:
     lens_of: str = ""
     metrics: tuple[str, ...] = ()
     metric: MetricOptions = METRIC_OPTIONS
+    motion: Motion = STILL
 
     @classmethod
     def of(cls, run: Run, physics: PixelPhysics) -> Configuration:
         """Return that of a run."""
         own = run.exposure, run.correction, run.develop, run.display, run.camera, run.lens
-        return cls(physics, run.pixel, *own, run)
+        return cls(physics, run.pixel, *own, run, motion=run.motion)
 
     @property
     def rules(self) -> tuple[Rule, ...]:
@@ -101,7 +103,7 @@ class Configuration:
         return [name for name in found if name not in same]
 
 
-TABLES = "camera", "lens", "pixel", "exposure", "correction", "develop", "display"
+TABLES = "camera", "lens", "pixel", "exposure", "motion", "correction", "develop", "display"
 
 
 def changed_of(record: Record, prefix: str, but: Sequence[str] = ()) -> Iterator[str]:
@@ -272,6 +274,16 @@ def of_target(c: Configuration) -> str:
     return "" if c.command else "the light of the scene without its target is given (without=…)"
 
 
+def of_line_time(c: Configuration) -> str:
+    if c.exposure.shutter == "global":
+        return "it is about exposure.shutter = 'rolling'"
+    return "" if c.motion.is_on else "nothing moves"
+
+
+def of_plane(c: Configuration) -> str:
+    return "" if any(c.motion.velocity_mm_per_s or ()) else "it is about motion.velocity_mm_per_s"
+
+
 def of_registrations(c: Configuration) -> str:
     centred = "with display.raster = 'one_to_one' the array is centred" if c.display.raster == "one_to_one" else ""
     return of_metric(c, "detectability") or centred
@@ -321,6 +333,10 @@ RULES = (
         ("exposure.max_integration_s", "exposure.well_target"),
         lambda c: "exposure.integration_s states the time" if c.exposure.integration_s else "",
     ),
+    Rule(("exposure.shutter",), lambda c: "" if c.motion.is_on else "nothing moves"),
+    Rule(("exposure.line_time_us",), of_line_time),
+    Rule(("motion.distance_m",), of_plane),
+    Rule(("motion.margin_um",), lambda c: "" if c.motion.is_on else "nothing moves"),
     Rule(("exposure.frame_time",), lambda c: "" if c.exposure.frames > 1 else "exposure.frames is 1"),
     Rule(("correction.flat_level",), lambda c: "" if c.correction.flat_frames else "correction.flat_frames is 0"),
     Rule(("develop.white_balance", "develop.matrix"), of_colour),

@@ -32,11 +32,12 @@ from pixsim.studies.study_file import load_study
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.setting import Run
 
-# Bounds that do not stand in the field: of curves in `_check_curve`, `_check_channel` and `_check_chief_rays`; of scenes and axes
-# in `_free_number`; of lenses, some of whose numbers may be infinite, in `prescription._checked` and `check_coefficients`, which
-# tests/optics/test_lens_bounds.py tests.
+# Bounds that do not stand in the field: of curves in `_check_curve`, `_check_channel`, `as_share`, `_check_chief_rays` and
+# `as_relative_illumination`; of scenes and axes in `_free_number`; of lenses, some of whose numbers may be infinite, in
+# `prescription._checked` and `check_coefficients`, which tests/optics/test_lens_bounds.py tests.
 CHECKED_ELSEWHERE = {
     "sensitivities", "quantum_efficiencies", "transmittances", "quantum_efficiency", "chief_ray_angle",
+    "relative_illumination", "fall_off", "veiling_glare",
     "radius_mm", "object_distance_mm", "values", "parameters", "scene", "without",
 }  # fmt: skip
 EXTREMES = (

@@ -9,6 +9,7 @@ place, in float32 as in a study.
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 import tempfile
@@ -116,6 +117,15 @@ def targets() -> None:
         chain_at_pitch(light, physics, EXPOSURE).simulate(1).statistics()
 
     row("sense, display, score of a 512² frame", 0.08, evaluation)
+    room = prepare_scene(film, CAMERA, physics, DISPLAY, single=True, border_um=100.0)
+    numbers = itertools.count()  # another path each time, as of pixel sizes with other exposure times
+    for words, velocity in {"still": (0.0, 0.0), "across": (800.0, 0.0), "down": (0.0, 800.0), "both": (800.0, 500.0)}.items():
+
+        def moving(velocity: tuple[float, float] = velocity) -> None:
+            x, y = (speed * (1 + 1e-6 * next(numbers)) for speed in velocity)
+            chain_at_pitch(room, physics, EXPOSURE, um_per_s=(x, y)).simulate(1).statistics()
+
+        row(f"the same of light that moves: {words}", None, moving)
 
 
 def unavoidable(chain: ImagingChain) -> dict[str, Work]:

@@ -33,6 +33,7 @@ CHANGES: dict[str, tuple[Any, str]] = {
     "tolerance_delta_e": (1e-6, "light score"),  # which asks for double precision
     "pitch": ({"values_um": (6.0, 7.0, 8.0, 9.0, 16.0)}, "light score"),
     "exposure": ({"well_target": 0.5}, "light frame score"),
+    "motion": ({"image_um_per_s": (3.0, 0.0)}, "light frame score"),
     "correction": ({"dark_frames": 4}, "light frame score"),
     "develop": ({"matrix": "noise_aware"}, "light score"),
     "display": ({"gamma": 1.8}, "light score"),

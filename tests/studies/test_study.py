@@ -26,9 +26,10 @@ from pixsim.base.toml import packaged, read_toml
 from pixsim.report.study import light_against_detail, report_files
 from pixsim.sensor.readout import Frame
 from pixsim.studies import evaluations as rows_module
-from pixsim.studies.pixels import imaging_of, technology_of
+from pixsim.studies.pixels import technology_of
 from pixsim.studies.preparation import prepare
 from pixsim.studies.result import StudyResult
+from pixsim.studies.sampling import imaging_of
 from pixsim.studies.sentences import optimum_line
 from pixsim.studies.study_file import load_study
 from pixsim.viewer.merging import merge

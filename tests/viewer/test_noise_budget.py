@@ -15,6 +15,7 @@ from pixsim.optics.camera import Camera
 from pixsim.report.run import run_document, run_page
 from pixsim.sensor import noise
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import SOURCES, NoiseSource, without_source
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
@@ -23,7 +24,19 @@ from pixsim.show.render import text
 from pixsim.studies.parts import noise_budgets
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.noise_budget import APERTURE, DARK, LENS, ROUNDING, SAMPLING, SHOT, VEIL, NoiseBudget, finer_adc, noise_budget
+from pixsim.viewer.noise_budget import (
+    APERTURE,
+    DARK,
+    LENS,
+    MOTION,
+    ROUNDING,
+    SAMPLING,
+    SHOT,
+    VEIL,
+    NoiseBudget,
+    finer_adc,
+    noise_budget,
+)
 
 SIDE, SAMPLE_UM = 256, 2.0
 CAMERA = Camera(die_mm=SIDE * SAMPLE_UM / 1e3)
@@ -95,6 +108,21 @@ def test_causes_that_are_not_there_take_off_nothing() -> None:
     fine = budget(light(), display=DISPLAY.model_copy(update={"raster": "one_to_one"}), **QUIET)
     assert SAMPLING not in fine.delta_e
     assert fine.remainder_delta_e == pytest.approx(0, abs=1e-9)
+
+
+def test_motion_takes_off_what_it_adds() -> None:
+    """Without noise, motion takes off what a moving picture has more than a still one, scored on the same part."""
+    found = []
+    for speed in (400.0, 0.0):
+        motion = Motion(image_um_per_s=(speed, 0.0), margin_um=20.0)
+        imaging = Imaging(CAMERA, Pixel(**ALL | QUIET), Exposure(integration_s=0.02), DISPLAY, motion=motion, border_um=40.0)
+        prepared = imaging.light(light())
+        found.append(noise_budget(light(), CAMERA, imaging.physics, prepared, imaging.chain(prepared), "budget"))
+    moving, still = found
+    assert MOTION not in still.delta_e
+    assert moving.delta_e[MOTION] > 0.05
+    less = {name: moving.delta_e[name] - still.delta_e.get(name, 0.0) for name in moving.delta_e if name not in moving.electrons_e}
+    assert less == {name: pytest.approx(moving.delta_e[MOTION] if name == MOTION else 0.0, abs=1e-4) for name in less}
 
 
 @pytest.mark.parametrize("source", [source.name for source in SOURCES])

@@ -23,6 +23,7 @@ from pixsim.optics.lens_options import OF_ANY_LENS, LensOptions
 from pixsim.sensor.colour_options import ColourOptions
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NUMBERS, DarkCurrent, Pixel
 from pixsim.sensor.stack_options import StackOptions
@@ -151,7 +152,9 @@ MOVES: dict[str, Any] = {
     "pixel.colour.quantum_efficiencies": bells(0.45), "pixel.colour.transmittances": bells(0.45),
     "pixel.colour.peak_quantum_efficiency": 0.2,
     "exposure.integration_s": 1e-4, "exposure.max_integration_s": 1e-6, "exposure.well_target": 0.5, "exposure.gain_db": 6.0,
-    "exposure.frames": 3, "exposure.frame_time": "each",
+    "exposure.frames": 3, "exposure.frame_time": "each", "exposure.shutter": "rolling", "exposure.line_time_us": 5.0,
+    "motion.velocity_mm_per_s": [9.0, 0.0], "motion.image_um_per_s": [1.0, 0.5], "motion.pixels_per_s": [0.0, 1.0],
+    "motion.distance_m": 0.02, "motion.margin_um": 9.0,
     "correction.dark_frames": 3, "correction.flat_frames": 3, "correction.flat_level": 0.3, "correction.column_clamp": 3,
     "correction.defects": True,
     "develop.denoise": ("wiener_bound", "wavelet"), "develop.denoise_strength": 0.5, "develop.remosaic": True,
@@ -178,6 +181,10 @@ BESIDE: dict[str, dict[str, Any]] = {
     "pixel.follower_area_um2": {"pixel": {"a_vt_mv_um": 4.0}},
     **{f"pixel.dark_current.{name}": {"pixel": {"dark_current": AT_20}} for name in DarkCurrent.model_fields},
     "pixel.colour": QUICK_FIT,
+    "exposure.shutter": {"exposure": {"line_time_us": 1e5}, "motion": {"image_um_per_s": [1.0, 0.5]}},
+    "exposure.line_time_us": {"exposure": {"shutter": "rolling", "line_time_us": 1e5}, "motion": {"image_um_per_s": [1.0, 0.5]}},
+    "motion.distance_m": {"motion": {"velocity_mm_per_s": [0.1, 0.0]}},
+    "motion.margin_um": {"motion": {"image_um_per_s": [1.0, 0.5]}},
     "exposure.frame_time": {"exposure": {"frames": 3, "integration_s": 1e-4}},
     "develop.denoise_strength": {"develop": {"denoise": "wavelet"}},
     **{f"develop.sharpen_radius_{unit}": {"develop": {"sharpen_amount": 2.0}} for unit in ("px", "cy_per_deg")},
@@ -189,6 +196,7 @@ IN_RECORDS = {"camera": Camera, "lens": LensOptions, "pixel": Pixel, "pixel.dark
 IN_RECORDS |= {
     "pixel.colour": ColourOptions,
     "exposure": Exposure,
+    "motion": Motion,
     "correction": Correction,
     "develop": Develop,
     "display": Display,
@@ -206,7 +214,8 @@ def scored(table: dict[str, Any]) -> Outcome:
             camera = camera_with_lens(Camera(**tables["camera"]), CameraOptions(**table.get("camera", {})), lens)
             light = BEHIND_LENS if lens.file else LIGHT
             records: dict[str, Any] = {
-                name: IN_RECORDS[name](**tables.get(name, {})) for name in ("exposure", "display", "correction", "develop")
+                name: IN_RECORDS[name](**tables.get(name, {}))
+                for name in ("exposure", "motion", "display", "correction", "develop")
             }
             score = pixsim.evaluate(light, camera, Pixel(**tables["pixel"]), **records)
         except pixsim.PixsimError as error:

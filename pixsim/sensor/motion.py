@@ -1,0 +1,234 @@
+"""Light that moves over the pixels while they are exposed, and that each row sees at another time.
+
+Along a path of length L the light is averaged: its spectrum is multiplied by sinc(f · L), with the frequency along the path. In
+the DCT-II basis, where the picture goes on by reflection, this is exact for paths of any length and direction: with a = f_y L_y
+and b = f_x L_x the product of cosines keeps (sinc(a + b) + sinc(a - b))/2 of itself, and (sinc(a - b) - sinc(a + b))/2 becomes a
+product of sines. Between its samples the picture is the spline of `pixsim.sensor.integration`, here with knots in all cells, whose
+coefficients are a filter of the samples, too; so a path costs an inverse transform, and no new spline.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from pixsim.base.arrays import Array, dct, empty_planes, strips, transposed
+from pixsim.base.machine import threads
+
+MAX_KEPT_SAMPLES = 1 << 22  # of a light whose transforms are kept, 32 MiB each: a film of 2048²
+REACH = 3  # cells beyond an interval that its weights reach
+OF_SAMPLES = 66 / 120, 52 / 120, 2 / 120  # quintic B-spline at 0, ±1 and ±2: means of the quartic one over cells
+
+
+@dataclass(frozen=True)
+class Moving:
+    """How the light moves over the pixels of a frame, in µm, down and across.
+
+    path_um : while a row is exposed
+    row_um : from one row that is read to the next
+    shift_um : at mid exposure of the middle of the rows, from where the ideal picture has it
+    """
+
+    path_um: tuple[float, float]
+    row_um: tuple[float, float] = (0.0, 0.0)
+    shift_um: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def is_on(self) -> bool:
+        """Whether anything moves."""
+        return any((*self.path_um, *self.row_um, *self.shift_um))
+
+    def of_exposures(self, count: int) -> list[Moving]:
+        """Return that of each exposure of a burst, which follow one another at once."""
+        down, across = (path / count for path in self.path_um)
+        places = np.arange(count) - (count - 1) / 2
+        return [Moving((down, across), self.row_um, (place * down, place * across)) for place in places.tolist()]
+
+
+STANDING = Moving((0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class LightSpectrum:
+    """Spectrum of a picture (H, W), which all paths over it share.
+
+    samples : means over square cells
+    """
+
+    samples: Array = field(repr=False)
+    _back: dict[tuple[int, tuple[float, float]], tuple[Array, Array | None]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    @cached_property
+    def of_samples(self) -> Array:
+        """DCT-II of the samples, (H, W)."""
+        plane = empty_planes(*self.samples.shape)
+        plane[...] = self.samples
+        return dct(plane)
+
+    @cached_property
+    def of_spline(self) -> Array:
+        """DCT-II of the coefficients of the quartic spline whose means over the cells are the samples, (H, W)."""
+        filters = []
+        for count in self.samples.shape:
+            angle = math.pi * np.arange(count) / count
+            filters.append(OF_SAMPLES[0] + OF_SAMPLES[1] * np.cos(angle) + OF_SAMPLES[2] * np.cos(2 * angle))
+        return self.of_samples / filters[0][:, None] / filters[1]
+
+    def back(self, axis: int, path_cells: tuple[float, float] = (0.0, 0.0)) -> tuple[Array, Array | None]:
+        """Return `of_spline` of the picture averaged along a path, back down the columns (0) or along the rows: cosines and sines.
+
+        None in place of sines that are 0. The pixels of one exposure time share those of its path.
+        """
+        key = axis, path_cells
+        if (found := self._back.get(key)) is not None:
+            return found
+        even, odd = _kept_along(self.of_spline, path_cells)
+        found = _cosines(even, axis), None if odd is None else _sines(odd, axis)
+        if self.samples.size <= MAX_KEPT_SAMPLES:
+            for other in [other for other in self._back if any(path_cells) and any(other[1])]:  # the still ones stay
+                del self._back[other]
+            self._back[key] = found
+        return found
+
+    def blurred(self, path_cells: tuple[float, float]) -> Array:
+        """Return the samples averaged along a path, (H, W); isolated points ring, also below zero.
+
+        path_cells : down and across
+        """
+        if not any(path_cells):
+            return self.samples
+        even, odd = _kept_along(self.of_samples, path_cells)
+        total = _cosines(_cosines(even, 0), 1)
+        return total if odd is None else total + _sines(_sines(odd, 0), 1)
+
+    def integrals(
+        self, y_cells: tuple[Array, Array], x_cells: tuple[Array, Array], path_cells: tuple[float, float], shift_cells: Array
+    ) -> Array:
+        """Return the integrals of the moving picture between pairs of positions down and across, (rows, columns), in cells².
+
+        shift_cells : (2, rows) displacement of the light in each row, down and across
+        """
+        down, across = path_cells
+        height, width = self.samples.shape
+        rows = cell_weights(y_cells[0] - shift_cells[0], y_cells[1] - shift_cells[0], height)
+        columns = cell_weights(*x_cells, width)
+        if down and not across and not shift_cells[1].any():
+            light = transposed(columns @ transposed(self.back(1)[0])) * np.sinc(_cycles(height) * down)[:, None]
+            return np.asarray(rows @ _cosines(light, 0))
+        cosines, sines = self.back(0, path_cells if down else (0.0, 0.0))
+        cosines, sines = rows @ cosines, None if sines is None else rows @ sines
+        if across and not down:
+            cosines = cosines * np.sinc(_cycles(width) * across)
+        cosines, sines = _shifted(cosines, sines, shift_cells[1])
+        light = _cosines(cosines, 1) if sines is None else _cosines(cosines, 1) + _sines(sines, 1)
+        return transposed(columns @ transposed(light))
+
+
+def shifted_rows(picture: Array, shift_cells: Array) -> Array:
+    """Return a picture (rows, W) whose rows are displaced across by a number of samples each, (rows,)."""
+    if not shift_cells.any():
+        return picture
+    from scipy.fft import dct as dct_along
+
+    cosines, sines = _shifted(dct_along(picture, axis=1), None, shift_cells)
+    assert sines is not None
+    return _cosines(cosines, 1) + _sines(sines, 1)
+
+
+def _cycles(count: int) -> Array:
+    """Return the frequencies of a DCT-II of so many samples, (count,), in cycles per sample."""
+    return np.arange(count) / (2 * count)
+
+
+NEAR = 1e-6  # of an angle, below which its sine over it is 1 to 2e-13
+
+
+def _kept_along(spectrum: Array, path_cells: tuple[float, float]) -> tuple[Array, Array | None]:
+    """Return what a path leaves of a spectrum (H, W) as products of cosines, and what becomes products of sines; None for none."""
+    down, across = (math.pi * _cycles(count) * path for count, path in zip(spectrum.shape, path_cells, strict=True))
+    if not any(path_cells):
+        return spectrum, None
+    if not all(path_cells):
+        return spectrum * np.sinc(down / math.pi)[:, None] * np.sinc(across / math.pi), None
+    even, odd = empty_planes(*spectrum.shape), empty_planes(*spectrum.shape)
+    # By the sines and cosines of each axis alone: those of all sums would take longer than the transforms.
+    (sin_down, cos_down), (sin_across, cos_across) = ((np.sin(each), np.cos(each)) for each in (down, across))
+    for rows in strips(*spectrum.shape):
+        first, second = np.multiply.outer(sin_down[rows], cos_across), np.multiply.outer(cos_down[rows], sin_across)
+        plus = _over(first + second, down[rows, None] + across)
+        minus = _over(first - second, down[rows, None] - across)
+        half = spectrum[rows] / 2
+        np.multiply(half, plus + minus, out=even[rows])
+        np.multiply(half, minus - plus, out=odd[rows])
+    return even, odd
+
+
+def _over(sine: Array, angle: Array) -> Array:
+    """Return the sine of an angle over the angle, (H, W); both are overwritten."""
+    near = np.abs(angle) < NEAR
+    angle[near] = sine[near] = 1.0
+    sine /= angle
+    return sine
+
+
+def _shifted(cosines: Array, sines: Array | None, shift_cells: Array) -> tuple[Array, Array | None]:
+    """Return the spectra of rows, (rows, W), that are displaced across by a number of samples each."""
+    if not shift_cells.any():
+        return cosines, sines
+    angle = 2 * math.pi * shift_cells[:, None] * _cycles(cosines.shape[1])
+    cosine, sine = np.cos(angle), np.sin(angle)
+    if sines is None:
+        return cosines * cosine, cosines * sine
+    return cosines * cosine - sines * sine, cosines * sine + sines * cosine
+
+
+def _cosines(spectrum: Array, axis: int) -> Array:
+    """Return the sum of cosines of a spectrum along an axis: the inverse of the DCT-II."""
+    from scipy.fft import idct
+
+    return np.asarray(idct(spectrum, axis=axis, workers=threads()))
+
+
+def _sines(spectrum: Array, axis: int) -> Array:
+    """Return the sum of sines of the frequencies of a DCT-II along an axis, the first of which is 0."""
+    from scipy.fft import idst
+
+    later = np.zeros_like(spectrum)
+    if axis == 0:
+        later[:-1] = spectrum[1:]
+    else:
+        later[:, :-1] = spectrum[:, 1:]
+    return np.asarray(idst(later, axis=axis, workers=threads(), overwrite_x=True))
+
+
+def cell_weights(low_cells: Array, high_cells: Array, count: int) -> csr_array:
+    """Return the weights of spline coefficients in the integrals from `low_cells` to `high_cells`, sparse (m, count).
+
+    The coefficients of the cells, whose B-splines are quartic, go on by reflection beyond both ends.
+    """
+    first = np.floor(low_cells).astype(np.intp) - REACH
+    width = int((np.floor(high_cells).astype(np.intp) - first).max()) + REACH + 1
+    cells = first[:, None] + np.arange(width)
+    centre = cells + 0.5
+    weights = quartic_integral(high_cells[:, None] - centre) - quartic_integral(low_cells[:, None] - centre)
+    folded = np.mod(cells, 2 * count)
+    folded = np.where(folded < count, folded, 2 * count - 1 - folded)
+    used = weights != 0
+    rows = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
+    return csr_array((weights[used], folded[used], rows), shape=(low_cells.size, count))
+
+
+def quartic_integral(x: Array) -> Array:
+    """Return the integral up to x (...) of the centred quartic B-spline of unit knots, whose whole integral is 1."""
+    at = np.clip(x, -2.5, 2.5)
+    at, total = -np.abs(at) + 2.5, np.zeros(np.shape(x))  # from the nearer end, where the terms are few and small
+    for knot in range(3):
+        total += (-1) ** knot * math.comb(5, knot) * np.maximum(at - knot, 0.0) ** 5
+    total /= 120
+    return np.where(x > 0, 1 - total, total)
