@@ -33,7 +33,7 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY, NUMBERS, Pixel
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.metric_options import MetricOptions
+from pixsim.viewer.metric_options import Detectability, MetricOptions
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 
@@ -235,6 +235,8 @@ def option_table(record: type[Record], name: str, inside: str = "") -> object:
         more = {"completer": complete_sensor, "metavar": "NAME|FILE"} if key == "technology" else {}
         if record is LensOptions and key == "file":
             more = {"name": ("--lens.file", "--lens"), "completer": complete_lens, "metavar": "NAME|FILE"}
+        if record is Detectability and key == "without":
+            more = {"completer": complete_picture, "metavar": "NAME=VALUE,…|SCENE|FILE"}
         how = field_option(record, key, allow_leading_hyphen=True, **more)
         fields.append((key, Annotated[str | None, how], field(default=None)))
     table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)

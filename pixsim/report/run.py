@@ -29,6 +29,7 @@ from pixsim.show.document import (
     Map,
     Note,
     Pictures,
+    Plot,
     Scale,
     Section,
     Slider,
@@ -42,6 +43,7 @@ from pixsim.show.render import PAGE
 from pixsim.show.sentences import rounded, span
 from pixsim.studies.extent import extent
 from pixsim.studies.light_level import LightLevel
+from pixsim.studies.quanta import NEQ, neq_against_frequency, quanta_of_run
 from pixsim.studies.run import LitRun, RunJob, RunResult
 from pixsim.studies.run_arrays import Irradiance, write_irradiance, write_numbers
 from pixsim.studies.sentences import FILLED, judged_lines, lens_words, score_parts, thin_lens_words, unsure_words
@@ -142,8 +144,8 @@ class RunFiles(NamedTuple):
     def names(self, frames: int) -> set[str]:
         """Return the names of all files of a run of so many frames."""
         raw = {f"{raw_stem(number)}{suffix}" for number in range(1, frames + 1) for suffix in self.formats}
-        budget = figure_files([NAME]) if self.noise_budget else []
-        return {PAGE, *FILES, *raw, *budget} - ({"irradiance.exr"} if self.irradiance == "none" else set())
+        figures = figure_files([NEQ, *[NAME] * self.noise_budget])
+        return {PAGE, *FILES, *raw, *figures} - ({"irradiance.exr"} if self.irradiance == "none" else set())
 
 
 USUAL = RunFiles()
@@ -234,7 +236,7 @@ def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles)
 
     pictures : name -> PNG
     """
-    score, settings, header = result.score, result.settings, result.irradiance.header
+    score, settings, header, quanta = result.score, result.settings, result.irradiance.header, quanta_of_run(result)
     colour = colour_rows(result.colour, score.out_of_gamut)
     left_mm, right_mm, bottom_mm, top_mm = extent(result.irradiance, score.border_um)
     window = worst_window([score.delta_e])
@@ -282,6 +284,7 @@ def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles)
             together=True,
         ),
         Section("numbers", "Numbers", (Table("numbers of this picture", (), _numbers(result)),)),
+        Section("neq", "Noise-equivalent quanta", (Plot(lambda: neq_against_frequency(quanta)),) if quanta else ()),
         Section("colour", "Colour", (COLOUR, Table("numbers of the colours", (), colour)) if colour else ()),
         Section("settings", "Settings", (*_settings(result, sheet), f"{rest} Seed {settings.seed}.")),
         Section("files", "Files in this folder", (Listed(_files(files, result.prepared.frames)), f"Irradiance: {source}.")),
@@ -358,4 +361,5 @@ def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     film = lit.rendered and lit.rendered.film.as_dict()
     of_case = prepared.settings, prepared.camera, prepared.cases[0].settled is None
     own = *of_case, prepared.asked.camera, prepared.repeats, prepared.frames
-    return digest_of_content(files, run_settings_text(prepared, light), light, film, prepared.technology, own)
+    without = prepared.cases[0].without
+    return digest_of_content(files, run_settings_text(prepared, light), light, film, prepared.technology, own, without)

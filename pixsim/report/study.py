@@ -49,6 +49,7 @@ from pixsim.studies.conditions import Compromise
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.studies.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
+from pixsim.studies.quanta import NEQ, neq_against_frequency, quanta_of_study
 from pixsim.studies.result import (
     Curve,
     StudyResult,
@@ -228,6 +229,8 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
         plates.append(judges_against_pitch(first))
     if len(first.metrics) > 1:
         plates.append(metrics_against_pitch(first))
+    if quanta := quanta_of_study(result):
+        plates.append(neq_against_frequency(quanta))
     if len(result.curves) > 1:
         plates += [delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all")]
         processes = not any(curve.data_sheet for curve in result.curves)
@@ -257,7 +260,8 @@ def report_files(study: Study) -> set[str]:
     """Return the names of all files that the report of a study may have."""
     labels = [file_label(label) for label in labels_of(study.technologies)]
     curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
-    plates = {*curves, "judges", "metrics", "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
+    pictures = (f"pictures_{label}" for label in labels)
+    plates = {*curves, "judges", "metrics", NEQ, "other_statistics", "light_against_detail", *pictures}
     plates |= set(PAPER_PLATES) if study.paper else set()
     plates |= {NAME} if study.noise_budget else set()
     sheets = (f"figures/contact_sheet_{label}.png" for label in labels)

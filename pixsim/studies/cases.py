@@ -50,6 +50,7 @@ class Case(Generic[Settings]):
     found : the scene with its chart, or the picture of another program; and the camera of the window, or of the part of the field
         that all sensors of a comparison see. None before they are looked for
     settled : a calibration for its tolerance of ΔE, which chose the film and other settings
+    without : light without the target, beside a picture, if a metric asks for it
     """
 
     settings: Settings = field(repr=False)
@@ -60,6 +61,7 @@ class Case(Generic[Settings]):
     file: str = ""
     found: tuple[Scene | SpectralImage, Camera] | None = field(default=None, repr=False)
     settled: Settled | None = field(default=None, repr=False)
+    without: SpectralImage | None = field(default=None, repr=False)
 
     @property
     def source(self) -> Scene | SpectralImage:

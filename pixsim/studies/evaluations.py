@@ -540,14 +540,21 @@ class Evaluations:
 
 
 def rows_of(
-    series: Sequence[Series], repeats: int, results: Path | None, workers: Workers | None, progress: Progress | None = None
+    series: Sequence[Series],
+    repeats: int,
+    results: Path | None,
+    workers: Workers | None,
+    progress: Progress | None = None,
+    *,
+    tell: Callable[[str], None] | None = None,
 ) -> list[StoredRows]:
     """Return the rows of some frames of each series, each with pixels of one size.
 
     results : the file of the rows, from which an interrupted command goes on; None for none
     workers : None takes as many processes as are worth it
+    tell : gets the reason why a metric has no number, which is NaN in the rows then; None raises a NoNumberError
 
-    Raises AlikeChannelsError for pixels whose colours cannot be told apart, and NoNumberError for those of which a metric has none.
+    Raises AlikeChannelsError for pixels whose colours cannot be told apart.
     """
     told_by = [name for name in series[0].columns if any(each.columns[name] for each in series)]
     series = [replace(each, columns={name: each.columns[name] for name in told_by}) for each in series]
@@ -563,6 +570,8 @@ def rows_of(
             for reason in evaluations.left_out(number, sizes[number]).values():
                 raise AlikeChannelsError(f"{series[number].label}: {reason}")
             for reason in evaluations.lacking(number, sizes[number]).values():
-                raise NoNumberError(f"{series[number].label}: {reason}")
+                if tell is None:
+                    raise NoNumberError(f"{series[number].label}: {reason}")
+                tell(f"{series[number].words}: {reason}")
         evaluations.finish(rows)
     return rows

@@ -64,7 +64,7 @@ def given_light(case: Case[Study], picture: SpectralImage) -> GivenLight:
     """Return the light of a case whose light is given, with the white that it is shown with."""
     study, image = case.settings, copy(picture)
     image.header = image.header | white_header(seen_by_all(study, image, case.camera), study.display)
-    return GivenLight(image, case.camera)
+    return GivenLight(image, case.camera, without=case.without)
 
 
 def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:

@@ -91,7 +91,7 @@ class SensorTable(Sequence[dict[str, Any]]):
         lines = []
         for first in range(0, len(self), repeats):
             row, own = self.rows[first], self.rows[first : first + repeats]
-            means = [f"{np.mean([each[name] for each in own]):.6g}" for name in names]
+            means = [f"{np.mean([each[name] for each in own]):.6g}".replace("nan", "–") for name in names]
             lines.append((str(row[PIXEL]), row["technology"], f"{row['pitch_um']:g}", *means))
         head = PIXEL, "technology", "size (µm)", *(metric.label for metric in self.metrics)
         caption = f"{len(lines)} pixels, " + (f"means over {repeats} sensors of each" if repeats > 1 else "a sensor of each")
@@ -127,7 +127,8 @@ def sweep(
 
     pixels : of each sensor; a list, or names -> pixels
     camera, exposure, display, correction, develop, motion, metric, without : as of `pixsim.evaluate`
-    metrics : names of metrics, or functions of a Score that return a number; each has its columns
+    metrics : names of metrics, or functions of a Score that return a number; each has its columns. One that has no number for a
+        frame, as NIIRS for one that is overexposed, is NaN, with a warning that says why
     repeats : sensors of each kind
     seed : of the fixed patterns and the temporal noise
     jobs : processes; None means one per core, where they are worth it. The results do not depend on it
@@ -189,7 +190,7 @@ def sweep(
                 Series(technology, shown, scenes, ("evaluate", seed), False, {PIXEL: str(name)}, f"pixel {name}", stored=False)
             )
         check_ideals(series)
-        found = rows_of(series, repeats, None, None if jobs is None else workers_here(jobs))
+        found = rows_of(series, repeats, None, None if jobs is None else workers_here(jobs), tell=warn)
         facts = {one.light_id: scenes.ideal_facts(one.light_key, one.imaging.physics, border_um) for one in series}
         warn_of_clipping(max(each.beyond_white for each in facts.values()))
     numbers = *PIXEL_STATISTICS, *columns_of_metrics(judging.metrics)

@@ -639,11 +639,11 @@ def rendered_light(demand: Demand, progress: Progress | None = None) -> tuple[Li
     if plan.exact or cache.has_room(4 * light.image.planes.size):
         remember_rendered(scene, demand.camera, plan, settings, light.image.shape[1])
     if has_target(settings.metrics):
-        light = replace(light, without=_without_target(demand, light.image.shape[1]))
+        light = replace(light, without=without_target(demand, light.image.shape[1]))
     return light, last
 
 
-def _without_target(demand: Demand, across: int) -> SpectralImage:
+def without_target(demand: Demand, across: int) -> SpectralImage:
     """Return the irradiance of the scene without its target, on a film of so many samples across.
 
     Its samples are those of the scene with the target: where the pictures of a lit scene are the same, so is their noise.

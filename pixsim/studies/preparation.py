@@ -22,7 +22,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import rendered_camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
-from pixsim.optics.exchange import camera_of_light
+from pixsim.optics.exchange import camera_of_light, read_with_camera
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
@@ -47,6 +47,7 @@ from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, MetricContext, columns_of_metrics
 from pixsim.viewer.raw_metrics import has_target
+from pixsim.viewer.score import check_without, warn_of_unused_light
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.unused import warn_of_unused_settings
 
@@ -374,11 +375,18 @@ class StudyJob(Job[Study]):
         return sum(sum(sum(sensors.values()) for sensors in first_sampling(case.settings).values()) for case in self.cases)
 
 
-def prepare(study: Study, variant: str | None = None, quick: bool = False, light: SpectralImage | None = None) -> StudyJob:
+def prepare(
+    study: Study,
+    variant: str | None = None,
+    quick: bool = False,
+    light: SpectralImage | None = None,
+    without: SpectralImage | None = None,
+) -> StudyJob:
     """Choose what a study leaves open, and check everything that can be checked before a render.
 
     quick : use the values of the study's `quick` table
     light : on the sensor, in place of a scene's
+    without : such light without the target
 
     Raises PixsimError for invalid input, and warns of a range of sizes that had to be shortened.
     """
@@ -415,7 +423,8 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False, light
             complete = with_view(case.settings, view if shown else without_chart(view))
             check_technologies(complete)
             scene_of_case, its_camera = source_for(complete)
-            found.append(_checked(replace(case, settings=fitted_range(complete, its_camera)), scene_of_case, its_camera))
+            of_sizes = replace(case, settings=fitted_range(complete, its_camera))
+            found.append(_checked(of_sizes, scene_of_case, its_camera, without))
     warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, found, strict=True)], light)
     _warn_of_other_parts(found)
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
@@ -467,29 +476,54 @@ def _chosen_view(study: Study, source: Scene | SpectralImage, camera: Camera) ->
     return {} if study.own_um is None else choose_view(study.own_um, camera, study.display, scene)
 
 
-def check_metrics(settings: Setting, pixels: Sequence[PixelOptions], scene: Scene | None) -> None:
-    """Raise PixsimError for a metric that is unknown, or that means nothing for one of the pixels, or for the scene.
+def check_metrics(
+    settings: Setting,
+    pixels: Sequence[PixelOptions],
+    source: Scene | SpectralImage,
+    without: SpectralImage | None = None,
+    units: str | None = None,
+) -> SpectralImage | None:
+    """Return the light without the target beside light that is given: `without`, or that of a file that the settings name.
 
-    scene : None for a picture of another program
+    source : scene, or light that is given
+    units : of light in files that do not state them
+
+    Raises PixsimError for a metric that is unknown, or that means nothing for one of the pixels, or for the source.
     """
-    judging, stated = judging_of(settings), settings.metric.detectability.without
-    if isinstance(stated, str) and has_target(settings.metrics):
-        from pixsim.scene.scene import scene_path
+    judging, stated, name = judging_of(settings), settings.metric.detectability.without, setting("metric.detectability.without")
+    if isinstance(source, SpectralImage):
+        if without is None and has_target(settings.metrics) and isinstance(stated, str) and is_picture(stated):
+            with named(name):
+                without, _ = read_with_camera(stated, settings.camera, units, settings.lens)
+        elif without is not None and "without" in settings.metric.detectability.model_fields_set:
+            warn(f"{name} is not used: the light without the target is given beside the light")
+        warn_of_unused_light(judging, without)
+        if without is not None:
+            check_without(without, source)
+        has_without = without is not None
+        known = settings.camera.object_distance_m, settings.metric.niirs.ground_distance_m, source.header.get("camera")
+        has_distance = any(each is not None for each in known)
+    else:
+        if isinstance(stated, str) and has_target(settings.metrics):
+            from pixsim.scene.scene import scene_path
 
-        with named(setting("metric.detectability.without")):
-            scene_path(stated)
-    has_without = scene is not None and (isinstance(stated, str) or stated.keys() <= scene.names)
+            with named(name):
+                scene_path(stated)
+        has_without, has_distance = isinstance(stated, str) or stated.keys() <= source.names, True
     for pixel in pixels:
-        judging.check(MetricContext(pixel.colour is not None, has_without))
+        judging.check(MetricContext(pixel.colour is not None, has_without, has_distance=has_distance))
+    return None if without is None else without.identified
 
 
-def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera) -> Case[Study]:
-    """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not possible."""
+def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera, without: SpectralImage | None = None) -> Case[Study]:
+    """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not possible.
+
+    without : light without the target, beside light that is given
+    """
     study = case.settings
-    pixels = [study.options_of(name) for name in study.technologies]
-    check_metrics(study, pixels, None if isinstance(source, SpectralImage) else source)
+    without = check_metrics(study, [study.options_of(name) for name in study.technologies], source, without)
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
         dot_edges_um(camera.die_um, largest_um, study.display, border_on_um(study, camera))
-    return replace(case, found=(source, camera))
+    return replace(case, found=(source, camera), without=without)

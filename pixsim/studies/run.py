@@ -16,7 +16,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
-from pixsim.base.notes import collected_notes
+from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Stage, no_stage, share_of, watched
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -30,7 +30,7 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.show.document import headline, pairs, plain_text
-from pixsim.show.pages import rows_csv
+from pixsim.show.pages import plain, rows_csv
 from pixsim.show.render import cell_of
 from pixsim.studies.budget import with_tolerance
 from pixsim.studies.cases import Case, Job
@@ -41,6 +41,7 @@ from pixsim.studies.preparation import check_metrics, choose_view, is_picture, l
 from pixsim.studies.sentences import score_parts
 from pixsim.studies.series import judging_of
 from pixsim.studies.settings_text import scene_table
+from pixsim.studies.threshold import Threshold, start_of, threshold_of
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
@@ -162,7 +163,8 @@ def prepare(
             raise invalid(setting("units"), f"'{source}', a scene", allowed)
         scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
         whole = scene.camera(settings.camera, settings.lens)
-    check_metrics(settings, [settings.pixel], scene)
+    without = check_metrics(settings, [settings.pixel], picture if scene is None else scene, units=units)
+    start_of(settings, scene)
     warn_of_unused_settings({"": [given]})
     camera = whole.window(settings.window_mm)
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
@@ -171,7 +173,7 @@ def prepare(
     border_um = scored_border_um(derive(settings.pixel), settings.motion, settings.exposure, camera) or pitch_um
     dot_edges_um(camera.die_um, pitch_um, settings.display, border_um)
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
-    case = Case(complete, found=(picture if scene is None else scene_with_view(scene, view), camera))
+    case = Case(complete, found=(picture if scene is None else scene_with_view(scene, view), camera), without=without)
     job = RunJob(
         source=source,
         asked=settings,
@@ -214,11 +216,13 @@ class RunResult(LitRun):
     chain : from the light to frames and scores of further sensors of the kind
     score : of the first frame of the first sensor, with its pictures
     statistics : `Score.statistics` of the first frame of each sensor
+    threshold : where the target is just seen, if the settings ask for it
     """
 
     chain: ImagingChain = field(repr=False)
     score: FrameScore = field(repr=False)
     statistics: tuple[dict[str, float], ...] = field(repr=False)
+    threshold: Threshold | None = field(default=None, repr=False)
 
     @property
     def settings(self) -> Run:
@@ -366,7 +370,9 @@ class RunResult(LitRun):
             more |= {"repeats": len(self.statistics), "delta_e": self.delta_e.tolist(), "sensors_mean_delta_e": self.mean_delta_e}
             more |= {"interval_delta_e": list(self.interval_delta_e)}
         if self.judged:
-            more["metrics"] = {name: float(values.mean()) for name, values in self.judged.items()}
+            more["metrics"] = plain({name: float(values.mean()) for name, values in self.judged.items()})
+        if self.threshold is not None:
+            more["at_threshold"] = self.threshold.as_dict()
         if (colour := self.colour) is not None:
             more |= {"develop": settings.develop.model_dump(), "colour": colour}
         elif settings.develop.words:
@@ -376,7 +382,7 @@ class RunResult(LitRun):
         more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
         more |= {"noise_budget": self.noise_budget.as_dict()} if self.noise_budget else {}
         return {
-            **self.statistics[0],
+            **plain(self.statistics[0]),
             "pixels": list(score.frame.pixels),
             "scored_dots": list(score.delta_e.shape),
             "border_um": list(score.border_um),
@@ -499,17 +505,25 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
         scored = stage("sense and score")
         of_sensor = settings.pixel, settings.exposure, settings.display, prepared.full, settings.correction, settings.develop
         judging = judging_of(settings)
-        without = None if lit.rendered is None else lit.rendered.without
+        without = prepared.cases[0].without if lit.rendered is None else lit.rendered.without
         with watched(share_of(scored, 0.0, BEFORE_FRAME)):
             of_light: dict[str, Any] = {"judging": judging, "without": without, "motion": settings.motion}
             chain = make_imaging_chain(image, prepared.camera, *of_sensor, **of_light)
         scored(BEFORE_FRAME)
-        score = judged_score(chain, judging, ("evaluate", settings.seed))
+        lacking: dict[str, str] = {}
+        score = judged_score(chain, judging, ("evaluate", settings.seed), lacking)
         statistics = [score.statistics()]
         sensors = max(prepared.repeats, settled.choice.sensors if settled else 1)
         for number in range(1, sensors):
-            statistics.append(judged_score(chain, judging, ("evaluate", settings.seed, number)).statistics())
+            statistics.append(judged_score(chain, judging, ("evaluate", settings.seed, number), lacking).statistics())
             scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
+        for reason in lacking.values():
+            warn(reason)
     warned = tuple(dict.fromkeys([*lit.warned, *notes]))
-    result = RunResult(prepared, image, lit.rendered, lit.plan, warned, chain=chain, score=score, statistics=tuple(statistics))
+    of_run = prepared, image, lit.rendered, lit.plan, warned
+    threshold = None
+    if lit.rendered is not None and start_of(settings, prepared.cases[0].scene) is not None:
+        of_target = prepared.demand, lit.rendered, statistics[0]["detectability"]
+        threshold = threshold_of(prepared, *of_target, stage("look for the threshold"))
+    result = RunResult(*of_run, chain=chain, score=score, statistics=tuple(statistics), threshold=threshold)
     return replace(result, score=replace(score, light=result.light))

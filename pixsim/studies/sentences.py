@@ -267,15 +267,20 @@ def judged_lines(result: RunResult) -> list[str]:
     lines = []
     for name, values in result.judged.items():
         metric, mean = metric_known(name), float(values.mean())
+        if math.isnan(mean):  # a note says why
+            lines.append(f"{metric.words} is not given")
+            continue
         low, high = mean_interval(values)[::2] if values.size > 1 else (mean, mean)
         value = with_error(mean, (high - low) / 2) if high > low else f"{mean:.4g}"
-        seen = _threshold_words(result, mean) if metric is DETECTABILITY and mean else ""
+        seen = _threshold_words(result, mean) if metric is DETECTABILITY and (mean or result.threshold) else ""
         lines.append(f"{metric.words} {value} {metric.unit}".rstrip() + f", of the {metric.judges}{seen}")
     return lines
 
 
 def _threshold_words(result: RunResult, d_prime: float) -> str:
     """Return at which part of its contrast a target is seen as well as the threshold asks; d′ grows with a small contrast."""
+    if result.threshold is not None:
+        return f"; {result.threshold.words}"
     threshold = result.settings.metric.detectability.threshold
     return f"; {threshold:g} is reached at {threshold / d_prime:.3g} times this contrast, where contrasts are small"
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.arguments import Jobs, checks_arguments
+from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder
 from pixsim.base.layers import listed
@@ -61,7 +62,10 @@ def repeated_settings(job: StudyJob, chosen: Study, image: SpectralImage, asked:
     from pixsim.scene.convergence import without_clock
 
     if isinstance(job.source, SpectralImage):
-        command = f"pixsim.study('{SETTINGS_FILE}', out, light=…), of the light of digest {image.header[DIGEST]}"
+        without = job.cases[0].without
+        more = "" if without is None else f" and, without its target, {without.header[DIGEST]}"
+        names = "light=…" if without is None else "light=…, without=…"
+        command = f"pixsim.study('{SETTINGS_FILE}', out, {names}), of the light of digest {image.header[DIGEST]}{more}"
         return settings_text(job.study, command, spreads_of_study(job.study, job.uncertainty))
     scene, kept = job.source, without_clock(job.study, chosen, image)
     file = kept.scene.file
@@ -285,6 +289,7 @@ def study(
     smaller_than_um: Sequence[float] = (),
     metrics: Sequence[str | Callable[[Score], float]] = (),
     light: SpectralImage | None = None,
+    without: SpectralImage | None = None,
     **settings: object,
 ) -> StudyResult:
     """Run a study, or resume an interrupted one, with its rows in `out`/results.csv.
@@ -312,6 +317,7 @@ def study(
     light : on the sensor, rendered or of another program (`pixsim.read_irradiance`), in place of a scene's. Its camera is that of
         its header, or the default, with `camera` over it. Axes and conditions then vary the sensor and what follows it, and
         settings.toml repeats the study in Python alone, with the same light
+    without : such light of the scene without its target, for the metrics detectability and npwe
     settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
         pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0, axis=[{"name": "lens", "set":
         "camera.f_number", "values": [2.0, 4.0]}], condition=[…]
@@ -332,6 +338,8 @@ def study(
         settings["camera"] = own.options.model_dump(exclude_none=True)
     if light is not None and (names := [name for name, value in (("scene", scene), ("parameters", parameters)) if value]):
         raise invalid(names[0], "a value beside light", "one of the two")
+    if light is None and without is not None:
+        raise invalid("without", "a value without light", f"light beside it; of a scene, {setting('metric.detectability.without')}")
     given = {"config": config, "parameters": parameters, "pixel": pixel, "scene": scene} | settings
     if isinstance(plan, Study) and (names := [name for name, value in given.items() if value]):
         hint = "Set these values in the Study instead."
@@ -342,7 +350,7 @@ def study(
         from pixsim.studies.sensor_types import asked_of
 
         asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
-        job = replace(prepare(chosen, variant, quick=quick, light=light), uncertainty=spreads)
+        job = replace(prepare(chosen, variant, quick=quick, light=light, without=without), uncertainty=spreads)
         return run_prepared(job, out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, asked=asked)
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from pixsim.base.records import NumberOrText, Record, UnitInterval
 from pixsim.light.quantities import Fraction
@@ -15,20 +16,34 @@ MetricNames = Annotated[tuple[Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$", ma
 
 
 NO_CONTRAST: dict[str, NumberOrText] = {"contrast": 0.0}
+PAIRS = re.compile(r"\s*[A-Za-z_]\w*\s*=[^,=]+(,\s*[A-Za-z_]\w*\s*=[^,=]+)*")
+
+
+def _as_table(value: object) -> object:
+    """Take the text name=value,… of a command line as the table that it stands for."""
+    if not (isinstance(value, str) and PAIRS.fullmatch(value)):
+        return value
+    return {name.strip(): text.strip() for name, _, text in (pair.partition("=") for pair in value.split(","))}
 
 
 class Detectability(Record):
     """Settings of the metric detectability."""
 
-    without: str | dict[str, NumberOrText] = Field(
+    without: Annotated[str | dict[str, NumberOrText], BeforeValidator(_as_table)] = Field(
         NO_CONTRAST,
-        description="the scene without the target: values of the scene's parameters, or another scene, a file or a packaged name",
+        description="the scene without the target: values of the scene's parameters, as contrast=0; or another scene, a file or a "
+        "packaged name; of light that is given in a file, a file of light",
     )
     registrations: Annotated[int, Field(ge=1, le=1000)] = Field(
         16, description="least number of positions of the pixels under the target, over all frames of a pixel size"
     )
     threshold: Annotated[float, Field(ge=1e-3, le=1e3)] = Field(
         5.0, description="d′ at which a target counts as seen; Rose (1948) has 5"
+    )
+    solve_for: Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$", max_length=60)] | None = Field(
+        None,
+        description="parameter of the scene, as contrast, size_mm or lux, whose value at this threshold a run looks for, from its "
+        "own on (absent: none)",
     )
 
 

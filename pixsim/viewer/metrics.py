@@ -143,11 +143,13 @@ class MetricContext:
     is_colour : whether the pixel has colour filters
     has_without : whether there is light of the scene without its target
     has_frame : whether a sensor made the picture
+    has_distance : whether the distance of what the picture shows is stated
     """
 
     is_colour: bool
     has_without: bool
     has_frame: bool = True
+    has_distance: bool = True
 
 
 @dataclass(frozen=True)

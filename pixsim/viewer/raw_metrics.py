@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
@@ -15,7 +16,7 @@ from pixsim.base.errors import invalid
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.photodiode import saturation_level_e
 from pixsim.viewer.display import white_cd_per_m2
-from pixsim.viewer.judges.information_density import folded_spectrum, information_bits_per_mm2, natural_spectrum
+from pixsim.viewer.judges.information_density import folded_spectrum, information_bits_per_mm2, natural_spectrum, neq
 from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
 from pixsim.viewer.judges.linear_observer import detectability
 from pixsim.viewer.judges.sharpness import mtf50
@@ -30,7 +31,10 @@ if TYPE_CHECKING:
 
 LEAST_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
 FARTHEST = 1e12  # of d′, and of what a target lacks
-NOTHING_SEEN = 0.0  # of NIIRS: interpretability is precluded
+COARSE_DN = 8.0  # deviation above which sums over codes are integrals within 1/(24 σ²), 7e-4
+FARTHEST_SIGMAS = 6.0  # from code 0, which cuts off no noise farther away
+CODE_POINTS = 1025  # of a table: a slope between two of them errs by 3e-3 of its change
+LEAST = 1e-9  # of deviations, in DN
 POINTS = 65  # frequencies on an axis of the Nyquist square
 ORDERS = 2  # of aliases
 LENSES = ("lens", "real lens")
@@ -47,23 +51,102 @@ def variance_of_pixels_e2(chain: ImagingChain, signal_e: Array | float, time_s: 
     return np.asarray(alone + p.rounding_variance_dn2 / p.dn_per_e**2)
 
 
-def range_e(chain: ImagingChain, time_s: float) -> tuple[float, float]:
-    """Return the ends of the signals that neither the well nor the codes clip, in electrons."""
+def full_e(chain: ImagingChain, time_s: float) -> float:
+    """Return the signal at which the well is full, or the codes end, in electrons."""
     p = chain.physics
     dark_e = p.dark_current_e_per_s * time_s
     top_e = (p.top_code_dn - p.black_level_dn) / p.dn_per_e - dark_e  # `frame_mean_dn` is linear
-    return -p.black_level_dn / p.dn_per_e - dark_e, min(saturation_level_e(time_s, p) - dark_e, top_e)
+    return min(saturation_level_e(time_s, p) - dark_e, top_e)
 
 
 def clips(chain: ImagingChain, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
-    """Return which pixels of an expected signal are at an end of the well or of the codes."""
-    empty_e, full_e = range_e(chain, time_s)
-    return np.logical_or(signal_e >= full_e, signal_e <= empty_e)
+    """Return which pixels of an expected signal are at the end of the well or of the codes."""
+    return np.asarray(signal_e >= full_e(chain, time_s))
 
 
-def within_range_e(chain: ImagingChain, signal_e: Array, time_s: float) -> Array:
-    """Return an expected signal, clipped as the well and the codes clip it."""
-    return np.clip(signal_e, *range_e(chain, time_s))
+class CodesOf0(NamedTuple):
+    """What becomes of signals near code 0, which cuts off their noise; electrons, (n,) each.
+
+    signal_e : rising
+    mean_e : expected codes less black level and dark charge
+    variance_e2 : of a pixel alone, with its fixed pattern
+    slope : change of the mean with the signal, and with an offset
+    """
+
+    signal_e: Array
+    mean_e: Array
+    variance_e2: Array
+    slope: Array
+
+    def at(self, signal_e: Array, variance_e2: Array | float) -> list[Array]:
+        """Return mean, variance and slope at signals (...); beyond the last one they are the signal, `variance_e2` and 1."""
+        near, beyond = signal_e < self.signal_e[-1], (signal_e, variance_e2, 1.0)
+        known = (np.interp(signal_e, self.signal_e, each) for each in (self.mean_e, self.variance_e2, self.slope))
+        return [np.where(near, *pair) for pair in zip(known, beyond, strict=True)]
+
+
+def moments_of_codes(level_dn: Array, sigma_dn: Array) -> tuple[Array, Array, Array]:
+    """Return mean and variance of the codes of normal levels, (n,) each, and the change of the mean with the level.
+
+    A code is the level rounded, 0 or more: its mean is Σ P(level > j - ½) over j = 1, 2, …, its mean square Σ (2j - 1) P, exactly.
+    The sums are integrals if the deviation is many codes.
+    """
+    reach = level_dn / sigma_dn
+    density = np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi)
+    mean, slope = level_dn * ndtr(reach) + sigma_dn * density, np.asarray(ndtr(reach))
+    square = (level_dn**2 + sigma_dn**2) * slope + level_dn * sigma_dn * density + slope / 12
+    fine = sigma_dn <= COARSE_DN
+    if fine.any():
+        level, sigma = level_dn[fine, None], sigma_dn[fine, None]
+        j = np.arange(1.0, math.ceil(float((level + FARTHEST_SIGMAS * sigma).max())) + 1)
+        away = (level - j + 0.5) / sigma
+        above = ndtr(away)
+        mean[fine], square[fine] = above.sum(axis=1), ((2 * j - 1) * above).sum(axis=1)
+        slope[fine] = (np.exp(-(away**2) / 2) / (math.sqrt(2 * math.pi) * sigma)).sum(axis=1)
+    return mean, square - mean**2, slope
+
+
+def codes_of_0(chain: ImagingChain, time_s: float, darkest_e: float) -> CodesOf0 | None:
+    """Return what becomes of signals near code 0; None if the noise of the darkest one does not reach it.
+
+    Each exposure of a burst is cut off by itself.
+    """
+    count, p = chain.physics.exposures, chain.physics.burst(1)
+    dark_e = p.dark_current_e_per_s * time_s / count
+    ground_e = dark_e + p.black_level_dn / p.dn_per_e  # above code 0, of no signal in an exposure
+
+    def variances_e2(signal_e: Array | float) -> tuple[Array, Array]:
+        """Return the variance of an exposure before it is rounded, and its part that all exposures share."""
+        fixed = variance_e2(p, light_e=signal_e, dark_e=dark_e, along="pixel", is_temporal=False)
+        return np.asarray(variance_e2(p, signal_e + dark_e + fixed, along="pixel", is_temporal=True)), np.asarray(fixed)
+
+    def reach(signal_e: float) -> float:
+        return ground_e + signal_e - FARTHEST_SIGMAS * math.sqrt(variances_e2(signal_e)[0])
+
+    if reach(darkest_e / count) > 0:
+        return None
+
+    def compute() -> CodesOf0:
+        # Shot noise and PRNU grow with the signal: twice as far until the noise no longer reaches code 0.
+        end_e, most_e = FARTHEST_SIGMAS * math.sqrt(variances_e2(0.0)[0]) or 1.0, full_e(chain, time_s) / count
+        while reach(end_e) < 0 and end_e < most_e:
+            end_e *= 2
+        signal_e = np.linspace(0.0, end_e, CODE_POINTS)
+        whole_e2, fixed_e2 = variances_e2(signal_e)
+        level_dn, sigma_dn = p.dn_per_e * (ground_e + signal_e), np.maximum(p.dn_per_e * np.sqrt(whole_e2), LEAST)
+        mean_dn, variance_dn2, slope = moments_of_codes(level_dn, sigma_dn)
+        shared_e2 = (count - 1) * slope**2 * fixed_e2  # between the exposures, to first order
+        alone_e2 = variance_dn2 / p.dn_per_e**2
+        return CodesOf0(count * signal_e, count * (mean_dn / p.dn_per_e - ground_e), count * (alone_e2 + shared_e2), slope)
+
+    return chain.facts.kept(("codes of 0", time_s, p.gain_db, count, *chain.pixel_key), compute)
+
+
+def expected_e(chain: ImagingChain, signal_e: Array, time_s: float) -> Array:
+    """Return the expected electrons of a frame, as the well and the codes clip them."""
+    near_0 = codes_of_0(chain, time_s, float(signal_e.min()))
+    expected = signal_e if near_0 is None else near_0.at(signal_e, 0.0)[0]
+    return np.minimum(expected, full_e(chain, time_s))
 
 
 def _d_prime(chain: ImagingChain, time_s: float) -> float:
@@ -82,9 +165,14 @@ def _d_prime(chain: ImagingChain, time_s: float) -> float:
         hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
         allowed = f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise"
         raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
+    near_0 = codes_of_0(chain, time_s, min(float(with_e.min()), float(without_e.min())))
+    if near_0 is not None:
+        first, second = (near_0.at(each, variance) for each in (with_e, without_e))
+        _, variance, slope = np.add(first, second) / 2
+        # An offset of a row or a column comes through by the slope.
+        difference, variance = (first[0] - second[0]) / slope, variance / slope**2
     for signal_e in (with_e, without_e):
-        ends = np.array([signal_e.min(), signal_e.max()])
-        if clips(chain, ends, time_s).any():
+        if clips(chain, signal_e.max(), time_s):
             variance[clips(chain, signal_e, time_s)] = np.inf
     of_lines = [float(np.mean(variance_e2(p, along=along))) for along in ("column", "row")]
     return detectability(difference, variance, column_variance=of_lines[0], row_variance=of_lines[1])
@@ -101,7 +189,8 @@ def needs_target(asked: MetricContext) -> str:
     """Return what a metric of a target lacks."""
     if asked.has_without:
         return ""
-    return f"light of the scene without its target: {setting('metric.detectability.without')}, or without=… of evaluate and sweep"
+    stated = setting("metric.detectability.without")
+    return f"light of the scene without its target: {stated}, or without=… of evaluate, sweep and study"
 
 
 DETECTABILITY = Metric(
@@ -111,7 +200,7 @@ DETECTABILITY = Metric(
     better="more",
     judges="raw frame",
     source="Barrett & Myers, Foundations of Image Science (2004), 13.2.12; seen at 5: Rose, J. Opt. Soc. Am. 38 (1948) 196",
-    unseen="unknown positions of the target, clutter, noise cut off at code 0, corrections of the frame, and the display",
+    unseen="unknown positions of the target, clutter, corrections of the frame, and the display",
     columns=("detectability", "least_detectability", "contrast_factor_at_threshold"),
     bounds=(0.0, FARTHEST),
     compute=_detectability,
@@ -132,6 +221,12 @@ def has_target(metrics: Sequence[str]) -> bool:
 def grey(asked: MetricContext) -> str:
     """Return what a metric of monochrome sensors lacks."""
     return "a pixel without colour filters (pixel.colour)" if asked.is_colour else ""
+
+
+def grey_at_a_distance(asked: MetricContext) -> str:
+    """Return what a metric of the ground lacks, seen by monochrome sensors."""
+    stated = f"the distance of the ground: {setting('camera.object_distance_m')}, or {setting('metric.niirs.ground_distance_m')}"
+    return grey(asked) or ("" if asked.has_distance else stated)
 
 
 def sensor_terms(chain: ImagingChain) -> tuple[Array, dict[str, Array]]:
@@ -194,6 +289,16 @@ def scene_power(chain: ImagingChain, options: Information) -> tuple[Array, Array
     return chain.facts.kept(("power", options.content_hash, chain.moving.path_um, *chain.pixel_key), compute)
 
 
+def level_e(chain: ImagingChain, mean_e: float, time_s: float) -> tuple[float, float]:
+    """Return the part of a mean level with which codes change, and the variance of a pixel at it, as code 0 leaves both."""
+    variance_e2 = variance_of_pixels_e2(chain, mean_e, time_s)
+    near_0 = codes_of_0(chain, time_s, mean_e)
+    if near_0 is None:
+        return mean_e, float(variance_e2)
+    _, variance_e2, slope = near_0.at(np.array(mean_e), variance_e2)
+    return float(slope) * mean_e, float(variance_e2)
+
+
 def _information(judged: Judged) -> tuple[float, float]:
     """Return that of the mean level of the pixels that do not clip, for their share of the sensor."""
     chain, time_s = judged.chain, judged.frame.integration_s
@@ -202,10 +307,24 @@ def _information(judged: Judged) -> tuple[float, float]:
     told = ~clips(chain, signal_e, time_s)
     if not told.any():
         return 0.0, 0.0
-    mean_e = float(signal_e[told].mean())
-    noise = float(variance_of_pixels_e2(chain, mean_e, time_s)) * (1e-3 * chain.physics.read_pitch_um) ** 2
+    mean_e, variance_e2 = level_e(chain, float(signal_e[told].mean()), time_s)
+    noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
     bits = float(told.mean()) * information_bits_per_mm2(axis, mean_e**2 * power, noise, mean_e**2 * folded)
     return bits, bits * (chain.facts.camera.image_distance_mm * math.radians(1.0)) ** 2
+
+
+def neq_along(chain: ImagingChain, time_s: float) -> tuple[Array, Array]:
+    """Return frequencies along an axis up to Nyquist, in cycles/mm, and the NEQ of the mean level there, in mm⁻².
+
+    Signal, noise and MTF are those of the metric information, of the pixels that do not clip; NaN where all of them do.
+    """
+    frequency, signal_e = np.linspace(0.0, 500.0 / chain.physics.read_pitch_um, POINTS), chain.signal_e_per_s * time_s
+    told = ~clips(chain, signal_e, time_s)
+    if not told.any():
+        return frequency, np.full(POINTS, np.nan)
+    mean_e, variance_e2 = level_e(chain, float(signal_e[told].mean()), time_s)
+    noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
+    return frequency, neq(np.abs(sensor_mtf(chain, frequency, np.zeros(1))), noise, mean_e)
 
 
 INFORMATION = Metric(
@@ -302,8 +421,10 @@ def _niirs(judged: Judged) -> tuple[float]:
     along, mtf = _mtf_along(chain)
     rer = relative_edge_response(along * 1e-3 * physics.read_pitch_um, mtf)
     darker_e, brighter_e = (chain.white_e_per_s * time_s * reflectance for reflectance in sorted(options.reflectances))
-    if clips(chain, np.array(brighter_e), time_s):
-        return (NOTHING_SEEN,)
+    if brighter_e >= (most_e := full_e(chain, time_s)):
+        got = f"{brighter_e:.3g} e- of the brighter surface in pixels of {physics.pitch_um:g} µm, full at {most_e:.3g} e-"
+        allowed = "surfaces that the frame tells apart"
+        raise NoNumberError(str(invalid("the metric niirs", got, allowed, "Expose it for less time.")))
     noise_e2 = float(variance_of_pixels_e2(chain, brighter_e, time_s))
     noise_e2 += sum(float(np.mean(variance_e2(physics, along=along))) for along in ("column", "row"))
     distance_m = options.ground_distance_m
@@ -323,6 +444,6 @@ NIIRS = Metric(
     columns=("niirs",),
     bounds=(-1e3, 1e3),
     compute=_niirs,
-    lacks=grey,
+    lacks=grey_at_a_distance,
     needs_light=True,
 )

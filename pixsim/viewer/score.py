@@ -8,12 +8,12 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
-from pixsim.base.arguments import NotNegative, Whole, checks_arguments, checks_fields, made
+from pixsim.base.arguments import Bounds, NotNegative, Whole, checks_arguments, checks_fields, made
 from pixsim.base.arrays import Array, stream
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
@@ -77,7 +77,7 @@ from pixsim.viewer.judged import DELTA_E_ONLY, Judged, Judging, frame_statistics
 from pixsim.viewer.judges.information_density import radial_spectrum
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
-from pixsim.viewer.metrics import DELTA_E, Metric, MetricContext, delta_e_statistics, percentiles
+from pixsim.viewer.metrics import DELTA_E, Metric, MetricContext, NoNumberError, delta_e_statistics, percentiles
 from pixsim.viewer.raw_metrics import OF_TARGETS, has_target
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
@@ -99,6 +99,7 @@ if TYPE_CHECKING:
 NO_VELOCITY = 0.0, 0.0
 T = TypeVar("T")
 S = TypeVar("S", bound="Score")
+NumberOrNone = Annotated[float, Bounds(unknown=True)]
 CLIPPED_WARNING = 0.01
 ROUNDING = 1e-6  # of white, in the luminance of a dot
 MIN_RADIUS_PX, MAX_RADIUS_PX = 0.1, 100.0  # of the blur of sharpening
@@ -119,7 +120,8 @@ class Score:
     delta_e : (H, W) S-CIELAB difference on the display's dots, in the precision in which it was computed
     ideal, image : (H, W) shown luminance, 1 for white; in colour (H, W, 3), the light of the display's primaries
     display : that shows them
-    metrics : numbers of the metrics that were asked for, each by its first column: {"delta_e": mean ΔE, …}
+    metrics : numbers of the metrics that were asked for, each by its first column: {"delta_e": mean ΔE, …}; NaN of one that has
+        none for this frame
     further : their other numbers, by columns
     """
 
@@ -127,8 +129,8 @@ class Score:
     ideal: Array = field(repr=False)
     image: Array = field(repr=False)
     display: Display = field(repr=False)
-    metrics: dict[str, float] = field(default_factory=dict, kw_only=True)
-    further: dict[str, float] = field(default_factory=dict, kw_only=True, repr=False)
+    metrics: dict[str, NumberOrNone] = field(default_factory=dict, kw_only=True)
+    further: dict[str, NumberOrNone] = field(default_factory=dict, kw_only=True, repr=False)
     _scored: dict[str, Any] | None = field(default=None, kw_only=True, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -1235,7 +1237,8 @@ def evaluate(
     motion : of the scene; None means that it stands still
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
-    metrics : names of metrics, or functions of a Score, each a number in its own unit; they are the score's `metrics`
+    metrics : names of metrics, or functions of a Score, each a number in its own unit; they are the score's `metrics`. One that has
+        no number for this frame, as NIIRS for one that is overexposed, is NaN, with a warning that says why
     metric : settings of the metrics; None means the defaults
     without : irradiance of the scene without its target, for the metric detectability
 
@@ -1262,7 +1265,10 @@ def evaluate(
     warn_of_unused_light(judging, without)
     settings = irradiance, camera, pixel, exposure, display, full, correction, develop
     chain = make_imaging_chain(*settings, keep=True, judging=judging, without=without, motion=motion)
-    score = judged_score(chain, judging, ("evaluate", seed))
+    lacking: dict[str, str] = {}
+    score = judged_score(chain, judging, ("evaluate", seed), lacking)
+    for reason in lacking.values():
+        warn(reason)
     time_s, saturated = score.frame.integration_s, score.frame.saturated_fraction
     of_frame = chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal), saturated
     causes = causes_of(irradiance.header, score.physics, *of_frame)
@@ -1276,15 +1282,25 @@ def warn_of_unused_light(judging: Judging, without: SpectralImage | None) -> Non
         warn(f"without is not used: neither {' nor '.join(OF_TARGETS)} is among the metrics")
 
 
-def judged_score(chain: ImagingChain, judging: Judging, key: tuple[object, ...]) -> FrameScore:
-    """Return the score of a new sensor and a new frame for a key, with the numbers of its metrics."""
+def judged_score(
+    chain: ImagingChain, judging: Judging, key: tuple[object, ...], lacking: dict[str, str] | None = None
+) -> FrameScore:
+    """Return the score of a new sensor and a new frame for a key, with the numbers of its metrics.
+
+    lacking : as of `numbers_of`
+
+    Raises NoNumberError if no metric has a number.
+    """
     judged = Judged(chain, chain.capture(*key), judging, stream=key)
-    return with_numbers(judged.score, judging.metrics, judged)
+    score = with_numbers(judged.score, judging.metrics, judged, lacking)
+    if lacking and len(lacking) == len(judging.metrics):
+        raise NoNumberError(next(iter(lacking.values())))
+    return score
 
 
-def with_numbers(score: S, metrics: Sequence[Metric], judged: Judged | Score) -> S:
-    """Return a score with the numbers of metrics of what `numbers_of` takes."""
-    numbers = numbers_of([metric for metric in metrics if metric.name != DELTA_E.name], judged)  # a score has ΔE
+def with_numbers(score: S, metrics: Sequence[Metric], judged: Judged | Score, lacking: dict[str, str] | None = None) -> S:
+    """Return a score with the numbers of metrics of what `numbers_of` takes; `lacking` is also its."""
+    numbers = numbers_of([metric for metric in metrics if metric.name != DELTA_E.name], judged, lacking)  # a score has ΔE
     first = {metric.name: numbers.get(metric.columns[0], score.mean_delta_e) for metric in metrics}
     return replace(score, metrics=first, further=numbers)
 

@@ -9,19 +9,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixsim.base.arrays import Array, stream
+from pixsim.base.errors import invalid
 from pixsim.viewer.judges.non_prewhitening import npwe
 from pixsim.viewer.judges.sharpness import acutance
 from pixsim.viewer.judges.visible_noise import visual_noise
-from pixsim.viewer.metrics import Metric, MetricContext
+from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms
-from pixsim.viewer.raw_metrics import grey, needs_target, within_range_e
+from pixsim.viewer.raw_metrics import expected_e, grey, needs_target
 from pixsim.viewer.sharpening import unsharp_response
 
 if TYPE_CHECKING:
+    from pixsim.sensor.pixel import Registration
+    from pixsim.sensor.readout import Frame
     from pixsim.viewer.judged import Judged
     from pixsim.viewer.score import Score
 
 GREY = 0.18  # of white: the patch of visual noise
+FEW_FULL = 0.01  # of the patch's pixels: the noise of more of them is cut off where it shows
 POINTS = 257
 FLIP_PACKAGE = "flip_evaluator"
 
@@ -70,6 +74,10 @@ def _visual_noise(judged: Judged) -> tuple[float]:
     patch = replace(chain, signal_e_per_s=even, exposure=chain.exposure.lasting(time_s))
     key = (*judged.stream, judged.number, "visual noise")
     frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
+    if frame.saturated_fraction > FEW_FULL:
+        full = f"{frame.saturated_fraction:.0%} of the pixels of {chain.physics.pitch_um:g} µm full"
+        allowed = f"at most {FEW_FULL:.0%} in a patch of {GREY:.0%} of white, whose noise shows"
+        raise NoNumberError(str(invalid("the metric visual_noise", full, allowed, "Expose it for less time.")))
     return (visual_noise(patch.light(frame), chain.screen.display.samples_per_deg),)
 
 
@@ -88,19 +96,30 @@ VISUAL_NOISE = Metric(
 )
 
 
-def _npwe(judged: Judged) -> tuple[float]:
-    """Compare the shown light of expected frames, and take the noise of this frame for that of all places of the picture."""
-    chain, frame = judged.chain, judged.frame
-    assert chain.without_e_per_s is not None
+def _npwe(judged: Judged) -> tuple[float, float]:
+    """Compare the shown light of expected frames of each registration.
 
-    def shown_light(signal_e_per_s: Array) -> Array:
-        signal_e = within_range_e(chain, signal_e_per_s * frame.integration_s, frame.integration_s)
-        return chain.light(replace(frame, corrected_e=signal_e.astype(np.float32)))
+    The noise of this frame is taken for that of all places of the picture, and of all registrations.
+    """
+    samples_per_deg, power, found = judged.chain.screen.display.samples_per_deg, None, []
+    for chain in judged.chains(judged.options.detectability.registrations):
+        assert chain.without_e_per_s is not None
+        time_s, registration = judged.time_s(chain), chain.physics.registration
+        with_target, without = (
+            chain.light(_expected_frame(judged.frame, expected_e(chain, rate * time_s, time_s), time_s, registration))
+            for rate in (chain.signal_e_per_s, chain.without_e_per_s)
+        )
+        if power is None:  # of the first one, that of the frame
+            noise = chain.light(judged.frame) - with_target
+            power = np.abs(np.fft.fft2(noise - noise.mean(dtype=float))) ** 2 / noise.size / samples_per_deg**2
+        found.append(npwe(np.asarray(with_target - without, float), power, samples_per_deg))
+    return float(np.mean(found)), min(found)
 
-    with_target = shown_light(chain.signal_e_per_s)
-    noise, samples_per_deg = chain.light(frame) - with_target, chain.screen.display.samples_per_deg
-    power = np.abs(np.fft.fft2(noise - noise.mean(dtype=float))) ** 2 / noise.size / samples_per_deg**2
-    return (npwe(np.asarray(with_target - shown_light(chain.without_e_per_s), float), power, samples_per_deg),)
+
+def _expected_frame(frame: Frame, electrons: Array, time_s: float, registration: Registration) -> Frame:
+    """Return a frame with expected electrons (rows, columns) in place of its own."""
+    dn, corrected_e = np.zeros(electrons.shape, np.int32), electrons.astype(np.float32)
+    return replace(frame, dn=dn, mean_e=electrons, corrected_e=corrected_e, integration_s=time_s, registration=registration)
 
 
 def _needs_target_in_grey(asked: MetricContext) -> str:
@@ -115,9 +134,10 @@ NPWE = Metric(
     judges="shown picture",
     source="non-prewhitening observer with an eye filter: Burgess, J. Opt. Soc. Am. A 11 (1994) 1237",
     unseen="the codes of the display, unknown positions of the target, clutter, and noise of the eye itself",
-    columns=("npwe",),
+    columns=("npwe", "least_npwe"),
     bounds=(0.0, 1e12),
     compute=_npwe,
+    worst=("least_npwe",),
     lacks=_needs_target_in_grey,
     needs_light=True,
 )

@@ -269,9 +269,11 @@ def of_metric(c: Configuration, name: str) -> str:
 
 
 def of_target(c: Configuration) -> str:
-    if not has_target(c.judges[0]):
-        return f"neither {' nor '.join(OF_TARGETS)} is among the metrics"
-    return "" if c.command else "the light of the scene without its target is given (without=…)"
+    return "" if has_target(c.judges[0]) else f"neither {' nor '.join(OF_TARGETS)} is among the metrics"
+
+
+def of_without(c: Configuration) -> str:
+    return of_target(c) or ("" if c.command else "the light of the scene without its target is given (without=…)")
 
 
 def of_line_time(c: Configuration) -> str:
@@ -286,7 +288,12 @@ def of_plane(c: Configuration) -> str:
 
 def of_registrations(c: Configuration) -> str:
     centred = "with display.raster = 'one_to_one' the array is centred" if c.display.raster == "one_to_one" else ""
-    return of_metric(c, "detectability") or centred
+    return of_target(c) or centred
+
+
+def of_one_run(c: Configuration) -> str:
+    axis = "only a run looks for it; a study has an axis over scene.parameters, and the contrast factor of every pixel"
+    return of_metric(c, "detectability") or ("" if isinstance(c.command, Run) and not c.lens_of else axis)
 
 
 def of_natural_spectrum(c: Configuration) -> str:
@@ -362,10 +369,11 @@ RULES = (
     ),
     Rule(("tolerance_e", "render_noise", "repeats"), of_calibration),
     Rule(("metric.information.contrast", "metric.information.corner_cy_per_mm"), of_natural_spectrum),
-    Rule(("metric.detectability.without",), of_target),
+    Rule(("metric.detectability.without",), of_without),
     Rule(("metric.detectability.registrations",), of_registrations),
+    Rule(("metric.detectability.solve_for",), of_one_run),
     *(
-        Rule(fields_of(f"metric.{name}", type(options), "without", "registrations"), partial(of_metric, name=name))
+        Rule(fields_of(f"metric.{name}", type(options), "without", "registrations", "solve_for"), partial(of_metric, name=name))
         for name, options in METRIC_OPTIONS
     ),
 )

@@ -64,6 +64,41 @@ def test_light_of_another_program_has_a_curve_a_page_and_settings(folder):
         study(folder / "page" / "settings.toml", folder / "without")
 
 
+def test_a_target_in_given_light_is_judged_as_in_the_light_of_its_scene(folder, tmp_path):
+    """Its rows, bit for bit; those of another light without the target, whose header says the same, are others."""
+    metrics = {"metrics": ["detectability", "npwe"], "jobs": 1}
+    target = {"size_um": 300.0, "contrast": 0.1, "luminance_cd_per_m2": 100.0}
+    rendered = study(folder / "small.toml", tmp_path / "rendered", scene="target", parameters=target, **metrics)
+    own = {"light": rendered.irradiance} | metrics
+    given = study(folder / "small.toml", tmp_path / "given", without=rendered.without, **own)
+    assert rows_in(tmp_path / "given") == rows_in(tmp_path / "rendered")
+    assert "light=…, without=…), of the light of digest" in given.settings_toml
+    dark = rendered.without
+    content = {"data": 1.02 * dark.data, "header": dark.header}
+    other = SpectralImage(dark.wavelength_nm, dark.band_width_nm, dark.pitch_um, **content)
+    study(folder / "small.toml", tmp_path / "given", without=other, **own)
+    assert rows_in(tmp_path / "given") != rows_in(tmp_path / "rendered")
+
+
+def test_a_file_of_light_may_be_that_without_the_target(folder, tmp_path):
+    """In the settings of a run and of a study, beside light of a file."""
+    light, without = tmp_path / "with.npz", tmp_path / "without.npz"
+    y, x = np.mgrid[:64, :64] - 31.5
+    for path, contrast in ((light, 0.1), (without, 0.0)):
+        data = 1e-3 * (1 + contrast * (np.hypot(y, x) < 8.0))[..., None]
+        image = SpectralImage([550.0], 30.0, 2700 / 64, data=data.astype(np.float32), header={"source": path.name})
+        pixsim.write_npz(path, image)
+    judged = {"metrics": ["detectability"], "display": {"white_cd_per_m2": 5000.0, "dots": 48}}
+    found = pixsim.run(light, metric={"detectability": {"without": str(without)}}, **judged).statistics[0]["detectability"]
+    images = [pixsim.read_irradiance(path) for path in (light, without)]
+    display = pixsim.Display(**judged["display"])
+    camera = Camera(die_mm=2.7)
+    wanted = pixsim.evaluate(images[0], camera, pixsim.Pixel(), display=display, metrics=["detectability"], without=images[1])
+    assert found == wanted.metrics["detectability"] > 1
+    with pytest.raises(PixsimError, match=r"without=…\): picture: got 'none\.npz'"):
+        pixsim.run(light, metric={"detectability": {"without": "none.npz"}}, **judged)
+
+
 def test_axes_and_conditions_vary_the_sensor_in_a_given_light(folder):
     axis = [{"name": "noise", "set": "pixel.row_noise_e", "values": [0.0, 20000.0]}]
     condition = [
@@ -100,6 +135,7 @@ def test_axes_and_conditions_vary_the_sensor_in_a_given_light(folder):
         ({"variant": "scalar_spectral"}, "variant: got a value in a study whose light is given"),
         ({"camera": {"die_mm": 5.0}}, "pitch of 'the light that is given': got"),
         ({"metrics": ["delta_e", "detectability"]}, "'detectability'; allowed: light of the scene without its target"),
+        ({"metrics": ["niirs"]}, r"'niirs'; allowed: the distance of the ground: .*object_distance_m.*ground_distance_m"),
     ],
 )
 def test_what_given_light_does_not_have_says_so(folder, more, message):

@@ -66,6 +66,19 @@ def test_pixels_of_several_sizes_are_scored_on_the_same_dots(light):
     assert table[0]["mean_image"] == pytest.approx(alone[0].image[2:-2, 2:-2].mean(), rel=1e-12)
 
 
+def test_metric_without_a_number_for_one_of_the_sensors_is_nan(light):
+    """The deep well shows its surfaces, the shallow one is full of the brighter one."""
+    wells = {"shallow": 300.0, "deep": 1e6}
+    sheet = {"technology": "none", "pitch_um": 10.0, "quantum_efficiency": 0.5, "read_noise_e": 2.0, "dark_current_e_per_s": 0.0}
+    pixels = {name: Pixel(full_well_e=well_e, **sheet) for name, well_e in wells.items()}
+    own = {"camera": CAMERA, "display": DISPLAY, "exposure": Exposure(integration_s=0.01), "metrics": ["delta_e", "niirs"]}
+    with pytest.warns(UserWarning, match="pixel shallow: the metric niirs: got .* full at 300 e-"):
+        table = sweep(light, pixels, **own, jobs=1)
+    assert [np.isnan(row["niirs"]) for row in table] == [True, False]
+    assert all(row["mean_delta_e"] > 0 for row in table)
+    assert "<td>–</td>" in table._repr_html_().replace(' class="number"', "")
+
+
 def test_jobs_change_no_number_and_another_light_does():
     """Two lights whose headers say the same, in the workers of one another: their chains are not mixed up."""
     own = {"camera": CAMERA, "display": DISPLAY, "metrics": ["delta_e", mean_image], "repeats": 2}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import pickle
 import re
 from dataclasses import replace
@@ -156,6 +157,27 @@ def test_delta_e_of_a_study_does_not_depend_on_other_metrics(judged: tuple[Study
     assert "optima" not in alone.as_dict()["curves"][0]
 
 
+def test_reports_have_the_noise_equivalent_quanta_beside_information(judged: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    """At the best size by information up to its Nyquist frequency; of a run, at its own. Without that metric there are none."""
+    pixsim.write_report(judged[0], tmp_path / "study")
+    found = rows(tmp_path / "study" / "figures" / "neq.csv")
+    own = judged[0].curves[0]
+    best_um = own.optima["information"].pitch_um
+    assert {row["sensor"] for row in found} == {own.label}
+    assert float(found[-1]["frequency_cy_per_mm"]) == pytest.approx(500 / best_um, rel=1e-6)
+    assert float(found[0]["neq_per_mm2"]) > float(found[-1]["neq_per_mm2"]) > 0
+    assert "Noise-equivalent quanta" in (tmp_path / "study" / "report.html").read_text()
+    for metric, has_quanta in (("information", True), ("mtf50", False)):
+        out = tmp_path / metric
+        code, _, err = command(f"run flat -D resolution=48 --display.dots 32 --metric delta_e --metric {metric} --out {out}")
+        assert code == 0, err
+        assert (out / "figures" / "neq.csv").is_file() == has_quanta
+        assert ("Noise-equivalent quanta" in (out / "report.html").read_text()) == has_quanta
+        code, _, err = command(f"run flat -D resolution=48 --display.dots 32 --metric mtf50 --out {out}")
+        assert code == 0, err
+        assert not (out / "figures" / "neq.csv").exists(), "a file of the run before"
+
+
 def test_study_resumes_rows_of_the_same_metrics_only(judged: tuple[StudyResult, Path], tmp_path: Path) -> None:
     whole = (judged[1] / "results.csv").read_text()
     lines = whole.splitlines(keepends=True)
@@ -207,6 +229,72 @@ def test_detectability_takes_the_light_without_the_target(tmp_path: Path) -> Non
         least = own.as_dict()["metrics"]["least_detectability"]
         assert least == own.statistics["least_detectability"].min(axis=1).tolist(), "the worst, not the mean of the worst"
     np.testing.assert_allclose(found[1] / found[0], 2.0, rtol=0.02)
+
+
+def test_command_line_leaves_the_target_out_by_values_of_parameters(tmp_path: Path) -> None:
+    """As a table of a file does: twice the target less one of its contrast is one."""
+    words = "run target -D size_um=300 -D luminance_cd_per_m2=100 --resolution 64 --display.dots 32 --metric detectability"
+    found = []
+    for contrast, without in ((0.02, "contrast=0"), (0.04, "contrast = 0.02"), (0.04, "size_um=100,contrast=0.04")):
+        out = tmp_path / without
+        code, _, err = command(f"{words} -D contrast={contrast}", "--out", out, "--metric.detectability.without", without)
+        assert code == 0, err
+        found.append(json.loads((out / "score.json").read_text())["detectability"])
+    assert found[1] == pytest.approx(found[0], rel=0.02), "a brighter one is noisier by its contrast"
+    assert found[2] == pytest.approx(math.sqrt(8 / 9) * 2 * found[0], rel=0.05), "a disc less one of a third of its width"
+
+
+TARGET: dict[str, Any] = {"size_um": 200.0, "contrast": -0.05, "lux": 50.0}
+SMALL: dict[str, Any] = {
+    "resolution": 96,
+    "display": {"dots": 32},
+    "exposure": {"integration_s": 0.01},
+    "metrics": ["detectability"],
+}
+
+
+@pytest.mark.parametrize("name", TARGET)
+@pytest.mark.parametrize("threshold", [2.0, 10.0])
+def test_run_finds_the_contrast_the_size_and_the_light_at_which_a_target_is_seen(name: str, threshold: float) -> None:
+    """With the value that it says, d′ is the threshold: a search that ends within 1e-3 of the value."""
+    options = {"detectability": {"solve_for": name, "threshold": threshold, "registrations": 2}}
+    found = pixsim.run("target", parameters=TARGET, metric=options, **SMALL)
+    assert found.threshold is not None
+    assert found.as_dict()["at_threshold"]["value"] == found.threshold.value
+    assert found.threshold.value is not None
+    at = TARGET | {name: found.threshold.value}
+    again = pixsim.run("target", parameters=at, metric={"detectability": {"registrations": 2}}, **SMALL)
+    assert again.statistics[0]["detectability"] == pytest.approx(threshold, rel=3e-3)
+
+
+def test_command_says_at_which_value_a_target_is_seen_or_that_it_is_at_none(tmp_path: Path) -> None:
+    words = "run target -D size_um=200 -D lux=50 --resolution 96 --display.dots 32 --metric detectability --metric.detectability"
+    (tmp_path / "find.toml").write_text('[metric.detectability]\nsolve_for = "lux"\n')
+    code, out, err = command(f"{words}.threshold 10 --config {tmp_path / 'find.toml'} --out {tmp_path / 'lux'}")
+    assert code == 0, err
+    value = json.loads((tmp_path / "lux" / "score.json").read_text())["at_threshold"]["value"]
+    assert f"10 is reached at lux = {value:.4g}" in out
+    code, out, err = command(f"{words}.threshold 1000 {words.split()[-1]}.solve-for contrast --out {tmp_path / 'none'}")
+    assert code == 0, err
+    assert "1000 is not reached at contrast of -" in out
+    assert "contrast" in out.split("1000 is not reached")[1]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "name", "message"),
+    [
+        ({"size_um": 200.0}, "lux", r"got 'lux', of which no value is stated; allowed: a parameter of target\.xml with a number"),
+        ({"size_um": 200.0}, "shape", "got 'shape', of which the value disc is stated"),
+    ],
+)
+def test_search_for_a_threshold_starts_from_a_number(parameters: dict[str, Any], name: str, message: str) -> None:
+    with pytest.raises(PixsimError, match=message):
+        pixsim.run("target", parameters=parameters, metric={"detectability": {"solve_for": name}}, **SMALL)
+
+
+def test_study_says_that_only_a_run_searches() -> None:
+    with pytest.warns(UserWarning, match=r"solve_for is not used: only a run looks for it; a study has an axis"):
+        prepare(tiny(metrics=["detectability"], metric={"detectability": {"solve_for": "contrast"}}, scene={"file": "target"}))
 
 
 @pytest.mark.parametrize(

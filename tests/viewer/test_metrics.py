@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,15 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.colour_options import ColourOptions
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.readout import read_out, sample_sensor
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.judged import Judged, Judging
 from pixsim.viewer.judges.non_prewhitening import npwe
 from pixsim.viewer.judges.sharpness import edge_mtf
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
-from pixsim.viewer.metrics import own_metric
-from pixsim.viewer.raw_metrics import sensor_mtf
+from pixsim.viewer.metrics import NoNumberError, own_metric
+from pixsim.viewer.raw_metrics import codes_of_0, neq_along, sensor_mtf
 from pixsim.viewer.score import ImagingChain, make_imaging_chain
 
 CELL_UM, WHITE = 2.0, 100.0
@@ -41,8 +43,6 @@ PIXEL = Pixel(
     fill_factor=1.0,
 )
 DISPLAY = Display(white_cd_per_m2=WHITE, dots=64)
-BANDS = {name: [[nm, share] for nm in range(400, 701, 20)] for name, share in (("R", 0.2), ("G", 0.4), ("B", 0.1))}
-RGGB = ColourOptions(pattern="rggb", quantum_efficiencies=BANDS)
 EXPOSURE = pixsim.Exposure(integration_s=0.02)
 
 
@@ -89,6 +89,28 @@ def test_detectability_of_a_target_is_its_signal_over_the_noise(contrast: float)
     assert found.metrics == {"detectability": found.further["detectability"]}
 
 
+def test_column_noise_of_a_pixel_hides_bars_along_its_columns_alone() -> None:
+    """Offsets of columns of 20 times the noise of a pixel: of 100 rows each, vertical bars lose √(1 + 100 · 400), horizontal none.
+
+    Bars of a whole number of pixels fill the frame, and cancel along the other axis.
+    """
+    bars = np.tile(np.repeat([1.0, 0.8], 4), 25)  # 2 pixels each
+    own = {"metrics": ["detectability"], "metric": MetricOptions(detectability={"registrations": 1})}
+    found = {}
+    for fpn in (0.0, 20 * 16.0 / 20_000):
+        pixel = PIXEL.model_copy(update={"column_fpn": fpn, "read_noise_e": 16.0})
+        dim = pixsim.Exposure(integration_s=1e-4)  # 10 e- of light: the noise is that of reading
+        for name, picture in (("vertical", np.tile(bars, (200, 1))), ("horizontal", np.tile(bars[:, None], 200))):
+            without = light(np.full((200, 200), 0.9))
+            found[name, bool(fpn)] = pixsim.evaluate(light(picture), CAMERA, pixel, dim, DISPLAY, without=without, **own).metrics[
+                "detectability"
+            ]
+    assert found["horizontal", True] == pytest.approx(found["horizontal", False], rel=1e-6)
+    lost = found["vertical", False] / found["vertical", True]
+    assert lost == pytest.approx(math.sqrt(1 + 100 * 400), rel=0.05), "shot noise and rounding are 4 % of the variance"
+    assert found["vertical", False] == pytest.approx(found["horizontal", False], rel=1e-6)
+
+
 def test_detectability_is_the_mean_over_registrations_and_the_worst() -> None:
     """A target of one pixel is shared by four where they meet on it: registrations differ, and 16 are asked for by default."""
     image = with_disc(0.5, 1.0)
@@ -132,19 +154,76 @@ def test_detectability_of_clipped_pixels_is_none_and_of_rounded_noise_an_error()
         evaluate(with_disc(0.1), pixel=quiet, without=EVEN)
 
 
-@pytest.mark.parametrize("name", ["information", "niirs"])
-def test_frame_whose_signal_clips_tells_nothing(name: str) -> None:
-    """Just below the end of the well a frame tells much, whose signal is largest there, and above it nothing."""
+@pytest.mark.parametrize(
+    ("name", "of_full"), [("information", None), ("niirs", 0.15), ("visual_noise", 0.18)], ids=["information", "niirs", "noise"]
+)
+def test_frame_whose_signal_clips_tells_nothing(name: str, of_full: float | None) -> None:
+    """Below the end of the well a frame tells most, whose signal is largest there. Above it there is no information.
 
-    def value(times: float) -> float:
-        exposure = pixsim.Exposure(integration_s=times * full_s)
-        return pixsim.evaluate(EVEN, CAMERA, PIXEL, exposure=exposure, display=DISPLAY, metrics=[name]).metrics[name]
-
+    A rating or the noise of what is full has no number: beside another metric it is NaN, with the reason.
+    """
     chain = chain_of(EVEN)
     top_e = (2**12 - 1 - 64) / chain.physics.dn_per_e
-    full_s = top_e / (float(chain.signal_e_per_s.mean()) if name == "information" else 0.15 * chain.white_e_per_s)
-    assert value(0.25) < value(0.99)
-    assert value(1.01) == 0.0
+    full_s = top_e / (float(chain.signal_e_per_s.mean()) if of_full is None else of_full * chain.white_e_per_s)
+
+    def evaluate(times: float, *names: str) -> dict[str, float]:
+        exposure = pixsim.Exposure(integration_s=times * full_s)
+        return pixsim.evaluate(EVEN, CAMERA, PIXEL, exposure=exposure, display=DISPLAY, metrics=names).metrics
+
+    dark, bright = evaluate(0.25, name)[name], evaluate(0.9, name)[name]
+    assert dark > bright if name == "visual_noise" else dark < bright
+    if name == "information":
+        assert evaluate(1.1, name)[name] == 0.0
+        return
+    with pytest.raises(NoNumberError, match=f"the metric {name}: got .* full.*Expose it for less time"):
+        evaluate(1.1, name)
+    with pytest.warns(UserWarning, match=f"the metric {name}: got"):
+        found = evaluate(1.1, "delta_e", name)
+    assert math.isnan(found[name])
+    assert found["delta_e"] > 0
+
+
+@pytest.mark.parametrize(("bits", "read_noise_e", "exposures"), [(12, 4.0, 1), (9, 25.0, 1), (12, 60.0, 1), (12, 20.0, 4)])
+def test_codes_near_0_have_the_mean_and_variance_of_frames(bits: int, read_noise_e: float, exposures: int) -> None:
+    """Noise of 0.6 to 12 DN around a black level of 0, of pixels with PRNU and offsets; of a burst of 4, too.
+
+    Means within 4 standard errors of 360 000 pixels (6e-5 of seeds), or 0.1 % of the noise, and variances within 2 %: both for
+    the skewness of a few electrons, which a normal level does not have.
+    """
+    own = {"bits": bits, "read_noise_e": read_noise_e, "black_level_dn": 0.0, "prnu": 0.02}
+    own |= {"offset_fpn": 0.2 * read_noise_e / 20_000}
+    chain, rng = chain_of(EVEN, PIXEL.model_copy(update=own)), np.random.default_rng(44)
+    chain = replace(chain, physics=chain.physics.burst(exposures))
+    near_0 = codes_of_0(chain, 0.02, 0.0)
+    assert near_0 is not None
+    sensor = sample_sensor(chain.physics, (600, 600), rng)
+    for signal_e in exposures * read_noise_e * np.array([0.0, 0.5, 1.0, 3.0, 8.0]):
+        frame_e = read_out(np.full(sensor.shape, signal_e), 0.02, sensor, rng) / chain.physics.dn_per_e
+        mean, variance, _ = (float(each) for each in near_0.at(np.array(signal_e), frame_e.var()))
+        assert frame_e.mean() == pytest.approx(mean, abs=(4 / 600 + 1e-3) * math.sqrt(variance))
+        assert frame_e.var() == pytest.approx(variance, rel=0.02)
+
+
+@pytest.mark.parametrize("black_level_dn", [0.0, 64.0])
+def test_detectability_in_the_dark_is_that_of_frames(black_level_dn: float) -> None:
+    """Two thirds of the pixels are at code 0, or none: difference and variance of 60 frames each, 10 000 pixels of 1 e- or less.
+
+    d′ of a pixel is 0.2, and known within √2/√600 000 of it, 1 %: 3 % are 3 standard errors. Without the cut it would be 8 % more.
+    """
+    pixel = PIXEL.model_copy(update={"black_level_dn": black_level_dn})
+    dim = pixsim.Exposure(integration_s=2e-5)
+    levels = light(np.full((200, 200), 1.0)), light(np.full((200, 200), 0.2))
+    judging = Judging(metrics_named(["detectability"]), MetricOptions(detectability={"registrations": 1}))
+    chain = replace(chain_of(levels[0], pixel, levels[1], judging), exposure=dim)
+    expected = METRICS["detectability"].compute(Judged(chain, chain.capture("a"), judging))[0]
+    assert chain.without_e_per_s is not None
+    drawn = [
+        np.stack([replace(chain, signal_e_per_s=rate).capture(name, k).dn for k in range(60)]).astype(float)
+        for name, rate in (("with", chain.signal_e_per_s), ("without", chain.without_e_per_s))
+    ]
+    d_prime = (drawn[0].mean() - drawn[1].mean()) * math.sqrt(drawn[0][0].size / ((drawn[0].var() + drawn[1].var()) / 2))
+    assert expected == pytest.approx(d_prime, rel=0.03)
+    assert (0.5 < (drawn[1] == 0).mean() < 0.9) == (black_level_dn == 0)
 
 
 def test_light_without_the_target_has_the_samples_of_that_with_it() -> None:
@@ -254,6 +333,30 @@ def test_information_of_a_flat_spectrum_is_its_closed_form() -> None:
     assert bits == pytest.approx(wanted, rel=5e-3)  # of the means over points in place of Simpson's rule
 
 
+def test_neq_is_the_quanta_less_noise_and_blur() -> None:
+    """q²/(q + 16 + quantisation) a pixel, times the squared MTF: of shot noise alone the quanta. To rounding."""
+    chain = chain_of(EVEN)
+    frequency, neq = neq_along(chain, 0.02)
+    quanta = 0.02 * float(chain.signal_e_per_s.mean())
+    at_0 = quanta**2 / (quanta + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)) / 0.004**2
+    assert frequency[[0, -1]].tolist() == [0.0, 125.0]
+    np.testing.assert_allclose(neq, at_0 * sensor_mtf(chain, frequency, np.zeros(1)) ** 2, rtol=1e-9)
+    lens = float(pixsim.optics.diffraction_otf(125.0, 550.0, CAMERA.effective_f_number))
+    assert neq[-1] == pytest.approx(at_0 * (lens * 2 / math.pi) ** 2, rel=1e-4), "and the sinc of a pixel at Nyquist"
+    assert np.isnan(neq_along(chain, 1e3)[1]).all(), "all pixels are full"
+
+
+def test_information_of_a_stated_spectrum_does_not_depend_on_the_film() -> None:
+    """An even field in cells of 0.8 to 4 µm: the spectrum is that of natural scenes, and the level the same to rounding."""
+    found = []
+    for count in (100, 200, 500):
+        data = np.full((count, count, 1), 2e-4, np.float32)
+        image = SpectralImage([550.0], 10.0, 400.0 / count, data=data, header={"diffraction": False})
+        score = pixsim.evaluate(image, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=["information"])
+        found.append(score.metrics["information"])
+    assert found == pytest.approx([found[0]] * 3, rel=1e-9)
+
+
 def test_information_of_the_scene_is_that_of_another_film() -> None:
     """A picture with a spectrum of its own, in cells of 2 and 4 µm: what both show of it is the same within 1 %."""
     rng = np.random.default_rng(3)
@@ -328,19 +431,61 @@ def mine(score: Any) -> float:
 
 
 @pytest.mark.parametrize(
-    ("names", "pixel", "message"),
+    ("names", "message"),
     [
-        (["information"], {"colour": RGGB}, r"'information'; allowed: a pixel without colour filters"),
-        (["detectability"], {}, r"'detectability'; allowed: light of the scene without its target"),
-        (["sharpness"], {}, r"metrics: got 'sharpness'; allowed: any of delta_e, detectability, .*Python"),
-        (["delta_e", "delta_e"], {}, r"'delta_e' twice"),
-        ([], {}, r"metrics: got none"),
-        ([lambda score: 1.0], {}, r"a function with a name.*not a lambda"),
+        (["sharpness"], r"metrics: got 'sharpness'; allowed: any of delta_e, detectability, .*Python"),
+        (["delta_e", "delta_e"], r"'delta_e' twice"),
+        ([], r"metrics: got none"),
+        ([lambda score: 1.0], r"a function with a name.*not a lambda"),
     ],
 )
-def test_metrics_that_mean_nothing_are_refused(names: list[Any], pixel: dict[str, Any], message: str) -> None:
+def test_metrics_that_are_none_are_refused(names: list[Any], message: str) -> None:
     with pytest.raises(PixsimError, match=message):
-        pixsim.evaluate(EVEN, CAMERA, PIXEL.model_copy(update=pixel), EXPOSURE, DISPLAY, metrics=names)
+        pixsim.evaluate(EVEN, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=names)
+
+
+FROM_NM = {"B": 400, "G": 500, "R": 600}
+CHANNELS = {name: [[nm, 0.5 * (low <= nm < low + 100)] for nm in range(400, 701, 20)] for name, low in FROM_NM.items()}
+OF_GREY = r"'{}'; allowed: a pixel without colour filters \(pixel\.colour\)"
+OF_PICTURE = r"'{}'; allowed: the frame of a sensor"
+OF_TARGET = r"'{}'; allowed: light of the scene without its target"
+OF_LIGHT = r"the scene's white: got 0 .*; allowed: light to which both the sensor and the eye respond"
+# What is asked of a metric: settings of the pixel and bands of the light; the metrics that mean something; what the others say.
+SITUATIONS: dict[str, tuple[dict[str, Any], range, set[str], str]] = {
+    "grey": ({}, range(400, 701, 20), set(METRICS), ""),
+    "mosaic": ({"pattern": "rggb"}, range(400, 701, 20), {"delta_e", "detectability", "flip"}, OF_GREY),
+    "stacked": ({"pattern": "stacked"}, range(400, 701, 20), {"delta_e", "detectability", "flip"}, OF_GREY),
+    "no target": ({}, range(400, 701, 20), set(METRICS) - {"detectability", "npwe"}, OF_TARGET),
+    "infrared": ({}, range(840, 901, 20), set(), OF_LIGHT),
+    "picture": ({}, range(0), {"delta_e", "flip"}, OF_PICTURE),
+}
+
+
+@pytest.mark.parametrize("situation", SITUATIONS)
+@pytest.mark.parametrize("name", METRICS)
+def test_every_metric_has_a_number_or_says_what_it_needs(name: str, situation: str) -> None:
+    colour, nm, meant, message = SITUATIONS[situation]
+    if name == "flip" and find_spec("flip_evaluator") is None:
+        meant, message = set(), "pip install" if situation != "infrared" else "pip install|" + message
+
+    def judged() -> float:
+        if situation == "picture":
+            return pixsim.score_pictures(np.full((32, 32), 0.5), np.full((32, 32), 0.4), metrics=[name]).metrics[name]
+        own = {"quantum_efficiency": 0.6} if not colour else {"colour": ColourOptions(quantum_efficiencies=CHANNELS, **colour)}
+        pixel = PIXEL.model_copy(update={"quantum_efficiency": None} | own)
+        disc = 1.0 + 0.1 * (np.hypot(*(np.mgrid[:100, :100] - 49.5)) < 20.0)
+        lit = [
+            SpectralImage(nm, 20.0, 2 * CELL_UM, data=np.float32(2e-5 * each)[..., None] * np.ones(len(nm), np.float32))
+            for each in (disc, np.ones((100, 100)))
+        ]
+        without = lit[1] if name in ("detectability", "npwe") and situation != "no target" else None
+        return pixsim.evaluate(lit[0], CAMERA, pixel, EXPOSURE, DISPLAY, metrics=[name], without=without).metrics[name]
+
+    if name in meant:
+        assert math.isfinite(judged())
+        return
+    with pytest.raises(PixsimError, match=message.format(name)):
+        judged()
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, "a", None, True, np.ones(3)])

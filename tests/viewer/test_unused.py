@@ -297,7 +297,8 @@ SIZES = [6.0, 7.0, 8.0, 9.0, 10.0]
         ({"tolerance_delta_e": 0.01, "repeats": 4, "max_repeats": 16, "render_noise": 0.1}, {"repeats", "render_noise"}),
         ({"repeats": 4, "render_noise": 0.1, "tolerance_e": 1e-4, "max_seconds": 60.0, "window_mm": 1.0}, set()),
         ({"metrics": ["npwe"], "metric": {"detectability": {"without": {"contrast": 0.5}}}}, set()),
-        ({"metrics": ["npwe"], "metric": {"detectability": {"registrations": 4}}}, {"metric.detectability.registrations"}),
+        ({"metrics": ["npwe"], "metric": {"detectability": {"registrations": 4}}}, set()),
+        ({"metrics": ["information"], "metric": {"detectability": {"registrations": 4}}}, {"metric.detectability.registrations"}),
         (
             {"metrics": ["detectability"], "metric": {"detectability": {"registrations": 4}}, "display": {"raster": "one_to_one"}},
             {"metric.detectability.registrations"},

@@ -1,0 +1,87 @@
+"""The noise-equivalent quanta of sensors against frequency, beside the metric information of a run and of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import cycle
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.sensor.readout import integration_time_s
+from pixsim.show.figures import LOOKS, new_figure, own_style
+from pixsim.show.pages import Column, Plate
+from pixsim.studies.result import StudyResult
+from pixsim.studies.run import RunResult
+from pixsim.viewer.raw_metrics import INFORMATION, neq_along
+from pixsim.viewer.score import ImagingChain
+
+NEQ = "neq"  # name of the figure
+
+
+@dataclass(frozen=True)
+class Quanta:
+    """The NEQ of a sensor.
+
+    pitch_um : of its pixels
+    frequency_cy_per_mm : along an axis of the sensor, (n,)
+    neq_per_mm2 : there, (n,)
+    """
+
+    pitch_um: float
+    frequency_cy_per_mm: Array
+    neq_per_mm2: Array
+
+    @classmethod
+    def of(cls, chain: ImagingChain, time_s: float) -> Quanta:
+        """Return that of the frames of a chain."""
+        return cls(chain.physics.pitch_um, *neq_along(chain, time_s))
+
+
+def quanta_of_run(result: RunResult) -> dict[str, Quanta]:
+    """Return the NEQ of a run's sensor by its name; nothing without the metric information."""
+    if INFORMATION.name not in result.settings.metrics:
+        return {}
+    return {result.settings.pixel.technology: Quanta.of(result.chain, result.score.frame.integration_s)}
+
+
+def quanta_of_study(result: StudyResult) -> dict[str, Quanta]:
+    """Return the NEQ of each sensor of a study, at its best size by information, by its label; nothing without that metric."""
+    found: dict[str, Quanta] = {}
+    for curve in result.curves if INFORMATION.name in result.study.metrics else ():
+        series = result.series[curve.technology]
+        best = curve.optima.get(INFORMATION.name, curve.optimum)
+        imaging = series.imaging.at(best.pitch_um)
+        chain = imaging.chain(series.light(), imaging.registered(0))
+        time_s = integration_time_s(chain.exposure, chain.physics, float(chain.signal_e_per_s.max()))
+        found[curve.label] = Quanta.of(chain, time_s)
+    return found
+
+
+@own_style()
+def neq_against_frequency(quanta: Mapping[str, Quanta]) -> Plate:
+    """Draw the NEQ of sensors, by their labels, up to their Nyquist frequencies."""
+    figure = new_figure(6.4, 3.6)
+    axes = figure.subplots()
+    table: dict[str, Column] = {"sensor": [], "pitch_um": [], "frequency_cy_per_mm": [], "neq_per_mm2": []}
+    for (label, each), look in zip(quanta.items(), cycle(LOOKS), strict=False):
+        axes.plot(each.frequency_cy_per_mm, each.neq_per_mm2, lw=1.5, label=f"{label}, {each.pitch_um:.3g} µm", **look.stroke)
+        count = each.frequency_cy_per_mm.size
+        columns = [label] * count, [each.pitch_um] * count, each.frequency_cy_per_mm.tolist(), each.neq_per_mm2.tolist()
+        for column, values in zip(table.values(), columns, strict=True):
+            column += values
+    axes.set(xlabel="frequency on the sensor (cy/mm)", ylabel="NEQ (mm⁻²)", xlim=(0, None))
+    if any((each.neq_per_mm2 > 0).any() for each in quanta.values()):
+        axes.set_yscale("log")
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, fontsize=8)
+    first = next(iter(quanta.values()))
+    at_0 = first.neq_per_mm2[0]
+    told = f"{at_0:.3g} quanta a mm² at frequency 0" if np.isfinite(at_0) else "all pixels clip"
+    caption = (
+        "Noise-equivalent quanta, mean² · MTF²/noise: the quanta that an ideal detector would need for the same ratio of signal to "
+        f"noise at a frequency, along an axis up to the Nyquist frequency. {next(iter(quanta))}: {told}. Mean level and noise are "
+        "those of the judge information; aliases are not in it."
+    )
+    return Plate(NEQ, caption, figure, table)
