@@ -71,9 +71,12 @@ def check_ideals(series: Sequence[Series]) -> None:
     for each in series:
         if each.imaging.pixel.colour is not None:  # the ideal image does not depend on the filters
             coloured.setdefault(id(each.scenes), each)
-    for each in coloured.values() if grey else ():
-        ideal = each.scenes.ideal(each.imaging.physics, each.border_um)
-        check_one_ideal(grey, {each.label: shown(ideal, each.imaging.display)})
+    if grey:
+        ideals = {
+            each.label: shown(each.scenes.ideal(each.imaging.physics, each.border_um), each.imaging.display)
+            for each in coloured.values()
+        }
+        check_one_ideal(grey, ideals)
 
 
 def warn_of_stacks(series: Series, smallest_um: float) -> None:

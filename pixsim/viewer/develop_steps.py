@@ -217,16 +217,23 @@ def noise_of_expected_e2(
 ) -> tuple[Array, float, float]:
     """Return the variance of each pixel by itself of an expected frame (rows, columns), and of what columns and rows share.
 
-    With the fixed patterns, as far as the correction leaves them.
+    With the fixed patterns, as far as the correction leaves them. The mean of dark rows, which a column loses, is shared by it.
     """
     row = float(variance_e2(physics, is_temporal=True, along="row"))
     column = float(variance_e2(physics, is_temporal=False, along="column"))
-    if correction.is_on:
-        total = np.asarray(residual_variance_e2(signal_e, integration_s, physics, correction).total)
-        if correction.dark_frames or correction.column_clamp:
-            column = 0.0
-    else:
+    if not correction.is_on:
         total = frame_variance_dn2(signal_e, integration_s, physics) / physics.dn_per_e**2
+        return np.maximum(total - row - column, 0.0), column, row
+    total = np.asarray(residual_variance_e2(signal_e, integration_s, physics, correction).total)
+    frames, rows = correction.dark_frames, correction.column_clamp
+    if rows:
+        dark_e = physics.dark_current_e_per_s * integration_s
+        rounding_e2 = physics.rounding_variance_dn2 / physics.dn_per_e**2
+        of_rows = float(variance_e2(physics, dark_e + rounding_e2, is_temporal=True, along="pixel"))
+        of_pattern = float(variance_e2(physics, dark_e=dark_e, is_temporal=False, along="pixel"))
+        column = (of_rows * (1 + 1 / frames) if frames else of_rows + of_pattern) / rows
+    elif frames:
+        column = 0.0
     return np.maximum(total - row - column, 0.0), column, row
 
 

@@ -23,6 +23,7 @@ from pixsim.show.sentences import capital
 from pixsim.studies.averages import Averaged, Observed, shown_delta_e
 from pixsim.studies.verdicts import answer, elsewhere_note, verdict, verdict_parts, whole_verdict
 from pixsim.studies.viewing import Viewing, ViewingRange
+from pixsim.viewer.setting import Run
 
 SMALL = "--display.dots 120 --resolution 256 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
 SHEET = """\
@@ -280,14 +281,15 @@ def observed(
     condition: str = "",
     noises: tuple[dict[str, float], ...] = ({}, {}),
 ) -> Observed:
-    lineup = SimpleNamespace(viewing=ViewingRange(tuple(values), stated), condition=condition, weight=0.5 if condition else 1.0)
+    own = {"viewing": ViewingRange(tuple(values), stated), "condition": condition, "settings": Run()}
+    lineup = SimpleNamespace(**own, weight=0.5 if condition else 1.0)
     steps = SimpleNamespace(error_of_difference=lambda _: math.nan if film is None else film)
     sensors = []
     for number, (name, noise) in enumerate(zip("ab", noises, strict=True)):
         viewed = np.array([pair[number] for pair in values.values()])
         image = SimpleNamespace(header={"render_noise": noise} if noise else {})
         own = {"name": name, "viewed": viewed, "delta_e": viewed[0], "steps": steps, "causes": (), "irradiance": image}
-        sensors.append(SimpleNamespace(**own))
+        sensors.append(SimpleNamespace(**own, sensor=SimpleNamespace(settings=Run())))
     return SimpleNamespace(lineup=lineup, sensors=tuple(sensors))  # type: ignore[return-value]
 
 

@@ -16,13 +16,24 @@ from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics import irradiance_factor
 from pixsim.optics.camera import Camera
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, make_frame
 from pixsim.studies.settings_text import settings_text
 from pixsim.viewer.demosaic import remosaic
+from pixsim.viewer.denoising import wiener
 from pixsim.viewer.develop_options import Develop
-from pixsim.viewer.develop_steps import PLANES, RAW, SHOWN, STEPS, developed_planes, noise_covariance, white_noise_e2
+from pixsim.viewer.develop_steps import (
+    PLANES,
+    RAW,
+    SHOWN,
+    STEPS,
+    developed_planes,
+    noise_covariance,
+    noise_of_expected_e2,
+    white_noise_e2,
+)
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import ImagingChain, make_imaging_chain, shown
 from pixsim.viewer.sharpening import noise_gain, unsharp_mask, unsharp_response
@@ -147,6 +158,31 @@ def test_no_filter_of_the_list_beats_the_bound_in_mean_square_error_of_even_nois
     for amount, sigma in ((0.9, 0.5), (0.9, 1.0), (0.5, 1.0), (0.7, 3.0)):
         blurred = frame.electrons - amount * (unsharp_mask(frame.electrons, 1.0, sigma) - frame.electrons)
         assert least < float(np.mean((blurred - expected) ** 2))
+
+
+@pytest.mark.parametrize("colour", ["", "rggb"])
+@pytest.mark.parametrize("correction", [{}, {"dark_frames": 4}, {"dark_frames": 4, "flat_frames": 8, "column_clamp": 8}], ids=str)
+def test_bound_leaves_the_error_that_it_states(colour: str, correction: dict[str, Any]) -> None:
+    """∫ SN/(S + N) of raw planes, over sensors with fixed patterns, as a correction leaves them: within 5 %.
+
+    16 sensors of 128² pixels tell it to 1 %; the closed form of the residual is of first order in PRNU, and takes the flat frames
+    of all channels for as bright as those of the brightest.
+    """
+    fields = {"prnu": 0.02, "dsnu": 0.2, "dark_current_e_per_s": 5e4, "offset_fpn": 5e-4, "column_fpn": 5e-4, "row_noise_e": 4.0}
+    chain = replace(chain_of({"denoise": "wiener_bound"}, colour, **fields), correction=Correction(**correction))
+    expected, errors = chain.signal_e_per_s * TIME_S, []
+    c = chain.developing(noiseless(chain), None)
+    for number in range(16):
+        raw = STEPS["denoise"].apply(chain.capture("bound", number).electrons, replace(c))
+        errors.append(float(np.mean((raw - expected) ** 2)))
+    variance, column_e2, row_e2 = noise_of_expected_e2(expected, chain.physics, TIME_S, chain.correction)
+    stated = [
+        wiener.mean_square_error(
+            wiener.signal_power(light), wiener.noise_power(own, column_variance=column_e2, row_variance=row_e2)
+        )
+        for light, own in zip(c.parts(expected), c.parts(variance), strict=True)
+    ]
+    assert np.mean(errors) == pytest.approx(np.mean(stated), rel=0.05)
 
 
 def chroma_noise(planes: list[np.ndarray]) -> float:
