@@ -1,0 +1,116 @@
+"""How far the camera's own processing moves the best pixel size: the tables of docs/processing.md; `--write` puts them there.
+
+    python tests/benchmarks/processing.py [--write] [--out DIR] [--jobs 2]
+
+Runs the packaged study `processing`, and the studies and the comparison whose files are on the page. Bests are as a study says
+them; a move is the ratio of two best sizes, whose interval has both intervals in quadrature of logarithms.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.five_judges import best_words, markdown
+from helpers.documents import ROOT, blocks_of
+
+import pixsim
+from pixsim.studies.agreement import fits_of
+from pixsim.studies.result import Curve, StudyResult
+
+PAGE = ROOT / "docs/processing.md"
+AXIS = "processing"
+JUDGES = {
+    "npwe": "d′ of the viewer, shown picture",
+    "visual_noise": "visual noise, shown picture",
+    "detectability": "d′ of the ideal observer, frame",
+    "information": "information, frame",
+}
+
+
+def moved(raw: Curve, other: Curve) -> str:
+    """How the best size differs from that of raw pictures, with its 95 % interval, in percent; a bound where one is at an end."""
+    sizes, spreads = [], []
+    for curve in (raw, other):
+        best, (low, high) = curve.fit.optimum, curve.fit.optimum.interval_um
+        sizes.append(best.pitch_um)
+        spreads.append(tuple(math.log(side / best.pitch_um) if side and best.inside else math.nan for side in (low, high)))
+    move = math.log(sizes[1] / sizes[0])
+    if math.isnan(sum(map(sum, spreads))):
+        at_end = "at most " if not other.fit.optimum.inside else ""
+        return f"{at_end}{100 * math.expm1(move):+.0f} %"
+    low = move - math.hypot(spreads[1][0], spreads[0][1])
+    high = move + math.hypot(spreads[1][1], spreads[0][0])
+    return f"{100 * math.expm1(move):+.0f} % ({100 * math.expm1(low):+.0f} … {100 * math.expm1(high):+.0f})"
+
+
+def sizes_of(results: dict[str, StudyResult]) -> tuple[str, str]:
+    """Best size and least ΔE of each processing in each light; and how far the best size moves."""
+    curves: dict[str, dict[str, Curve]] = {}
+    for name, result in results.items():
+        for curve in result.curves:
+            curves.setdefault(str(curve.at[AXIS]), {})[curve.condition or name] = curve
+    lights = list(curves["raw"])
+    best, moves = [(AXIS, *lights)], [(AXIS, *lights)]
+    for name, own in curves.items():
+        values = (f"{best_words(own[light].fit)}: {own[light].fit.optimum.mean_delta_e:.3g}" for light in lights)
+        best.append((name, *values))
+        if name != "raw":
+            moves.append((name, *(moved(curves["raw"][light], own[light]) for light in lights)))
+    return markdown(best), markdown(moves)
+
+
+def judged(result: StudyResult) -> str:
+    """Best size by each judge, for each processing."""
+    rows = [(AXIS, *JUDGES.values())]
+    for curve in result.curves:
+        fits = fits_of(curve)
+        rows.append((str(curve.at[AXIS]), *(best_words(fits[judge]) if judge in fits else "–" for judge in JUDGES)))
+    return markdown(rows)
+
+
+def small_and_large(result: StudyResult) -> str:
+    """Mean ΔE of the small and of the large pixels, with the interval of the difference of pairs."""
+    rows = [("signal of the white", AXIS, "1.25 µm", "5 µm", "small less large")]
+    for curve in sorted(result.curves, key=lambda curve: -float(curve.condition.split()[0])):
+        small, large = curve.statistics["mean_delta_e"]
+        pairs = small - large
+        half = 3.182 * float(pairs.std(ddof=1)) / math.sqrt(len(pairs))  # Student's t of four pairs
+        of_pairs = f"{float(pairs.mean()):+.3f} ± {half:.3f}"
+        rows.append((curve.condition, str(curve.at[AXIS]), f"{small.mean():.3f}", f"{large.mean():.3f}", of_pairs))
+    return markdown(rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--out", type=Path, default=Path("pixsim-out/processing-tables"))
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    text = PAGE.read_text(encoding="utf-8")
+    files = {block.comments["file"]: block.text for block in blocks_of(text) if "file" in block.comments}
+    for name, content in files.items():
+        (options.out / name).write_text(content, encoding="utf-8")
+
+    def study(of: str) -> StudyResult:
+        return pixsim.study(str(options.out / of) if of in files else of, options.out / Path(of).stem, jobs=options.jobs)
+
+    made = (*sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: study(AXIS)}), judged(study("judges.toml")))
+    made = (*made, small_and_large(study("two_sizes.toml")))
+    print("\n\n".join(made))
+    if options.write:
+        ready = iter(made)
+        heads = "|".join(re.escape(one.splitlines()[0]) for one in made)
+        changed, count = re.subn(rf"^(?:{heads})\n(\|.*\n)+", lambda _: f"{next(ready)}\n", text, flags=re.MULTILINE)
+        assert count == len(made), f"{count} tables of cases in {PAGE}"
+        PAGE.write_text(changed, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
