@@ -249,7 +249,8 @@ def study(
     study: Annotated[
         str,
         Parameter(
-            help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern.",
+            help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern, colour, "
+            "processing.",
             completer=common.complete_study,
         ),
     ],
@@ -905,7 +906,10 @@ def template(
     *,
     of: Annotated[
         str | None,
-        Parameter(help="For a study: copy a packaged one (pixel-size, chen2000, chen2000-sensitivity, modern).", metavar="STUDY"),
+        Parameter(
+            help="For a study: copy a packaged one (pixel-size, chen2000, chen2000-sensitivity, modern, colour, processing).",
+            metavar="STUDY",
+        ),
     ] = None,
     output: Annotated[Path | None, Parameter(name=["-o", "--output"], help="TOML file [default: to standard output].")] = None,
     json: Json = False,

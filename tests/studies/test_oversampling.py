@@ -31,6 +31,7 @@ from pixsim.studies.film_error import measured_places
 from pixsim.studies.oversampling import FilmError, film_steps, measure_film, render_on_film
 from pixsim.studies.result import StudyResult
 from pixsim.studies.sentences import film_words, optimum_line
+from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 
@@ -116,6 +117,20 @@ def test_measure_film_at_gain_is_that_of_the_amplified_pixel():
     assert at_gain.tolerated_delta_e == pytest.approx(same.tolerated_delta_e, rel=1e-6)
     assert at_gain.delta_e == pytest.approx(same.delta_e, rel=1e-6)
     assert at_gain.delta_e[0] != pytest.approx(plain.delta_e[0], rel=1e-4)
+
+
+def test_film_error_behind_a_denoiser_that_adapts_is_that_behind_the_linear_bound(monkeypatch):
+    """Parts of a picture are smaller than the window of `nlm`."""
+    texture = light(np.random.default_rng(4).choice([0.2, 0.8], (128, 128)).repeat(4, axis=0).repeat(4, axis=1))
+    for name, least in (("MEASURED", 1), ("MIN_PIXELS", 1), ("MIN_DOTS", 1)):
+        monkeypatch.setattr(f"pixsim.studies.film_error.{name}", least)
+    pixel = PIXEL.model_copy(update={"pitch_um": 50.0})
+    denoised, bound, raw = (
+        measure_film(texture, [Imaging(CAMERA, pixel, Exposure(), Display(dots=32), develop=Develop(denoise=name))])
+        for name in ("nlm", "wiener_bound", "none")
+    )
+    assert denoised == bound
+    assert denoised.delta_e != raw.delta_e
 
 
 def test_measure_film_too_small_is_unknown():
