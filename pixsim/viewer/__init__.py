@@ -4,6 +4,6 @@ What a user states: `display_options`, `develop_options`, and `setting`, all tha
 of `settings_file`; these do not import NumPy, and `unused` says which of them nothing uses. In the order of the flow: `demosaic`,
 `colour_matrix` and `develop` (frames with colour filters), `display` (electrons to light on the display's dots), `scielab`
 (S-CIELAB), `score` (all of it, from irradiance to mean ΔE), `parts` (what a mean ΔE is made of). `judges` are other measures of
-frames and pictures.
+frames and pictures, and `denoising` has the filters of a raw frame.
 May import: base, light, optics, sensor, show.
 """

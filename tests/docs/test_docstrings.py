@@ -53,6 +53,7 @@ KERNELS = (
     ),
     *("scene.charts", "viewer.colour_matrix", "viewer.demosaic", "viewer.display", "viewer.scielab"),
     *(f"viewer.judges.{name}" for name in ("information_density", "non_prewhitening", "sharpness")),
+    *(f"viewer.denoising.{name}" for name in ("anscombe", "filters", "wiener")),
 )
 # Public names exempt from a rule, and why.
 EXCEPTIONS = {
