@@ -14,6 +14,8 @@ import re
 import sys
 from pathlib import Path
 
+from scipy.special import stdtrit
+
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.five_judges import best_words, markdown
@@ -78,9 +80,9 @@ def small_and_large(result: StudyResult) -> str:
     """Mean ΔE of the small and of the large pixels, with the interval of the difference of pairs."""
     rows = [("signal of the white", AXIS, "1.25 µm", "5 µm", "small less large")]
     for curve in sorted(result.curves, key=lambda curve: -float(curve.condition.split()[0])):
-        small, large = curve.statistics["mean_delta_e"]
+        small, *_, large = curve.statistics["mean_delta_e"]
         pairs = small - large
-        half = 3.182 * float(pairs.std(ddof=1)) / math.sqrt(len(pairs))  # Student's t of four pairs
+        half = float(stdtrit(len(pairs) - 1, 0.975)) * float(pairs.std(ddof=1)) / math.sqrt(len(pairs))
         of_pairs = f"{float(pairs.mean()):+.3f} ± {half:.3f}"
         rows.append((curve.condition, str(curve.at[AXIS]), f"{small.mean():.3f}", f"{large.mean():.3f}", of_pairs))
     return markdown(rows)
