@@ -18,9 +18,11 @@ from pixsim.base.toml import packaged, read_toml
 from pixsim.base.units import UNITS, unit_of
 from pixsim.cli import options
 from pixsim.cli.templates import allowed, json_schema, template
+from pixsim.sensor.motion_options import VELOCITIES
 from pixsim.sensor.pixel_options import DATA_SHEET, STANDS_FOR, excluded_by
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.develop_options import develop_excluded_by
 from pixsim.viewer.setting import Run
 
 RECORDS = {"sensor": Run, "study": Study}
@@ -32,12 +34,22 @@ def uncommented(text: str) -> dict[str, Any]:
 
 
 def stated_once(table: dict[str, Any], words: bool) -> dict[str, Any]:
-    """A table whose [pixel] has either other words, the first of those for a quantity, or the fields that they stand for."""
+    """A table whose [pixel] has either other words, the first of those for a quantity, or the fields that they stand for.
+
+    Of the fields of [develop] and [motion] that exclude each other it has the first or the last.
+    """
+    motion = {name: value for name, value in table["motion"].items() if name not in VELOCITIES}
+    velocity = VELOCITIES[-1 if words else 0]
+    motion[velocity] = table["motion"][velocity]
+    develop: dict[str, Any] = {}
+    for name in sorted(table["develop"], reverse=words):
+        if not develop_excluded_by([name]) & develop.keys():
+            develop[name] = table["develop"][name]
     kept: dict[str, Any] = {}
     for name in sorted(table["pixel"], key=lambda name: (name in STANDS_FOR) != words):
         if not excluded_by([name]) & kept.keys():
             kept[name] = table["pixel"][name]
-    return table | {"pixel": kept}
+    return table | {"pixel": kept, "develop": develop, "motion": motion}
 
 
 def dotted(table: dict[str, Any], record: type[BaseModel], path: str = "") -> set[str]:
