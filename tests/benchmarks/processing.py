@@ -1,9 +1,9 @@
 """How far the camera's own processing moves the best pixel size: the tables of docs/processing.md; `--write` puts them there.
 
-    python tests/benchmarks/processing.py [--write] [--out DIR] [--jobs 2]
+    python tests/benchmarks/processing.py [--quick] [--write] [--out DIR] [--jobs 2]
 
-Runs the packaged study `processing`, and the studies and the comparison whose files are on the page. Bests are as a study says
-them; a move is the ratio of two best sizes, whose interval has both intervals in quadrature of logarithms.
+Runs the packaged study `processing`, in its quick form on demand, and the studies whose files are on the page. Bests are as a
+study says them; a move is the ratio of two best sizes, whose interval has both intervals in quadrature of logarithms.
 """
 
 from __future__ import annotations
@@ -27,12 +27,7 @@ from pixsim.studies.result import Curve, StudyResult
 
 PAGE = ROOT / "docs/processing.md"
 AXIS = "processing"
-JUDGES = {
-    "npwe": "d′ of the viewer, shown picture",
-    "visual_noise": "visual noise, shown picture",
-    "detectability": "d′ of the ideal observer, frame",
-    "information": "information, frame",
-}
+JUDGES = {"delta_e": "ΔE", "npwe": "d′ of the viewer", "visual_noise": "visual noise"}
 
 
 def moved(raw: Curve, other: Curve) -> str:
@@ -90,6 +85,7 @@ def small_and_large(result: StudyResult) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("pixsim-out/processing-tables"))
     parser.add_argument("--jobs", type=int, default=2)
@@ -100,10 +96,11 @@ def main() -> None:
     for name, content in files.items():
         (options.out / name).write_text(content, encoding="utf-8")
 
-    def study(of: str) -> StudyResult:
-        return pixsim.study(str(options.out / of) if of in files else of, options.out / Path(of).stem, jobs=options.jobs)
+    def study(of: str, quick: bool = False) -> StudyResult:
+        folder = options.out / f"{Path(of).stem}{'-quick' * quick}"
+        return pixsim.study(str(options.out / of) if of in files else of, folder, quick=quick, jobs=options.jobs)
 
-    made = (*sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: study(AXIS)}), judged(study("judges.toml")))
+    made = (*sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: study(AXIS, options.quick)}), judged(study("judges.toml")))
     made = (*made, small_and_large(study("two_sizes.toml")))
     print("\n\n".join(made))
     if options.write:
