@@ -189,7 +189,7 @@ class Curve:
 
     @property
     def told(self) -> NDArray[np.bool_]:
-        """Whether the first metric's fitted curve takes a pitch, (pitches,): `told_pitches`."""
+        """Whether the first metric's fitted curve takes a pitch, (pitches,): not without a number, or where it is worth nothing."""
         return told_pitches(self.metric, self.statistics[self.metric.columns[0]])
 
     @property
@@ -199,7 +199,7 @@ class Curve:
 
     @property
     def along(self) -> tuple[Array, Array]:
-        """Pitches and the first metric there, (n,) each: of the fitted curve, and of pitches where some sensors have 0 or less."""
+        """Pitches in µm and the first metric there, (n,) each: the fitted curve, and pitches where some sensors have 0 or less."""
         values = self.statistics[self.metric.columns[0]]
         dead = np.isfinite(values).any(axis=1) & ~self.told
         pitch_um = np.append(self.fit.pitch_um, self.pitch_um[dead])
