@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -25,7 +25,7 @@ TURNED = (
     *("exposure.gain_db", "develop.denoise", "develop.denoise_strength", "motion.image_um_per_s", "display.samples_per_deg"),
 )
 OF_ALL = ("scene", "camera", "lens", "display")  # tables that two sensors share, so that both see and show the same
-STRENGTH, LUX = "emitter_scale", "lux"  # parameters of scenes: of a chart's light, and of the illuminance of a lit scene
+STRENGTH, LUMINANCE, LUX = "emitter_scale", "luminance_cd_per_m2", "lux"  # parameters of charts, and of lit scenes
 LENS, NO_LENS = "lens.file", "thin lens"
 # What a field's name says in other words than a designer's.
 LABELS = {
@@ -42,7 +42,6 @@ class Control:
     label, unit, help : for the reader
     least, most : bounds of typed numbers; None: there are none
     choices : in place of numbers
-    factor : what is shown is this times the field
     pair : whether the field has two numbers, of which the first is turned
     """
 
@@ -53,7 +52,6 @@ class Control:
     least: float | None = None
     most: float | None = None
     choices: tuple[str, ...] = ()
-    factor: float = 1.0
     pair: bool = False
 
     @property
@@ -69,19 +67,17 @@ class Control:
             return None if given == NO_LENS else given
         if isinstance(given, bool) or not isinstance(given, int | float):
             raise invalid(self.path, repr(given)[:80], "a number")
-        return [float(given) / self.factor, 0.0] if self.pair else float(given) / self.factor
+        return [float(given), 0.0] if self.pair else float(given)
 
     def shown(self, value: object) -> object:
         """Return what a page shows of a value of the field."""
-        number = value[0] if self.pair and isinstance(value, list | tuple) else value
-        return number * self.factor if isinstance(number, int | float) and not isinstance(number, bool) else number
+        return value[0] if self.pair and isinstance(value, list | tuple) else value
 
 
-def controls_of(parameters: Mapping[str, str], white_cd_per_m2: float | None, lenses: Sequence[str]) -> list[Control]:
+def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Control]:
     """Return the controls of a scene, or of light, which has no parameters and takes no other lens.
 
-    parameters : of the scene, with their values
-    white_cd_per_m2 : luminance of an emissive chart's white with these
+    parameters : names of those of the scene
     lenses : names or files that may be chosen
     """
     schema = Run.model_json_schema()
@@ -91,10 +87,9 @@ def controls_of(parameters: Mapping[str, str], white_cd_per_m2: float | None, le
         found.insert(3, Control(LENS, "lens", help=words, choices=tuple(lenses)))
     if LUX in parameters:
         found.insert(2, Control(f"scene.{LUX}", "illuminance", "lx", "at the place that the scene's author chose", 1e-9, 1e9))
-    elif STRENGTH in parameters and white_cd_per_m2:
-        factor = white_cd_per_m2 / float(parameters[STRENGTH])
+    elif STRENGTH in parameters:
         words = "of the chart's white; the display's white follows it, unless it is set"
-        found.insert(2, Control(f"scene.{STRENGTH}", "luminance", "cd/m²", words, 1e-12, 1e15, factor=factor))
+        found.insert(2, Control(f"scene.{LUMINANCE}", "luminance", unit_of(LUMINANCE), words, 1e-12, 1e15))
     return found
 
 

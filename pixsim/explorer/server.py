@@ -139,7 +139,7 @@ def served(session: Session) -> Iterator[Path]:
     finally:
         server.should_exit = True
         if thread.is_alive():
-            thread.join(2 * RELOAD_S)
+            thread.join(FIRST_S)
         listening.close()
         Path(name).unlink(missing_ok=True)
 

@@ -91,12 +91,13 @@ class Session:
         self._asked: Asked | None = None
         self._lights: dict[str, LitRun] = {}  # the last one last
         self._scenes, self._points = KeptScenes(), dict[str, list[float]]()
-        self.presets, self.controls = presets_of(self.config, self.tables), controls_of({}, None, ())
+        self.presets, self.controls = presets_of(self.config, self.tables), controls_of((), ())
         first = self._job(Asked(0, ((0, {}),)), 0)  # bad input is refused before a page opens
         self.title = first.source if isinstance(self.source, str) else "light in memory"
         if first.cases[0].picture is None:
+            scene = first.cases[0].scene
             lenses = dict.fromkeys([first.asked.lens.file or NO_LENS, *packaged("data/lenses")])
-            self.controls = controls_of(_parameters(first), first.demand.plan.white_cd_per_m2, tuple(lenses))
+            self.controls = controls_of({*scene.names, *scene.text().defaults}, tuple(lenses))
 
     def hello(self) -> dict[str, Any]:
         """Return what a page is made of."""
@@ -222,8 +223,7 @@ class Session:
         key = self._light_key(lit.prepared)
         old = self._lights.pop(key).irradiance if key in self._lights else None
         if old is not None and old.shape == lit.irradiance.shape and _bare(old.header) == _bare(lit.irradiance.header):
-            old.header.clear()
-            old.header.update(lit.irradiance.header)
+            old.header = lit.irradiance.header  # with the white
             lit = replace(lit, irradiance=old)
         while len(self._lights) >= MOST_LIGHTS:
             del self._lights[next(iter(self._lights))]
@@ -263,7 +263,8 @@ class Session:
             places: list[object] = [getattr(settings, table), result.camera, result.score.physics, result.score.frame]
             value = next((each for place in places if (each := getattr(place, name, None)) is not None), None)
             if table == "scene":
-                value = float(_parameters(result.prepared)[name])
+                given = settings.scene.get(name, result.prepared.cases[0].scene.text().defaults.get(name))
+                value = result.plan.white_cd_per_m2 if given is None and result.plan else given
             shown[control.path] = settings.lens.file or NO_LENS if control.path == LENS else control.shown(value)
         return shown
 
@@ -284,12 +285,6 @@ class Session:
             except PixsimError:
                 continue  # there are no such pixels: the curve ends here
             yield self._points[key]
-
-
-def _parameters(job: RunJob) -> dict[str, str]:
-    """Return the parameters of the scene of a run, with those that its file sets."""
-    scene = job.cases[0].scene
-    return {**scene.text().defaults, **scene.parameters}
 
 
 def _bare(header: Mapping[str, Any]) -> dict[str, Any]:
