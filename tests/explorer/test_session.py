@@ -59,7 +59,7 @@ def test_first_picture_is_the_last_where_the_film_is_fine_enough(answered):
 
 @pytest.mark.parametrize("way", ["command", "settings.toml", "Python"])
 def test_ways_out_repeat_the_picture_bit_for_bit(way, answered, tmp_path):
-    session, sent = answered
+    sent = answered[1]
     shown = next(message for message in sent if "pictures" in message)["pictures"]
     last = next(message for message in sent if message.get("sure"))
     if way == "Python":
