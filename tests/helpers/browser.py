@@ -224,7 +224,8 @@ class Tab:
         self.wait(lambda: told.exists() and told.read_text().count("\n"))
         with urllib.request.urlopen(f"http://127.0.0.1:{told.read_text().split()[0]}/json") as listed:
             address = next(each["webSocketDebuggerUrl"] for each in json.load(listed) if each["type"] == "page")
-        self.socket = connect(address, max_size=None)
+        self.connecting = connect(address, max_size=None)
+        self.socket = self.connecting.__enter__()
         self.call("Runtime.enable")
         self.call("Log.enable")
 
@@ -256,7 +257,7 @@ class Tab:
     def close(self) -> None:
         self.call("Browser.close")  # which clears its temporary files, as a signal would not
         self.process.wait(HANG_S)
-        self.socket.close()
+        self.connecting.__exit__(None, None, None)
 
 
 KEY_CODES = {"ArrowRight": 39, "ArrowLeft": 37, "Tab": 9, "Enter": 13, "Home": 36}
