@@ -215,7 +215,7 @@ class Session:
         if key not in self._lights:
             return None
         settings = case.settings.model_copy(update={"metrics": (DELTA_E.name,)})
-        first = replace(job, cases=(replace(case, case=replace(case.case, settings=settings)),), repeats=1)
+        first = replace(job, cases=(replace(case, settings=settings),), repeats=1)
         return LitRun(first, self._lights[key].irradiance, None, self._lights[key].plan)
 
     def _keep(self, lit: LitRun) -> LitRun:
