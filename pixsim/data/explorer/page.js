@@ -146,7 +146,10 @@ function show() {
     if (!found.pictures) continue;
     image.src = found.pictures[name];
     image.alt = `${PICTURES[name]}${count() > 1 ? `, sensor ${NAMES[index]}` : ""}, ${found.lines[0]}`;
-    if (at("whole").checked) { image.style.width = `${found.dots[1] / devicePixelRatio}px`; } else image.style.width = "";
+    // A sensor of larger pixels has a wider border that is not shown: dots stay in their place.
+    const most = Math.max(...shown.map(each => each.dots?.[1] ?? 0)), [size, unit] = at("whole").checked ? [devicePixelRatio, "px"] : [most / 100, "%"];
+    image.style.width = `${found.dots[1] / size}${unit}`;
+    image.style.margin = `${(most - found.dots[1]) / 2 / size}${unit}`;
   }
   at("stack").classList.toggle("whole", at("whole").checked);
   at("stack").classList.toggle("old", shown.some(each => each.number !== number));
@@ -191,7 +194,7 @@ function draw() {
     }
   });
   for (const pitch of new Set(all.map(each => each[0]))) add(svg, "text", {x: place([pitch, 0])[0], y: 185, "text-anchor": "middle"}, pitch);
-  for (const mean of [0, top]) add(svg, "text", {x: 35, y: place([1, mean])[1] + 4, "text-anchor": "end"}, round(mean));
+  for (const mean of [0, top]) add(svg, "text", {x: 35, y: place([1, mean])[1] + 4, "text-anchor": "end"}, Number(mean.toPrecision(2)));
   add(svg, "text", {x: 210, y: 199, "text-anchor": "middle"}, "pixel size (µm)");
   at("caption").textContent = `Mean ΔE against pixel size in µm${count() > 1 ? ": A solid, B dashed" : ""}. Bars are 95 % intervals of the mean over `
     + `${hello.sensors} sensors of each size. All sizes are in the light of the present one, whose film was not measured for them.`;
